@@ -118,7 +118,7 @@ test-py: setup ## Tests from Python; ARGS='-k door' picks
 	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || $(call skip,no browser: the page of pliant view is not tested in one (apt-get install -y chromium))
 	@$(BIN)/python -m pytest $(RERUN) $(ARGS)
 
-lint: lint-rust lint-py stubs ## Formats, clippy, ruff, mypy, stubs against the binary
+lint: lint-rust lint-py stubs ## Formats, clippy, ruff, import contracts, mypy, stubs against the binary
 
 lint-rust: setup
 	$(call say,rustfmt$(comma) clippy)
@@ -126,9 +126,10 @@ lint-rust: setup
 	@cargo clippy $(LOCKED) --quiet --workspace --all-targets -- -D warnings
 
 lint-py: setup
-	$(call say,ruff$(comma) mypy)
+	$(call say,ruff$(comma) import-linter$(comma) mypy)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/lint-imports --no-cache --no-logo
 	@$(BIN)/mypy
 
 stubs: setup ## Compare python/pliant/_core.pyi with the compiled module

@@ -7,9 +7,8 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-use pliant_core::settings::{Law, NullSpace, PaperOptions};
-use pliant_core::task::axes::{Axis, Frame, Task, Yields};
-use pliant_core::task::deviation::pose_error;
+use pliant_core::params::{Axis, Frame, Law, NullSpace, PaperOptions, Task, Yields};
+use pliant_core::task::pose_error;
 use pliant_core::{
     BatchCommand, BatchInput, BatchState, Controller, Frames, Invalid, JointVec, MAX_AXES, MAX_JOINTS, Model, Pose,
     Settings, StepInput, Targets,

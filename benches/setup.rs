@@ -4,8 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, NullSpace, Projector, Tracking};
-use pliant_core::task::axes::{Axis, Yields};
+use pliant_core::params::{Axis, Damping, NullSpace, Projector, Tracking, Yields};
 use pliant_core::{Model, ModelOptions, Pose, Servos, Settings};
 
 /// States of one round.

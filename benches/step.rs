@@ -8,9 +8,10 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use pliant_core::settings::{Damping, Follow, Law, LimitRule, NullSpace, PaperOptions, Projector, Tracking};
-use pliant_core::task::axes::{Axis, Task, Yields};
-use pliant_core::task::deviation::pose_error;
+use pliant_core::params::{
+    Axis, Damping, Follow, Law, LimitRule, NullSpace, PaperOptions, Projector, Task, Tracking, Yields,
+};
+use pliant_core::task::pose_error;
 use pliant_core::{Controller, Pose, Settings, StepInput};
 
 mod setup;

@@ -19,7 +19,7 @@ q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [r
 target = model.forward_kinematics(q)
 controller.reset(q)
 
-# Somebody holds the tool 6 cm to the left of its target.
+# A hand holds the tool 6 cm to the left of its target.
 held = target.copy()
 held[1, 3] += 0.06
 pushed = model.inverse_kinematics(held, q)

@@ -1,6 +1,6 @@
 """The paper's law: torque budgets per task axis, with and without a gravity model.
 
-Without one the arm sags by what its servos give; with y soft and eta near one it walks away.
+Without one the arm sags by the compliance of its servos; with y soft and eta near one it drifts.
 """
 
 import os
@@ -27,5 +27,5 @@ for gravity in (False, True):
         arm.advance()
     x, y, z = 1e3 * (arm.tool[:3, 3] - target[:3, 3])  # [mm]
     word = "with" if gravity else "without"
-    print(f"{word:7} gravity model, nobody touches it, after {SECONDS:.0f} s: ", end="")
+    print(f"{word:7} gravity model, untouched, after {SECONDS:.0f} s: ", end="")
     print(f"x {x:+6.1f}  y {y:+6.1f}  z {z:+6.1f} mm")

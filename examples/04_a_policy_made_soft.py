@@ -1,9 +1,8 @@
 """A joint-space policy becomes soft without a change: `step_joints` takes joint positions.
 
-A "policy" swings the arm; a wall stands in the way. Stiff, the arm leans on the wall as hard as
-its servos can; with a cap it leans with the force that was asked for (and the push of its own mass
-as it arrives), and goes on when it is free. The lag is how far the wall keeps it from where it was
-sent.
+A "policy" swings the arm against a wall. Stiff, the arm presses with the full torque of its servos.
+With a cap it presses with that force (plus the impact of its mass), and continues when it is free.
+The lag is the distance from the commanded position.
 """
 
 import os
@@ -21,7 +20,7 @@ model = pliant.robots.arm7()
 
 
 def policy(time: float) -> np.ndarray:
-    """Joint positions (7,) [rad] of some policy that knows nothing of forces."""
+    """Return joint positions (7,) [rad] of a policy without force control."""
     reach = np.array([-0.30, 0.0, 0.0, 0.36, 0.0, 0.0, 0.0])  # forward, toward the wall
     return START + np.sin(2 * np.pi * time / 6.0) * reach
 
@@ -38,4 +37,4 @@ for name, axes in {"stiff": {}, "soft": {"x": pliant.Axis(soft=8.0, firm=8.0)}}.
         arm.advance()
         lag = max(lag, float(np.abs(controller.diagnostics.deviation[:3]).max()))
     force = arm.hands[0].peak_force
-    print(f"{name:5}: most force on the wall {force:5.1f} N, most lag {1e3 * lag:5.1f} mm")
+    print(f"{name:5}: largest force on the wall {force:5.1f} N, largest lag {1e3 * lag:5.1f} mm")

@@ -1,4 +1,4 @@
-"""The mathematics as functions, for a robot with kinematics of its own: a planar 2-link arm."""
+"""The equations as functions, for a robot with its own kinematics: a planar 2-link arm."""
 
 import numpy as np
 

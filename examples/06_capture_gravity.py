@@ -1,7 +1,7 @@
-"""Servos that are softer than believed: the arm walks away, until gravity is captured.
+"""Servos softer than assumed: the arm drifts until gravity is captured.
 
-The offset that holds an arm is g / k_p. Where k_p is wrong it is measured instead: hold still with
-an integrating goal, keep the lead that was needed.
+The goal offset that holds an arm is g / k_p. Where k_p is wrong, measure the offset instead: hold
+the pose with an integrating goal, and keep the lead.
 """
 
 import os
@@ -23,7 +23,7 @@ holding = pliant.Settings(
 
 
 def run(controller: pliant.Controller, arm: pliant.sim.Plant, seconds: float) -> None:
-    """Hold the start for some seconds."""
+    """Hold the start pose for `seconds`."""
     target = model.forward_kinematics(START)
     for _ in range(round(seconds * arm.rate)):
         command = controller.step(arm.read().q, target)
@@ -44,5 +44,5 @@ for capture in (False, True):
     before = arm.tool
     run(controller, arm, SECONDS)
     drift = 1e3 * (arm.tool[1, 3] - before[1, 3])  # [mm]
-    word = "captured" if capture else "believed"
+    word = "captured" if capture else "assumed"
     print(f"gravity {word}: y drifts {drift:+6.1f} mm in {SECONDS:.0f} s")

@@ -1,4 +1,4 @@
-"""The arm opens a door that it grips rigidly, without knowing where the hinge is.
+"""The arm opens a rigidly gripped door without knowing where the hinge is.
 
 Compliant sideways and in yaw it follows the handle; with all axes stiff it jams.
 """
@@ -16,7 +16,7 @@ START = [-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115]  # [rad]
 
 model = pliant.robots.arm7()
 
-# The picture's other row: the paper's law, nothing gives way, and every servo may use all it has.
+# The picture's other row: the paper's law, all axes stiff, full torque of every servo.
 stiff = {"all": pliant.Axis(hold=1000.0)}
 ways = {
     "y and yaw compliant": pliant.Settings.door(),

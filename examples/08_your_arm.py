@@ -1,4 +1,4 @@
-"""From a URDF and a servo table to a soft arm: here the SO-101-like arm that ships with pliant.
+"""From a URDF and a servo table to a soft arm: here the SO-101 model that ships with pliant.
 
 python examples/08_your_arm.py [arm.urdf BASE TIP]
 """
@@ -15,7 +15,7 @@ import pliant.sim
 SECONDS = 2.0 if os.environ.get("PLIANT_SHORT") else 6.0
 
 if len(sys.argv) == 4:
-    # What a servo table says; one number holds for every joint.
+    # Data of a servo table; one number applies to every joint.
     servos = pliant.Servos(
         kp=20.0, max_torque=3.0, friction=0.08, damping=0.6
     )  # [N·m/rad], [N·m] ...
@@ -45,4 +45,4 @@ for _ in range(round(SECONDS * arm.rate)):
 print(f"dragged 0.08 m to the side with {arm.hands[0].peak_force:.1f} N at most;", end=" ")
 left = 1e3 * np.linalg.norm(arm.tool[:3, 3] - target[:3, 3])
 print(f"left {left:.0f} mm from its target,")
-print("where what pulls it back is less than the dry friction of its gears")
+print("where the restoring force is below the dry friction of its gears")

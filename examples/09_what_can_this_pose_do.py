@@ -1,4 +1,4 @@
-"""Ask before switching on: what a pose can do, what a path cannot, and which setting to change.
+"""Check before switching on: forces of a pose, limits of a path, and which setting to change.
 
 python examples/09_what_can_this_pose_do.py
 """
@@ -11,13 +11,13 @@ import pliant.robots
 model = pliant.robots.arm7()
 q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
 
-# 1. Numbers and sentences for one pose, the arm at rest on its target.
+# 1. Figures and sentences for one pose, the arm at rest on its target.
 settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})  # [N]
 controller = pliant.Controller(model, settings)
 report = controller.report(q)
 print(report)
 
-# The same for the pose and the limits of the last step: fast enough to run beside the loop.
+# The same for pose and limits of the last step: fast enough to run in the loop.
 controller.step(q, model.forward_kinematics(q))
 y = report.axes.index("y")
 pushed_minus, pushed_plus = controller.report().host_loss_force[y]
@@ -25,7 +25,7 @@ print(
     f"if this program stops now, a hand meets {pushed_plus:.1f} N in +y, {pushed_minus:.1f} in -y"
 )
 
-# 2. A path: the tool wanders through 50 postures. Can it answer 60 N sideways and hold 80 N in z?
+# 2. A path of 50 postures: can the arm exert 60 N sideways and hold 80 N in z?
 path = q + 0.2 * np.sin(np.linspace(0.0, 3.0, 50))[:, None]
 asked = pliant.Settings(
     axes={"y": pliant.Axis(soft=0.05, firm=60.0), "z": pliant.Axis(hold=80.0)}  # [N]
@@ -33,7 +33,7 @@ asked = pliant.Settings(
 check = pliant.feasibility.check_path(model, asked, path)
 print(f"\nasked for: {check}")
 
-# 3. Take what it proposes: the smallest where a setting is named for both sides.
+# 3. Apply its proposals: the smaller one where a setting is named for both sides.
 proposed: dict[str, float] = {}
 for finding in check.findings:
     if finding.required and finding.setting and finding.value is not None:
@@ -47,7 +47,7 @@ better = pliant.Settings(
 print(f"\nproposed: y {better.axes['y']}, z {better.axes['z']}")
 print(pliant.feasibility.check_path(model, better, path))
 
-# 4. A pose of the tool will do too.
+# 4. A tool pose works too.
 away = model.forward_kinematics(q)
 away[0, 3] += 1.0  # [m]
 print(f"\none metre ahead: {pliant.feasibility.check_path(model, settings, away, q0=q)}")

@@ -1,4 +1,4 @@
-"""Feel a touch without a force sensor, get out of the way, and come back when it is quiet.
+"""Detect a touch without a force sensor, move out of the way, and return afterwards.
 
 python examples/10_feel_a_touch.py
 """
@@ -15,7 +15,7 @@ from pliant.sim import Course, Plant, Push
 model = pliant.robots.arm7()
 controller = pliant.Controller(model, pliant.Settings.soft("y"))
 
-# 1. What can this arm feel? Say how well it is known: a simulated one is, within some percent.
+# 1. What can this arm detect? State the model errors: a few percent for a simulated arm.
 contact = pliant.ContactEstimator(controller, kp_error=0.02, gravity_error=0.02, guard=0.6)
 x, y, z = contact.typical_uncertainty()[:3]
 print(f"at rest, in the median pose: x ± {x:.1f} N, y ± {y:.1f} N, z ± {z:.1f} N")
@@ -24,7 +24,7 @@ try:
 except pliant.OutOfRangeError as error:
     print(f"too fine a threshold is refused: {error}\n")
 
-# 2. What shall follow? From below: 5 cm up and out of the way for a second. Dragged far: stay.
+# 2. Reactions: to a push from below, move 5 cm up for a second; dragged far, hold still.
 lifted = Force("z", above=6.0, toward="+").lasting(0.05)
 dragged = Deviation("y", above=0.08)
 reactions = [
@@ -48,7 +48,7 @@ target = model.forward_kinematics(start)
 seconds = 4.0 if os.environ.get("PLIANT_SHORT") else 6.0
 for tick in range(round(seconds * plant.rate)):
     q = plant.read().q
-    command = controller.step(q, monitor.update(q, target))  # watch first, then step
+    command = controller.step(q, monitor.update(q, target))  # the monitor first, then the step
     plant.write(command.goal, command.torque_limit)
     plant.advance()
     if tick % 50 == 49:

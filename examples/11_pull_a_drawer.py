@@ -1,6 +1,6 @@
-"""The arm pulls a drawer open whose slide points 10° away from where the arm believes.
+"""The arm pulls a drawer open whose slide is 10° off the assumed direction.
 
-With the preset the other translations follow the slide and the pull is capped, at the end stop too;
+With the preset the other translations follow the slide and the pull is capped, end stop included;
 with all axes stiff the arm levers against the slide.
 """
 

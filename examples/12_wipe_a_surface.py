@@ -1,6 +1,6 @@
-"""The arm wipes over a surface with hills and valleys of 10 mm and presses with 5 N all the way.
+"""The arm wipes a surface with hills and valleys of 10 mm at a constant force of 5 N.
 
-The target runs on a plane 25 mm behind the mean surface: far enough that the force is the cap.
+The target moves on a plane 25 mm behind the mean surface: far enough that the force is the cap.
 """
 
 import os

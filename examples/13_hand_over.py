@@ -1,7 +1,7 @@
 """The arm holds out an object of unknown weight, gives way to the hand that takes it, and lets go.
 
-Near its target the arm resists enough to carry the object; once drawn 50 mm away it knows that
-somebody takes it, and the gripper opens. Stiff, the person has to pull three times as hard.
+Close to its target the arm resists enough to carry the object. Once the hand has moved it by 50 mm,
+the gripper opens. With all axes stiff, the person has to pull three times as hard.
 """
 
 import os

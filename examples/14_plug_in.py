@@ -1,6 +1,6 @@
 """The arm puts a plug into a hole that is 2 mm and 2° off, pushing with at most 10 N.
 
-Put the tool's frame at the plug's tip: it then turns about the tip, as the chamfer asks for.
+Put the tool frame at the plug's tip: it then turns about the tip, as the chamfer requires.
 """
 
 import os

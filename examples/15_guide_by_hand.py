@@ -1,4 +1,4 @@
-"""A hand leads the tool and lets go: with `hand_guiding` it is light, and stays where it is led."""
+"""A hand guides the tool and lets go: with `hand_guiding` it is light, and stays where it is."""
 
 import os
 
@@ -25,7 +25,7 @@ for name, settings in ways.items():
         q = arm.read().q
         here = model.forward_kinematics(q)
         if name == "hand_guiding" and np.linalg.norm(here[:3, 3] - target[:3, 3]) > LED:
-            target = here  # what the hand has led away stays there
+            target = here  # the target follows the hand
         command = controller.step(q, target)
         arm.write(command.goal, command.torque_limit)
         arm.advance()

@@ -1,6 +1,6 @@
-"""A stiff axis that runs into a wall: the target follows it, or all of it waits, or it pushes.
+"""A stiff axis meets a wall: its target yields, the whole target waits, or the force builds up.
 
-`deviation_limit` says how far a stiff axis may be off. Beyond it the force does not build up.
+`deviation_limit` bounds the deviation of a stiff axis, and so its force.
 """
 
 import os

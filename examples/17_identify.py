@@ -1,8 +1,8 @@
-"""An arm that is not what its table says finds out by itself: servos, payload, delay.
+"""Identify an arm that differs from its table: servos, payload, delay.
 
-The simulated servos are 20 % softer than their table, rub 40 % more, answer a tick late, and the
-tool carries 0.2 kg that nobody told of. `pliant.identify` needs positions, goals and limits only;
-on hardware `arm` is what `pliant.connect` returns.
+The simulated servos are 20 % softer than their table, have 40 % more friction and a tick of delay,
+and the tool carries an unknown 0.2 kg. `pliant.identify` needs positions, goals and limits only;
+on hardware `arm` is the result of `pliant.connect`.
 
 python examples/17_identify.py
 """
@@ -30,20 +30,20 @@ arm = pliant.sim.Plant(
 arm.reset(START)
 table = model.servos.replace(encoder_step=np.deg2rad(0.088), stiffness_known=False)
 
-# 1. What is known after capturing gravity in place: nothing moves, four seconds.
+# 1. Capture gravity in place: four seconds without motion.
 settings = pliant.Settings.soft("y")
 controller = pliant.Controller(model, settings, table)
 print(f"capture\n{pliant.identify.capture_gravity(arm, controller)}\n")
 
-# 2. Weighing alone. The table's k_p is wrong, so the error bars are wide.
+# 2. Payload alone. The table's k_p is wrong, so the error bars are wide.
 if not SHORT:
     print(f"weigh\n{pliant.identify.estimate_payload(arm, controller, span=0.4).summary()}\n")
 
-# 3. Everything, about two and a half minutes of the arm's time. Poses within ±0.4 rad are free.
+# 3. Everything: two and a half minutes of simulated time, poses within ±0.4 rad.
 found = pliant.identify.identify_servos(arm, model, table, span=0.4)
 print(f"identify\n{found}\n")
 
-# 4. A controller that believes all of it: table, payload and delay.
+# 4. A controller with all results: table, payload and delay.
 controller = found.controller(model, settings)
 target = model.forward_kinematics(arm.read().q)
 for _ in range(200):

@@ -1,4 +1,4 @@
-"""Hand guiding: the arm weighs nothing, stays where it is left, and its k_p may be wrong by half.
+"""Hand guiding: the arm is weightless and stays where it is left, even with k_p wrong by half.
 
 python examples/18_float.py
 """
@@ -19,19 +19,19 @@ count, deadband = np.deg2rad([0.088, 0.06])  # [rad]
 table = model.servos.replace(encoder_step=count, stiffness_known=False)
 
 for kp_scale in (0.5, 1.0, 2.0):
-    # From 8 s on a hand leads the tool 0.12 m to the left within 2 s, holds it, and lets go.
+    # From 8 s on a hand moves the tool 0.12 m to the left within 2 s, holds it, and lets go.
     course = pliant.sim.Course(start=8.0 + SECONDS, rise=2.0, end=11.0 + SECONDS)
     hand = pliant.sim.Drag(axis="y", distance=0.12, stiffness=2000.0, limit=60.0, course=course)
     arm = pliant.sim.Plant(model, kp_scale=kp_scale, count=count, deadband=deadband, scene=[hand])
     arm.reset(START)
 
-    floating = pliant.HandGuiding(model, table)  # the one line; then step(q) at every tick
+    floating = pliant.HandGuiding(model, table)  # then call step(q) at every tick
     places, forces, ready = [], [], 0
     while arm.time < 11.0 + 2.0 * SECONDS:
         command = floating.step(arm.read().q)
         arm.write(command.goal, command.torque_limit)
         arm.advance()
-        ready += not floating.ready  # the first swing, in which nobody may touch it
+        ready += not floating.ready  # the initial swing: do not touch the arm
         places.append(arm.tool[:3, 3])
         forces.append(abs(arm.hands[0].force[1]))
 

@@ -1,7 +1,7 @@
-"""An arm that is switched on in order, survives a sick program, and is brought down, not dropped.
+"""The life cycle: torque on in order, an error handled, and a descent at the end.
 
-Runs on a simulated SO-101; `pliant.connect("my_arm.toml")` would be a real one. Ctrl-C at any time
-lowers it.
+Runs on a simulated SO-101; `pliant.connect("my_arm.toml")` connects a real one. Ctrl-C lowers it at
+any time.
 """
 
 import os
@@ -36,6 +36,6 @@ with arm:  # torque on: limits, goals, torque, then a ramp of half a second
     print(f"hottest: {hottest} with {100 * arm.heat[hottest]:.0f} % of its thermal budget in use")
     height = arm.drive.plant.tool[2, 3]
 
-# The block has ended: the arm has gone down at 0.15 m/s at most, and its torque is off.
+# The block has ended: the arm was lowered at 0.15 m/s at most, and its torque is off.
 fallen = 1e3 * (height - arm.drive.plant.tool[2, 3])
 print(f"torque on: {arm.enabled}; the tool came down by {fallen:.0f} mm at {arm.clock.now():.1f} s")

@@ -1,8 +1,8 @@
-"""A hand teaches a motion, the arm repeats it softly, waits while it is held, and goes on.
+"""A hand teaches a motion; the arm repeats it softly, waits while it is held, and continues.
 
-On the shell: `pliant teach my_arm.toml wave.json`, then `pliant replay my_arm.toml wave.json
+In the shell: `pliant teach my_arm.toml wave.json`, then `pliant replay my_arm.toml wave.json
 --soft "y=2"`. Here a simulated SO-101 and scripted hands; with the extra "log" the replay is
-logged, and the log run again. python examples/20_teach_and_replay.py
+logged, and the log verified. python examples/20_teach_and_replay.py
 """
 
 import contextlib
@@ -24,20 +24,20 @@ print(f"files: {folder}")
 
 
 def grip(axis, distance, start, rise, end):
-    """A strong hand at the tool, between two times [s]."""
+    """Return a strong hand at the tool, between two times [s]."""
     course = pliant.sim.Course(start=start, rise=rise, end=end)
     return pliant.sim.Drag(
         axis=axis, distance=distance, stiffness=2000.0, limit=60.0, at="tool", course=course
     )
 
 
-# Teach: the arm floats; from 9 s on a hand leads the tool to the side and up, and lets go.
+# Teach: hand guiding; from 9 s on a hand moves the tool to the side and up, and lets go.
 hands = [grip("y", 0.08, 9.0, 3.0, 12.5), grip("z", 0.03, 9.0, 3.0, 12.5)]
 with pliant.connect("so101", backend="sim", q=START, scene=hands) as arm:
     motion = pliant.teach.teach(arm, tell=print)
 motion.save(folder / "wave.json")
 
-# Replay: y gives way to 2 N; a hand holds the tool from the beginning, then lets go.
+# Replay: y gives way to 2 N; a hand holds the tool from the start, then lets go.
 motion = pliant.teach.Motion.load(folder / "wave.json")
 settings = pliant.Settings(task="xyz", axes={"y": pliant.Axis(soft=2.0, profile="constant")})
 wall = grip("y", 0.0, 0.0, 0.0, 2.0 + HELD)

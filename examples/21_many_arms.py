@@ -1,7 +1,7 @@
-"""A thousand arms in one call: what a policy that is trained in many simulated rooms needs.
+"""A thousand arms in one call, e.g. to train a policy in many simulated environments.
 
-Each arm keeps its own memory (velocity, slew, tool speed) in a state; episodes that end are reset
-one by one. Each row is, bit for bit, what a controller of its own would do.
+A state holds each arm's memory (velocity, slew, tool speed); finished episodes are reset one by
+one. Each row equals the command of its own controller, bit for bit.
 """
 
 import time
@@ -19,12 +19,12 @@ rng = np.random.default_rng(7)
 
 
 def postures(count: int) -> np.ndarray:
-    """Random joint positions (count, n) in the middle of the ranges [rad]."""
+    """Return random joint positions (count, n) in the middle of the ranges [rad]."""
     return model.lower + (model.upper - model.lower) * rng.uniform(0.3, 0.7, (count, model.n))
 
 
 def targets_near(q: np.ndarray) -> np.ndarray:
-    """Poses (N, 4, 4) of the tool a few centimetres away."""
+    """Return tool poses (N, 4, 4) a few centimetres away."""
     return model.forward_kinematics_batch(q + rng.uniform(-0.1, 0.1, q.shape))
 
 
@@ -37,11 +37,11 @@ alone.step(q[0], targets[0])
 
 arrived, spent = 0, 0.0
 for _ in range(TICKS):
-    # Springs without inertia that gravity pulls at: a tenth of the way to rest in each tick.
+    # Massless springs under gravity: each tick covers a tenth of the distance to rest.
     q += 0.1 * (command.goal - q - model.gravity_batch(q) / model.servos.kp)
     tool = model.forward_kinematics_batch(q)
     done = np.linalg.norm(tool[:, :3, 3] - targets[:, :3, 3], axis=1) < 0.005
-    done[0] = False  # the first arm stays, to be compared
+    done[0] = False  # keep the first arm, for comparison
     if done.any():
         arrived += int(done.sum())
         q[done] = postures(int(done.sum()))
@@ -57,12 +57,12 @@ print(f"{arrived} episodes of {ARMS} arms ended on their targets")
 print(f"{ARMS * TICKS / spent / 1e6:.2f} million steps a second on every core together")
 print(f"first arm as with a controller of its own: {same}")
 
-# Without a state nothing is remembered: one answer per row, e.g. to label a data set.
+# Without a state each row is independent, e.g. to label a data set.
 q = postures(ARMS)
 labels = controller.step_batch(q, targets_near(q))
 print(f"goals without slew lead by up to {np.abs(labels.goal - q).max():.2f} rad")
 
-# A simulation that has blown up need not stop the others.
+# A diverged simulation does not stop the others.
 q[3] = np.nan
 labels = controller.step_batch(q, targets, state=state, invalid="nan")
 print(f"rows without an answer: {np.flatnonzero(np.isnan(labels.goal[:, 0]))}")

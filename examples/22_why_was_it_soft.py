@@ -1,6 +1,6 @@
-"""Why was the arm soft there, and firm here? A log of a run, and the page that answers.
+"""Why was the arm soft there, and firm here? Log a run, and write a report of it.
 
-A hand pulls the tool sideways, where it yields, then down, where it should hold. On the shell:
+A hand pulls the tool sideways, where it yields, then down, where it holds. In the shell:
 `pliant run my_arm.toml --log run.mcap`, then `pliant log report run.mcap`. Needs the extras "log"
 and "plot". python examples/22_why_was_it_soft.py
 """
@@ -23,7 +23,7 @@ folder = Path(tempfile.mkdtemp())
 
 
 def pull(axis, start):
-    """A strong hand that moves the tool by 0.15 m within a second and lets go after another."""
+    """Return a hand that moves the tool by 0.15 m within a second and lets go after another."""
     course = pliant.sim.Course(start=start, rise=1.0, end=start + 2.0)
     return pliant.sim.Drag(
         axis=axis, distance=0.15, stiffness=3000.0, limit=60.0, at="tool", course=course
@@ -41,7 +41,7 @@ with pliant.Arm(plant.model, pliant.sim.SimDrive(plant)) as arm:
         tick.step(target)
 
 log = pliant.log.read(folder / "run.mcap")
-# The controller runs again, with a ContactEstimator beside it: no force was recorded.
+# Repeat the controller beside a ContactEstimator: the log has no force.
 seen = felt.feel(log)
 for k in range(3):
     force = float(np.abs(seen.force[:, k]).max())

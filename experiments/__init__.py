@@ -4,6 +4,6 @@ This folder is not installed. Its modules run from the root of a clone (extra `e
 example `python -m experiments.descent`.
 
 Scenarios (`hands`, `tracking`, `doors`, `resistance`, `promise`, ...) run one thing and return its
-numbers; `chapters` put runs, statements and figures together; `demonstration.run` walks through the
-chapters and leaves a report.
+numbers. `chapters` combine runs, statements and figures. `demonstration.run` runs the chapters and
+writes a report.
 """

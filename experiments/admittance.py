@@ -1,11 +1,12 @@
-"""Admittance control driven by motor current: the other way to be soft on position servos.
+"""Admittance control driven by motor current: an alternative method on position servos.
 
-The external wrench is read from the motors' currents, and a virtual mass and damper turn it into a
-motion of the target, which stiff position servos then follow. The idea is that of controllers for
+The external wrench is estimated from the motors' currents, and a virtual mass and damper turn it
+into a motion of the target, which stiff position servos follow. The idea is that of controllers for
 arms that report their current and have no force sensor; the code and the numbers are ours.
 
-What the current cannot tell is friction: at rest the motor may give anything within the friction
-band of what the load needs. So the estimate needs a dead zone, which is the force it takes to move.
+The current does not show friction: at rest the motor torque may be anywhere within the friction
+band around the load. The estimate therefore needs a dead zone, which is the force to start a
+motion.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Current:
-    """How a servo's reported current differs from its torque.
+    """Error model of a servo's reported current.
 
     Attributes:
         noise: Standard deviation of a reading, as a share of the largest torque.
         count: One count of the register, as a share of the largest torque.
-        filter: Time constant of the filter that the noise asks for [s].
+        filter: Time constant of the filter against the noise [s].
     """
 
     noise: float = 0.01
@@ -51,8 +52,8 @@ class Virtual:
         mass: [kg]
         damper: [N·s/m]
         spring: Toward the target [N/m].
-        dead_zone: Force that counts as none [N].
-        most_speed: As our own law bounds its target [m/s].
+        dead_zone: Force below which the estimate counts as zero [N].
+        most_speed: Bound of the target's speed, as in the default law [m/s].
     """
 
     mass: float = 1.0
@@ -63,7 +64,7 @@ class Virtual:
 
 
 class Admittance:
-    """One soft translation; the rest is stiff position control at full torque."""
+    """One soft translation; the other axes are stiff position control at full torque."""
 
     def __init__(
         self,
@@ -91,7 +92,7 @@ class Admittance:
         self._offset = self._speed = 0.0
 
     def listen(self, torque: Array) -> None:
-        """Take what the motors give (n,) [N·m], as their current sensors report it."""
+        """Read the motors' torques (n,) [N·m] through their current sensors."""
         size, sensor = self._limit, self._current
         seen = torque + sensor.noise * size * self._chance.standard_normal(size.size)
         seen = np.round(seen / (sensor.count * size)) * sensor.count * size
@@ -109,7 +110,7 @@ class Admittance:
         body = self._virtual
         felt = np.sign(force) * max(abs(force) - body.dead_zone, 0.0)
         pull = felt - body.damper * self._speed - body.spring * self._offset
-        # Semi-implicit, as a stiff damper at a slow rate asks for.
+        # Semi-implicit, because of a stiff damper at a slow rate.
         self._speed += pull * self._period / (body.mass + body.damper * self._period)
         self._speed = float(np.clip(self._speed, -body.most_speed, body.most_speed))
         self._offset += self._speed * self._period
@@ -120,7 +121,7 @@ class Admittance:
 
 
 def by_current(*, spring: float = 0.0, soft: str = "y", noise: float = Current.noise) -> FromModel:
-    """Admittance driven by motor current.
+    """Make an admittance controller driven by motor current.
 
     Args:
         spring: Toward the target [N/m].

@@ -1,4 +1,4 @@
-"""Controllers that are not ours, for comparison: what one does without this package.
+"""Baseline controllers for comparison.
 
 All of them are made for a model and a control period, and step like `pliant.Controller`.
 """
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Springs [N/m], [N·m/rad]: through position servos, stable up to here at 100 Hz, and with
-#: torque sources at 1 kHz.
+#: Springs [N/m], [N·m/rad]: stable bounds through position servos at 100 Hz, and with torque
+#: sources at 1 kHz.
 STIFFNESS, TORQUE_STIFFNESS = (800.0, 20.0), (1600.0, 40.0)
-#: How far ahead the goal is put where the limit itself is the torque command [rad].
+#: Lead of the goal where the limit itself is the torque command [rad].
 FAR = 1.0
-#: Shares of friction and damping that are fed forward, and the speed at which friction is all there
-#: [rad/s], as our own law has them; filter of the velocity [s].
+#: Shares of friction and damping that are fed forward, and the speed of full friction [rad/s], as
+#: in the default law; filter of the velocity [s].
 FRICTION_SHARE, DAMPING_SHARE, FRICTION_SPEED, FILTER = 0.9, 0.8, 0.05, 0.02
 
 
@@ -40,7 +40,7 @@ class Goals:
 
 
 class Joints:
-    """What gears resist: dry friction and damping at a filtered velocity."""
+    """Resistance of gears: dry friction and damping at a filtered velocity."""
 
     def __init__(self, model: pliant.Model, period: float) -> None:
         """Take the servo table of a model and a control period [s]."""
@@ -54,13 +54,13 @@ class Joints:
         self._before, self.velocity = q.copy(), np.zeros(q.size)
 
     def see(self, q: Array) -> None:
-        """Take a reading (n,) [rad]."""
+        """Process a reading (n,) [rad]."""
         raw = (q - self._before) / self._period
         self.velocity += self._period / (FILTER + self._period) * (raw - self.velocity)
         self._before = q.copy()
 
     def resistance(self, friction: float, damping: float) -> Array:
-        """Torque (n,) [N·m] that shares of friction and damping take at this velocity."""
+        """Return the torque (n,) [N·m] of shares of friction and damping at this velocity."""
         dry = self._friction * np.tanh(self.velocity / FRICTION_SPEED)
         return friction * dry + damping * self._damping * self.velocity
 
@@ -84,9 +84,9 @@ class JointPosition:
 
 
 class Impedance:
-    """A Cartesian spring ``τ = Jᵀ K e + g + N k (q_rest - q)``, perhaps friction compensated.
+    """A Cartesian spring ``τ = Jᵀ K e + g + N k (q_rest - q)``, optionally friction compensated.
 
-    As a torque source it is what an arm with torque-controlled joints does: the goal is far on the
+    As a torque source it is an arm with torque-controlled joints: the goal is far ahead on the
     right side, so that the limit is the torque. As `servo` it is a goal ``q + τ/k_p`` at full
     limits.
     """
@@ -110,9 +110,9 @@ class Impedance:
             soft: Axes with a `spring` of their own [N/m, N·m/rad].
             stiffness: Of the others [N/m, N·m/rad].
             spring: Of the soft axes.
-            servo: Through the goals of position servos instead of as torques.
-            compensated: Feed forward the friction and damping of the servo table, as much of them
-                as our own law does.
+            servo: True: through the goals of position servos instead of as torques.
+            compensated: True: feed forward friction and damping of the servo table, in the same
+                shares as the default law.
         """
         free = [name in soft.split() for name in AXES]
         self._spring = np.where(free, spring, np.repeat(stiffness, 3))
@@ -144,12 +144,12 @@ class Impedance:
 
 
 def stiff_joints() -> FromModel:
-    """Position control of the joints at full torque."""
+    """Return position control of the joints at full torque."""
     return JointPosition
 
 
 def uniform_limit(fraction: float) -> FromModel:
-    """Position control of the joints, every limit at a fraction of the torque."""
+    """Return position control of the joints, every limit at a fraction of the torque."""
     return partial(JointPosition, fraction=fraction)
 
 
@@ -160,12 +160,12 @@ def torque_impedance(
     spring: float = 0.0,
     compensated: bool = False,
 ) -> FromModel:
-    """Ideal impedance; to be run at 1 kHz."""
+    """Return ideal impedance; to be run at 1 kHz."""
     return partial(
         Impedance, soft=soft, stiffness=stiffness, spring=spring, compensated=compensated
     )
 
 
 def servo_impedance(*, soft: str = "y", stiffness: tuple[float, float] = STIFFNESS) -> FromModel:
-    """Impedance through the goals of position servos."""
+    """Return impedance through the goals of position servos."""
     return partial(Impedance, soft=soft, stiffness=stiffness, servo=True)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from pliant import config
 from pliant.arm import Arm
-from pliant.config import assemble
-from pliant.config.emulation import emulated
+from pliant.config import factory
+from pliant.config.factory import make_emulator
 from pliant.emulator import StepClock, Timing
 from pliant.servo import ServoBus
 from pliant.sim.postures import VERTICAL
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Least time to wait for an answer [s]; the emulator's time stands still meanwhile. On a
-#: computer that is busy for longer an answer counts as lost.
+#: Minimum reply timeout [s]; emulated time stands still meanwhile. On a computer that is busy for
+#: longer a reply counts as lost.
 PATIENCE = 0.05
 
 
@@ -35,7 +35,7 @@ class Family:
     """Seven servos for `arm7`.
 
     Attributes:
-        title: What they are.
+        title: Description.
         models: Servo models in the order of the joints.
         volts: Supply [V].
         gravity: [m/s²]; less where the servos are too weak for the arm.
@@ -61,7 +61,7 @@ JOINTS = (
     "wrist_roll",
 )
 FAMILIES: dict[str, Family] = {
-    # 2.9 N·m do not carry this arm on Earth.
+    # 2.9 N·m do not carry this arm under full gravity.
     "sts": Family(title="7 STS3215-12V", models=("STS3215-12V",) * 7, volts=12.0, gravity=3.0),
     "x": Family(
         title="4 XM540-W270, 2 XM430-W350, 1 XL430-W250",
@@ -79,7 +79,7 @@ FAMILIES: dict[str, Family] = {
 
 
 def configuration(family: str, q: Array = VERTICAL) -> Config:
-    """The arm on servos of a family, standing in q (n,) [rad], by default its grasp pose."""
+    """Return the configuration of the arm on servos of a family, in q (n,) [rad]."""
     kind = FAMILIES[family]
     lines = [
         '[robot]\nbuiltin = "arm7"',
@@ -95,8 +95,8 @@ def configuration(family: str, q: Array = VERTICAL) -> Config:
 
 
 def emulator(family: str, *, q: Array = VERTICAL, **options: Any) -> ArmEmulator:
-    """The servos of a family with the arm behind them, wire timing on, not yet started."""
-    return emulated(configuration(family, q), q=q, **{"timing": Timing(wire=True), **options})
+    """Return the servos of a family with the arm behind them, wire timing on, not yet started."""
+    return make_emulator(configuration(family, q), q=q, **{"timing": Timing(wire=True), **options})
 
 
 @contextmanager
@@ -109,20 +109,20 @@ def stepped(
     patience: float = PATIENCE,
     **options: Any,
 ) -> Iterator[tuple[ArmEmulator, Arm]]:
-    """The emulator and its arm in the emulator's own time, which passes when somebody waits.
+    """Yield the emulator and its arm in emulated time, which advances only during waits.
 
     Args:
         family: `sts`, `x` or `p1`.
         arm: Options of `pliant.Arm`.
-        chain: What drives the servos.
-        q: Where the arm stands (n,) [rad].
-        patience: Least time to wait for an answer, by the clock on the wall [s].
+        chain: Driver class of the servos.
+        q: Initial pose of the arm (n,) [rad].
+        patience: Minimum reply timeout, by the wall clock [s].
         **options: Of `emulator`.
     """
     read = configuration(family, q)
     with emulator(family, q=q, clock="steps", **options) as bus:
         drive = chain(
-            assemble.specs(read, bus.ports),
+            factory.servo_specs(read, bus.ports),
             patience=patience,
             clock=StepClock(bus),
         )

@@ -1,4 +1,4 @@
-"""What must never happen on a bus, looked for in the bytes as an emulator receives them."""
+"""Rules that must hold on a bus, checked in the bytes that an emulator receives."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ CEILING = {
 
 
 class Audit:
-    """Watches every transaction of an emulated arm: `emulator.log.watch = Audit(emulator)`.
+    """Checks every transaction of an emulated arm: `emulator.log.watch = Audit(emulator)`.
 
     Args:
         bus: The emulator.
-        machine: Whether times are the machine's instead of the emulator's.
+        machine: True: times are the machine's instead of the emulator's.
 
     Attributes:
-        broken: How often each rule was broken, by its name.
-        faults: How often each kind of fault struck.
-        transactions: How many there were.
+        broken: Number of violations of each rule, by its name.
+        faults: Number of faults of each kind.
+        transactions: Number of transactions.
     """
 
     def __init__(self, bus: ArmEmulator, *, machine: bool) -> None:
@@ -52,7 +52,7 @@ class Audit:
         self.transactions = 0
 
     def __call__(self, seen: Transaction) -> None:
-        """Take one transaction in."""
+        """Process one transaction."""
         self.transactions += 1
         for fault in seen.faults:
             self.faults[fault.partition(" ")[0]] += 1
@@ -65,7 +65,7 @@ class Audit:
             self._written(write)
 
     def report(self) -> dict[str, dict[str, int]]:
-        """Rules broken, faults that struck and transactions so far."""
+        """Return violations, faults and transactions so far."""
         broken = Counter(self.broken)
         broken["goal without torque on after it"] += len(self._pending)
         return {
@@ -75,19 +75,19 @@ class Audit:
         }
 
     def truth(self) -> Array:
-        """Joint angles at every read: rows (time [s], q (n,) [rad])."""
+        """Return the true joint angles at every read: rows (time [s], q (n,) [rad])."""
         return np.array(self._truth).reshape(-1, 1 + self._bus.plant.n)
 
     def limits(self) -> dict[int, list[float]]:
-        """Torque [N·m] of every limit that a sync write carried, by id, lost ones included."""
+        """Return the torque [N·m] of every limit in a sync write, by id, lost ones included."""
         return {id: [self.torque(id, v) for v in sent] for id, sent in self._limits.items()}
 
     def units(self) -> dict[int, float]:
-        """Torque of one count of each servo's limit register [N·m], by id."""
+        """Return the torque of one count of each servo's limit register [N·m], by id."""
         return {id: self.torque(id, 1) for id in self._servos}
 
     def torque(self, id: int, register: int) -> float:
-        """Torque at standstill of a limit register [N·m], by the emulator's own tables."""
+        """Return the torque at standstill of a limit register [N·m], by the emulator's tables."""
         servo = self._servos[id]
         if "goal_current" in servo.table:
             return register * servo.model.unit * servo.model.motor.torque_per_amp
@@ -95,7 +95,7 @@ class Audit:
         return servo.stall * register / full
 
     def _sent(self, request: bytes) -> None:
-        """Read limits and ceilings out of a sync write, whether servos heard it or not."""
+        """Read limits and ceilings from a sync write, also if servos did not receive it."""
         for frame in Framer().feed(request):
             wide = 2 if frame.protocol == 2 else 1
             start = int.from_bytes(frame.params[:wide], "little")
@@ -117,7 +117,7 @@ class Audit:
         self.broken["limit above the ceiling"] += value > ceiling or value < 0
 
     def _written(self, write: Write) -> None:
-        """Rules of order: limit, goal, torque; no EEPROM; no goal while torque is off."""
+        """Check the order: limit, goal, torque; no EEPROM; no goal while torque is off."""
         self.broken["EEPROM written"] += write.eeprom
         self.broken["write refused"] += bool(write.error)
         values = write.values
@@ -145,5 +145,5 @@ class Audit:
 
 
 def limit_of(servo: Servo) -> str:
-    """The register that limits the torque of a servo."""
+    """Return the register that limits the torque of a servo."""
     return next(n for n in ("torque_limit", "goal_current", "goal_pwm") if n in servo.table)

@@ -1,8 +1,8 @@
 """Torque on and `lower` over real bytes from many poses, with an unknown load, over a table.
 
-``python -m experiments.bus_lower [poses] [family]`` prints highest speeds and forces, how
-far the arm sinks as torque comes on, how long descents take, and the force on the table pose by
-pose. With one pose it is the grasp pose.
+``python -m experiments.bus_lower [poses] [family]`` prints highest speeds and forces, the sag of
+the arm as torque comes on, the duration of descents, and the force on the table pose by pose. With
+one pose it is the grasp pose.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: The rows: name, load at the tool that nobody told the arm of [kg], whether there is a table.
+#: The rows: name, unknown load at the tool [kg], and True for a table.
 CASES = (
     ("nothing in the way", 0.0, False),
     ("0.3 kg it does not know", LOAD, False),
@@ -36,16 +36,16 @@ CASES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Brought:
-    """What came of bringing an arm to life and down again.
+    """Result of one torque-on and descent.
 
     Attributes:
-        sank: How far the tool sank as torque came on [m].
-        left: How far below it stood once `enable` was over [m].
+        sank: Sag of the tool as torque came on [m].
+        left: Remaining sag after `enable` [m].
         lifted: Highest speed of the tool meanwhile [m/s].
-        speed: Highest speed of the tool on the way down [m/s].
+        speed: Highest speed of the tool during the descent [m/s].
         force: Largest mean over a tick of the force on one point of the table [N].
-        resting: What rests on the table once torque is off [N].
-        seconds: How long the descent took.
+        resting: Weight on the table once torque is off [N].
+        seconds: Duration of the descent.
     """
 
     sank: float
@@ -63,11 +63,11 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
     Args:
         family: `sts`, `x` or `p1`.
         q: Posture (n,) [rad].
-        load: Mass at the tool that nobody told the arm of [kg].
-        over_table: Put a table 0.10 m below the lower of tool and wrist.
+        load: Unknown mass at the tool [kg].
+        over_table: True: a table 0.10 m below the lower of tool and wrist.
 
     Returns:
-        What happened.
+        The result.
     """
     plant = {"payload": (load, (0.0, 0.0, 0.0))} if load else {}
     with stepped(family, q=q, arm={"rate": RATE}, plant=plant) as (bus, arm):
@@ -98,18 +98,18 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
 
 
 def fits(family: str, q: Array) -> bool:
-    """Whether servos of a family can go to a pose (n,) [rad]."""
+    """Return True if servos of a family can reach a pose (n,) [rad]."""
     model = configuration(family).model()
     return bool(np.all((model.lower < q) & (q < model.upper)))
 
 
 def poses(family: str, count: int) -> list[Array]:
-    """The grasp pose and random ones (n,) [rad] that the servos of a family can go to."""
+    """Return the grasp pose and random ones (n,) [rad] that the servos of a family can reach."""
     return [q for q in [VERTICAL, *postures(4 * count)] if fits(family, q)][:count]
 
 
 def _worst(values: Sequence[float], digits: int, scale: float = 1.0) -> str:
-    """Largest and middle value."""
+    """Return the largest and the middle value."""
     scaled = scale * np.asarray(values)
     return f"{scaled.max():.{digits}f} ({np.median(scaled):.{digits}f})"
 

@@ -1,4 +1,4 @@
-"""What buses, servos, hosts and programs do to an arm over real bytes: the list."""
+"""Faults of buses, servos, hosts and programs on an arm over real bytes."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ if TYPE_CHECKING:
 
 #: Id of the elbow's servo, in the middle of the arm.
 ELBOW = 4
-#: How often an ordered fault strikes that shall not end.
+#: Repetitions of a permanent fault.
 ALWAYS = 10**9
 
 
 class HostDiedError(Exception):
-    """The process is killed: nothing of it runs any more."""
+    """The process is killed: none of its code runs any more."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What a mishap may act on.
+    """Objects that a fault may act on.
 
     Attributes:
         bus: The emulator.
         arm: The arm.
         tick: The present tick.
         target: Pose (4, 4) to hold.
-        since: Time since the mishap began [s].
-        first: Whether this is its first tick.
+        since: Time since the fault began [s].
+        first: True in its first tick.
     """
 
     bus: ArmEmulator
@@ -56,15 +56,15 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class Mishap:
-    """Something that goes wrong while the arm holds its pose.
+    """A fault that occurs while the arm holds its pose.
 
     Attributes:
-        title: What happens.
+        title: Description.
         act: Called at every tick from then on; returns the target, or None where it has written.
-        family: Servos it happens to.
+        family: Affected servos.
         state: `runs`: servos have power and torque, and a host; `host loss`: no host; `no torque`:
-            a servo has no power or no torque any more.
-        after: Called when control has ended, before time goes on.
+            a servo has lost power or torque.
+        after: Called when control has ended, before time advances.
         watchdog: Of the arm [s].
     """
 
@@ -77,7 +77,7 @@ class Mishap:
 
 
 def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
-    """Do something in the first tick, and hold the pose all along."""
+    """Act in the first tick, and hold the pose in all."""
 
     def act(scene: Scene) -> Array | None:
         if scene.first:
@@ -90,7 +90,7 @@ def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
 def _for(
     seconds: float, begin: Callable[[ArmEmulator], object], end: Callable[[ArmEmulator], object]
 ) -> Callable[[Scene], Array | None]:
-    """Let something begin, and end after so long by the emulator's time, whoever waits for what."""
+    """Start something, and end it after so much emulated time."""
 
     def act(scene: Scene) -> Array | None:
         if scene.first:
@@ -134,7 +134,7 @@ def _nan_command(scene: Scene) -> None:
 
 
 def _jump(axis: str, way: float) -> Callable[[Scene], Array | None]:
-    """The target is `way` [m] farther along an axis for a second."""
+    """Move the target `way` [m] along an axis for a second."""
 
     def act(scene: Scene) -> Array | None:
         return displaced(scene.target, axis, way) if scene.since < 1.0 else scene.target

@@ -1,8 +1,8 @@
-"""How fast seven servos can be read and written over real bytes, against the wire's arithmetic.
+"""Read and write rates of seven servos over real bytes, against the wire's arithmetic.
 
 ``python -m experiments.bus_rates [cycles]`` prints cycles per second of each family with and
-without wire timing, their ratio to the wire alone, and the share of a processor that an arm under
-control takes at 100 Hz.
+without wire timing, their ratio to the wire alone, and the processor share of an arm under control
+at 100 Hz.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ import numpy as np
 import pliant
 from experiments.bus_arm import FAMILIES, configuration, emulator
 from pliant.arm import Arm
-from pliant.config import assemble
+from pliant.config import factory
 from pliant.emulator import Device, Emulator, Remote, Timing
 from pliant.loop import Loop
 from pliant.servo import ServoBus, ServoSpec, wire_time
 
-#: Servos on the line, its speed [bit/s], and how long an arm is controlled for its share [s].
+#: Servos on the line, its speed [bit/s], and duration of the control [s].
 SERVOS, BAUD, CONTROLLED = 7, 1_000_000, 10.0
-#: Servo that stands for each family.
+#: Representative servo of each family.
 MODELS = {"sts": "STS3215-12V", "x": "XM540-W270", "p1": "EX-106+"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rate:
-    """Cycles of one reading and one write of all servos.
+    """Cycles of one read and one write of all servos.
 
     Attributes:
-        wire: Time the wire alone takes [s], servos' turnaround included.
-        median, late: Time a cycle took, the middle one and the 99th of a hundred [s].
+        wire: Time on the wire alone [s], servos' turnaround included.
+        median, late: Median and 99th percentile of a cycle's time [s].
     """
 
     wire: float
@@ -44,7 +44,7 @@ class Rate:
 
     @property
     def ratio(self) -> float:
-        """Share of the wire's own rate that is reached."""
+        """Share of the wire's own rate."""
         return self.wire / self.median
 
 
@@ -70,7 +70,7 @@ def wire(model: str) -> float:
 
 
 def measure(family: str, cycles: int, *, timed: bool) -> Rate:
-    """Read and write as fast as it goes, the emulator in a process of its own."""
+    """Read and write as fast as possible, the emulator in a process of its own."""
     model = MODELS[family]
     own: dict[str, Any] = {"operating_mode": 5} if family == "x" else {}
     devices = [Device(model, id, return_delay_time=0, **own) for id in range(1, SERVOS + 1)]
@@ -93,10 +93,10 @@ def measure(family: str, cycles: int, *, timed: bool) -> Rate:
 
 
 def share(family: str, seconds: float) -> float:
-    """Share of a processor that control of the arm at 100 Hz takes in the host's process."""
+    """Return the processor share of control of the arm at 100 Hz in the host's process."""
     read = configuration(family)
     with Remote(emulator, family) as bus:
-        chain = ServoBus(assemble.specs(read, bus.ports), patience=0.05)
+        chain = ServoBus(factory.servo_specs(read, bus.ports), patience=0.05)
         arm = Arm(read.model(), chain, comm_timeout=5.0, signals=False)
         with chain:
             arm.enable()

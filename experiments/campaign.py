@@ -1,15 +1,14 @@
-"""The cap campaign: every promised cap against the push-back that a hand feels.
+"""The cap campaign: every promised cap against the force on a hand.
 
-``python -m experiments.campaign`` tries every axis, sign and cap in random poses of every
-arm, with the other axes free and guided; on `arm7` also one disturbance at a time on a tenth of the
-poses. A cap that the torque limits cannot hold in a pose is refused, with the formula of
-`Arm.capacity` as the proof. Where the report's numbers say before the push that a joint meets its
-position limit on the way and that the others rub too much without it, that counts as a refusal too:
-an announced stop. Everything else must be in band;
-the strict count, of all that were run, is printed beside it.
+``python -m experiments.campaign`` measures every axis, sign and cap in random poses of every arm,
+with the other axes free and guided; on `arm7` also one disturbance at a time on a tenth of the
+poses. A cap that the torque limits cannot hold in a pose is rejected, by the formula of
+`Arm.capacity`. A cap counts as announced if the report states before the push that a joint meets
+its position limit on the path, and that the friction of the others exceeds the band. All others
+must be in band; the strict count of all runs is printed beside it.
 
-The promise is ``min(F, K_x h (1 - η)|e| / C_jj)``; it is kept within
-``0.15 F + Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|)``, plus ``0.25 F`` where k_p is wrong and not identified.
+The promise is ``min(F, K_x h (1 - η)|e| / C_jj)``; it is kept within ``0.15 F + Σ_i |J⁺_ij| (τ_f,i
++ d_i |q̇_i|)``, plus ``0.25 F`` where k_p is wrong and not identified.
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ from experiments.conditions import NOMINAL, Conditions
 
 @dataclass(frozen=True)
 class Options:
-    """Measure every promised cap against what a hand feels.
+    """Measure every promised cap against the force on a hand.
 
     Attributes:
         poses: Poses of arm7; other arms have a quarter of them, each disturbance a tenth.
-        arm: Arms by name; by default all there are.
-        jobs: Processes at once.
+        arm: Arms by name; default all.
+        jobs: Number of processes.
         out: Folder for results.json and the picture.
-        friction: Whether Stribeck and load-dependent friction join in: caps, drag and door.
-        disturbed: Whether arm7 meets disturbances.
+        friction: True: Stribeck and load-dependent friction are included: caps, drag and door.
+        disturbed: True: arm7 also runs under disturbances.
     """
 
     poses: int = POSES
@@ -49,7 +48,7 @@ class Options:
 
 
 def gears_text() -> str:
-    """Drag and door with the table's friction and with gears as they are, unknown and known.
+    """Measure drag and door with the table's friction and with identified gears, unknown and known.
 
     Returns:
         A table in Markdown; forces in N, drift in mm, the door's opening in deg.

@@ -1,4 +1,4 @@
-"""The arms of the cap campaign: ours, and real robots' descriptions where they lie beside us."""
+"""Arms of the cap campaign: built-in ones, and real robots found beside the project."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-#: Poses that are drawn, and the share of the median σ below which one is left out.
+#: Number of drawn poses, and the share of the median σ below which one is left out.
 DRAWN, LEAST_SIGMA = 512, 0.65
 #: Caps as shares of the arm's median static capacity, translations and rotations.
 SHARES = ((0.15, 0.30, 0.60), (0.07, 0.14))
-#: Reach [m] of which the length is 1 m that weighs rotations against translations.
+#: Reach [m] that gives the length 1 m for weighing rotations against translations.
 REACH_OF_ONE = 0.71
 
 
 def _robots() -> Path:
-    """Folder of real robots' descriptions: `PLIANT_ROBOTS`, or beside a clone; else none."""
+    """Return the folder of real robots: `PLIANT_ROBOTS`, or beside a clone, else `robots`."""
     if folder := os.environ.get("PLIANT_ROBOTS"):
         return Path(folder)
     root = Path(__file__).resolve().parents[1]
-    # Only beside a clone: what lies beside another folder is not ours.
+    # Only beside a clone: folders beside an installed package belong to others.
     return (
         root.parent / "shared" / "robots" if (root / "pyproject.toml").is_file() else Path("robots")
     )
 
 
-#: Where real robots' descriptions are looked for: URDF, base and tip by name.
+#: Real robots' descriptions: URDF, base and tip by name.
 ROBOTS = _robots()
 BESIDE = {
     "so101 (real)": ("so101/so101_new_calib.urdf", "base_link", "gripper_frame_link"),
@@ -53,7 +53,7 @@ BESIDE = {
 
 @dataclass(frozen=True)
 class Arm:
-    """A robot with its servos, the axes it can control, and poses to try.
+    """A robot with its servos, controlled axes and poses.
 
     Attributes:
         name: For tables.
@@ -65,7 +65,7 @@ class Arm:
 
     @property
     def servos(self) -> pliant.Servos:
-        """Servo table, the truth of the nominal case."""
+        """Servo table, true in the nominal case."""
         table = self.model.servos
         if table is None:
             raise pliant.ConfigError(f"{self.name} has no servos")
@@ -73,7 +73,7 @@ class Arm:
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """What is controlled: all axes, xyz with five joints, x z pitch with four."""
+        """Controlled axes: all, xyz with five joints, x z pitch with four."""
         few = {5: AXES[:3], 4: ("x", "z", "pitch")}
         return few.get(self.model.n, AXES)
 
@@ -84,14 +84,14 @@ class Arm:
 
     @cached_property
     def drawn(self) -> Array:
-        """Poses at random (512, n) inside the limits, ±π for joints without [rad]."""
+        """Random poses (512, n) inside the limits, ±π for joints without [rad]."""
         low, high = np.asarray(self.model.lower), np.asarray(self.model.upper)
         endless = ~(np.isfinite(low) & np.isfinite(high))
         low, high = np.where(endless, -np.pi, low), np.where(endless, np.pi, high)
         return np.random.default_rng(0).uniform(low, high, (DRAWN, self.model.n))
 
     def poses(self, count: int) -> Array:
-        """The first `count` drawn poses (count, n) that are not near a singular one [rad]."""
+        """Return the first `count` drawn poses (count, n) away from singular ones [rad]."""
         jacobians = self.model.jacobian_batch(self.drawn)[:, self.rows, :]
         length = self.model.reach / REACH_OF_ONE
         weight = np.array([1.0 / length if row < 3 else 1.0 for row in self.rows])
@@ -100,10 +100,10 @@ class Arm:
         return good[:count]
 
     def capacity(self, q: Array, row: int, sign: float, payload: float = 0.0) -> float:
-        """Largest push [N or N·m] toward `sign` along an axis that the limits can hold at q (n,).
+        """Return the largest push [N or N·m] along an axis that the limits hold at q (n,).
 
         ``min_i (usable_i + sign(a_i) g_i) / |a_i|`` with ``a = sign J_row``; negative: the arm
-        cannot hold itself. `payload` [kg] hangs at the tool.
+        cannot hold itself. `payload` [kg] is at the tool.
         """
         jacobian = self.model.jacobian(q)
         gravity = self.model.gravity(q) - payload * self.model.gravity_vector @ jacobian[:3]
@@ -116,7 +116,7 @@ class Arm:
 
     @cached_property
     def median_capacity(self) -> tuple[float, float]:
-        """Median of the capacity over drawn poses and signs: translations [N], rotations [N·m]."""
+        """Return the median capacity over poses and signs: translations [N], rotations [N·m]."""
 
         def median(rows: list[int]) -> float:
             signs = (1.0, -1.0)
@@ -126,18 +126,18 @@ class Arm:
         return median([r for r in self.rows if r < 3]), median([r for r in self.rows if r > 2])
 
     def caps(self, row: int) -> tuple[float, ...]:
-        """Caps to try on an axis [N or N·m], to one digit: 5, 10, 20 N and 0.5, 1 N·m on `arm7`."""
+        """Return the caps of an axis to one digit; `arm7`: 5, 10, 20 N and 0.5, 1 N·m."""
         kind = row // 3
         return tuple(float(f"{s * self.median_capacity[kind]:.0e}") for s in SHARES[kind])
 
 
 @cache
 def load(name: str) -> Arm:
-    """An arm by name.
+    """Load an arm by name.
 
     Raises:
         ConfigError: The name is unknown.
-        FileNotFoundError: Its description does not lie beside us.
+        FileNotFoundError: Its description is not available.
     """
     if name in robots.names():
         return Arm(name, robots.load(name))
@@ -151,13 +151,13 @@ def load(name: str) -> Arm:
 
 
 def available() -> tuple[list[str], list[str]]:
-    """Names of the arms that can be loaded, and of those whose description is absent."""
+    """Return the names of the arms that can be loaded, and of those without a description."""
     there = [name for name, (file, _, _) in BESIDE.items() if (ROBOTS / file).exists()]
     return [*robots.names(), *there], [name for name in BESIDE if name not in there]
 
 
 def _table(name: str, bare: pliant.Model) -> pliant.Servos:
-    """Servos of a real robot: of its like among ours, or guessed from the efforts it names."""
+    """Return servos of a real robot: of a similar built-in arm, or guessed from its efforts."""
     like = {"so101 (real)": "so101", "koch (real)": "koch"}.get(name)
     if like is not None:
         ours = load(like).servos

@@ -1,4 +1,4 @@
-"""The bench of the cap campaign: one arm, one hand that moves one axis, and what the hand feels."""
+"""The bench of the cap campaign: one arm, a hand that moves one axis, the force on the hand."""
 
 from __future__ import annotations
 
@@ -22,33 +22,34 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: How far the hand goes: as far as the cap alone lets the axis, times this, and a little [m, rad].
+#: Distance of the hand: the distance at which the cap is reached, times this, plus an offset [m,
+#: rad].
 WAY, MORE = 1.25, (0.005, 0.03)
-#: Farthest it goes, beyond which the pose is another one [m, rad].
+#: Largest distance, beyond which the pose is another one [m, rad].
 FARTHEST = (0.10, 0.40)
-#: Start of the motion, its length, rest, and how much of the end is looked at [s].
+#: Start of the motion, its length, rest, and the evaluated part of the end [s].
 START, RISE, REST, LOOK = 0.1, 0.7, 0.7, 0.15
-#: Speed of a hand that does not come to rest [m/s, rad/s].
+#: Speed of a hand that keeps moving [m/s, rad/s].
 MOVING = (0.05, 0.25)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbance:
-    """One thing that is not as it should be.
+    """One deviation from nominal conditions.
 
     Attributes:
         name: For tables.
         eta: Target adaptation of the soft axis.
-        moving: Whether the hand is looked at in motion.
-        short: Share of the report's `stop_distance` that the hand goes at most.
+        moving: True if the hand is evaluated in motion.
+        short: Largest share of the report's `stop_distance` that the hand moves.
         delay: Ticks each way, known.
         count: Encoder count [rad], flickering by one, known.
-        kp: True over believed stiffness.
-        identified: Whether the controller knows the true stiffness.
-        captured: Whether gravity was captured in this pose.
+        kp: True over assumed stiffness.
+        identified: True if the controller knows the true stiffness.
+        captured: True if gravity was captured in this pose.
         payload: Unknown mass at the tool [kg].
         gears: Friction by speed and load in place of the table's.
-        gears_known: Whether the controller knows it.
+        gears_known: True if the controller knows it.
         plant: More options of the plant.
     """
 
@@ -67,11 +68,11 @@ class Disturbance:
 
     @property
     def wrong(self) -> bool:
-        """Whether the stiffness is wrong and the controller does not know."""
+        """True if the stiffness is wrong and the controller does not know it."""
         return self.kp != 1.0 and not self.identified
 
 
-#: Of the way to a stop that was announced: so far the cap has to hold.
+#: Share of the distance to an announced stop up to which the cap has to hold.
 SHORT = 0.9
 
 NOMINAL = Disturbance(name="nominal")
@@ -98,27 +99,27 @@ DISTURBANCES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Promise:
-    """One cap in one pose, and what came of it.
+    """One cap in one pose, and its result.
 
     Attributes:
         pose: Index among the arm's poses.
         axis: Name.
         sign: Direction of the push.
         cap: F [N or N·m].
-        guided: Whether springs held the other axes.
-        refused: The limits cannot hold the cap here; nothing was run.
-        announced: Whether the report's numbers said, before the push, that the promise will not be
-            kept: within the band the tool comes farther than `stop_distance` of this axis and side,
-            and what the joints that are left rub there, `stop_friction`, is beyond it.
-        rubs: What it said the joints that are left rub there, `stop_friction` [N or N·m].
+        guided: True if springs held the other axes.
+        refused: True if the limits cannot hold the cap here; it was not run.
+        announced: True if the report predicted before the push that the promise fails: within the
+            band the tool moves farther than `stop_distance` of this axis and side, and the friction
+            of the remaining joints there, `stop_friction`, exceeds the band.
+        rubs: `stop_friction` of the report [N or N·m].
         promise: min(F, K_x h (1 - η)|e| / C_jj) at the deviation reached [N or N·m].
-        felt: What the hand felt [N or N·m].
-        friction: Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|), what the believed joints may hide [N or N·m].
-        true_friction: The same with the dry friction there truly was.
+        felt: Force on the hand [N or N·m].
+        friction: Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|), which the assumed joints may hide [N or N·m].
+        true_friction: The same with the true dry friction.
         band: Largest difference that keeps the promise [N or N·m].
-        stop: What mechanical stops take of the push, Σ_i J⁺_ij t_i [N or N·m]; 0 without contact.
+        stop: Part of the push on mechanical stops, Σ_i J⁺_ij t_i [N or N·m]; 0 without contact.
         left: Σ_i |J⁺_ij| τ_f,i over the joints that no position limit held [N or N·m].
-        locked: Whether a joint's motion was held by its position limit.
+        locked: True if a joint's motion was held by its position limit.
         room: Distance of the nearest joint to its stop at the end [rad].
         drift: Largest distance of the stiff axes from the target over the run's end [m].
         speed: Rms speed of the joints at the end [rad/s].
@@ -146,25 +147,25 @@ class Promise:
 
     @property
     def error(self) -> float:
-        """Felt less promised, as a share of the cap."""
+        """Felt minus promised, as a share of the cap."""
         return (self.felt - self.promise) / self.cap
 
     @property
     def kept(self) -> bool:
-        """Whether the promise was kept."""
+        """True if the promise was kept."""
         return abs(self.felt - self.promise) <= self.band
 
     @property
     def kept_as_said(self) -> bool:
-        """Whether it was kept with the friction that the report announced beyond the stop."""
+        """True if it was kept with the friction that the report announced beyond the stop."""
         return abs(self.felt - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
 
     @property
     def stopped(self) -> bool:
-        """Whether it was not kept because a joint stood at its position limit, and provably so.
+        """True if it was provably missed because a joint was at its position limit.
 
-        A stop takes part of the push, and the joints that are left meet the push with another
-        friction: with both counted, the promise holds.
+        A stop takes part of the push, and the remaining joints have another friction: with both
+        counted, the promise holds.
         """
         if self.kept or not (self.locked or self.stop != 0.0):
             return False
@@ -202,7 +203,7 @@ class Bench:
         self._captured: tuple[bytes, Array, Array] | None = None
 
     def promises(self, pose: int, q: Array) -> list[Promise]:
-        """All promises in one pose: axis, sign, cap, free and guided."""
+        """Measure all promises in one pose: axis, sign, cap, free and guided."""
         return [
             self.keep(pose, q, axis, sign, cap, guided=guided)
             for axis, row in zip(self.arm.axes, self.arm.rows, strict=True)
@@ -236,7 +237,7 @@ class Bench:
         way, speed = self._way(q, row, cap)
         if seen.short < np.inf:
             way = min(way, seen.short * float(report.stop_distance[side]))
-        # To keep the promise the tool has to come this far: the hand's own spring takes the rest.
+        # To keep the promise the tool has to move this far: the hand's own spring takes the rest.
         allowed, rubs = (0.40 if seen.wrong else 0.15) * cap, float(report.friction[side[0]])
         far = way - (cap + allowed + rubs) / grip.stiffness[row]
         meant = report.stop_friction[side] > rubs + allowed
@@ -288,18 +289,18 @@ class Bench:
         )
 
     def _dry(self, q: Array) -> Array:
-        """Dry friction (n,) [N·m] at rest under the arm's weight, as the controller believes it."""
+        """Return the assumed dry friction (n,) [N·m] at rest under the arm's weight."""
         s, weight = self.servos, np.abs(self.arm.model.gravity(q))
         at_rest: Array = np.asarray(s.friction) + s.stribeck
         return at_rest + (np.asarray(s.load_friction) + s.load_stribeck) * weight
 
     @property
     def _flat(self) -> bool:
-        """Whether the task has no rotations."""
+        """Return True if the task has no rotations."""
         return not any(row > 2 for row in self.arm.rows)
 
     def _way(self, q: Array, row: int, cap: float) -> tuple[float, float]:
-        """How far the hand's place goes and how fast: until the axis gives the cap, and on."""
+        """Return distance and speed of the hand: until the axis gives the cap, and beyond."""
         kind = row // 3
         c = float(self.arm.model.jacobian(q)[row] ** 2 @ self.compliance)
         alone = WAY * cap * c / (1.0 - self.disturbance.eta) + MORE[kind]
@@ -320,9 +321,9 @@ class Bench:
         return self._controllers[key]
 
     def _capture(self, q: Array) -> tuple[Array, Array]:
-        """Hold q for 2 s by an integrating goal: where the arm stands, and the goals there."""
+        """Hold q for 2 s by an integrating goal; return the arm's positions and the goals."""
         if self._captured is None or self._captured[0] != q.tobytes():
-            # Feed-forward and integration together ring: 9 of 20 poses with k_p 25 % too low.
+            # Feed-forward and integration together oscillate: 9 of 20 poses with k_p 25 % too low.
             holding = self._settings(
                 tracking=pliant.Tracking(integrate=4.0),
                 compensation=pliant.Compensation(friction=0.0, damping=0.0),
@@ -344,7 +345,7 @@ class Bench:
         return self._captured[1:]
 
     def _stops(self) -> Array:
-        """Torques (n,) [N·m] with which mechanical stops press against the joints."""
+        """Return the torques (n,) [N·m] of mechanical stops on the joints."""
         model, data, arm = self.plant.mj_model, self.plant.mj_data, self.arm.model
         out = np.zeros(arm.n)
         stops = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT

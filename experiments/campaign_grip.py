@@ -1,4 +1,4 @@
-"""The hand of the cap campaign: springs of MuJoCo's own, so that a control period is one call."""
+"""The hand of the cap campaign: MuJoCo's own springs, so that a control period is one call."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pliant.sim.spec import Build
 
 #: Springs of hand and guide on `arm7` [N/m, N·m/rad], their damping, and the capacity of `arm7`
-#: [N] by which they grow on other arms.
+#: [N], with which they scale on other arms.
 STIFFNESS, DAMPING, OF_CAPACITY = (3000.0, 60.0), (30.0, 0.5), 33.6
 
 
@@ -32,8 +32,8 @@ class Grip:
         self.damping = np.repeat(np.array(DAMPING) * scale, 3)
 
     def add(self, build: Build) -> None:
-        """Add one actuator for each axis, all let go."""
-        # A place and a turn that coincide with nothing: MuJoCo would fold them into constants.
+        """Add one actuator for each axis, all released."""
+        # Arbitrary position and rotation: MuJoCo would turn coincident ones into constants.
         build.spec.worldbody.add_site(name="grip", pos=(1, 2, 3), quat=(0.5, 0.5, 0.5, 0.5))
         for row, name in enumerate(AXES):
             act = build.spec.add_actuator(name=f"grip:{name}", target=build.model.tip)
@@ -44,7 +44,7 @@ class Grip:
             act.gear = np.eye(6)[row]
 
     def place(self, plant: Plant) -> None:
-        """Take the tool's present pose as the place of all springs."""
+        """Take the tool's present pose as the rest pose of all springs."""
         model, tool = plant.mj_model, plant.tool
         site = model.site("grip").id
         model.site_pos[site] = tool[:3, 3]
@@ -52,14 +52,14 @@ class Grip:
         self._ids = np.array([model.actuator(f"grip:{name}").id for name in AXES])
         plant.mj_data.act[model.actuator_actadr[self._ids]] = 0.0
         self._place = plant
-        # Gears are in the axes of the place; the hand's are the base's.
+        # Gears are in the axes of the rest pose; the hand's are the base's.
         for row, index in enumerate(self._ids):
             block = slice(3 * (row // 3), 3 * (row // 3) + 3)
             model.actuator_gear[index] = 0.0
             model.actuator_gear[index, block] = tool[row % 3, :3]
 
     def hold(self, rows: list[int]) -> None:
-        """Hold these axes by springs, let the others go."""
+        """Hold these axes by springs, release the others."""
         model = self._place.mj_model
         held = np.isin(np.arange(6), rows)
         model.actuator_gainprm[self._ids, 0] = np.where(held, self.stiffness, 0.0)
@@ -67,14 +67,14 @@ class Grip:
         model.actuator_biasprm[self._ids, 2] = np.where(held, -self.damping, 0.0)
 
     def move(self, row: int, speed: float) -> None:
-        """Let the place of one axis go on at a speed [m/s or rad/s]."""
+        """Move the rest pose of one axis at a speed [m/s or rad/s]."""
         self._place.mj_data.ctrl[self._ids[row]] = speed
 
     def force(self, row: int) -> float:
-        """What the hand exerts along an axis [N or N·m]."""
+        """Return the hand's force along an axis [N or N·m]."""
         return float(self._place.mj_data.actuator_force[self._ids[row]])
 
     def before(self, plant: Plant) -> None:
-        """Nothing: MuJoCo does it all."""
+        """Do nothing: MuJoCo computes the springs."""
 
     during = after = before

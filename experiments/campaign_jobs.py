@@ -1,4 +1,4 @@
-"""The work of a cap campaign, pose by pose, one process or several."""
+"""Jobs of the cap campaign, pose by pose, in one process or several."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     #: Arm and disturbance by name.
     Key = tuple[str, str]
 
-#: Poses of `arm7` and of the other arms; the share of the former under each disturbance.
+#: Number of poses of `arm7` and of the other arms; share of the former under each disturbance.
 POSES, OTHER_POSES, TENTH = 200, 50, 10
-#: Names of gears as they are, by arm.
+#: Names of the identified gears, by arm.
 REAL_GEARS = {"arm7": Friction.of([MX106] * 4 + [MX64] * 3), "so101": STS3215}
 
 
@@ -39,16 +39,16 @@ class Job:
     pose: int
 
     def run(self) -> list[Promise]:
-        """Try all promises."""
+        """Measure all promises of the pose."""
         bench = _bench(self.arm, self.disturbance.name)
         return bench.promises(self.pose, bench.arm.poses(self.pose + 1)[self.pose])
 
 
 def gears(arm: str) -> tuple[Disturbance, Disturbance]:
-    """Friction as it is, by speed and load, where somebody has identified it: unknown and known.
+    """Return the identified friction by speed and load, unknown and known to the controller.
 
     Raises:
-        KeyError: Nobody has.
+        KeyError: The gears are not identified.
     """
     unknown = replace(NOMINAL, name="gears as they are", gears=REAL_GEARS[arm])
     return unknown, replace(unknown, name="gears as they are, identified", gears_known=True)
@@ -56,7 +56,7 @@ def gears(arm: str) -> tuple[Disturbance, Disturbance]:
 
 @lru_cache(maxsize=2)
 def _bench(arm: str, disturbance: str) -> Bench:
-    """The bench of this process; jobs come arm by arm, disturbance by disturbance."""
+    """Return the bench of this process; jobs come arm by arm, disturbance by disturbance."""
     known = {one.name: one for one in (NOMINAL, *DISTURBANCES)}
     if disturbance not in known:
         known |= {one.name: one for one in gears(arm)}
@@ -66,13 +66,13 @@ def _bench(arm: str, disturbance: str) -> Bench:
 def jobs(
     arms: Sequence[str], poses: int, *, disturbed: bool = True, friction: bool = False
 ) -> list[Job]:
-    """All jobs of a campaign.
+    """Return all jobs of a campaign.
 
     Args:
-        arms: By name.
-        poses: Of `arm7`; other arms have a quarter, each disturbance a tenth.
-        disturbed: Whether `arm7` meets disturbances.
-        friction: Whether gears as they are join in, on a tenth of the poses.
+        arms: Names.
+        poses: Number for `arm7`; other arms have a quarter, each disturbance a tenth.
+        disturbed: True: `arm7` also runs under disturbances.
+        friction: True: identified gears are included, on a tenth of the poses.
     """
     out: list[Job] = []
     for name in arms:
@@ -88,14 +88,14 @@ def jobs(
 
 
 def run(work: Sequence[Job], processes: int = 1) -> Iterator[tuple[Key, list[Promise]]]:
-    """Run jobs, in parallel where joblib is there.
+    """Run jobs, in parallel if joblib is installed.
 
     Args:
-        work: What to do, arm by arm and disturbance by disturbance.
-        processes: How many at once.
+        work: Jobs, arm by arm and disturbance by disturbance.
+        processes: Number of processes.
 
     Yields:
-        Arm and disturbance, and all their promises, as soon as they are there.
+        Arm and disturbance with all their promises, as they complete.
     """
     done = parallel(work, processes, "campaign")
     pairs = zip(work, done, strict=True)

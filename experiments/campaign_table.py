@@ -1,4 +1,4 @@
-"""What came of a cap campaign: figures per arm and disturbance, a table, a file and a picture."""
+"""Results of a cap campaign: figures per arm and disturbance, a table, a file and a picture."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ if TYPE_CHECKING:
     #: Promises by arm and disturbance.
     Found = Mapping[tuple[str, str], Sequence[Promise]]
 
-#: Distance from the stops from which on a pose is called clear [rad].
+#: Distance from the stops above which a pose is clear [rad].
 CLEAR = 0.15
-#: Shares of promises to keep: nominal, disturbed.
+#: Required shares of kept promises: nominal, disturbed.
 GOALS = (0.97, 0.95)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """Figures of one arm under one disturbance; shares are of what was run, errors of the cap.
+    """Figures of one arm under one disturbance; shares are of the runs, errors of the cap.
 
     Attributes:
         arm, disturbance: Names.
-        poses: How many.
-        cases: Promises, refused ones included.
+        poses: Number of poses.
+        cases: Promises, rejected ones included.
         refused: Share of the cases that the limits cannot hold.
         kept: Share in band, every pose and axis.
         kept_free, kept_guided: The same with the other axes free and held.
-        announced: Share of which the report said that a position limit is in the push's way.
-        kept_rest: Share in band of all others: what counts.
-        kept_announced: Share in band of the announced ones all the same.
-        as_said: Share of these in band with the friction that was announced.
+        announced: Share for which the report predicted a position limit on the path of the push.
+        kept_rest: Share in band of all others: the decisive figure.
+        kept_announced: Share in band of the announced ones.
+        as_said: Share of these in band with the announced friction.
         stopped: Share not in band, provably by a joint at its position limit.
         kept_clear: Share in band with every joint clear of its stops at the end.
         clear: Share of such cases.
-        kept_truly: Share within the band of the friction there truly was.
+        kept_truly: Share within the band of the true friction.
         median, p95: Median and 95th percentile of |felt - promised| over the cap.
         median_free, p95_free: The same, other axes free.
         drift: 95th percentile of the stiff axes' drift under the middle cap, other axes free [mm].
         drift_kept: Share of these below 5 mm.
-        friction: Median of what friction may hide [N or N·m], over the cap.
+        friction: Median of the hidden friction [N or N·m], over the cap.
     """
 
     arm: str
@@ -76,12 +76,12 @@ class Row:
 
     @property
     def met(self) -> bool:
-        """Whether enough promises were kept of which nothing else was announced."""
+        """True if enough of the promises without an announcement were kept."""
         return self.kept_rest >= GOALS[self.disturbance != "nominal"]
 
 
 def summary(arm: str, disturbance: str, found: Sequence[Promise]) -> Row:
-    """Figures of one arm under one disturbance."""
+    """Compute the figures of one arm under one disturbance."""
     run = [one for one in found if not one.refused]
     caps = {axis: sorted({p.cap for p in found if p.axis == axis}) for axis in "xyz"}
     drifts = [
@@ -129,7 +129,7 @@ def _quantile(values: Sequence[float], q: float) -> float:
 
 
 def text(rows: Sequence[Row]) -> str:
-    """The table, as Markdown."""
+    """Return the table, as Markdown."""
     lines = [
         "| arm | disturbance | poses | cases | refused % | stop announced % "
         "| in band % of the rest | strictly, of all | free | guided | of the announced | as said "
@@ -160,7 +160,7 @@ def text(rows: Sequence[Row]) -> str:
 
 
 def save(folder: Path, rows: Sequence[Row], found: Found, about: Mapping[str, Any]) -> None:
-    """Write `results.json`: what was asked, the figures, and every promise that was not kept."""
+    """Write `results.json`: options, figures, and every promise that was not kept."""
     missed = [
         {"arm": arm, "disturbance": disturbance, **asdict(one)}
         for (arm, disturbance), promises in found.items()
@@ -171,7 +171,7 @@ def save(folder: Path, rows: Sequence[Row], found: Found, about: Mapping[str, An
 
 
 def draw(folder: Path, rows: Sequence[Row], found: Found) -> None:
-    """Write `campaign.png`: how the errors are distributed, by arm and by disturbance."""
+    """Draw `campaign.png`: distribution of the errors, by arm and by disturbance."""
     from experiments.figures import caps
 
     first = rows[0].arm if rows else ""

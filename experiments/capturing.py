@@ -1,8 +1,8 @@
-"""Capture measured: ``python -m experiments.capturing``.
+"""Gravity capture measured: ``python -m experiments.capturing``.
 
-Random poses of every arm, k_p of the servos half to twice the believed one, encoder of 0.088°, y
-yields: in how many poses the call says that the tool stays, in how many of the others it finds less
-feed-forward with which it does, and what happens in the 8 s after it.
+Random poses of every arm, k_p of the servos half to twice the assumed one, encoder of 0.088°, y
+yields: the share of poses in which the check finds that the tool stays, the share of the others in
+which less feed-forward helps, and the motion in the 8 s after it.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ ARMS = ("arm7", "so101", "koch")
 SCALES = (0.5, 0.8, 1.0, 1.25, 2.0)
 COUNT = float(np.deg2rad(0.088))
 KINDS = ("stays", "remedied")
-#: How long an arm is watched after the call's own check [s].
+#: Observation time after the call's own check [s].
 AFTER = 8.0
 
 
 @dataclass(frozen=True)
 class Tried:
-    """What one capture said, and what came of it.
+    """Result of one capture.
 
     Attributes:
-        stays: Whether the call says that the arm stays.
-        remedied: Whether it does not, but with the settings that the call then proposes.
-        later: How far the tool moved in the 8 s after it, with what was proposed [m].
+        stays: True if the check finds that the arm stays.
+        remedied: True if it stays only with the proposed settings.
+        later: Displacement of the tool in the 8 s after it, with the proposed settings [m].
     """
 
     stays: bool
@@ -45,14 +45,14 @@ class Tried:
 def tried(
     name: str, pose: int, kp_scale: float, *, eta: float = 0.999, creep: float = 1.0
 ) -> Tried:
-    """Capture in one random pose of an arm, y yielding, and watch.
+    """Capture in one random pose of an arm, y yielding, and observe.
 
     Args:
         name: Arm.
         pose: Index among its random poses.
-        kp_scale: True over believed stiffness.
+        kp_scale: True over assumed stiffness.
         eta: Of the axis that yields.
-        creep: How fast joints slide that friction should hold, over MuJoCo's default.
+        creep: Creep speed of joints held by friction, relative to MuJoCo's default.
     """
     arm = load(name)
     table = arm.servos.replace(encoder_step=COUNT, stiffness_known=False)
@@ -79,11 +79,11 @@ class Options:
     """Capture in random poses.
 
     Attributes:
-        arm: Arms by name; by default all of ours.
+        arm: Arms by name; default all built-in ones.
         poses: Random poses of each.
         eta: Of the axis that yields.
-        creep: How fast joints slide that friction should hold, over MuJoCo's default.
-        jobs: Processes at once.
+        creep: Creep speed of joints held by friction, relative to MuJoCo's default.
+        jobs: Number of processes.
     """
 
     arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()

@@ -1,4 +1,4 @@
-"""How an axis answers by its deviation: profiles of yielding axes, limits of stiff ones."""
+"""Force of an axis by its deviation: profiles of yielding axes, limits of stiff ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: A strong hand that takes 6 s for 0.15 m: force against deviation, next to nothing of speed.
+#: A strong hand that takes 6 s for 0.15 m: quasi-static force against deviation.
 STEADY = Drag(
     axis="y",
     distance=0.15,
@@ -32,9 +32,9 @@ STEADY = Drag(
     at="tool",
     course=Course(start=1.0, rise=6.0, end=7.0),
 )
-#: Wall in front of the tool, and way of the target behind it and to the side of it [m].
+#: Wall in front of the tool; path of the target behind it and to the side of it [m].
 GAP, BEHIND, ASIDE = 0.03, 0.07, 0.10
-#: When the wall is taken away [s].
+#: Time at which the wall is removed [s].
 GONE = 6.0
 
 
@@ -43,8 +43,8 @@ class Answer:
     """Force against deviation of one axis.
 
     Attributes:
-        deviation: How far the axis was from its target, tick by tick (N,) [m].
-        force: What the hand met along it (N,) [N].
+        deviation: Distance of the axis from its target, tick by tick (N,) [m].
+        force: Force on the hand along it (N,) [N].
         trace: The run.
     """
 
@@ -68,20 +68,20 @@ def answer(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Answer:
 
 
 def stiffness(axis: str, q: Array = VERTICAL) -> float:
-    """What the servos hold an axis with, 1/C_jj with C = J K_p⁻¹ Jᵀ [N/m or N·m/rad]."""
+    """Return the servos' stiffness along an axis, 1/C_jj with C = J K_p⁻¹ Jᵀ [N/m or N·m/rad]."""
     row = arm().jacobian(q)[AXES.index(axis)]
     return float(1.0 / (row / np.asarray(servos().kp) @ row))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Blocked:
-    """A target that went behind a wall and to the side, and came free when the wall was gone.
+    """Result of a target behind a wall and to the side, before and after the wall is removed.
 
     Attributes:
         force: Mean force on the wall in its last second [N].
         peak: Largest force on it [N].
-        aside: How far the tool had come to the side in that second [m].
-        fastest: Largest speed of the tool after the wall was taken away [m/s].
+        aside: Sideways motion of the tool in that second [m].
+        fastest: Largest speed of the tool after the wall is removed [m/s].
         left: Distance of the tool from its target at the end [m].
         limited: Share of the ticks at the wall in which the controller reported the limit.
         trace: The run.
@@ -97,11 +97,11 @@ class Blocked:
 
 
 def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
-    """Move the target along x and y at once, with a wall in the way of x until 6 s.
+    """Move the target along x and y at once, with a wall across x until 6 s.
 
     Args:
         law: The settings.
-        conditions: Loop, bus and beliefs.
+        conditions: Loop, bus and assumptions.
     """
     plant = conditions.build(Wall(distance=GAP, stiffness=2e4, damping=50.0))
     controller = conditions.controller(law)
@@ -135,10 +135,10 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
 
 @dataclass(frozen=True, kw_only=True)
 class Arrived:
-    """A target that jumped by 0.10 m in x and in y, with nothing in the way.
+    """Result of a target that jumped by 0.10 m in x and in y without obstacle.
 
     Attributes:
-        after: When the tool was within 3 mm of it for good, counted from the jump [s].
+        after: Time from the jump until the tool stays within 3 mm of it [s].
         left: Distance at the end [m].
         speed: Rms speed of the joints in the last second [rad/s].
         trace: The run.

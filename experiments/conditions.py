@@ -1,4 +1,4 @@
-"""Under which conditions an experiment runs: loop, bus, servos, and the controller's beliefs."""
+"""Conditions of an experiment: loop, bus, servos, and the controller's assumptions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class FromModel(Protocol):
-    """A controller that is not ours, made for the arm when a run begins."""
+    """A baseline controller, made for the arm when a run begins."""
 
     def __call__(self, model: pliant.Model, period: float) -> Controlling:
         """Make one for a control period [s]."""
@@ -29,18 +29,18 @@ class FromModel(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Loop, bus, servos and beliefs; by default 100 Hz, no delay, everything known.
+    """Loop, bus, servos and assumptions; by default 100 Hz, no delay, everything known.
 
     Attributes:
         rate: Control rate [Hz].
         delay: Ticks from sampling to read() and from write() to the servo; known to the controller.
-        believed: Friction and damping as the controller believes them, over their true values.
+        believed: Assumed over true friction and damping.
         count: Encoder count [rad], known to the controller.
-        gears: Friction by speed and load in place of the table's, known to the controller or not.
-        gears_known: Whether it is.
+        gears: Friction by speed and load in place of the table's.
+        gears_known: True if the controller knows it.
         flicker: Counts by which readings toggle at random.
-        plant: More options of `pliant.sim.Plant`, which win over the above; the controller knows
-            nothing of them.
+        plant: More options of `pliant.sim.Plant`, which override the above and are unknown to the
+            controller.
     """
 
     rate: float = 100.0
@@ -69,7 +69,7 @@ class Conditions:
         return Plant(arm(), scene=scene, **options)
 
     def servos(self) -> pliant.Servos:
-        """Servo table of `arm7` as the controller believes it."""
+        """Return the servo table of `arm7` that the controller assumes."""
         true = servos()
         if self.gears is not None and self.gears_known:
             true = self.gears.believed(true)
@@ -84,7 +84,7 @@ class Conditions:
         )
 
     def controller(self, law: pliant.Settings | FromModel) -> Controlling:
-        """Make the controller for one run: ours from settings, or one that is not ours."""
+        """Make the controller of one run: from settings, or a baseline."""
         if isinstance(law, pliant.Settings):
             delay = sum(self.delay) / self.rate
             settings = law.replace(rate=self.rate, delay=delay)
@@ -94,5 +94,5 @@ class Conditions:
 
 #: 100 Hz, no delay, everything known.
 NOMINAL = Conditions()
-#: What hardware has: a tick each way.
+#: Typical hardware: a tick each way.
 TICK_EACH_WAY = Conditions(delay=(1, 1))

@@ -1,9 +1,9 @@
-"""Contacts felt without force sensors: how late, how many missed, how many false alarms.
+"""Contact detection without force sensors: latency, missed contacts, false alarms.
 
-``python -m experiments.contacts`` lets a hand of random stiffness and speed meet the tool
-1000 times in random poses, and lets the arm move freely for one hour, both at 100 Hz, with encoder
-counts that flicker and friction believed wrong by up to 30 %. Other cases (everything known, k_p
-off, gears as they are, servos that report their load, a small arm) get a quarter of that.
+``python -m experiments.contacts`` lets a hand of random stiffness and speed meet the tool 1000
+times in random poses, and lets the arm move freely for one hour, both at 100 Hz, with flickering
+encoder counts and friction assumed wrong by up to 30 %. Other cases (everything known, k_p off,
+identified gears, servos that report their load, a small arm) get a quarter of that.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from experiments.parallel import parallel
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-#: The case of the numbers in the documents, and the others.
+#: The case of the documented numbers, and the others.
 MAIN = Case("encoder, friction ±30 %")
 OTHERS = (
     Case("a tick each way", delay=(1, 1)),
@@ -40,13 +40,13 @@ PIECE = 60.0
 
 @dataclass(frozen=True)
 class Options:
-    """Measure what thresholds on a felt force see.
+    """Measure thresholds on an estimated force.
 
     Attributes:
         contacts: Random contacts of the main case.
         minutes: Free motion of the main case.
-        others: Share of both that the other cases get; 0 for none of them.
-        jobs: Processes at once.
+        others: Share of both for each other case; 0: leave them out.
+        jobs: Number of processes.
         out: Folder for results.json and the picture.
     """
 
@@ -76,17 +76,17 @@ class Job:
 def measure(
     case: Case, contacts: int, minutes: int, processes: int = 1, piece: float = PIECE
 ) -> tuple[list[table.Seen], dict[str, float]]:
-    """Run one case and look at it through every threshold.
+    """Run one case and evaluate every threshold.
 
     Args:
-        case: Which.
-        contacts: How many random contacts.
-        minutes: How much free motion.
-        processes: At once.
+        case: The case.
+        contacts: Number of random contacts.
+        minutes: Duration of free motion.
+        processes: Number of processes.
         piece: Length of one free run [s].
 
     Returns:
-        A row per rule; errors, bounds and the thresholds that raised no alarm.
+        A row per rule; errors, bounds and the thresholds without alarms.
     """
     pieces = round(60.0 * minutes / piece)
     free = list(parallel([Job(case, i, piece) for i in range(pieces)], processes, case.name))
@@ -106,7 +106,7 @@ def measure(
 
 
 def main(options: Options) -> None:
-    """Run what these options ask for, print the tables, write the files."""
+    """Run the requested cases, print the tables, write the files."""
     rows: list[table.Seen] = []
     facts: dict[str, dict[str, float]] = {}
     plan: Iterable[tuple[Case, float]] = [(MAIN, 1.0), *((case, options.others) for case in OTHERS)]
@@ -125,7 +125,7 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    # Other processes find this module's jobs by its name, not as `__main__`.
+    # Other processes import this module's jobs by its name, not as `__main__`.
     from experiments import contacts  # noqa: PLW0406 -- by name
 
     contacts.main(tyro.cli(contacts.Options))

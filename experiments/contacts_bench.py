@@ -1,7 +1,6 @@
-"""Random contacts and free motion of a simulated arm, felt through its servos.
+"""Random contacts and free motion of a simulated arm, estimated through its servos.
 
-A run records what was felt, how far off that could be, and what truly pushed, tick by tick; which
-threshold sees what is decided afterwards.
+A run records estimate, bound and true force, tick by tick; thresholds are evaluated afterwards.
 """
 
 from __future__ import annotations
@@ -28,12 +27,13 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 RATE = 100.0
-#: When a hand comes, and how long it stays [s].
+#: Start of a hand, and its duration [s].
 COMES, STAYS = 0.7, 0.8
 #: Random contacts: stiffness [N/m], speed [m/s] and largest force [N] of the hand, speed of the arm
 #: [m/s]; the first two are drawn by their logarithms.
 STIFFNESS, SPEED, FORCE, MOTION = (200.0, 20e3), (0.02, 0.25), (0.15, 0.9), (0.0, 0.15)
-#: Free motion: how far from a middle joints wander [rad], how long from point to point [s].
+#: Free motion: largest distance of the joints from a middle pose [rad], time from point to point
+#: [s].
 WANDER, LEG = 0.45, (1.2, 3.0)
 #: Share of legs after which the arm rests for half a second.
 RESTS = 0.3
@@ -41,18 +41,18 @@ RESTS = 0.3
 
 @dataclass(frozen=True)
 class Case:
-    """What is wrong with what the controller believes, and how much of that the estimate is told.
+    """Errors of the controller's assumptions, and the part of them that the estimator knows.
 
     Attributes:
         name: For tables.
         arm: By name.
-        encoder: Whether readings have counts that flicker.
-        friction: Share by which believed friction and damping are off, at random by joint.
+        encoder: True if readings have counts that flicker.
+        friction: Share by which assumed friction and damping are off, at random by joint.
         kp: The same of k_p.
-        gears: Whether friction depends on speed and load.
-        identified: Whether the controller knows the gears' friction by speed and load.
-        sensed: Whether servos report their load, 10 % off at most and with 1 % of noise.
-        delay: Ticks for which readings and commands are on their way, known.
+        gears: True if friction depends on speed and load.
+        identified: True if the controller knows the gears' friction by speed and load.
+        sensed: True if servos report their load, 10 % off at most and with 1 % of noise.
+        delay: Known delay of readings and commands [ticks].
         told: Options of `pliant.ContactEstimator`.
     """
 
@@ -68,7 +68,7 @@ class Case:
     told: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self) -> dict[str, Any]:
-        """Options of the estimate: what is known, in shares."""
+        """Return the options of the estimator: known errors, in shares."""
         known = {"kp_error": max(self.kp, 0.02), "gravity_error": 0.02, "load_error": 0.1}
         return {"friction_error": max(self.friction, 0.05), **known, **self.told}
 
@@ -78,10 +78,10 @@ class Record:
     """One run, one row per reading.
 
     Attributes:
-        felt: Force (N, 3) [N] and torque (N, 3) [N·m] felt, base axes: (N, 6).
-        bound: How far off that can be (N, 6).
-        truth: What truly pushed in the period before the reading (N, 6).
-        evidence: Largest share of a joint's bound that its residual reaches (N,).
+        felt: Estimated force (N, 3) [N] and torque (N, 3) [N·m], base axes: (N, 6).
+        bound: Its uncertainty (N, 6).
+        truth: True force in the period before the reading (N, 6).
+        evidence: Largest residual of a joint over its bound (N,).
     """
 
     felt: Array
@@ -91,7 +91,7 @@ class Record:
 
 
 class Bump:
-    """A hand that meets the tool where it is, and comes on behind a spring.
+    """A hand that meets the tool at its present position and continues behind a spring.
 
     ``f = clip(stiffness (speed (t - t0) - shift since t0), 0, limit)`` along a direction: it pushes
     and never pulls.
@@ -116,7 +116,7 @@ class Bump:
 
 
 class Bench:
-    """One arm under one case; every run is seeded by its number."""
+    """One arm in one case; every run is seeded by its number."""
 
     def __init__(self, case: Case) -> None:
         self.case = case
@@ -124,7 +124,7 @@ class Bench:
 
     @cached_property
     def poses(self) -> Array:
-        """Poses to try (N, n) [rad], none near a singular one or a stop."""
+        """Return poses (N, n) [rad], none near a singular one or a stop."""
         low, high = np.asarray(self.arm.model.lower), np.asarray(self.arm.model.upper)
         room = 0.5 if self.arm.model.n > 5 else 0.3
         found = self.arm.poses(len(self.arm.drawn))
@@ -134,7 +134,7 @@ class Bench:
         return poses
 
     def contact(self, number: int) -> Record:
-        """One random contact."""
+        """Run one random contact."""
         rng = np.random.default_rng((number, 1))
         q = self.poses[number % len(self.poses)]
         direction, way = _direction(rng), _direction(rng)
@@ -152,7 +152,7 @@ class Bench:
         return self._run(plant, controller, contact, q, target, seconds=COMES + STAYS, rng=rng)
 
     def free(self, number: int, seconds: float) -> Record:
-        """Free motion from point to point, smooth, with rests."""
+        """Run free motion from point to point, smooth, with rests."""
         rng = np.random.default_rng((number, 2))
         q = self.poses[number % len(self.poses)]
         path = _Path(rng, q, np.asarray(self.arm.model.lower), np.asarray(self.arm.model.upper))
@@ -168,7 +168,7 @@ class Bench:
     def _make(
         self, rng: np.random.Generator, hands: tuple[Bump, ...]
     ) -> tuple[Plant, pliant.Controller, pliant.ContactEstimator]:
-        """Plant, controller and estimate of one run."""
+        """Make plant, controller and estimator of one run."""
         case, true = self.case, self.arm.servos
         n = self.arm.model.n
 
@@ -213,7 +213,7 @@ class Bench:
         seconds: float,
         rng: np.random.Generator,
     ) -> Record:
-        """Close the loop and write down what is felt."""
+        """Close the loop and record the estimate."""
         plant.reset(q)
         controller.reset(q)
         count = round(seconds * RATE)
@@ -238,7 +238,7 @@ class Bench:
 
 
 class _Path:
-    """Joints from point to point with the smoothest acceleration (minimum jerk), and rests."""
+    """Joints from point to point with minimum jerk, and rests."""
 
     def __init__(self, rng: np.random.Generator, middle: Array, low: Array, high: Array) -> None:
         self._rng, self._middle = rng, middle
@@ -260,12 +260,12 @@ class _Path:
 
 
 def _direction(rng: np.random.Generator) -> Array:
-    """A direction (3,) at random."""
+    """Return a random direction (3,)."""
     vector = rng.standard_normal(3)
     unit: Array = vector / np.linalg.norm(vector)
     return unit
 
 
 def _log(rng: np.random.Generator, span: tuple[float, float]) -> float:
-    """A number at random whose logarithm is uniform."""
+    """Return a random number whose logarithm is uniform."""
     return float(np.exp(rng.uniform(*np.log(span))))

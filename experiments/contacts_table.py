@@ -1,4 +1,4 @@
-"""What thresholds see of recorded contacts, what they see in free motion, and how late."""
+"""Detection of recorded contacts by thresholds: detections, false alarms, latency."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Readings beyond a threshold that make an event: 20 ms, the first not counted.
+#: Readings beyond a threshold that make an event: 20 ms, without the first.
 READINGS = 3
-#: A contact is strong whose true force exceeds this share of the median static capacity for so many
-#: readings.
+#: A contact is strong if its true force exceeds this share of the median static capacity for so
+#: many readings.
 STRONG_FORCE, STRONG = 0.15, 10
-#: Readings of a run that are not looked at: the estimate starts.
+#: Skipped readings at the start of a run, while the estimate settles.
 START = 30
-#: First reading that can see the hand.
+#: First reading that can include the hand.
 FIRST = round(COMES * RATE) + 1
 #: Thresholds as shares of the arm's median static capacity.
 SHARES = (0.03, 0.05, 0.075, 0.10, 0.125, 0.15, 0.20, 0.25, 0.30, 0.40)
@@ -39,11 +39,11 @@ GUARDS, EVIDENCE = (0.4, 0.5, 0.6, 0.8, 1.0), (0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.
 
 @dataclass(frozen=True)
 class Rule:
-    """What counts as a contact.
+    """A rule for detecting contacts.
 
     Attributes:
-        kind: `force`: |F| on x, y or z beyond `size` [N]; `guarded`: beyond `size` times its
-            uncertainty; `evidence`: some joint beyond `size` times its bound.
+        kind: `force`: |F| on x, y or z above `size` [N]; `guarded`: above `size` times its
+            uncertainty; `evidence`: some joint above `size` times its bound.
         size: See `kind`.
     """
 
@@ -51,7 +51,7 @@ class Rule:
     size: float
 
     def beyond(self, record: Record) -> NDArray[np.bool_]:
-        """Where it holds: (N, 3), or (N, 1) for `evidence`."""
+        """Return where the rule holds: (N, 3), or (N, 1) for `evidence`."""
         out: NDArray[np.bool_]
         if self.kind == "evidence":
             out = (record.evidence > self.size)[:, None]
@@ -68,20 +68,20 @@ class Rule:
 
 @dataclass(frozen=True)
 class Seen:
-    """One rule, one case.
+    """Result of one rule in one case.
 
     Attributes:
         case: Name of the case.
         rule: The rule.
-        alarms: False alarms in free motion, and in how many hours.
+        alarms: False alarms in free motion, and the duration in hours.
         hours: See `alarms`.
-        strong: Contacts whose true force was beyond `STRONG_FORCE` of the capacity for 0.1 s.
-        missed: Share of these that were not seen.
-        seen: Share of all contacts that were seen.
+        strong: Contacts whose true force exceeded `STRONG_FORCE` of the capacity for 0.1 s.
+        missed: Share of these that were not detected.
+        seen: Share of all contacts that were detected.
         late: Median and 95th percentile of the time [s] from the true force being that strong to
-            the event; before it counts as 0.
+            the event; an earlier event counts as 0.
         after: The same from the first touch.
-        force: Median of the true force at that moment [N].
+        force: Median of the true force at the event [N].
     """
 
     case: str
@@ -97,20 +97,20 @@ class Seen:
 
 
 def events(beyond: NDArray[np.bool_]) -> list[int]:
-    """Readings at which a row of booleans (N,) has been true for long enough, one per stretch."""
+    """Return readings at which a row of booleans (N,) has been true for long enough."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], beyond.astype(np.int8), [0]))))
     stretches = zip(edges[::2], edges[1::2], strict=True)
     return [int(a) + READINGS - 1 for a, b in stretches if b - a >= READINGS]
 
 
 def first(felt: NDArray[np.bool_]) -> int | None:
-    """Reading (N, 3) at which the hand is noticed first, None if never."""
+    """Return the reading (N, 3) that first detects the hand, None if never."""
     found = [e for column in felt[FIRST:].T for e in events(column)]
     return FIRST + min(found) if found else None
 
 
 def least_silent(free: Sequence[Record], columns: slice) -> float:
-    """Smallest threshold that raises no alarm in free motion, on these columns [N or N·m]."""
+    """Return the smallest threshold without alarm in free motion, on these columns [N or N·m]."""
     most = 0.0
     for record in free:
         force = np.abs(record.felt[START:, columns])
@@ -122,7 +122,7 @@ def least_silent(free: Sequence[Record], columns: slice) -> float:
 def look(
     case: str, rule: Rule, strength: float, free: Sequence[Record], contacts: Sequence[Record]
 ) -> Seen:
-    """What one rule sees; `strength` [N] is what counts as a strong contact."""
+    """Evaluate one rule; `strength` [N] defines a strong contact."""
     late: list[float] = []
     after: list[float] = []
     force: list[float] = []
@@ -155,7 +155,7 @@ def look(
 
 
 def honesty(free: Sequence[Record], contacts: Sequence[Record]) -> dict[str, float]:
-    """Errors [N], bounds [N], and the share of readings whose error was beyond its bound."""
+    """Return errors [N], bounds [N], and the share of readings whose error exceeds its bound."""
     out = {}
     for name, records in (("free", free), ("contact", contacts)):
         error = np.concatenate([(r.felt - r.truth)[START:, :3] for r in records])
@@ -174,7 +174,7 @@ def _quantiles(values: Sequence[float]) -> tuple[float, float]:
 
 
 def text(rows: Sequence[Seen]) -> str:
-    """The table of rules, as Markdown."""
+    """Return the table of rules, as Markdown."""
     lines = [
         "| case | event | false alarms | in [h] | seen % | strong contacts | missed % "
         "| after strong [ms]: median | 95th | after the touch: median | 95th | force then [N] |",
@@ -194,7 +194,7 @@ def save(folder: Path, rows: Sequence[Seen], about: Mapping[str, Any]) -> None:
 
 
 def draw(folder: Path, rows: Sequence[Seen]) -> None:
-    """Write `contacts.png`: false alarms against contacts seen, by case and rule."""
+    """Draw `contacts.png`: false alarms against detected contacts, by case and rule."""
     from pliant._report import style
 
     cases = list(dict.fromkeys(row.case for row in rows))
@@ -215,7 +215,7 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
                     (row for row in rows if row.case == case and row.rule.kind == kind),
                     key=lambda row: row.rule.size,
                 )
-                # Nothing in so many hours is drawn at half an alarm in these.
+                # Zero alarms in so many hours are drawn at half an alarm in that time.
                 rate = [max(row.alarms, 0.5) / row.hours for row in mine]
                 seen = [100.0 * row.seen for row in mine]
                 ax.plot(rate, seen, "o-", color=colour, markersize=3, linewidth=1.2, label=label)

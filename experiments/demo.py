@@ -16,9 +16,9 @@ from rich.table import Table
 
 from experiments.runner import draw_off_screen
 from pliant import ConfigError, PliantError
+from pliant._extras import missing
 from pliant.cli import program
 from pliant.cli.flags import File, Frame
-from pliant.extras import missing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from experiments.demonstration import Demonstration, Subject
     from experiments.result import Chapter, Check
 
-#: Beyond this many processes the longest run decides.
+#: Beyond this number of processes the longest run decides.
 MOST_JOBS = 16
 
 
@@ -42,7 +42,7 @@ def run(
     tip: Frame = None,
     jobs: int = 2,
 ) -> None:
-    """Run the experiments and leave a report.
+    """Run the experiments and write a report.
 
     Args:
         out: Folder of the report, the pictures and the numbers.
@@ -50,8 +50,8 @@ def run(
         quick: Do everything once, in a few seconds, with few runs.
         robot: Built-in arm. Arms other than arm7 get experiments that suit any arm.
         urdf: Your own arm instead.
-        base: Where its chain begins; may be left out when there is only one choice.
-        tip: Where its chain ends; may be left out when there is only one choice.
+        base: First frame of its chain; may be left out if there is only one choice.
+        tip: Last frame of its chain; may be left out if there is only one choice.
         jobs: Processes.
     """
     if not 1 <= jobs <= MOST_JOBS:
@@ -75,7 +75,7 @@ def numbers(text: str) -> tuple[int, ...]:
     """Parse `1,3`.
 
     Raises:
-        ConfigError: It is no list of numbers.
+        ConfigError: The text is not a list of numbers.
     """
     parts = [part.strip() for part in text.split(",") if part.strip()]
     if not all(part.isdecimal() for part in parts):
@@ -84,7 +84,7 @@ def numbers(text: str) -> tuple[int, ...]:
 
 
 def _load() -> ModuleType:
-    """Import what the extras bring, and say in one line how to get them."""
+    """Import modules of the extras; if missing, name the installation command in one line."""
     try:
         for needed in ("mujoco", "matplotlib"):
             import_module(needed)
@@ -107,7 +107,7 @@ def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -
 
 
 class Bar:
-    """A progress bar that is told how many steps there are."""
+    """A progress bar with a growing number of steps."""
 
     def __init__(self, console: Console) -> None:
         self._progress = Progress(
@@ -126,20 +126,20 @@ class Bar:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Take it away."""
+        """Remove it."""
         self._progress.stop()
 
     def expect(self, steps: int) -> None:
-        """So many steps there are."""
+        """Add so many steps."""
         self._progress.update(self._task, total=steps)
 
     def done(self, step: str) -> None:
-        """One is done."""
+        """Complete one step."""
         self._progress.update(self._task, advance=1)
 
 
 def missed(chapter: Chapter) -> list[str]:
-    """Our own bands that this run did not keep, a line each, with the number and why."""
+    """List our own bands that this run did not keep, a line each, with the number and the cause."""
     from experiments.result import Verdict
 
     lines = []
@@ -158,7 +158,7 @@ def missed(chapter: Chapter) -> list[str]:
 
 
 def _band(test: Check) -> str:
-    """The interval of a test in words."""
+    """Describe the interval of a test in words."""
     if math.isinf(test.low):
         return f"up to {test.high:.3g}"
     if math.isinf(test.high):
@@ -167,7 +167,7 @@ def _band(test: Check) -> str:
 
 
 def _close(console: Console, done: Demonstration) -> None:
-    """Print what came out, the path of the report last."""
+    """Print the results, the path of the report last."""
     from experiments.result import Verdict
 
     paper = any(chapter.statements("paper") for chapter in done.chapters)
@@ -194,7 +194,7 @@ def _close(console: Console, done: Demonstration) -> None:
     console.print(
         f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s"
     )
-    # Not by rich: a path that wraps cannot be clicked.
+    # Not by rich: a wrapped path is not clickable.
     print(done.report.resolve())
 
 

@@ -27,7 +27,7 @@ class Experiment(Protocol):
 
     @property
     def NUMBER(self) -> int:
-        """As in `--only`."""
+        """Number, as for `--only`."""
 
     @property
     def TITLE(self) -> str:
@@ -37,7 +37,7 @@ class Experiment(Protocol):
         """Return its runs."""
 
     def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
-        """Read its numbers off the outcomes."""
+        """Compute its numbers from the outcomes."""
 
     def chapter(self, numbers: Numbers) -> Chapter:
         """Judge the numbers."""
@@ -53,17 +53,17 @@ EXPERIMENTS: Mapping[int, Experiment] = {
 
 
 class Watcher(Protocol):
-    """Whoever wants to know how far the demonstration has come."""
+    """Receiver of the progress of a demonstration."""
 
     def expect(self, steps: int) -> None:
-        """So many steps there are."""
+        """Add so many steps."""
 
     def done(self, step: str) -> None:
-        """One is done."""
+        """Complete one step."""
 
 
 class Silence:
-    """A watcher that does not care."""
+    """A watcher that ignores all progress."""
 
     def expect(self, steps: int) -> None:
         """Ignore it."""
@@ -74,14 +74,14 @@ class Silence:
 
 @dataclass(frozen=True, kw_only=True)
 class Demonstration:
-    """What was left behind.
+    """Results of a demonstration.
 
     Attributes:
-        chapters: As judged.
+        chapters: Judged chapters.
         report: Path of the HTML report.
         results: Path of `results.json`.
         pictures: Paths of the PNGs.
-        seconds: How long it took.
+        seconds: Duration.
     """
 
     chapters: tuple[Chapter, ...]
@@ -91,19 +91,19 @@ class Demonstration:
     seconds: float
 
     def verdicts(self) -> dict[Verdict, int]:
-        """How many of the paper's statements got which verdict."""
+        """Return the number of the paper's statements per verdict."""
         return {v: sum(c.count(v, "paper") for c in self.chapters) for v in Verdict}
 
 
 @dataclass(frozen=True)
 class Subject:
-    """The robot of the demonstration, and what shall be done with it.
+    """The robot of a demonstration, and its experiments.
 
     Attributes:
         name: Of the robot.
         experiments: By number.
         about: One sentence for the head of the report.
-        notes: What a reader must know about the robot, e.g. that servos were guessed.
+        notes: Facts that a reader must know about the robot, e.g. that servos were guessed.
     """
 
     name: str
@@ -131,21 +131,21 @@ def run(
     jobs: int = 2,
     watcher: Watcher | None = None,
 ) -> Demonstration:
-    """Run experiments and leave a report.
+    """Run experiments and write a report.
 
     Args:
-        out: Folder of the report; made if it does not exist.
+        out: Folder of the report; created if it does not exist.
         subject: Robot and experiments.
         only: Numbers of the experiments; empty for all.
-        quick: Only as many runs as it takes to exercise everything once.
+        quick: True: the fewest runs that exercise everything once.
         jobs: Processes.
-        watcher: Told about the progress.
+        watcher: Receiver of the progress.
 
     Returns:
-        Where everything is.
+        Paths of all results.
 
     Raises:
-        ConfigError: There is no experiment of a number.
+        ConfigError: An experiment number does not exist.
     """
     begin = perf_counter()
     draw_off_screen()
@@ -185,10 +185,10 @@ def run(
 
 
 def choose(experiments: Mapping[int, Experiment], only: Sequence[int]) -> dict[int, Experiment]:
-    """Pick experiments by number, in their own order.
+    """Select experiments by number, in their own order.
 
     Raises:
-        ConfigError: There is none of a number; the message lists those there are.
+        ConfigError: A number does not exist; the message lists the known ones.
     """
     unknown = [number for number in only if number not in experiments]
     if unknown:
@@ -205,7 +205,7 @@ def _write_results(
     *,
     quick: bool,
 ) -> Path:
-    """Write every number and verdict as JSON, without anything that differs between equal runs."""
+    """Write all numbers and verdicts as JSON; equal runs give equal files."""
     content = {
         "robot": subject.name,
         "quick": quick,

@@ -1,9 +1,9 @@
-"""The way down with wrong beliefs: servos, load, friction, encoder and delay are not as believed.
+"""Descents with wrong assumptions about servos, load, friction, encoder and delay.
 
-``python -m experiments.descent [--arms arm7,so101] [--poses 50] [--jobs 2] [--bytes]``
-prints, per arm, the worst of torque on and of `lower` over poses at random, each with a mix of
-errors of its own, in free air and over a table, the poses that were worst, and the ready pose.
-With `--bytes` the servos are emulated ones on a serial port, in the emulator's own time.
+``python -m experiments.descent [--arms arm7,so101] [--poses 50] [--jobs 2] [--bytes]`` prints, per
+arm, the worst of torque on and of `lower` over random poses, each with its own mix of errors, in
+free air and over a table, the worst poses, and the ready pose. With `--bytes` the servos are
+emulated ones on a serial port, in emulated time.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from experiments.parallel import parallel
 from experiments.sheet import POSES
 from pliant import config
 from pliant.arm.arm import Arm
-from pliant.config import assemble
-from pliant.config.emulation import PATIENCE, emulated
+from pliant.config import factory
+from pliant.config.factory import PATIENCE, make_emulator
 from pliant.emulator import StepClock, Timing
 from pliant.servo import ServoBus
 from pliant.sim import Plant, SimDrive, table
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 #: Arms of the table.
 ARMS = ("arm7", "so101", "koch", "vx300s")
-#: True over believed stiffness of a joint, and true over believed friction.
+#: True over assumed stiffness of a joint, and true over assumed friction.
 STIFFNESS, FRICTION = (0.5, 2.5), (0.5, 2.0)
 #: Unknown loads at the tool [kg], encoder steps [deg] and delays of a cycle [ticks].
 LOAD, STEPS, DELAYS = 0.5, (0.09, 0.3), (0, 1, 2, 3)
@@ -49,18 +49,18 @@ LOAD, STEPS, DELAYS = 0.5, (0.09, 0.3), (0, 1, 2, 3)
 TABLE = 0.10
 #: Share of the usable torque that holding the arm and its load may take.
 HOLDS = 0.85
-#: Poses to work from, for the last row (n,) [rad].
+#: Working poses, for the last row (n,) [rad].
 READY = {"arm7": tuple(VERTICAL), **POSES}
-#: How long the arm holds before it is lowered, and is watched after its torque is off [s].
+#: Time before the descent, and after torque off [s].
 BEFORE, AFTER = 0.3, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """What an arm is really like, where its belief is the servo table and no load.
+    """True parameters of an arm that assumes its servo table and no load.
 
     Attributes:
-        stiffness, friction: True over believed (n,).
+        stiffness, friction: True over assumed (n,).
         load: At the tool [kg].
         step: Of the encoders [rad].
         delay: Ticks from sampling to read, and from write to the servo; on bytes the wire has its
@@ -76,23 +76,23 @@ class Truth:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Torque on and one descent.
+    """Result of torque on and one descent.
 
     Attributes:
-        apart: Largest ratio between true stiffness of a joint and the one that the arm believed.
-        strain: Largest share of its servo's true torque that a joint needed for weight and load in
-            the poses of the way down: above 1 nothing can hold the arm there.
-        moved: Farthest that the tool was from where it stood while the arm was taken over from
-            a program that had held it there; on bytes from a hand [m].
+        apart: Largest ratio between true and assumed stiffness of a joint.
+        strain: Largest share of its servo's true torque that a joint needed for weight and load
+            during the descent: above 1 nothing can hold the arm there.
+        moved: Largest displacement of the tool while the arm was taken over from a program that
+            held it; on bytes from a hand [m].
         jerk: Highest speed of the tool meanwhile [m/s].
         woken, stir: The same, where torque came on at the end of the descent [m], [m/s].
-        rise: How far the tool rose above its start on the way down [m].
-        speed: Highest speed of the tool on the way down [m/s].
+        rise: Rise of the tool above its start during the descent [m].
+        speed: Highest speed of the tool during the descent [m/s].
         after: Highest speed within the second after torque was off [m/s].
         force: Largest mean over a tick of the force on one point of the table [N].
         resting: Force on the table a second after torque was off [N].
-        seconds: How long the descent took.
-        height: How far the tool came down [m].
+        seconds: Duration of the descent.
+        height: Drop of the tool [m].
     """
 
     apart: float
@@ -112,15 +112,15 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One arm, one pose, one truth.
+    """One arm, one pose, one set of true parameters.
 
     Attributes:
         arm: Its name.
-        number: Of pose and truth; -1 and less for the ready pose.
-        over_table: Whether there is a table under it.
-        on_bytes: Whether its servos are emulated ones on a serial port.
+        number: Of pose and parameters; -1 and less for the ready pose.
+        over_table: True if there is a table under it.
+        on_bytes: True if its servos are emulated ones on a serial port.
         q: Pose (n,) [rad].
-        truth: What the arm is really like.
+        truth: True parameters of the arm.
     """
 
     arm: str
@@ -131,7 +131,7 @@ class Job:
     truth: Truth
 
     def run(self) -> Outcome:
-        """Enable the arm, wait, lower it, and watch."""
+        """Enable the arm, wait, lower it, and record."""
         with (_over_bytes if self.on_bytes else _simulated)(self) as (arm, watch):
             plant, clock = watch.plant, arm.clock
             moved, jerk = self._enable(arm, watch)
@@ -164,7 +164,7 @@ class Job:
 
     @staticmethod
     def _enable(arm: Arm, watch: Watch) -> tuple[float, float]:
-        """Torque on; return how far [m] and how fast [m/s] the tool moved."""
+        """Switch torque on; return distance [m] and speed [m/s] of the tool."""
         watch.begin()
         arm.enable()
         arm.clock.wait_until(arm.clock.now() + BEFORE)
@@ -173,7 +173,7 @@ class Job:
 
 @dataclass
 class Seen:
-    """The worst since `Watch.begin`: see `Outcome`."""
+    """Largest values since `Watch.begin`: see `Outcome`."""
 
     moved: float = 0.0
     rise: float = -np.inf
@@ -182,29 +182,29 @@ class Seen:
 
 
 class Watch:
-    """Looks at the truth behind an arm whenever its physics has run.
+    """Observes the true state of an arm after every run of its physics.
 
     Attributes:
-        plant: The truth.
-        seen, strain: What was worst since `begin`.
-        start: Where the tool stood then (3,) [m].
+        plant: The true state.
+        seen, strain: Largest values since `begin`.
+        start: Position of the tool at `begin` (3,) [m].
     """
 
     def __init__(self, job: Job, plant: Plant) -> None:
-        """Put the table under the arm, where there is one."""
+        """Put the table under the arm, if there is one."""
         self.plant, self._load = plant, job.truth.load
         if job.over_table:
             plant.set_hands(table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE))
         self.begin()
 
     def begin(self) -> None:
-        """Start anew."""
+        """Restart the record."""
         self.seen, self.strain = Seen(), 0.0
         self.start = self.plant.tool[:3, 3].copy()
         self._steps, self._force = 0, np.zeros((len(self.plant.hands), 3))
 
     def look(self, steps: int) -> None:
-        """Look, so many steps of physics after the last time."""
+        """Record, so many physics steps after the last time."""
         plant, seen = self.plant, self.seen
         tool = plant.tool[:3, 3]
         seen.moved = max(seen.moved, float(np.linalg.norm(tool - self.start)))
@@ -230,7 +230,7 @@ class Watch:
 
 @contextmanager
 def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
-    """The arm of a job on the simulator, held by a program that knew it."""
+    """Return the arm of a job on the simulator, held by a program that knew its parameters."""
     model, truth = robot(job.arm), job.truth
     assert model.servos is not None
     plant = Plant(
@@ -244,7 +244,7 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
     plant.reset(job.q)
     watch = Watch(job, plant)
     drive = SimDrive(plant, servos=model.servos.replace(stiffness_known=False))
-    arm = Arm(model, drive, grippers=assemble.grippers(configuration(job.arm)), signals=False)
+    arm = Arm(model, drive, grippers=factory.gripper_configs(configuration(job.arm)), signals=False)
     lead = _needed(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
     drive.write(goal, np.asarray(drive.servos.max_torque))
@@ -255,10 +255,10 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
 
 @contextmanager
 def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
-    """The arm of a job on emulated servos, held by a hand until they have torque."""
+    """Return the arm of a job on emulated servos, held by a hand until they have torque."""
     own, truth = configuration(job.arm), job.truth
     model = own.model()
-    bus = emulated(
+    bus = make_emulator(
         own,
         q=job.q,
         clock="steps",
@@ -277,8 +277,10 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
 
     bus.world.physics.step = watched  # type: ignore[method-assign]
     with bus:
-        drive = ServoBus(assemble.specs(own, bus.ports), patience=PATIENCE, clock=StepClock(bus))
-        arm = Arm(model, drive, grippers=assemble.grippers(own), signals=False)
+        drive = ServoBus(
+            factory.servo_specs(own, bus.ports), patience=PATIENCE, clock=StepClock(bus)
+        )
+        arm = Arm(model, drive, grippers=factory.gripper_configs(own), signals=False)
         try:
             yield arm, watch
         finally:
@@ -287,7 +289,7 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
 
 
 def _differ(servo: Servo, stiffness: float, step: float) -> None:
-    """Make an emulated servo so much stiffer than its registers say, with coarser counts [rad]."""
+    """Give an emulated servo a stiffness unlike its registers, and coarser counts [rad]."""
     drive, refresh = servo.drive, servo.refresh
     counts = max(round(step / servo.model.count), 1)
 
@@ -307,32 +309,32 @@ def _payload(truth: Truth) -> tuple[float, tuple[float, ...]] | None:
 
 
 def _needed(model: Model, q: Array, mass: float) -> Array:
-    """Torques (n,) [N·m] that weight and a load [kg] at the tool need at q (n,) [rad]."""
+    """Return the torques (n,) [N·m] for weight and a load [kg] at the tool at q (n,) [rad]."""
     needed: Array = model.gravity(q) - mass * model.gravity_vector @ model.jacobian(q)[:3]
     return needed
 
 
 @cache
 def robot(name: str) -> Model:
-    """A built-in arm, or a real robot's description where it lies beside the project."""
+    """Return a built-in arm, or a real robot's description found beside the project."""
     return load(name).model
 
 
 def configuration(name: str) -> Config:
-    """The ready file of an arm, with no table of its own."""
+    """Return the ready file of an arm, without its table."""
     urdf = ROBOTS / BESIDE[name][0] if name in BESIDE else None
     return config.load(name, backend="emulator", urdf=urdf, table=False)
 
 
 def is_here(name: str) -> bool:
-    """Whether an arm's description can be had."""
+    """Return True if an arm's description is available."""
     return name not in BESIDE or (ROBOTS / BESIDE[name][0]).is_file()
 
 
 def truths(model: Model, count: int, *, seed: int = 0) -> list[tuple[Array, Truth]]:
-    """Poses (n,) [rad] at random that the true servos can hold, each with a truth of its own.
+    """Return random poses (n,) [rad] that the true servos can hold, each with its true parameters.
 
-    The first truths have all servos too stiff, too soft, and turns of both.
+    The first ones have all servos too stiff, too soft, and both in turn.
     """
     assert model.servos is not None
     n, usable = model.n, np.asarray(model.servos.max_torque)
@@ -367,9 +369,9 @@ def truths(model: Model, count: int, *, seed: int = 0) -> list[tuple[Array, Trut
 
 
 def jobs(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[Job]:
-    """The runs of one arm: every pose in free air, then over a table; then the ready pose.
+    """Return the runs of one arm: every pose in free air, then over a table; then the ready pose.
 
-    The ready pose has the first truths, without a load.
+    The ready pose has the first parameters, without a load.
     """
     drawn = truths(configuration(name).model() if on_bytes else robot(name), count, seed=seed)
     runs = [
@@ -385,10 +387,10 @@ def jobs(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> lis
 
 
 def rows(name: str, work: Sequence[Job], seen: Sequence[Outcome]) -> list[str]:
-    """Lines of the table: worst (median), and in brackets the number of the worst pose."""
+    """Return lines of the table: worst (median), and in brackets the number of the worst pose."""
     lines = []
     pairs = list(zip(work, seen, strict=True))
-    # Nothing can be asked of an arm that is too weak for its way down.
+    # Arms too weak for the descent are not judged.
     strong = [(job, one) for job, one in pairs if one.strain < 1.0]
     cases = {
         "free": [(job, one) for job, one in strong if job.number >= 0 and not job.over_table],
@@ -456,7 +458,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # Other processes find this module's jobs by its name, not as `__main__`.
+    # Other processes import this module's jobs by its name, not as `__main__`.
     from experiments import descent  # noqa: PLW0406 -- by name
 
     descent.main()

@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A door, where the arm stands, and how it is opened.
+    """A door, the arm's start, and the motion that opens it.
 
     Attributes:
         leaf: Makes the door; takes its attributes.
         start: Posture at the closed door (7,) [rad].
         soft: Axes that give way so that the handle finds its own path.
-        distance: How far the target is pulled back, or the base moves [m].
-        base: Whether the base moves instead of the target.
+        distance: Distance by which the target is pulled back, or the base moves [m].
+        base: True if the base moves instead of the target.
     """
 
     leaf: Callable[..., Door]
@@ -58,7 +58,7 @@ SCENES: Mapping[str, Scene] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:
-    """How far a door was opened, and at what price.
+    """Result of opening a door.
 
     Attributes:
         angle: Widest opening [deg].
@@ -86,7 +86,7 @@ def open_door(
         law: Makes the settings from the scene's soft axes, `soft`, and a group `null_space`.
         scene: Name of one of `SCENES`.
         grip: `rigid` or `turning`.
-        conditions: Loop, bus and beliefs.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.

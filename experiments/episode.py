@@ -1,4 +1,4 @@
-"""One closed loop: plant, controller, target, and a record of what truly happened."""
+"""One closed loop: plant, controller, target, and a record of the true state."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Commanded(Protocol):
-    """What a controller hands to the servos."""
+    """Output of a controller for the servos."""
 
     @property
     def goal(self) -> Array:
@@ -35,32 +35,32 @@ class Commanded(Protocol):
 
 
 class Controlling(Protocol):
-    """Anything that can close the loop: `pliant.Controller`, or a baseline.
+    """Interface of a controller in the loop: `pliant.Controller`, or a baseline.
 
-    A baseline with a method `listen` is told before each step what the motors gave in the last
-    period (n,) [N·m].
+    A baseline with a method `listen` receives before each step the motor torques of the last period
+    (n,) [N·m].
     """
 
     def reset(self, q: Array) -> object:
         """Start at rest in q."""
 
     def step(self, q: Array, target: Array) -> Commanded:
-        """One tick."""
+        """Run one tick."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What truly happened, one row per tick; the state is the one at the end of the tick.
+    """True states, one row per tick, at the end of the tick.
 
     Attributes:
         t: Time (N,) [s].
         q, dq: Joint positions and velocities (N, n) [rad, rad/s].
-        goal, limit, torque: What the servos were told and gave (N, n) [rad, N·m].
+        goal, limit, torque: Commands and true torque of the servos (N, n) [rad, N·m].
         position: Position of the tool (N, 3) [m].
         error: Target minus actual pose (N, 6) [m, rad], base axes.
         moved: Change of the pose since the start (N, 6) [m, rad], base axes.
         compliance: c of each task axis (N, k); NaN for controllers without.
-        force, moment: Means over the tick of what the first hand exerts (N, 3) [N, N·m].
+        force, moment: Means over the tick of the first hand's force and torque (N, 3) [N, N·m].
         grip: Peak force and torque in the door's grip so far (N, 2); zeros without a door.
         leaf: Opening of the door (N,) [rad].
     """
@@ -81,11 +81,11 @@ class Trace:
     leaf: Array
 
     def between(self, start: float, end: float) -> NDArray[np.bool_]:
-        """Mask (N,) of the ticks in (start, end] s."""
+        """Return the mask (N,) of the ticks in (start, end] s."""
         return (self.t > start + 1e-9) & (self.t <= end + 1e-9)
 
     def at(self, time: float) -> int:
-        """Index of the tick that ends at `time` [s]."""
+        """Return the index of the tick that ends at `time` [s]."""
         return int(np.argmin(np.abs(self.t - time)))
 
 
@@ -102,7 +102,7 @@ def run(
 
     Args:
         plant: The simulated arm, with its hands and fixtures.
-        controller: The controller; it sees only what the plant's bus reports.
+        controller: The controller; it receives only what the plant's bus reports.
         target: Pose (4, 4) of the tool, or a function of time.
         duration: Length [s].
         q: Start (n,) [rad].
@@ -129,7 +129,7 @@ def run(
         plant.advance()
         tool = plant.tool
         felt = plant.hands[0] if plant.hands else None
-        # Controllers of the comparison have no diagnostics.
+        # Baselines have no diagnostics.
         known = getattr(controller, "diagnostics", None)
         rows.append(
             (

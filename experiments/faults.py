@@ -1,7 +1,7 @@
-"""What an arm does when things go wrong on a real bus: the table of docs/faults.md.
+"""Effects of faults on a real bus: the table of docs/faults.md.
 
-``python -m experiments.faults [part of a title]`` prints it. Everything goes over real bytes
-to emulated servos with the simulated arm behind them, in the emulator's time.
+``python -m experiments.faults [part of a title]`` prints it. Everything runs over real bytes to
+emulated servos with the simulated arm behind them, in emulated time.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: When things go wrong after torque came on, how long the program would go on, and how long an arm
-#: without a host is watched [s].
+#: Time of the fault after torque on, further runtime of the program, and observation time of an arm
+#: without a host [s].
 WHEN, END, WATCHED = 1.2, 3.0, 4.0
-#: The hand that comes so long after [s]: along y, the soft axis, [m], in [s].
+#: The hand: delay [s], distance along y, the soft axis [m], duration [s].
 TAKING, WAY, RISE = 0.2, 0.10, 2.0
-#: How long a fall takes [s].
+#: Duration of a fall [s].
 FALL = 1.5
-#: What a moving arm may add to the force of one whose host is dead [N].
+#: Allowance for a moving arm on top of the force after a host loss [N].
 MOVING = 3.0
-#: Over how long forces are averaged, as in docs/lifecycle.md [s].
+#: Averaging time of forces, as in docs/lifecycle.md [s].
 TICK = 0.01
-#: Share of the cap by which it may be missed, as everywhere where caps are judged.
+#: Allowed excess over the cap, as in all judgements of caps.
 BAND = 0.15
 #: Loops of the arm's own, enabling and lowering [Hz].
 RATE = 50.0
@@ -52,22 +52,22 @@ RATE = 50.0
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What came of a mishap.
+    """Result of a fault.
 
     Attributes:
         ending: `goes on`, `is lowered`, `keeps its last order` or `falls`.
         reason: The error that ended the loop, if any.
-        speed: Highest speed of the tool from the mishap until control ends, while an arm without
-            a host is watched, and for 1.5 s at least where torque is lost [m/s].
+        speed: Highest speed of the tool from the fault until control ends, while an arm without a
+            host is observed, and for at least 1.5 s where torque is lost [m/s].
         joint: Highest speed of a joint meanwhile [rad/s].
-        drop: How far the tool sank meanwhile [m].
-        lowered: Highest speed of the tool afterwards, while it is lowered [m/s].
-        force: Mean over a tick, 10 ms, of the force on the hand where it is farthest above what it
-            may be, or least below it [N]; 0 without a hand.
-        allowed: What it may be then: while the host runs the axis' cap and 15 % of it, and what
-            its joints resist with at the speed they turn with, by dry friction, damping, and goals
-            half a period old; where it does not, `host_loss_force` at its end + 3 N [N].
-        torque: Whether all torque was off in the end.
+        drop: Drop of the tool meanwhile [m].
+        lowered: Highest speed of the tool during the descent [m/s].
+        force: Mean over a tick, 10 ms, of the force on the hand where it is farthest above
+            `allowed`, or least below it [N]; 0 without a hand.
+        allowed: Its bound at that time. While the host runs: the axis' cap plus 15 %, and the
+            resistance of its joints at their speed, by dry friction, damping, and goals half a
+            period old. Without a host: `host_loss_force` at its end + 3 N [N].
+        torque: True if all torque was off in the end.
     """
 
     ending: str
@@ -83,26 +83,26 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class Allowed:
-    """What a hand along y may meet.
+    """Bound of the force on a hand along y.
 
     Attributes:
-        still: From joints that stand still [N].
-        drag: In addition per speed of each joint (n,) [N·s/rad].
+        still: From joints at rest [N].
+        drag: Additional force per speed of each joint (n,) [N·s/rad].
     """
 
     still: float = 0.0
     drag: Array | float = 0.0
 
     def at(self, dq: Array) -> float:
-        """From joints that turn with dq (n,) [rad/s]."""
+        """Return the bound for joints that turn with dq (n,) [rad/s]."""
         return self.still + float(np.sum(self.drag * np.abs(dq)))
 
 
 class Watcher:
-    """Looks at the truth at every physics step of an emulator, from the mishap on."""
+    """Observes the true state at every physics step of an emulator, from the fault on."""
 
     def __init__(self, bus: ArmEmulator, least: float = 0.0) -> None:
-        """Put itself between the world and its physics; watch for `least` seconds."""
+        """Insert itself between the world and its physics; observe for at least `least` seconds."""
         self.bus, self.begun, self.ended = bus, np.inf, np.inf
         self._least = least
         self.speeds: dict[bool, float] = {False: 0.0, True: 0.0}
@@ -115,16 +115,16 @@ class Watcher:
         bus.world.physics.step = self.step  # type: ignore[method-assign]
 
     def begin(self) -> None:
-        """The mishap happens now."""
+        """Start: the fault occurs now."""
         self.begun = self.bus.plant.time
         self.start = self.lowest = float(self.bus.plant.tool[2, 3])
 
     def end(self) -> None:
-        """Control has ended."""
+        """Stop: control has ended."""
         self.ended = max(self.bus.plant.time, self.begun + self._least)
 
     def _felt(self, count: int) -> tuple[float, float]:
-        """Largest force of a hand, and what it may be, both means over the last tick [N]."""
+        """Return the largest force of a hand and its bound, both means over the last tick [N]."""
         plant = self.bus.plant
         forces = np.array([felt.force for felt in plant.hands]).reshape(-1, 3)
         if self._tick and self._tick[0][1].shape != forces.shape:
@@ -141,7 +141,7 @@ class Watcher:
         return float(max(sizes)), float(share @ [a for _, _, a in self._tick])
 
     def step(self, count: int) -> None:
-        """Run the physics, and look."""
+        """Run the physics, and record."""
         self._step(count)
         plant = self.bus.plant
         if plant.time <= self.begun:
@@ -161,15 +161,14 @@ class Watcher:
 def suffer(
     mishap: Mishap, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
 ) -> Outcome:
-    """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and fail.
+    """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and apply a fault.
 
     Args:
-        mishap: What goes wrong.
-        held: Whether a hand pulls the tool 0.10 m along y from then on; the arm is then not
-            lowered.
-        when: How long after torque came on [s].
-        patience: Least time to wait for an answer, by the clock on the wall [s]; where none is
-            lost, a long one keeps a busy computer out of the outcome.
+        mishap: The fault.
+        held: True: a hand pulls the tool 0.10 m along y from then on; the arm is then not lowered.
+        when: Time of the fault after torque on [s].
+        patience: Minimum reply timeout, by the wall clock [s]; where no reply is lost, a long one
+            makes the result independent of the computer's load.
     """
     options: dict[str, Any] = {"rate": RATE, "watchdog": mishap.watchdog}
     with stepped(mishap.family, arm=options, patience=patience) as (bus, arm):
@@ -195,7 +194,7 @@ def suffer(
 def _run(
     mishap: Mishap, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
 ) -> tuple[str, bool]:
-    """Control until it ends; return why, and whether torque is left."""
+    """Control until it ends; return the reason, and True if torque is left."""
     arm.enable()
     settings = pliant.Settings.soft("y")
     controller = pliant.Controller(arm.model, settings, arm.servos)
@@ -225,7 +224,7 @@ def _run(
     if mishap.after is not None:
         mishap.after(bus)
         arm.drive.close()
-        arm._keeper.owner, arm._opened = None, False
+        arm._supervisor.owner, arm._opened = None, False
         arm.enable()
         watcher.end()
         arm.lower()
@@ -236,7 +235,7 @@ def _run(
         except pliant.PliantError as error:
             reason = f"{reason}; {error}"
     torque = any(servo.get("torque_enable") for servo in bus.servos)
-    # What the arm does to a hand when its torque goes off is nobody's doing but ours.
+    # The force of the arm on a hand as its torque goes off is caused by this experiment.
     watcher.begun = np.inf
     with suppress(pliant.PliantError):
         arm.disable_torque()
@@ -244,20 +243,20 @@ def _run(
 
 
 class Grasp:
-    """A hand that takes hold of the tool where it is by then, and pulls it along y.
+    """A hand that takes hold of the tool at its present position, and pulls it along y.
 
-    A hand that is put beside a tool under way pulls it back to where it was: its own doing.
+    A hand placed beside a moving tool would pull it back to its earlier position.
     """
 
     at = TOOL
 
     def __init__(self, since: float) -> None:
-        """Nothing is held before `since` [s]."""
+        """Hold nothing before `since` [s]."""
         self._since = since
         self._hand: Drag | None = None
 
     def force(self, truth: Truth, t: float) -> tuple[Array, Array, Array]:
-        """The hand's force, torque and point of attack; see `pliant.sim.hand.Hand`."""
+        """Return the hand's force, torque and point of application; see `pliant.sim.hand.Hand`."""
         if self._hand is None and t >= self._since:
             self._hand = Drag(
                 axis="y",
@@ -275,13 +274,12 @@ class Grasp:
 
 
 def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> Allowed:
-    """Return what a hand along y may meet from now on.
+    """Return the bound of the force on a hand along y from now on.
 
-    The cap is that of the present deviation. Joints that turn also rub, `Σ_i |J⁺_iy| τ_f,i`, as
-    the report has it but with the true gears: those of the emulator rub twice as much as the
-    servos' tables say. And they drag, `Σ_i |J⁺_iy| (d_i + k_p,i T/2) |dq_i|`: by their damping, and
-    because goals that stand for a period T are half a period old in the mean. Feed-forward takes
-    much of the first two away.
+    The cap is that of the present deviation. Dry friction of turning joints adds `Σ_i |J⁺_iy|
+    τ_f,i`, as in the report but with the true gears: the emulator's have twice the friction of the
+    servos' tables. `Σ_i |J⁺_iy| (d_i + k_p,i T/2) |dq_i|` is their drag: damping, and goals that
+    are half a period T old on average. Feed-forward compensates much of the first two.
     """
     report = controller.report()
     y = report.axes.index("y")
@@ -300,7 +298,7 @@ def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> All
 
 
 def _gears(plant: Plant) -> tuple[Array, Array]:
-    """True dry friction [N·m] and damping [N·m·s/rad] of the joints (n,), with the servos' own."""
+    """Return true dry friction [N·m] and damping [N·m·s/rad] of joints and servos (n,)."""
     joints = plant.model.joint_names
     dofs = [plant.mj_model.joint(name).dofadr[0] for name in joints]
     servos = np.array([-plant.mj_model.actuator(name).biasprm[2] for name in joints])
@@ -308,7 +306,7 @@ def _gears(plant: Plant) -> tuple[Array, Array]:
 
 
 def table(only: str = "") -> list[str]:
-    """The table, as lines of Markdown, of mishaps whose title contains `only`."""
+    """Return the table, as lines of Markdown, of faults whose title contains `only`."""
     lines = [
         "| what happens | the arm | tool [m/s] | joint [rad/s] | drop [mm] | lowered at [m/s] | "
         "hand feels [N] | allowed [N] |",
@@ -322,7 +320,7 @@ def table(only: str = "") -> list[str]:
 
 
 def row(mishap: Mishap, alone: Outcome, held: Outcome) -> str:
-    """One row."""
+    """Return one row."""
     return (
         f"| {mishap.title} | {alone.ending} | {alone.speed:.2f} | {alone.joint:.2f} | "
         f"{1e3 * alone.drop:.1f} | {alone.lowered:.2f} | {held.force:.1f} | {held.allowed:.1f} |"

@@ -1,4 +1,4 @@
-"""The file of an experiment's numbers."""
+"""Files of an experiment's numbers."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def write_results(folder: Path, content: Mapping[str, Any]) -> Path:
-    """Write `results.json` into a folder, which is made where it is missing.
+    """Write `results.json` into a folder, which is created if missing.
 
     Args:
-        folder: Where to.
+        folder: Target folder.
         content: Numbers, texts, sequences and maps of them; NaN and infinity become null.
 
     Returns:
@@ -31,7 +31,7 @@ def write_results(folder: Path, content: Mapping[str, Any]) -> Path:
 
 
 def _plain(value: Any) -> Any:
-    """The same in JSON's types, which know neither NaN nor infinity."""
+    """Return the value in JSON's types, which have neither NaN nor infinity."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

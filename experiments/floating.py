@@ -1,8 +1,8 @@
-"""Float mode measured: ``python -m experiments.floating``.
+"""Hand guiding measured: ``python -m experiments.floating``.
 
-Random poses of every arm, k_p of the servos half, one and two times the believed one, encoder of
-0.088° and dead band of 0.06°: how far an arm that nobody touches drifts in 10 s, which force leads
-it, and how far it moves after the hand has let go.
+Random poses of every arm, k_p of the servos half, one and two times the assumed one, encoder of
+0.088° and dead band of 0.06°: drift of an untouched arm in 10 s, force to guide it, and motion
+after the hand has let go.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: How far joints creep that friction holds, over MuJoCo's default. By that, 1, they slide by up to
-#: some mrad/s: what a small arm then drifts is the simulator's.
+#: Creep speed of joints held by friction, relative to MuJoCo's default. With the default, 1, joints
+#: slide by up to some mrad/s, and the drift of a small arm is the simulator's.
 CREEP = 0.1
 COUNT, DEADBAND = float(np.deg2rad(0.088)), float(np.deg2rad(0.06))
-#: When the hand comes, by when it has gone its way, when it lets go, and the end [s].
+#: Times at which the hand comes, has completed its path, lets go, and the end [s].
 COMES, THERE, GONE, END = 22.0, 24.0, 25.0, 35.0
-#: How far it leads the tool of each arm along y [m].
+#: Distance by which it moves the tool of each arm along y [m].
 WAYS = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
 
 
 @dataclass(frozen=True)
 class Floated:
-    """What one arm did; lengths in m, forces in N.
+    """Result of one arm; lengths in m, forces in N.
 
     Attributes:
-        idle: Farthest the tool came in the 10 s after the first swing, untouched.
-        force: Median force of the hand while it leads the tool.
-        led: How far it got.
-        sag: Farthest the tool came in the 10 s after the hand let go.
+        idle: Largest displacement of the tool in the 10 s after the first swing, untouched.
+        force: Median force of the hand while it moves the tool.
+        led: Distance that the hand moved it.
+        sag: Largest displacement of the tool in the 10 s after the hand let go.
         later: The same without the first second.
     """
 
@@ -55,14 +55,14 @@ class Floated:
 def floated(
     name: str, pose: int, kp_scale: float, *, known: bool = False, creep: float = CREEP
 ) -> Floated:
-    """Let an arm float: alone for 10 s, then led along y and left again.
+    """Run an arm under hand guiding: untouched for 10 s, then moved along y and released.
 
     Args:
         name: Arm.
         pose: Index among its random poses.
-        kp_scale: True over believed stiffness.
-        known: Whether the table claims that k_p is known.
-        creep: How fast joints slide that friction should hold, over MuJoCo's default.
+        kp_scale: True over assumed stiffness.
+        known: True if the table claims that k_p is known.
+        creep: Creep speed of joints held by friction, relative to MuJoCo's default.
     """
     arm = load(name)
     q = arm.poses(pose + 1)[pose]
@@ -111,13 +111,13 @@ def floated(
 
 @dataclass(frozen=True)
 class Options:
-    """Measure the float mode; figures are median / 95th percentile / worst over the poses.
+    """Measure hand guiding; figures are median / 95th percentile / worst over the poses.
 
     Attributes:
-        arm: Arms by name; by default all of ours.
+        arm: Arms by name; default all built-in ones.
         poses: Random poses of each.
-        jobs: Processes at once.
-        creep: How fast joints slide that friction should hold, over MuJoCo's default.
+        jobs: Number of processes.
+        creep: Creep speed of joints held by friction, relative to MuJoCo's default.
     """
 
     arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()

@@ -1,7 +1,7 @@
-"""The physics goals of the package in one table, each row with the preset that reaches it.
+"""Physics goals of the package in one table, each row with the preset that reaches it.
 
 Two columns of conditions: 100 Hz without delay and everything known, and a tick of delay each way
-with friction and damping known to 30 % (the worst of believing 0.7, 1 and 1.3 times the true ones).
+with friction and damping known to 30 % (the worst of assuming 0.7, 1 and 1.3 times the true ones).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ UNCERTAIN = tuple(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """What a figure is to be.
+    """Range of a figure.
 
     Attributes:
         low, high: Bounds, both included.
@@ -37,11 +37,11 @@ class Goal:
     high: float = np.inf
 
     def __contains__(self, value: float) -> bool:
-        """Whether a value lies within the bounds."""
+        """Return True if a value lies within the bounds."""
         return self.low <= value <= self.high
 
     def __str__(self) -> str:
-        """The bounds as people write them."""
+        """Return the bounds as text."""
         if np.isinf(self.low) and np.isinf(self.high):
             return "report"
         if np.isinf(self.low):
@@ -56,12 +56,12 @@ class Row:
     """One line of the table.
 
     Attributes:
-        scenario: What was tried.
+        scenario: The experiment.
         preset: The settings that reached it, as a call in `laws`.
-        figure: What was measured, with its unit.
+        figure: The measured figure, with its unit.
         reached, goal: Without delay, everything known.
         reached_uncertain, goal_uncertain: A tick each way, friction known to 30 %; NaN and None
-            where there is no goal.
+            without a goal.
     """
 
     scenario: str
@@ -74,14 +74,14 @@ class Row:
 
     @property
     def met(self) -> bool:
-        """Whether every goal of the line is reached."""
+        """True if every goal of the line is reached."""
         second = self.goal_uncertain
         return self.reached in self.goal and (second is None or self.reached_uncertain in second)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Entry:
-    """One experiment: how it is measured, and the goals of its figures in both columns."""
+    """One experiment: its measurement, and the goals of its figures in both columns."""
 
     scenario: str
     preset: str
@@ -114,7 +114,7 @@ class _Entry:
 
 
 def _worst(values: list[float], goal: Goal) -> float:
-    """The value farthest outside, or nearest to the edge of, a goal; without one the largest."""
+    """Return the value farthest outside a goal, or closest to its edge; else the largest."""
     if np.isinf(goal.low) and np.isinf(goal.high):
         return max(values)
     return max(values, key=lambda value: max(goal.low - value, value - goal.high))
@@ -158,9 +158,9 @@ _ENTRIES = (
         measure=merits.light(laws.cap()),
         goals={"force [N]": _most(5.6, 7.5), "drift [mm]": (Goal(high=2.3), _FREE)},
     ),
-    # K_x h = 1.2, the most that a tick each way allows: 3.3 instead of 4.04 mm of drift where
-    # friction is overrated, for 0.1 N. No one value keeps all four bounds: at 1.1 it is 2.32 mm
-    # where all is known, from 1.15 on 5.61 N.
+    # K_x h = 1.2, the bound with a tick each way: 3.3 instead of 4.04 mm of drift with
+    # overestimated friction, for 0.1 N. No single value keeps all four bounds: at 1.1 it is 2.32 mm
+    # with everything known, from 1.15 on 5.61 N.
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap(tracking.gain=4.8)",
@@ -266,7 +266,7 @@ _ENTRIES = (
 
 
 def creeping(conditions: Conditions, creep: float) -> Conditions:
-    """The same with joints that creep so fast where dry friction should hold."""
+    """Return the same conditions with this creep speed of joints held by dry friction."""
     return conditions if creep == 1.0 else conditions.with_plant(creep=creep)
 
 
@@ -276,7 +276,7 @@ def table(only: str = "", creep: float = 1.0) -> list[Row]:
 
 
 def text(rows: list[Row]) -> str:
-    """The table for a terminal or a Markdown page."""
+    """Return the table for a terminal or a Markdown page."""
     lines = [
         "| scenario | preset | figure | goal | reached | goal, uncertain | reached | met |",
         "|---|---|---|---|---|---|---|---|",
@@ -297,8 +297,8 @@ class Options:
 
     Attributes:
         only: Rows whose scenario contains this.
-        creep: How fast joints slide that friction should hold, over MuJoCo's default; but for 1,
-            caps are tried in a tenth of the poses, and rates are left out.
+        creep: Creep speed of joints held by friction, relative to MuJoCo's default; except for 1,
+            caps are measured in a tenth of the poses, and rates are left out.
     """
 
     only: Annotated[str, tyro.conf.Positional] = ""

@@ -1,4 +1,4 @@
-"""A hand drags, pushes, taps, or leaves the arm alone."""
+"""A hand drags, pushes or taps, or leaves the arm alone."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Law = pliant.Settings | FromModel
 
-#: A 15 N hand that takes 4 s for 0.08 m: what dry friction costs.
+#: A 15 N hand that takes 4 s for 0.08 m: the effect of dry friction.
 SLOW = Drag(distance=0.08, course=Course(start=2.0, rise=4.0, end=6.5))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dragged:
-    """What a hand met that dragged one axis from 2 to 5 s and then let go.
+    """Result of a hand that drags one axis from 2 to 5 s and then lets go.
 
     Attributes:
         moved: Largest change of the dragged axis since the hand came, while it pulls [m or rad].
@@ -40,11 +40,11 @@ class Dragged:
         peak: The same of any physics step.
         held: Mean force while the hand holds still, along the axis; positive: toward + [N or N·m].
         position: Largest deviation of the other positions while the hand pulls [m].
-        drift: The same, from where they were when the hand came [m].
+        drift: The same, relative to their values when the hand came [m].
         rotation: Largest deviation of the other rotations [rad].
-        back: Where the axis is 1 s after the release, from its start, without sign.
-        end: Where it is at the end.
-        stays: How far it moves from its farthest place until the end.
+        back: Distance of the axis from its start 1 s after the release, unsigned.
+        end: The same at the end.
+        stays: Distance from its farthest position to the end.
         fastest: Largest speed of a joint after the release [rad/s].
         trace: The run.
     """
@@ -75,11 +75,11 @@ def drag(
     """Let a hand drag the arm away from a constant target and let go.
 
     Args:
-        law: Settings of our controller, or one that is not ours.
+        law: Settings of a controller, or a baseline.
         hand: The hand; its axis is a name.
         q: Start (7,) [rad]; the target is the tool's pose there.
         duration: Length of the run [s].
-        conditions: Loop, bus and beliefs.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.
@@ -112,19 +112,19 @@ def drag(
 
 
 def opposite(hand: Drag) -> Drag:
-    """The same hand, pulling the other way."""
+    """Return the same hand, pulling the other way."""
     return replace(hand, distance=-hand.distance)
 
 
 def _grip(time: float, plant: Plant) -> None:
-    """Let the hand count its way from where the arm is when it comes."""
+    """Let the hand measure its distance from the arm's position when it comes."""
     if abs(time - metrics.PULLING[0]) < 0.5 * plant.period:
         plant.truth.remember()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pushed:
-    """What a constant push did.
+    """Result of a constant push.
 
     Attributes:
         moved: Largest change along the push [m].
@@ -147,11 +147,11 @@ def push(
     """Push with a constant force [N] along a base axis: up in 2 to 3 s, gone at 5 s.
 
     Args:
-        law: Settings of our controller, or one that is not ours.
+        law: Settings of a controller, or a baseline.
         force: The force, with its sign [N].
         axis: Base axis.
         at: Frame that is pushed, `wrist` or `tool`.
-        conditions: Loop, bus and beliefs.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.
@@ -172,7 +172,7 @@ def push_stiff(law: Law, axis: str, size: float, *, conditions: Conditions = NOM
     """Push the tool along or about an axis with a constant `size` [N or N·m].
 
     Returns:
-        How far that axis gives [m or rad]: mean of 3 to 3.9 s, in the direction of the push.
+        Deviation of that axis [m or rad]: mean of 3 to 3.9 s, in the direction of the push.
     """
     index = AXES.index(axis)
     vector = tuple(size * np.eye(3)[index % 3])
@@ -190,7 +190,7 @@ def tapped(law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = 
     """Tap the tool along a base axis at 1 s.
 
     Returns:
-        Rms speed of the joints from 4 to 6 s [rad/s]: what a loop that rings keeps up.
+        Rms speed of the joints from 4 to 6 s [rad/s], which stays large if the loop oscillates.
     """
     hand = tap(tuple(force * np.eye(3)[AXES.index(axis)]))
     trace = run(conditions.build(hand), conditions.controller(law), tool(VERTICAL), 6.0, q=VERTICAL)
@@ -199,7 +199,7 @@ def tapped(law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = 
 
 @dataclass(frozen=True, kw_only=True)
 class Idle:
-    """What the arm does when nobody touches it.
+    """Motion of an untouched arm.
 
     Attributes:
         error: Distance of the tool from its target at the end [m].

@@ -1,4 +1,4 @@
-"""The host dies: the servos keep their last goals and limits, and a hand comes."""
+"""Host loss: the servos keep their last goals and limits, and a hand comes."""
 
 from __future__ import annotations
 
@@ -22,19 +22,18 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: When the bus falls silent, and how long the hand takes for its way [s].
+#: Time at which the bus falls silent, and duration of the hand's motion [s].
 DEATH, RISE = 1.9, 7.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Survived:
-    """What a hand felt that moved an arm whose host had died.
+    """Force on a hand that moved an arm after a host loss.
 
     Attributes:
         force: Largest force against the hand, mean over a tick [N].
-        formula: min over the joints of (L + τ_f + s g)/|a|, a = Jᵀd, at the pose where that force
-            was felt [N].
-        moved: How far the tool moved between the death and the hand, or without a hand at all [m].
+        formula: min over the joints of (L + τ_f + s g)/|a|, a = Jᵀd, at the pose of that force [N].
+        moved: Motion of the tool between the host loss and the hand, or without a hand at all [m].
         trace: The run.
     """
 
@@ -45,7 +44,7 @@ class Survived:
 
 
 def static_force(q: Array, limit: Array, direction: Array) -> float:
-    """Push at the tool under which the first joint gives way.
+    """Return the push at the tool under which the first joint gives way.
 
     Args:
         q: Posture (n,) [rad].
@@ -68,9 +67,9 @@ def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) 
     """Silence the bus at 1.9 s, then let a strong hand move the tool by 0.15 m within 7.5 s.
 
     Args:
-        law: Settings of our controller, or one that is not ours.
+        law: Settings of a controller, or a baseline.
         push: Sign and axis of the hand, None for no hand.
-        conditions: Loop, bus and beliefs.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.

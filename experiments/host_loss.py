@@ -1,9 +1,9 @@
-"""The host dies in the middle of its work, and a hand comes: what it meets, against the report.
+"""Force on a hand after a host loss in mid-motion, against the report.
 
-``python -m experiments.host_loss`` lets every arm follow a moving target in random poses,
-half of them while a hand leans on the yielding axis, freezes goals and limits, and then drags the
-tool along every axis of the task, both ways, by 0.15 m or 0.4 rad. What the hand meets at most is
-compared with ``report().host_loss_force``, taken from the last step before the death.
+``python -m experiments.host_loss`` lets every arm follow a moving target in random poses, half of
+them while a hand leans on the yielding axis, freezes goals and limits, and then drags the tool
+along every axis of the task, both ways, by 0.15 m or 0.4 rad. The largest force on the hand is
+compared with ``report().host_loss_force`` of the last step.
 """
 
 from __future__ import annotations
@@ -31,34 +31,35 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: How far the hand goes, as far as the report looks, and how long it takes [m, rad; s].
+#: Distance of the hand, as in the report, and its duration [m, rad; s].
 TRAVEL, TAKES = (0.15, 0.4), 6.0
-#: The work: speed of the target [m/s], how long it goes on before the death [s].
+#: The motion: speed of the target [m/s], duration before the host loss [s].
 SPEED, WORK = 0.1, (0.6, 1.2)
-#: How far a hand leans on the yielding axis meanwhile [m], and the time the arm is left alone [s].
+#: Displacement by a hand that leans on the yielding axis meanwhile [m], and time without a hand
+#: [s].
 LEAN, ALONE = 0.04, 0.5
-#: The most that the hand gives on `arm7` [N, N·m]; others are stronger by their capacity.
+#: Largest force of the hand on `arm7` [N, N·m]; on others it scales with their capacity.
 HAND = (80.0, 6.0)
 #: Poses of `arm7` and of the others.
 POSES, OTHERS = 24, 8
-#: What issue and faults page allow beyond the report [N, N·m].
+#: Allowance above the report [N, N·m].
 BEYOND = (3.0, 0.3)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Met:
-    """One push on a dead arm.
+    """One push after a host loss.
 
     Attributes:
         arm: By name.
         pose: Index among the arm's poses.
         axis: Name.
         sign: Direction of the push.
-        leaned: Whether a hand leaned on the arm when it died.
+        leaned: True if a hand leaned on the arm at the host loss.
         said: `report().host_loss_force` of the last step [N or N·m].
-        felt: The most that the hand met [N or N·m].
-        at: How far it had gone then [m or rad].
-        hand: The most that it has [N or N·m].
+        felt: Largest force on the hand [N or N·m].
+        at: Distance of the hand at that force [m or rad].
+        hand: Largest force of the hand [N or N·m].
     """
 
     arm: str
@@ -73,27 +74,27 @@ class Met:
 
     @property
     def walled(self) -> bool:
-        """Whether the hand could not move the arm on, and the report did not expect it to."""
+        """True if the hand could not move the arm, and the report predicted that."""
         return self.felt >= self.hand and self.said >= self.hand
 
     @property
     def ratio(self) -> float:
-        """Felt over said."""
+        """Felt over reported."""
         return self.felt / self.said
 
     @property
     def above(self) -> float:
-        """Felt less said [N or N·m]."""
+        """Felt minus reported [N or N·m]."""
         return self.felt - self.said
 
     @property
     def allowed(self) -> bool:
-        """Whether it is within what may come on top."""
+        """True if it is within the allowance."""
         return self.above <= BEYOND[AXES.index(self.axis) // 3]
 
 
 class Bench:
-    """An arm that works and dies; made once for all its poses."""
+    """An arm that works and loses its host; made once for all its poses."""
 
     def __init__(self, arm: Arm, settings: pliant.Settings | None = None) -> None:
         """Build plant, hand and controller; by default y yields (x on an arm without y)."""
@@ -114,7 +115,7 @@ class Bench:
         return [self.push(pose, axis, sign) for axis in self.arm.axes for sign in (1.0, -1.0)]
 
     def push(self, pose: int, axis: str, sign: float) -> Met:
-        """Work, die, and be pushed."""
+        """Work, lose the host, and be pushed."""
         leans = bool(pose % 2)
         report = self._work(pose, leans=leans)
         row, kind = AXES.index(axis), AXES.index(axis) // 3
@@ -133,7 +134,7 @@ class Bench:
         )
 
     def _work(self, pose: int, *, leans: bool) -> pliant.feasibility.PoseReport:
-        """Follow a moving target until the host dies; the report of the last step."""
+        """Follow a moving target until the host loss; return the report of the last step."""
         rng = np.random.default_rng((pose, 7))
         way, death, lean = rng.standard_normal(3), rng.uniform(*WORK), rng.choice((-LEAN, LEAN))
         q = self.arm.poses(pose + 1)[pose]
@@ -153,7 +154,7 @@ class Bench:
         return controller.report()
 
     def drag(self, row: int, way: float) -> tuple[float, float]:
-        """Drag the dead arm along one axis; the most that it took, and where."""
+        """Drag the arm along one axis; return the largest force and its distance."""
         plant, grip = self.plant, self.grip
         grip.hold([])
         plant.advance(round(ALONE / plant.dt))
@@ -161,7 +162,8 @@ class Bench:
         grip.hold([row])
         most, at, gone, start = -np.inf, 0.0, 0.0, plant.tool
         while abs(gone) < abs(way) and most < self.hand[row // 3]:
-            # The hand's spring takes part of its way: it goes on until the tool has gone it.
+            # The hand's spring takes part of the distance: it moves on until the tool has covered
+            # it.
             grip.move(row, way / TAKES)
             plant.advance()
             gone = float(pliant.functional.pose_error(start, plant.tool)[row])
@@ -186,12 +188,12 @@ class Job:
     pose: int
 
     def run(self) -> list[Met]:
-        """All pushes."""
+        """Run all pushes."""
         return _bench(self.arm).pushes(self.pose)
 
 
 def text(found: Sequence[Met]) -> str:
-    """Figures per arm, translations and rotations apart, as Markdown."""
+    """Return figures per arm, translations and rotations apart, as Markdown."""
     lines = [
         "| arm | pushes | walled | felt/said: 5th % | median | 95th % | most "
         "| felt − said: 95th % | most | within the allowance % |",
@@ -216,13 +218,13 @@ def text(found: Sequence[Met]) -> str:
 
 @dataclass(frozen=True)
 class Options:
-    """Drag arms whose host has died.
+    """Drag arms after a host loss.
 
     Attributes:
         poses: Poses of arm7; other arms have a third.
-        arm: Arms by name; by default those that ship with the package.
-        jobs: Processes at once.
-        out: File for every push, as JSON; none by default.
+        arm: Arms by name; default those that ship with the package.
+        jobs: Number of processes.
+        out: File for every push, as JSON; default no file.
     """
 
     poses: int = POSES
@@ -232,7 +234,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Run what these options ask for, print the table."""
+    """Run the requested arms, print the table."""
     names = options.arm or robots.names()
     work = [
         Job(name, pose)
@@ -246,7 +248,7 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    # Other processes find this module's jobs by its name, not as `__main__`.
+    # Other processes import this module's jobs by its name, not as `__main__`.
     from experiments import host_loss  # noqa: PLW0406 -- by name
 
     host_loss.main(tyro.cli(host_loss.Options))

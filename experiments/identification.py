@@ -1,6 +1,6 @@
-"""Identification against the truth: ``python -m experiments.identification``.
+"""Accuracy of identification: ``python -m experiments.identification``.
 
-Every arm of ours identifies itself under one disturbance at a time and under several at once; then
+Every built-in arm identifies itself under one disturbance at a time and under several at once; then
 drag and door of `arm7` with a wrong servo table, with the identified one, and with the true one.
 """
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Where each arm starts (n,) [rad], and what it can lift with ease [kg].
+#: Start of each arm (n,) [rad], and a payload that it lifts with ease [kg].
 STARTS = {
     "arm7": np.asarray(VERTICAL),
     "so101": np.array([0.2, -0.3, 0.3, 0.9, 0.0]),
@@ -39,7 +39,7 @@ GEARS = {
     "so101": STS3215,
     "koch": STS3215,
 }
-#: Options of the plant under each name; `lift` is the share of what the arm can lift.
+#: Options of the plant under each name; `lift` is a share of that payload.
 CASES: dict[str, dict[str, Any]] = {
     "as the table": {},
     "k_p × 0.8": {"kp_scale": 0.8},
@@ -66,19 +66,19 @@ CASES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What one identification found, beside the truth; (n,) per joint.
+    """Result of one identification against the true values; (n,) per joint.
 
     Attributes:
         arm, case: Names.
-        kp, friction, damping: Found over true. Damping is everything that grows with speed.
+        kp, friction, damping: Identified over true. Damping is everything that grows with speed.
         kp_bars: Errors of k_p in their own standard deviations.
         loaded: Joints whose gravity exceeds three times their friction at the start.
-        delay: Found less true [s].
-        mass, mass_bars: Found less true [kg], and in its own standard deviations.
+        delay: Identified minus true [s].
+        mass, mass_bars: Identified minus true [kg], and in its own standard deviations.
         centre: Distance of the centre from the true one [m]; NaN without a payload.
         spread: Residuals over what friction and encoder explain.
         seconds: Duration on the arm [s].
-        found: All of it.
+        found: The complete result.
     """
 
     arm: str
@@ -98,7 +98,7 @@ class Outcome:
 
 
 def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
-    """An arm that differs from its table as the case says, with coarse encoders."""
+    """Return an arm that differs from its table according to the case, with coarse encoders."""
     options = dict(CASES[case])
     lift, gears = options.pop("lift", 0.0), options.pop("gears", False)
     if lift:
@@ -111,12 +111,12 @@ def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
 
 
 def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> Outcome:
-    """Let an arm identify itself and compare with the truth.
+    """Let an arm identify itself, and compare with the true values.
 
     Args:
         arm: Name in `STARTS`.
         case: Name in `CASES`.
-        span: How far poses may be from the start [rad].
+        span: Largest distance of poses from the start [rad].
         rate: Control rate [Hz].
     """
     body = plant(arm, case, rate)
@@ -152,7 +152,7 @@ def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> O
 
 
 def believed(model: pliant.Model) -> pliant.Servos:
-    """The table an identification starts from: that of the arm, its k_p not to be trusted."""
+    """Return the initial table of an identification: that of the arm, with k_p unknown."""
     if model.servos is None:
         raise pliant.ConfigError(f"{model.name} has no servos")
     return model.servos.replace(encoder_step=COUNT, stiffness_known=False)
@@ -160,11 +160,11 @@ def believed(model: pliant.Model) -> pliant.Servos:
 
 @dataclass(frozen=True, kw_only=True)
 class Believing(Conditions):
-    """Conditions under which the controller believes a table that was found, or a wrong one.
+    """Conditions in which the controller assumes an identified or a wrong table.
 
     Attributes:
-        table: What it believes of the servos.
-        known_delay: What it believes of the delay [s].
+        table: Servo parameters that it assumes.
+        known_delay: Delay that it assumes [s].
     """
 
     table: pliant.Servos
@@ -175,17 +175,17 @@ class Believing(Conditions):
         return self.table
 
     def controller(self, law: Any) -> Any:
-        """A controller with these beliefs."""
+        """Make a controller with these assumptions."""
         settings = law.replace(rate=self.rate, delay=self.known_delay, accept_high_adaptation=True)
         return pliant.Controller(robots.arm7(), settings, self.table)
 
 
-#: How wrong the table of `arm7` is in the rows before and after.
+#: Errors of the table of `arm7` in the rows before and after.
 WRONG: dict[str, Any] = {"kp_scale": 1.25, "friction_scale": 1.4, "damping_scale": 1.3}
 
 
 def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
-    """Drag and door, η 0.999, a tick each way: by a wrong table, identified, and known exactly."""
+    """Measure drag and door, η 0.999, a tick each way: wrong table, identified, known exactly."""
     delay, options = (1, 1), {**WRONG, "count": COUNT}
     body = Plant(robots.arm7(), delay=delay, **options)
     body.reset(STARTS["arm7"])
@@ -222,7 +222,7 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
 
 
 def line(one: Outcome) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
 
     def percent(values: Array) -> str:
         off = 100.0 * np.abs(values - 1.0)
@@ -248,13 +248,13 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Options:
-    """Identify simulated arms and compare with the truth; errors are median / worst over joints.
+    """Identify simulated arms; errors against the true values are median / worst over joints.
 
     Attributes:
-        arm: Arms by name; by default all of ours.
-        span: How far poses may be from the start [rad].
-        jobs: Processes at once.
-        rows: Whether drag and door before and after join in.
+        arm: Arms by name; default all built-in ones.
+        span: Largest distance of poses from the start [rad].
+        jobs: Number of processes.
+        rows: True: drag and door before and after are included.
     """
 
     arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()

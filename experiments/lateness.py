@@ -1,8 +1,8 @@
-"""What a page and a log cost the loop: lateness with each off and on, in one run.
+"""Cost of a page and a log to the loop: lateness with each off and on, in one run.
 
-``python -m experiments.lateness [--seconds 10] [--rounds 3]`` controls an SO-101 over
-emulated bytes at 100 Hz, in turns: bare, with the page (its process, thirty snapshots a second, and
-a client that takes all that the page sends), with the log, with both. It prints the table.
+``python -m experiments.lateness [--seconds 10] [--rounds 3]`` controls an SO-101 over emulated
+bytes at 100 Hz, in turns: bare, with the page (its process, thirty snapshots a second, and a client
+that reads all that the page sends), with the log, with both. It prints the table.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
 from pliant import config
-from pliant.arm.lateness import Lateness
+from pliant.loop import LatenessHistogram
 from pliant.view.link import Link
 from pliant.view.orders import Stop
 from pliant.view.session import Session
@@ -33,32 +33,32 @@ if TYPE_CHECKING:
 
 #: Control rate [Hz].
 RATE = 100.0
-#: A busy machine shall not end a run [s].
+#: Timeout long enough that a busy machine does not end a run [s].
 PATIENCE = 30.0
 
 
 @dataclass
 class Way:
-    """One way to run.
+    """One combination of page and log.
 
     Attributes:
-        page, log: Whether they are on.
+        page, log: True if it is on.
         late: Lateness of all its ticks.
         missed: Ticks skipped.
         sent: Snapshots that the page took.
-        seconds: How long it ran [s].
+        seconds: Duration [s].
     """
 
     page: bool
     log: bool
-    late: Lateness = field(default_factory=Lateness)
+    late: LatenessHistogram = field(default_factory=LatenessHistogram)
     missed: int = 0
     sent: int = 0
     seconds: float = 0.0
 
     @property
     def name(self) -> str:
-        """In words."""
+        """Its description."""
         return {
             (False, False): "bare",
             (True, False): "page",
@@ -68,31 +68,31 @@ class Way:
 
 
 class Timed:
-    """A link that asks for the end after some time, counts, and can be nobody's."""
+    """A link that requests a stop after some time, and counts; it works without a page."""
 
     def __init__(self, link: Link | None, ticks: int) -> None:
-        """Count from now on."""
+        """Start the time."""
         self._link, self._left, self.sent = link, ticks, 0
 
     def orders(self) -> list[Order]:
-        """Of the page, and the stop."""
+        """Return orders of the page, and the stop."""
         self._left -= 1
         heard = [] if self._link is None else self._link.orders()
         return [*heard, Stop()] if self._left == 0 else heard
 
     def due(self) -> bool:
-        """As the page has it; never without one."""
+        """Return True if a snapshot is due; never without a page."""
         return self._link is not None and self._link.due()
 
     def send(self, word: Any) -> None:
-        """To the page."""
+        """Send to the page."""
         if self._link is not None:
             self.sent += 1
             self._link.send(word)
 
 
 def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
-    """Control the arm one way, and count."""
+    """Control the arm in one combination, and count."""
     source = Configured(
         config.load("so101", backend="emulator"),
         on_exit="leave_enabled",
@@ -112,7 +112,7 @@ def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
 
 @contextlib.contextmanager
 def client(link: Link) -> Iterator[None]:
-    """A process that takes everything the page sends, as a browser does, and draws nothing."""
+    """Return a process that reads all that the page sends, as a browser does, without drawing."""
     command = [sys.executable, "-m", "experiments.lateness", "--client", link.address]
     with subprocess.Popen(command) as process:
         try:
@@ -122,11 +122,11 @@ def client(link: Link) -> Iterator[None]:
 
 
 def take_all(address: str) -> None:
-    """The client."""
+    """Run the client."""
     import viser
     from websockets.sync.client import connect
 
-    # It is elsewhere in life, and shall not take the loop's processor here.
+    # A real client runs on another machine, so it must not take the loop's processor here.
     os.nice(19)
     parts = urlsplit(address)
     with connect(

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     Steps = tuple[float, float]
 
 NONE = float("inf")
-#: Neither a speed limit of the tool nor a stiffening rate.
+#: No tool speed limit, no stiffening rate.
 UNBLURRED: Mapping[str, Any] = {
     "max_tool_speed": (NONE, NONE),
     "torque_limits": TorqueLimits(stiffening_time=0.0),
 }
 #: Damping of the J⁺ forms: λ₀, σ₀, λ_max.
 JACOBIAN_DAMPING = (0.02, 0.15, 0.2)
-#: Force of a soft rotation at small deviations that still tracks [N·m].
+#: Soft rotation force at small deviations that still tracks [N·m].
 TRACKING_TORQUE = 0.84
 #: Steps of stiff and soft axes: [m/s], [rad/s].
 STIFF_STEPS: Steps = (0.4, 2.0)
@@ -47,7 +47,7 @@ SOFT_STEPS_WITHOUT_GRAVITY: Steps = (0.1, 0.5)
 NO_STEPS: Steps = (NONE, NONE)
 #: Steps near the edge of the workspace.
 EDGE_STEPS: Steps = (0.1, 0.5)
-#: A budget [N·m] beyond what any servo has: its limit is then its maximum.
+#: A budget [N·m] above any servo's torque: its limit is then its maximum.
 UNLIMITED = 1e3
 
 
@@ -67,7 +67,7 @@ def paper(
         torque: Budget T of each axis [N·m].
         soft: Axes that yield, by name; "" for none.
         eta: Target adaptation of these.
-        gravity: Whether goals and limits contain gravity.
+        gravity: True if goals and limits contain gravity.
         steps: Step limits of stiff axes [m/s, rad/s].
         soft_steps: The same of soft axes.
         **more: Further settings.
@@ -102,30 +102,30 @@ def paper(
 
 
 def limits_only(torque: float = 6.0, *, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
-    """The literal reading: budgets [N·m] in the limits, nothing that bounds the goals."""
+    """Return the literal reading: budgets [N·m] in the limits, unbounded goals."""
     return paper(torque, soft=soft, eta=eta, steps=NO_STEPS, soft_steps=NO_STEPS, **more)
 
 
 def rec(torque: float = 8.0, *, soft: str = "y", eta: float = 0.999, **more: Any) -> Settings:
-    """`paper` with gravity in goals and limits and soft steps of 0.05 m/s, 0.25 rad/s."""
+    """Return `paper` with gravity in goals and limits and soft steps of 0.05 m/s, 0.25 rad/s."""
     options = {"gravity": True, "soft_steps": SOFT_STEPS, **more}
     return paper(torque, soft=soft, eta=eta, **options)
 
 
 def task(torque: float = 8.0, *, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
-    """`rec` with A τˣ enforced axis by axis on the goal too."""
+    """Return `rec` with A τˣ enforced axis by axis on the goal too."""
     settings = rec(torque, soft=soft, eta=eta, **more)
     return settings.replace(paper_options=PaperOptions(budget_on_goal=True))
 
 
 def rows_free(torque: float = 8.0, *, soft: str = "y", eta: float = 0.999, **more: Any) -> Settings:
-    """`rec` whose soft rows leave the inverse kinematics of the stiff ones."""
+    """Return `rec` with soft rows outside the inverse kinematics of the stiff ones."""
     settings = rec(torque, soft=soft, eta=eta, **more)
     return settings.replace(paper_options=PaperOptions(follow="free"))
 
 
 def all_stiff(**more: Any) -> Settings:
-    """Task-space control with full torque in every axis."""
+    """Return task-space control with full torque in every axis."""
     return rec(UNLIMITED, soft="", **more)
 
 
@@ -141,7 +141,7 @@ def cap(
         **more: Further settings.
 
     Returns:
-        Settings as a user gets them, less tool speed limit and stiffening rate.
+        The default settings without tool speed limit and stiffening rate.
     """
     yielding = Axis(**{"yields": "both", "adaptation": eta, **(axis or {})})
     axes = {soft: yielding} if soft else {}
@@ -166,7 +166,7 @@ def impedance(
         **more: Further settings.
 
     Returns:
-        Settings as a user gets them, less tool speed limit and stiffening rate.
+        The default settings without tool speed limit and stiffening rate.
     """
     axes: dict[str, Axis] = {}
     for index, name in enumerate(AXES):
@@ -179,20 +179,20 @@ def impedance(
 
 
 def cap_tracking(*, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
-    """`cap` for a soft axis that is to follow its target though friction is known to 30 % only.
+    """Return `cap` for a soft axis that follows its target though friction is known to 30 % only.
 
-    What is left of the joints' friction must not use up the force that a soft rotation has.
+    The uncompensated friction must not exceed the force of a soft rotation.
     """
     axis = {"soft": TRACKING_TORQUE} if soft in AXES[3:] else None
     return cap(soft=soft, eta=eta, axis=axis, **more)
 
 
 def cap_at_edge(**more: Any) -> Settings:
-    """`cap` without a soft axis, with the small steps that the edge of the workspace asks for."""
+    """Return `cap` without a soft axis, with small steps for the edge of the workspace."""
     axes = {"xyz": Axis(max_velocity=EDGE_STEPS[0]), "rpy": Axis(max_velocity=EDGE_STEPS[1])}
     return cap(soft="", axes=axes, **more)
 
 
 def rec_at_edge(torque: float = 8.0, **more: Any) -> Settings:
-    """`rec` without a soft axis, with the small steps that the edge of the workspace asks for."""
+    """Return `rec` without a soft axis, with small steps for the edge of the workspace."""
     return rec(torque, soft="", steps=EDGE_STEPS, **more)

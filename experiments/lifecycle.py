@@ -1,4 +1,4 @@
-"""What an arm does when it is lowered, and when things go wrong: the tables of docs/lifecycle.md.
+"""Descents, and reactions of an arm to faults: the tables of docs/lifecycle.md.
 
 ``python -m experiments.lifecycle [poses]`` prints them.
 """
@@ -26,25 +26,25 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: The load that the model does not know [kg], and the table below the lower of tool and wrist [m].
+#: Unknown load [kg], and the table below the lower of tool and wrist [m].
 LOAD, TABLE = 0.3, 0.10
-#: Share of the usable torque that holding arm and load may take in a pose drawn at random.
+#: Share of the usable torque that holding arm and load may take in a random pose.
 HOLDS = 0.9
-#: How long the arm is watched after its torque is off [s].
+#: Observation time after torque off [s].
 AFTER = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lowered:
-    """One descent.
+    """Result of one descent.
 
     Attributes:
         speed: Highest speed of the tool until torque was off [m/s].
-        rise: How far the tool rose above its start until then [m].
+        rise: Rise of the tool above its start until then [m].
         after: Highest speed within the second after [m/s].
         force: Largest mean over a tick of the force on one point of the table [N].
         resting: Force on the table a second after torque was off: the weight that rests there [N].
-        seconds: How long it took.
+        seconds: Duration.
     """
 
     speed: float
@@ -67,21 +67,21 @@ def lower(
     stiffness_known: bool = True,
     blind: bool = False,
 ) -> Lowered:
-    """Enable an arm in q (n,) [rad], let it hold for half a second, and lower it.
+    """Enable an arm in q (n,) [rad], hold it for half a second, and lower it.
 
     Args:
         q: Posture (n,) [rad].
-        load: Mass at the tool that nobody told the arm of [kg].
-        over_table: Put a table 0.10 m below the lower of tool and wrist.
+        load: Unknown mass at the tool [kg].
+        over_table: True: a table 0.10 m below the lower of tool and wrist.
         ticks: Delay of readings, and of writes, at 100 Hz.
-        rest: Where to go first (n,) [rad].
+        rest: First target (n,) [rad].
         robot: A built-in arm.
-        kp_scale: True over believed stiffness of the servos.
-        stiffness_known: Whether the arm is told that it is known within 10 %.
-        blind: Let no position arrive any more.
+        kp_scale: True over assumed stiffness of the servos.
+        stiffness_known: True if the arm assumes that it is known within 10 %.
+        blind: True: no more positions arrive.
 
     Returns:
-        What happened.
+        The result.
     """
     model = robots.load(robot)
     plant = Plant(
@@ -127,7 +127,7 @@ def lower(
 
 
 def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LOAD) -> list[Array]:
-    """Random postures (n,) [rad] inside the limits in which the arm can hold itself and a load."""
+    """Return random postures (n,) [rad] in which the arm can hold itself and a load."""
     model, heavy = robots.load(robot), robots.load(robot, payload=(load, (0.0, 0.0, 0.0)))
     assert model.servos is not None
     usable = np.asarray(model.servos.max_torque)
@@ -158,7 +158,7 @@ CASES: tuple[tuple[str, dict[str, object]], ...] = (
 
 
 class Pressed(Protocol):
-    """What came of a descent over a table."""
+    """Result of a descent over a table."""
 
     @property
     def force(self) -> float:
@@ -166,11 +166,11 @@ class Pressed(Protocol):
 
     @property
     def resting(self) -> float:
-        """What rests there once torque is off [N]."""
+        """Weight on the table once torque is off [N]."""
 
 
 def lower_table(poses: Iterable[Array]) -> list[str]:
-    """The first table, as lines of Markdown: worst (median); and over a table pose by pose."""
+    """Return the first table, as Markdown: worst (median); and over a table pose by pose."""
     poses, pose_by_pose = list(poses), list[str]()
     lines = [
         "| `lower` | tool [m/s] | after torque off [m/s] | force on the table [N] | of which rests "
@@ -193,7 +193,7 @@ def lower_table(poses: Iterable[Array]) -> list[str]:
 
 
 def pose_table(runs: Sequence[Pressed]) -> list[str]:
-    """Force on the table and what rests there in the end, a column for each pose."""
+    """Return force on the table and final weight on it, a column for each pose."""
     return [
         f"| pose | {' | '.join(str(k) for k in range(len(runs)))} |",
         f"|---|{'---|' * len(runs)}",
@@ -203,7 +203,7 @@ def pose_table(runs: Sequence[Pressed]) -> list[str]:
 
 
 def mishap_table() -> list[str]:
-    """The second table, as lines of Markdown: every mishap alone, and with a hand at the tool."""
+    """Return the second table, as Markdown: every fault alone, and with a hand at the tool."""
     lines = [
         "| what happens | the arm | tool meanwhile [m/s] | drop [mm] | tool lowered [m/s] | hand "
         "feels [N] |",

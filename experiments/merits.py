@@ -1,6 +1,6 @@
-"""What the goals are about: the figures of merit of each experiment, under any conditions.
+"""Figures of merit of each experiment, under any conditions.
 
-Forces in N and N·m, distances in mm, angles in deg or rad, each with its unit in its name.
+Forces in N and N·m, distances in mm, angles in deg or rad; each name has its unit.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ Measure = Callable[[Conditions], Figures]
 
 
 def hold(conditions: Conditions) -> Figures:
-    """Holding the grasp pose with every axis stiff."""
+    """Hold the grasp pose with every axis stiff."""
     law = laws.cap(soft="")
     return {"error [mm]": 1e3 * hands.idle(law, conditions=conditions).error}
 
 
 def strong(law: hands.Law) -> Measure:
-    """A strong hand and one soft axis."""
+    """Move one soft axis with a strong hand."""
 
     def measure(conditions: Conditions) -> Figures:
         seen = hands.drag(law, STRONG, conditions=conditions)
@@ -35,7 +35,7 @@ def strong(law: hands.Law) -> Measure:
 
 
 def light(law: hands.Law) -> Measure:
-    """A 15 N hand at the wrist."""
+    """Move the wrist with a 15 N hand."""
 
     def measure(conditions: Conditions) -> Figures:
         seen = hands.drag(law, LIGHT, conditions=conditions)
@@ -45,14 +45,14 @@ def light(law: hands.Law) -> Measure:
 
 
 def capped(conditions: Conditions) -> Figures:
-    """A strong hand against the cap of 15 N."""
+    """Move an axis with a cap of 15 N by a strong hand."""
     seen = hands.drag(laws.cap(eta=0.0), STRONG, conditions=conditions)
     left = 1e3 * seen.end
     return {"held [N]": abs(seen.held), "drift [mm]": 1e3 * seen.drift, "left after 4 s [mm]": left}
 
 
 def kept(conditions: Conditions) -> Figures:
-    """All 200 poses where everything is known, a seeded tenth of them elsewhere."""
+    """Measure all 200 poses where everything is known, a seeded tenth of them elsewhere."""
     poses = 200 if conditions == NOMINAL else 20
     runs = [
         promise.keep(case, guided=guided, conditions=conditions)
@@ -67,7 +67,7 @@ def kept(conditions: Conditions) -> Figures:
 
 
 def yaw(conditions: Conditions) -> Figures:
-    """A hand that turns the tool."""
+    """Turn the tool by a hand."""
     seen = hands.drag(laws.cap(soft="yaw"), YAW, conditions=conditions)
     return {
         "torque [N·m]": seen.force,
@@ -77,7 +77,7 @@ def yaw(conditions: Conditions) -> Figures:
 
 
 def sinusoids(law: Callable[..., hands.Law]) -> Measure:
-    """Every axis in turn, compliant while it swings: the worst of them."""
+    """Swing every axis in turn, compliant meanwhile; return the worst."""
 
     def measure(conditions: Conditions) -> Figures:
         seen = [tracking.track(law(soft=a, eta=0.0), a, conditions=conditions) for a in AXES]
@@ -90,7 +90,7 @@ def sinusoids(law: Callable[..., hands.Law]) -> Measure:
 
 
 def door(scene: str, law: Callable[..., hands.Law] = laws.cap) -> Measure:
-    """Opening a rigidly gripped door."""
+    """Open a rigidly gripped door."""
 
     def measure(conditions: Conditions) -> Figures:
         seen = doors.open_door(law, scene, "rigid", conditions=conditions)
@@ -100,7 +100,7 @@ def door(scene: str, law: Callable[..., hands.Law] = laws.cap) -> Measure:
 
 
 def bumps(conditions: Conditions) -> Figures:
-    """Running into walls: the worst of all 18."""
+    """Run into walls; return the worst of all 18."""
     seen = [
         walls.bump(laws.cap, way, speed=speed, stiffness=k, conditions=conditions)
         for way in walls.DIRECTIONS
@@ -114,7 +114,7 @@ def bumps(conditions: Conditions) -> Figures:
 
 
 def dead(conditions: Conditions) -> Figures:
-    """A hand after the host's death: the worst of four directions."""
+    """Push after a host loss; return the worst of four directions."""
     pushes = ("+y", "-y", "-x", "-z")
     law = laws.cap(eta=0.0)
     return {"force [N]": max(host.die(law, p, conditions=conditions).force for p in pushes)}

@@ -1,4 +1,4 @@
-"""Figures read off a `Trace`. Deviations in m and rad, forces in N and N·m."""
+"""Figures of a `Trace`. Deviations in m and rad, forces in N and N·m."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: When the hands pull, and when the force they are held with is taken [s].
+#: Times at which the hands pull, and at which their holding force is taken [s].
 PULLING = (2.0, 5.0)
 HELD = (4.4, 4.95)
 
 
 def largest(values: Array) -> float:
-    """Largest magnitude; 0 of nothing."""
+    """Return the largest magnitude; 0 for an empty array."""
     return float(np.abs(values).max()) if values.size else 0.0
 
 
 def rms(values: Array) -> float:
-    """Root mean square of all entries."""
+    """Return the root mean square of all entries."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def others(axis: int, group: str) -> list[int]:
-    """The positions (`xyz`) or rotations (`rpy`) other than `axis`."""
+    """Return the positions (`xyz`) or rotations (`rpy`) other than `axis`."""
     return [i for i in (range(3) if group == "xyz" else range(3, 6)) if i != axis]
 
 
 def moved(trace: Trace, axis: int) -> float:
-    """Largest change of an axis since the hand came, while it pulls; without its sign."""
+    """Return the largest change of an axis since the hand came, while it pulls, unsigned."""
     return drift(trace, [axis])
 
 
 def deviation(trace: Trace, columns: list[int]) -> float:
-    """Largest change of these axes since the start while a hand pulls."""
+    """Return the largest change of these axes since the start while a hand pulls."""
     return largest(trace.moved[trace.between(*PULLING)][:, columns])
 
 
 def drift(trace: Trace, columns: list[int]) -> float:
-    """Largest change of these axes since the hand came, while it pulls."""
+    """Return the largest change of these axes since the hand came, while it pulls."""
     before = trace.moved[trace.at(PULLING[0]), columns]
     return largest(trace.moved[trace.between(*PULLING)][:, columns] - before)
 
 
 def speed(trace: Trace, start: float, end: float) -> float:
-    """Rms speed within a time span, over all ticks and joints [rad/s]."""
+    """Return the rms speed within a time span, over all ticks and joints [rad/s]."""
     return rms(trace.dq[trace.between(start, end)])

@@ -1,4 +1,4 @@
-"""What hosts, programs and buses do to an arm under way, and what the arm does then."""
+"""Faults of hosts, programs and buses during motion, and the reaction of the arm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pliant
 from experiments.setups import arm, displaced, tool
 from pliant.arm.arm import Arm
-from pliant.arm.drive import Sample
+from pliant.drive import JointReadings
 from pliant.loop import Loop, Tick
 from pliant.sim import Guide, Plant, SimDrive
 from pliant.sim.hand import Course
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Act = Callable[[Tick, "SickDrive", Arm, float], Array | None]
 
-#: When things go wrong, how long they do unless said, and when the program ends by itself [s].
+#: Time of the fault, its default duration, and the end of the program [s].
 WHEN, LONG, END = 1.0, 1.0, 4.0
-#: The joint that is lost, in the middle of the arm.
+#: The lost joint, in the middle of the arm.
 LOST = "elbow_pitch"
 
 
@@ -37,26 +37,26 @@ class SickDrive(SimDrive):
 
     Attributes:
         silent: Joints that do not answer, by name.
-        powerless: Joints that have no power: they neither answer nor exert.
-        deaf: Whether writes are lost.
+        powerless: Joints without power: they neither answer nor exert torque.
+        deaf: True if writes are lost.
     """
 
     def __init__(self, plant: Plant, servos: Servos | None = None) -> None:
-        """Healthy at first; `servos` are what the arm believes to have."""
+        """Start without a fault; `servos` is the table that the arm assumes."""
         super().__init__(plant, servos=servos)
         self.silent: set[str] = set()
         self.powerless: set[str] = set()
         self.deaf = False
 
-    def read(self) -> Sample:
-        """Readings of the joints that answer."""
+    def read(self) -> JointReadings:
+        """Return readings of the joints that answer."""
         sample = super().read()
         lost = np.isin(self.names, [*self.silent, *self.powerless])
         position = np.where(lost, np.nan, sample.position)
-        return Sample(position, sample.ok & ~lost, sample.time)
+        return JointReadings(position, sample.ok & ~lost, sample.time)
 
     def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
-        """Orders to the joints that hear."""
+        """Send orders to the joints that receive them."""
         if not self.deaf:
             limit = np.where(np.isin(self.names, list(self.powerless)), 0.0, limit)
             super().write(goal, limit, velocity)
@@ -64,12 +64,12 @@ class SickDrive(SimDrive):
 
 @dataclass(frozen=True, kw_only=True)
 class Mishap:
-    """Something that goes wrong one second into a loop.
+    """A fault one second into a loop.
 
     Attributes:
-        title: What happens.
-        act: Called at every tick from then on with tick, drive, arm and the time since [s];
-            returns a target (4, 4), or None to write no command.
+        title: Description.
+        act: Called at every tick from then on with tick, drive, arm and the time since [s]; returns
+            a target (4, 4), or None to write no command.
         loop: More arguments of the loop.
     """
 
@@ -80,14 +80,14 @@ class Mishap:
 
 @dataclass(frozen=True, kw_only=True)
 class Suffered:
-    """What came of it.
+    """Result of a fault.
 
     Attributes:
         outcome: `goes on` or `is lowered`.
         reason: The error that ended the loop.
-        speed: Highest speed of the tool from the mishap to the end of the loop [m/s].
-        descent: Highest speed of the tool afterwards, while it is lowered [m/s].
-        drop: How far the tool sank before it went on or was lowered on purpose [m].
+        speed: Highest speed of the tool from the fault to the end of the loop [m/s].
+        descent: Highest speed of the tool during the descent [m/s].
+        drop: Drop of the tool before it went on or was lowered [m].
         force: Largest mean over a tick of the force on a hand that holds the tool in place [N].
         along: The same along each axis of the base, x, y, z [N].
     """
@@ -102,14 +102,14 @@ class Suffered:
 
 
 def suffer(mishap: Mishap, *, held: bool = False) -> Suffered:
-    """Let `arm7` hold its grasp pose, y soft, at 100 Hz with a tick each way, and fail.
+    """Let `arm7` hold its grasp pose, y soft, at 100 Hz with a tick each way, and apply a fault.
 
     Args:
-        mishap: What goes wrong.
-        held: Whether a hand (3000 N/m) holds the tool where it is from then on.
+        mishap: The fault.
+        held: True: a hand (3000 N/m) holds the tool in place from then on.
 
     Returns:
-        What happened until the arm was down.
+        The result until the arm was down.
     """
     model = arm()
     hand = Guide(axes="x y z", course=Course(start=WHEN + 0.5, rise=0.0, end=np.inf))
@@ -161,19 +161,19 @@ GRASP: Array = tool(VERTICAL)
 
 
 def _stall(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array:
-    """The program computes for a second instead of a tick."""
+    """Compute for a second instead of a tick."""
     if since < 0.005:
         robot.clock.wait_until(robot.clock.now() + LONG)
     return GRASP
 
 
 def _nan(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array:
-    """A policy gives NaN for a target."""
+    """Return NaN for a target."""
     return np.full((4, 4), np.nan) if since < LONG else GRASP
 
 
 def _nan_caught(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array | None:
-    """The program notices, and holds."""
+    """Detect the NaN, and skip the tick."""
     if since < LONG:
         tick.skip()
         return None
@@ -181,17 +181,17 @@ def _nan_caught(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array
 
 
 def _nothing(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array | None:
-    """The program forgets to write."""
+    """Write nothing."""
     return None if since < LONG else GRASP
 
 
 def _jump(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array:
-    """The target is one metre away for a second."""
+    """Move the target by one metre for a second."""
     return displaced(GRASP, "x", 1.0) if since < LONG else GRASP
 
 
 def _silence(seconds: float, *, deaf: bool = False) -> Act:
-    """No joint answers for a while; deaf: and none hears."""
+    """Silence all joints for a while; `deaf`: they also receive nothing."""
 
     def act(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array:
         if since < 0.005:
@@ -212,7 +212,7 @@ def _silence(seconds: float, *, deaf: bool = False) -> Act:
 
 
 def _lost(*, powerless: bool) -> Act:
-    """One joint is gone for good."""
+    """Lose one joint for good."""
 
     def act(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array:
         (drive.powerless if powerless else drive.silent).add(LOST)
@@ -222,7 +222,7 @@ def _lost(*, powerless: bool) -> Act:
 
 
 def _interrupt(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array:
-    """Ctrl-C."""
+    """Raise Ctrl-C."""
     raise KeyboardInterrupt
 
 

@@ -1,4 +1,4 @@
-"""Jobs of an experiment, one process or several, with a line that says how far they are."""
+"""Jobs of an experiment in one process or several, with a progress line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from time import monotonic
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from pliant.extras import missing
+from pliant._extras import missing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -15,22 +15,22 @@ R_co = TypeVar("R_co", covariant=True)
 
 
 class Job(Protocol[R_co]):
-    """Something that runs by itself and can be pickled."""
+    """An independent, picklable job."""
 
     def run(self) -> R_co:
-        """Do it."""
+        """Run the job."""
 
 
 def parallel(work: Sequence[Job[R_co]], processes: int, what: str) -> Iterator[R_co]:
-    """Run jobs, in parallel where joblib is there.
+    """Run jobs, in parallel if joblib is installed.
 
     Args:
-        work: What to do.
-        processes: How many at once.
-        what: Name of the experiment, for what is said meanwhile on standard error.
+        work: The jobs.
+        processes: Number of processes.
+        what: Name of the experiment, for the progress line on standard error.
 
     Yields:
-        The results in the order of the work, as soon as they are there.
+        The results in the order of the jobs, as they complete.
     """
     done: Iterable[R_co] = (job.run() for job in work)
     if processes > 1:
@@ -41,7 +41,7 @@ def parallel(work: Sequence[Job[R_co]], processes: int, what: str) -> Iterator[R
             print(f"{what}: one process only; {missing('more', 'experiments')}")
         else:
             backend, _ = get_active_backend()
-            # Ray's backend hands out a list alone.
+            # Ray's backend returns a list only.
             streams = getattr(backend, "supports_return_generator", False)
             started = Parallel(n_jobs=processes, return_as="generator" if streams else "list")
             done = started(delayed(_run)(job) for job in work)

@@ -1,7 +1,7 @@
-"""What each preset reaches in its scene, beside the same task with all axes stiff.
+"""Figures of each preset in its scene, and of the same task with all axes stiff.
 
-``python -m experiments.presets`` prints the table of docs/presets.md in a minute; with a
-path it draws force against deviation of the three profiles there as well.
+``python -m experiments.presets`` prints the table of docs/presets.md in a minute; with a path it
+also draws force against deviation of the three profiles.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 #: Soft and firm of the profiles that are drawn [N].
 SOFT, FIRM = 4.0, 15.0
-#: Nothing delayed and everything known; a tick each way; the same, friction believed 30 % wrong.
+#: No delay and everything known; a tick each way; the same, friction assumed 30 % wrong.
 UNDER: dict[str, Conditions] = {
     "nominal": NOMINAL,
     "tick each way": TICK_EACH_WAY,
@@ -45,7 +45,7 @@ class Line:
 
     Attributes:
         name: Of the preset, or "all axes stiff".
-        figures: What was measured, in words with units.
+        figures: Measured figures, as text with units.
     """
 
     name: str
@@ -95,7 +95,7 @@ def _guide(law: Law, conditions: Conditions) -> str:
     )
 
 
-#: Preset and what is asked of it.
+#: Presets and their measurements.
 SCENES: dict[str, tuple[Settings, Callable[[Law, Conditions], str]]] = {
     "drawer()": (Settings.drawer(), _drawer),
     "wipe(press=5.0)": (Settings.wipe(press=5.0), _wipe),
@@ -115,7 +115,7 @@ def table(conditions: Conditions = NOMINAL) -> list[Line]:
 
 
 def draw(path: Path) -> None:
-    """Save force against deviation of the profiles, as felt and as promised (needs matplotlib)."""
+    """Draw force against deviation of the profiles, as felt and as promised (needs matplotlib)."""
     from pliant._report import style
 
     places = np.linspace(0.0, 0.15, 301)
@@ -142,7 +142,7 @@ def draw(path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the tables; draw the profiles where a path is given."""
+    """Print the tables; draw the profiles if a path is given."""
     for name, conditions in UNDER.items():
         print(f"\n{name}")
         for line in table(conditions):

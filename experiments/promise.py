@@ -1,4 +1,4 @@
-"""The promised cap, measured: what an axis pushes back with in poses at random."""
+"""The promised cap, measured: the push-back of an axis in random poses."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Caps that are tried: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
+#: Measured caps: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
 FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
-#: How far the hand goes: as far as the cap alone lets the axis, times this, and a little [m, rad].
+#: Distance of the hand: the distance at which the cap is reached, times this, plus an offset [m,
+#: rad].
 WAY, MORE = 1.25, (0.005, 0.03)
-#: When the hand holds still and its force is taken [s].
+#: Time at which the hand holds still and its force is taken [s].
 SETTLED, END = 2.5, 3.0
-#: Poses whose smallest singular value lies below this share of the median are left out.
+#: Poses with a smallest singular value below this share of the median are left out.
 LEAST_SIGMA = 0.65
-#: Distance of every joint from its stops from which on a pose is called clear [rad]: nearer, it may
-#: be the stop that pushes back, not the law.
+#: Distance of every joint from its stops above which a pose is clear [rad]; below it the stop may
+#: push back, not the law.
 CLEAR = 0.15
 
 
@@ -50,20 +51,20 @@ class Case:
 
     @property
     def clear(self) -> bool:
-        """Whether every joint is clear of its stops."""
+        """True if every joint is clear of its stops."""
         room = np.minimum(self.q - arm().lower, np.asarray(arm().upper) - self.q)
         return bool(room.min() >= CLEAR)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """One promise and what came of it.
+    """Result of one promise.
 
     Attributes:
         case: Pose, axis, side and cap.
         promise: min(F, K_x h (1 - η)|e| / C_jj) at the measured deviation [N or N·m].
-        measured: What the hand felt [N or N·m].
-        friction: Σ_i |J⁺_ij| τ_f,i, what the joints' friction may hide of it [N or N·m].
+        measured: Force on the hand [N or N·m].
+        friction: Σ_i |J⁺_ij| τ_f,i, the part that the joints' friction may hide [N or N·m].
     """
 
     case: Case
@@ -73,7 +74,7 @@ class Kept:
 
     @property
     def kept(self) -> bool:
-        """Whether the force is within 15 % of the cap and the friction of its promise."""
+        """True if the force is within 15 % of the cap and the friction of its promise."""
         return abs(self.measured - self.promise) <= 0.15 * self.case.cap + self.friction
 
 
@@ -82,14 +83,14 @@ def _sigma(q: Array) -> float:
 
 
 def _compliance(q: Array, axis: int) -> float:
-    """C_jj: how far the servos let an axis go per unit of force at q (7,) [m/N or rad/(N·m)]."""
+    """Return C_jj, the compliance of an axis by its servos at q (7,) [m/N or rad/(N·m)]."""
     row = arm().jacobian(q)[axis]
     return float(row**2 @ (1.0 / np.asarray(servos().kp)))
 
 
 @cache
 def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
-    """Random poses (7,) [rad], away from singular ones, and from the joints' stops by a margin."""
+    """Return random poses (7,) [rad], away from singular ones, by a margin from the stops."""
     model, rng = arm(), np.random.default_rng(seed)
     low, high = np.asarray(model.lower) + margin, np.asarray(model.upper) - margin
     sample = rng.uniform(low, high, (512, model.n))
@@ -99,7 +100,7 @@ def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
 
 
 def capacity(q: Array, axis: int, sign: float) -> float:
-    """Largest push [N or N·m] toward `sign` of an axis that the servos can hold at q (7,)."""
+    """Return the largest push [N or N·m] along an axis that the servos hold at q (7,)."""
     model = arm()
     lever = sign * model.jacobian(q)[axis]
     felt = np.abs(lever) > 1e-6
@@ -108,12 +109,12 @@ def capacity(q: Array, axis: int, sign: float) -> float:
 
 
 def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
-    """Promises for `count` poses: every axis and sign, a cap at random that the servos can hold.
+    """Yield promises for `count` poses: every axis and sign, a random cap that the servos can hold.
 
     Args:
-        count: How many poses.
+        count: Number of poses.
         margin: Distance of every joint from its stops [rad].
-        seed: Of all chance.
+        seed: Random seed.
 
     Yields:
         One case for each axis and sign.
@@ -132,8 +133,8 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
 
     Args:
         case: Pose, axis, side and cap.
-        guided: Whether springs hold the other axes.
-        conditions: Loop, bus and beliefs.
+        guided: True: springs hold the other axes.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The promise and the force.

@@ -1,8 +1,8 @@
-"""Arms beside their stops after a push: do they come to rest, or ring, or walk away?
+"""Arms near their stops after a push: rest, oscillation or drift.
 
-``python -m experiments.quiet`` puts one joint of random poses within 0.06 rad of its
-position limit, leads a soft axis 5 cm away, holds it there, lets go, and looks at the joints for
-one second from 2.5 s and from 8 s after that.
+``python -m experiments.quiet`` puts one joint of random poses within 0.06 rad of its position
+limit, moves a soft axis 5 cm away, holds it there, lets go, and observes the joints for one second
+from 2.5 s and from 8 s after that.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Room of the joint that is put beside its limit, at most [rad].
+#: Largest distance of the joint from its limit [rad].
 ROOM = 0.06
-#: The hand: from when on, for how long and how fast it goes, and when it lets go [s; m/s].
+#: The hand: start, duration and speed, and release [s; m/s].
 COMES, GOES, SPEED, LEAVES = 0.1, 0.5, 0.1, 3.0
-#: From when on after that, and for how long, joints are looked at [s].
+#: Start and length of the observation after release [s].
 LOOKS, FOR = (2.5, 8.0), 1.0
 #: Poses of each arm.
 POSES = 20
@@ -45,16 +45,16 @@ CASES = ((0, 0.0), (1, 0.0), (0, 0.9))
 
 @dataclass(frozen=True, kw_only=True)
 class Rest:
-    """What one push left behind.
+    """Result of one push.
 
     Attributes:
         arm: By name.
         ticks: Of delay, each way.
         eta: Target adaptation of the soft axis.
         pose: Index.
-        room: Of the joint nearest to its limit when the hand let go [rad].
-        moves: How far the joint that moves most goes in a second, from 2.5 s and from 8 s on [rad].
-        turns: How often a joint that goes 5 mrad in these seconds turns round.
+        room: Distance of the nearest joint to its limit at release [rad].
+        moves: Largest motion of a joint in a second, from 2.5 s and from 8 s on [rad].
+        turns: Number of reversals of a joint that moves 5 mrad in these seconds.
     """
 
     arm: str
@@ -67,7 +67,7 @@ class Rest:
 
 
 def beside(arm: Arm, pose: int) -> Array:
-    """A random pose (n,) [rad], clear of singular ones, that can be held, a joint at its stop."""
+    """Return a random regular pose (n,) [rad] that can be held, with a joint at its stop."""
     rng = np.random.default_rng((pose, 11))
     lower, upper = np.asarray(arm.model.lower), np.asarray(arm.model.upper)
     good = arm.poses(len(arm.drawn))
@@ -98,7 +98,7 @@ class Job:
     eta: float = 0.0
 
     def run(self) -> Rest:
-        """Push, let go, and look."""
+        """Push, let go, and observe."""
         arm, (plant, grip) = load(self.arm), _plant(self.arm, self.ticks)
         rng = np.random.default_rng((self.pose, 12))
         row = int(rng.choice([row for row in arm.rows if row < 3]))
@@ -146,13 +146,13 @@ class Job:
 
 
 def _turns(angles: Array) -> int:
-    """How often joints that go at least 5 mrad in a window (N, n) [rad] turn round."""
+    """Count reversals of joints that move at least 5 mrad in a window (N, n) [rad]."""
     going = np.diff(angles[:, np.ptp(angles, axis=0) > 5e-3], axis=0)
     return int((np.diff(np.sign(going), axis=0) != 0).sum(axis=0).max(initial=0))
 
 
 def text(found: Sequence[Rest]) -> str:
-    """Figures per arm and case, as Markdown."""
+    """Return figures per arm and case, as Markdown."""
     lines = [
         "| arm | ticks each way | η | pushes | at a stop meanwhile | 2.5 s after, in 1 s: median "
         "| most [mrad] | turns | 8 s after: median | most [mrad] | turns |",
@@ -172,12 +172,12 @@ def text(found: Sequence[Rest]) -> str:
 
 @dataclass(frozen=True)
 class Options:
-    """Push arms beside their stops, let go, and see whether they come to rest.
+    """Push arms near their stops, let go, and observe whether they come to rest.
 
     Attributes:
         poses: Of each arm.
-        arm: Arms by name; by default those that ship with the package.
-        jobs: Processes at once.
+        arm: Arms by name; default those that ship with the package.
+        jobs: Number of processes.
     """
 
     poses: int = POSES
@@ -186,7 +186,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Run what these options ask for, print the table."""
+    """Run the requested arms, print the table."""
     names = options.arm or robots.names()
     work = [
         Job(name, pose, ticks, eta)
@@ -198,7 +198,7 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    # Other processes find this module's jobs by its name, not as `__main__`.
+    # Other processes import this module's jobs by its name, not as `__main__`.
     from experiments import quiet  # noqa: PLW0406 -- by name
 
     quiet.main(tyro.cli(quiet.Options))

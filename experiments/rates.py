@@ -1,6 +1,6 @@
-"""Drag and door at every rate, delay and belief: what the goals' two columns are taken from.
+"""Drag and door at every rate, delay and assumption: the basis of the goals' two columns.
 
-The rate is never raised to reach a goal; here is what it buys.
+Goals never require a higher rate; this shows its effect.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from itertools import product
 from experiments import laws, merits
 from experiments.conditions import Conditions
 
-#: Control rates [Hz], ticks of delay each way, and believed over true friction and damping.
+#: Control rates [Hz], ticks of delay each way, and assumed over true friction and damping.
 RATES, TICKS, BELIEVED = (100.0, 200.0), (0, 1), (0.7, 1.0, 1.3)
 SCENES = {
     "15 N hand, η 0.999": merits.light(laws.cap()),
@@ -20,7 +20,7 @@ SCENES = {
 
 
 def conditions() -> list[Conditions]:
-    """Every combination of rate, delay and belief, in the order of the table's columns."""
+    """Return all combinations of rate, delay and assumption, in the table's order."""
     return [
         Conditions(rate=rate, delay=(ticks, ticks), believed=believed)
         for rate, ticks, believed in product(RATES, TICKS, BELIEVED)

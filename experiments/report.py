@@ -36,8 +36,8 @@ def write(
         chapters: Judged experiments.
         facts: Versions and commit.
         figures: Folder with an SVG or a PNG per figure.
-        seconds: How long the runs took.
-        quick: Whether runs were left out.
+        seconds: Duration of the runs.
+        quick: True if runs were left out.
 
     Returns:
         The path.
@@ -78,7 +78,7 @@ def _footer(facts: Facts, seconds: float) -> str:
 
 
 def _sources(chapters: Sequence[Chapter]) -> str:
-    """Whose the statements are."""
+    """Name the sources of the statements."""
     if not _of_paper(chapters):
         return (
             "They are what we ask of the package on any arm; the paper knows none of these robots."
@@ -90,12 +90,12 @@ def _sources(chapters: Sequence[Chapter]) -> str:
 
 
 def _of_paper(chapters: Sequence[Chapter]) -> bool:
-    """Whether any statement is the paper's."""
+    """Return True if any statement is the paper's."""
     return any(chapter.statements("paper") for chapter in chapters)
 
 
 def _summary(chapters: Sequence[Chapter]) -> str:
-    """How many statements fared how, per experiment, and the numbers to remember."""
+    """Count the verdicts of the statements per experiment, and list the key numbers."""
     verdicts = tuple(Verdict) if _of_paper(chapters) else ()
     rows = []
     for chapter in chapters:

@@ -1,4 +1,4 @@
-"""Opening and closing a door by feel: the end of a motion is recognised from positions alone."""
+"""Opening and closing a door by resistance: ends are detected from positions alone."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 
 #: End stop of the leaf [deg].
 STOP = 45.0
-#: Force that means "it goes no further" [N], and for how long it must last [s].
+#: Force that indicates the end of a motion [N], and its minimum duration [s].
 THRESHOLD, PERSISTENCE = 15.0, 0.2
 #: Speed of the target [m/s], rest between opening and closing [s], first motion [s].
 SPEED, REST, BEGIN = 0.05, 1.0, 1.0
-#: Longest a motion may take [s].
+#: Longest duration of a motion [s].
 LONGEST = 8.0
 
 
 class ByResistance:
-    """A controller that moves its own target: pulls until it resists, rests, pushes until it does.
+    """A controller that moves its target: pulls until resistance, rests, pushes until resistance.
 
     Attributes:
-        ends: Times at which an end was recognised [s].
+        ends: Times at which an end was detected [s].
     """
 
     def __init__(self, inner: pliant.Controller, period: float) -> None:
@@ -56,11 +56,11 @@ class ByResistance:
 
     @property
     def compliance(self) -> Array:
-        """That of the controller inside."""
+        """Compliance of the inner controller."""
         return self._inner.diagnostics.compliance
 
     def step(self, q: Array, target: Array) -> Commanded:
-        """One tick; `target` is the pose (4, 4) at the closed door."""
+        """Run one tick; `target` is the pose (4, 4) at the closed door."""
         force = float(self._contact.update(q).force_base[0])
         if self._resting > 0.0:
             self._resting -= self._period
@@ -78,10 +78,10 @@ class ByResistance:
 
 @dataclass(frozen=True, kw_only=True)
 class OpenedAndClosed:
-    """What was recognised, and at what price.
+    """Detected ends, and forces.
 
     Attributes:
-        ends: Opening of the leaf when each end was recognised [deg]; fewer than two: one missed.
+        ends: Opening of the leaf when each end was detected [deg]; fewer than two: one missed.
         force: Largest force at the handle [N].
         trace: The run.
     """
@@ -104,7 +104,7 @@ def open_and_close(
         law: Makes the settings from the scene's soft axes, `soft`, and a group `null_space`.
         scene: Name of one of `doors.SCENES` whose base stands still.
         grip: `rigid` or `turning`.
-        conditions: Loop, bus and beliefs.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.

@@ -1,4 +1,4 @@
-"""What an experiment hands to the report: numbers, statements judged by them, figures, tables."""
+"""Results of an experiment for the report: numbers, statements judged by them, figures, tables."""
 
 from __future__ import annotations
 
@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from pliant._report.page import Table
 
-#: Numbers, texts, lists of them and further maps by name, so that `results.json` can be read by
-#: people.
+#: Numbers, texts, lists of them and further maps by name, so that `results.json` is readable.
 Numbers = Mapping[str, Any]
 
-#: Who said what is judged: the paper, or the study made before the package, whose bands are our
-#: tests.
+#: Source of a statement: the paper, or the study before the package, whose bands are our tests.
 Source = Literal["paper", "study"]
 
 
 class Verdict(StrEnum):
-    """How a statement fares against the numbers of this run."""
+    """Verdict on a statement by the numbers of this run."""
 
     AGREES = "agrees"
     DIFFERS = "differs because"
@@ -33,8 +31,8 @@ class Check:
     """One number and the interval in which a statement holds.
 
     Attributes:
-        name: What the number is.
-        value: The number of this run; a number that is not finite passes no test.
+        name: Name of the number.
+        value: The number of this run; a non-finite number passes no test.
         low, high: The interval, bounds included.
         unit: Of all three.
     """
@@ -47,20 +45,20 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the number lies in the interval."""
+        """True if the number lies in the interval."""
         return math.isfinite(self.value) and self.low <= self.value <= self.high
 
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """A claim beside what this run says about it.
+    """A claim and the result of this run.
 
     Attributes:
         claim: The claim in our words.
         outcome: A sentence made from the numbers of this run.
         tests: The numbers that decide; all must pass.
-        source: Whose claim it is.
-        because: Why it may fail, where the reason is known; it is shown only when it does fail.
+        source: Source of the claim.
+        because: Known reason for a failure; shown only when it fails.
     """
 
     claim: str
@@ -71,7 +69,7 @@ class Statement:
 
     @property
     def verdict(self) -> Verdict:
-        """Decided by the numbers alone."""
+        """Verdict, decided by the numbers alone."""
         if self.tests and all(test.passed for test in self.tests):
             return Verdict.AGREES
         return Verdict.DIFFERS if self.because else Verdict.DISAGREES
@@ -85,7 +83,7 @@ class Figure:
         file: Stem of the picture's file.
         title: Headline.
         done: What was done.
-        paper: What the paper says about it, in our words; empty where it says nothing.
+        paper: The paper's statement about it, in our words; may be empty.
         caption: How to read the picture.
     """
 
@@ -99,14 +97,14 @@ class Figure:
 
 @dataclass(frozen=True, kw_only=True)
 class Chapter:
-    """One experiment as the report shows it.
+    """One experiment in the report.
 
     Attributes:
         number: As in `--only`.
         title: Headline.
-        lead: What it is about, in two sentences.
+        lead: Its subject, in two sentences.
         figures, tables: In the order of the report.
-        numbers: Everything measured, for `results.json`.
+        numbers: All measurements, for `results.json`.
         headline: The numbers for the closing table of the terminal: name and value.
     """
 
@@ -119,12 +117,12 @@ class Chapter:
     headline: tuple[tuple[str, str], ...] = field(default=())
 
     def statements(self, source: Source | None = None) -> list[Statement]:
-        """All statements, or those of one source."""
+        """Return all statements, or those of one source."""
         found = [s for figure in self.figures for s in figure.statements]
         return [s for s in found if source is None or s.source == source]
 
     def count(self, verdict: Verdict, source: Source | None = None) -> int:
-        """How many statements got this verdict."""
+        """Return the number of statements with this verdict."""
         return sum(s.verdict is verdict for s in self.statements(source))
 
 
@@ -137,28 +135,28 @@ def near(
     plus: float = 0.0,
     unit: str = "",
 ) -> Check:
-    """A test that a number lies within ``rel |reference| + plus`` of a reference."""
+    """Return a test that a number lies within ``rel |reference| + plus`` of a reference."""
     width = rel * abs(reference) + plus
     return Check(name=name, value=value, low=reference - width, high=reference + width, unit=unit)
 
 
 def at_most(name: str, value: float, bound: float, unit: str = "") -> Check:
-    """A test that a number is not above a bound."""
+    """Return a test that a number is not above a bound."""
     return Check(name=name, value=value, high=bound, unit=unit)
 
 
 def at_least(name: str, value: float, bound: float, unit: str = "") -> Check:
-    """A test that a number is not below a bound."""
+    """Return a test that a number is not below a bound."""
     return Check(name=name, value=value, low=bound, unit=unit)
 
 
 def between(name: str, value: float, low: float, high: float, unit: str = "") -> Check:
-    """A test that a number lies within two bounds."""
+    """Return a test that a number lies within two bounds."""
     return Check(name=name, value=value, low=low, high=high, unit=unit)
 
 
 def mm(length: float) -> str:
-    """A length [m] in millimetres, with as many digits as it deserves."""
+    """Return a length [m] in millimetres, with a suitable number of digits."""
     size = abs(1e3 * length)
     digits = 0 if size >= 9.95 else 1 if size >= 0.095 else 2
     return f"{1e3 * length:.{digits}f} mm"

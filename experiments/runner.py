@@ -1,4 +1,4 @@
-"""Independent runs over a few processes, in an order that never changes."""
+"""Independent runs over a few processes, in a fixed order."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ctypes.util import find_library
 from dataclasses import dataclass, field
 from typing import Any
 
-#: Called with the name of a job that is done.
+#: Called with the name of a completed job.
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Job:
-    """One call that needs no other: a run of the simulation, a drawing.
+    """One independent call: a run of the simulation, a drawing.
 
     Attributes:
         key: Its name among the outcomes.
-        call: A function of a module, so that another process can find it.
+        call: A function of a module, so that another process can import it.
         args, kwargs: Its arguments; they must be picklable.
     """
 
@@ -31,17 +31,17 @@ class Job:
     kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     def run(self) -> Any:
-        """Call it here."""
+        """Run the call in this process."""
         return self.call(*self.args, **self.kwargs)
 
 
 class Workers:
-    """A few processes that stay alive between batches; with one job at a time everything runs here.
+    """A few processes that live across batches; with one job at a time everything runs here.
 
     Processes are spawned, not forked: MuJoCo's and EGL's threads do not survive a fork.
 
     Args:
-        count: Processes; 1 for none but this one.
+        count: Processes; 1: only this one.
     """
 
     def __init__(self, count: int) -> None:
@@ -49,16 +49,16 @@ class Workers:
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Workers:
-        """Start the processes when there is more than one."""
+        """Start the processes if there is more than one."""
         if self.count > 1:
-            # One thread each: the processes share the cores already.
+            # One thread each: the processes already share the cores.
             os.environ.setdefault("OMP_NUM_THREADS", "1")
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(self.count, mp_context=context)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the processes; what has not begun is dropped."""
+        """End the processes; jobs that have not begun are dropped."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
@@ -66,12 +66,12 @@ class Workers:
         """Run jobs and return their outcomes by key, in the order of the jobs.
 
         Args:
-            jobs: With keys of their own.
-            progress: Called as they end, in whatever order that is.
+            jobs: With unique keys.
+            progress: Called as they end, in any order.
 
         Raises:
             ValueError: Two jobs have one key.
-            Exception: Whatever a job raised, the first one.
+            Exception: The first error of a job.
         """
         keys = [job.key for job in jobs]
         if len(set(keys)) != len(keys):
@@ -90,10 +90,10 @@ class Workers:
 
 
 def draw_off_screen() -> None:
-    """Let MuJoCo draw without a display, here and in processes begun later; before it is loaded.
+    """Let MuJoCo draw without a display, here and in later processes; call before it is loaded.
 
-    Without EGL MuJoCo would not even load with it chosen: then nothing is drawn, and the report
-    says so where the pictures would be.
+    Without EGL MuJoCo would not load with it selected: then nothing is drawn, and the report states
+    it in place of the pictures.
     """
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "disable")
@@ -112,5 +112,5 @@ def _wait(futures: Mapping[Future[Any], str], progress: Progress) -> None:
 
 
 def prefixed(prefix: str, jobs: Iterable[Job]) -> list[Job]:
-    """The same jobs with keys that begin with a prefix."""
+    """Return the same jobs with a prefix before their keys."""
     return [Job(f"{prefix}{job.key}", job.call, job.args, job.kwargs) for job in jobs]

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Target = Callable[[float], Array]
 
-#: Where the target starts that leaves the arm's reach (tool at (0.40, 0, -0.15) m).
+#: Start of the target that leaves the arm's reach (tool at (0.40, 0, -0.15) m).
 AT_REACH = posture(-0.4038, -0.7315, 0.7274, -2.0369, 0.9780, 0.8364, 0.3106)
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
-#: Amplitudes of the sinusoids [m, rad]: large, yet inside the workspace around the vertical grasp.
+#: Amplitudes of the sinusoids [m, rad]: large, but inside the workspace around the vertical grasp.
 AMPLITUDE = {"x": 0.12, "y": 0.15, "z": 0.12, "roll": 0.5, "pitch": 0.4, "yaw": 0.5}
 #: Their period [s].
 PERIOD = 8.0
@@ -35,15 +35,15 @@ REACH_HEIGHT, REACH_NEAR, REACH_FAR = -0.15, 0.40, 0.80
 
 @cache
 def arm() -> pliant.Model:
-    """The arm of all experiments."""
+    """Return the arm of all experiments."""
     return robots.arm7()
 
 
 def servos(model: pliant.Model | None = None) -> pliant.Servos:
-    """Servo table of a model, by default of `arm`.
+    """Return the servo table of a model, by default of `arm`.
 
     Raises:
-        ConfigError: The model came without one.
+        ConfigError: The model has no servos.
     """
     table = (arm() if model is None else model).servos
     if table is None:
@@ -52,13 +52,13 @@ def servos(model: pliant.Model | None = None) -> pliant.Servos:
 
 
 def tool(q: Array) -> Array:
-    """Pose (4, 4) of the tool at q (7,) [rad]."""
+    """Return the pose (4, 4) of the tool at q (7,) [rad]."""
     pose: Array = arm().forward_kinematics(q)
     return pose
 
 
 def turn(vector: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues' formula)."""
+    """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues' formula)."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
         return np.eye(3)
@@ -69,7 +69,7 @@ def turn(vector: Array) -> Array:
 
 
 def displaced(start: Array, axis: str, amount: float) -> Array:
-    """Pose (4, 4): `start` moved along, or turned about, a base axis by `amount` [m or rad]."""
+    """Return `start` (4, 4) moved along, or turned about, a base axis by `amount` [m or rad]."""
     pose = start.copy()
     index = AXES.index(axis)
     if index < 3:
@@ -80,7 +80,7 @@ def displaced(start: Array, axis: str, amount: float) -> Array:
 
 
 def sinusoid(start: Array, axis: str, amplitude: float) -> Target:
-    """Target that swings by `amplitude` [m or rad] about `start`, two periods from 1 s on."""
+    """Return a target that oscillates by `amplitude` [m or rad], two periods from 1 s on."""
 
     def target(t: float) -> Array:
         phase = 2.0 * np.pi * (max(t, 1.0) - 1.0) / PERIOD
@@ -92,14 +92,14 @@ def sinusoid(start: Array, axis: str, amplitude: float) -> Target:
 def pull(
     start: Array, distance: float, *, axis: str = "x", speed: float = -0.05, begin: float = 1.0
 ) -> Target:
-    """Target that leaves a place along a base axis.
+    """Return a target that moves away along a base axis.
 
     Args:
-        start: Pose (4, 4) at first.
-        distance: How far it goes [m], at least 0.
+        start: Initial pose (4, 4).
+        distance: Path length [m], at least 0.
         axis: `x`, `y` or `z`.
         speed: With its sign [m/s].
-        begin: When [s].
+        begin: Start time [s].
 
     Returns:
         Pose (4, 4) by time.
@@ -113,14 +113,14 @@ def pull(
 
 
 def tilted(start: Array, vector: tuple[float, float, float] = (0.25, -0.2, 0.3)) -> Target:
-    """Target that jumps at 1 s: `start` turned by a rotation vector [rad] in base axes."""
+    """Return a target that jumps at 1 s: `start` turned by a rotation vector [rad] in base axes."""
     pose = start.copy()
     pose[:3, :3] = turn(np.array(vector)) @ start[:3, :3]
     return lambda t: pose if t >= 1.0 else start
 
 
 def beyond_reach(t: float) -> Array:
-    """Target (4, 4) that goes out of reach within 1 to 6 s and comes back within 8 to 13 s."""
+    """Return a target (4, 4) that leaves the reach within 1 to 6 s and returns within 8 to 13 s."""
     out = np.clip((t - 1.0) / 5.0, 0.0, 1.0) - np.clip((t - 8.0) / 5.0, 0.0, 1.0)
     pose = np.eye(4)
     pose[:3, 3] = (REACH_NEAR + (REACH_FAR - REACH_NEAR) * out, 0.0, REACH_HEIGHT)

@@ -1,7 +1,7 @@
-"""What an arm will do, on one screen: newtons, millimetres and seconds, as the simulator has them.
+"""Forces, deviations and times of an arm on one screen, from the simulator.
 
-``python -m experiments.sheet so101`` holds the arm in one pose, leads it by hand along a
-soft axis, pushes a stiff one, steps its target, and prints what came of it as a table.
+``python -m experiments.sheet so101`` holds the arm in one pose, moves it by hand along a soft axis,
+pushes a stiff one, steps its target, and prints the results as a table.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: A pose in front of the arm, where the table knows one [rad].
+#: A pose in front of the arm, where known [rad].
 POSES = {
     "so101": (0.0, -0.3, 0.3, 0.9, 0.0),
     "koch": (0.0, -0.4, 0.8, 0.5, 0.0),
     "vx300s": (0.0, -0.5, 0.6, 0.0, 0.5, 0.0),
 }
-#: The hand: how far it leads a soft axis [m], how hard it may pull [N], how it pushes a stiff one.
+#: The hand: distance along a soft axis [m], largest pull [N], push on a stiff axis.
 LED, PULLS, PUSHES = 0.10, 15.0, 3.0
 
 
 def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tuple[Array, Array]:
-    """Tool positions (t, 3) [m] and force of a hand (t, 3) [N] on an arm that holds its pose."""
+    """Hold a pose; return tool positions (t, 3) [m] and the force of a hand (t, 3) [N]."""
     model = steps.arm(name).model
     controller = pliant.Controller(model, settings)
     plant = Plant(
@@ -51,12 +51,12 @@ def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tu
 
 
 def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
-    """What happens, and how much of it."""
+    """Return events and their figures."""
     it = steps.arm(name)
     task = " ".join(it.axes)
     soft = pliant.Settings.soft("x y", task=task)
     out = []
-    # A hand comes at 2 s, has led the axis at 3.5 s and lets go at 5 s.
+    # A hand comes at 2 s, has moved the axis at 3.5 s and lets go at 5 s.
     path, force = held(name, soft, Drag(axis="y", distance=LED, limit=PULLS), 8.0)
     moved = path - path[190]
     leading = slice(350, 490)

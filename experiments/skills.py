@@ -1,4 +1,4 @@
-"""What the presets are for, each in a simulated scene: drawer, surface, hand-over, plug."""
+"""The presets in their simulated scenes: drawer, surface, hand-over, plug."""
 
 from __future__ import annotations
 
@@ -23,28 +23,29 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: How far the target pulls a drawer of 0.25 m, and how far it is pushed behind its place then [m].
+#: Distance of the target when pulling a drawer of 0.25 m, and when pushing it beyond its closed
+#: position [m].
 DRAWN, BACK = 0.28, 0.03
-#: Speed of the drawer's target [m/s]; when it turns back [s].
+#: Speed of the drawer's target [m/s]; time of its reversal [s].
 DRAWER_SPEED, TURNS = 0.05, 8.0
 #: Half-lengths of the figure of eight that the pad wipes, x and y [m]; its period in y [s].
 STROKE, STROKE_TIME = (0.04, 0.10), 8.0
-#: Lowering the pad takes until then, and wiping begins [s].
+#: Time until the pad is lowered and wiping begins [s].
 DOWN = 3.0
-#: Way of a plug's target from 20 mm above the mouth, 10 mm deeper than the hole [m]; speed [m/s].
+#: Path of a plug's target from 20 mm above the mouth, 10 mm deeper than the hole [m]; speed [m/s].
 INSERTION, INSERTION_SPEED = 0.06, 0.02
-#: Tip this far below the mouth: it is in [m].
+#: Depth of the tip below the mouth that counts as inside [m].
 INSIDE = 0.028
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """A drawer that was pulled.
+    """Result of a drawer.
 
     Attributes:
-        way: How far it came [m].
-        left: How far it is open at the end [m].
-        force: Largest force in the grip, with the jolt at the end stop [N].
+        way: Largest opening [m].
+        left: Opening at the end [m].
+        force: Largest force in the grip, with the impact at the end stop [N].
         held: Force in the grip at the end [N].
         across: Largest part of it across the slide [N].
         torque: Largest torque in the grip [N·m].
@@ -63,13 +64,13 @@ class Drawn:
 def pull_drawer(
     law: Law, *, degrees: float = 10.0, shut: bool = False, conditions: Conditions = NOMINAL
 ) -> Drawn:
-    """Pull along -x at 0.05 m/s on a drawer whose slide points elsewhere, and on at its end stop.
+    """Pull along -x at 0.05 m/s on a drawer with another slide direction, and beyond its end stop.
 
     Args:
-        law: Settings of our controller, or one that is not ours.
+        law: Settings of a controller, or a baseline.
         degrees: Angle between the slide and the pull, in the horizontal plane [deg].
-        shut: Whether to push it shut again afterwards.
-        conditions: Loop, bus and beliefs.
+        shut: True: push it shut again afterwards.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.
@@ -98,7 +99,7 @@ def pull_drawer(
 
 @dataclass(frozen=True, kw_only=True)
 class Wiped:
-    """A pad that was drawn over a surface.
+    """Result of a pad on a surface.
 
     Attributes:
         mean, least, most: Of the normal force while wiping, means over a tick [N].
@@ -124,11 +125,11 @@ def wipe(
     """Lower a pad onto an uneven surface and draw a figure of eight on it, for one round.
 
     Args:
-        law: Settings of our controller, or one that is not ours.
-        behind: How far the target lies behind the mean surface [m].
+        law: Settings of a controller, or a baseline.
+        behind: Distance of the target behind the mean surface [m].
         unevenness: Height of its hills, and depth of its valleys [m].
         friction: Coefficient μ between pad and surface.
-        conditions: Loop, bus and beliefs.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.
@@ -158,12 +159,12 @@ def wipe(
 
 @dataclass(frozen=True, kw_only=True)
 class HandedOver:
-    """An object that a person took.
+    """Result of a hand-over.
 
     Attributes:
         effort: Largest force of the person [N].
-        released: When the gripper opened [s]; None: never.
-        sag: How far the arm hung under the object before the person came [m].
+        released: Time at which the gripper opened [s]; None: never.
+        sag: Sag of the arm under the object before the person came [m].
         fastest: Largest speed of the tool afterwards [m/s].
         trace: The run.
     """
@@ -176,12 +177,12 @@ class HandedOver:
 
 
 def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) -> HandedOver:
-    """Hold an object of unknown weight until a person draws it 0.05 m away; then let it go.
+    """Hold an object of unknown weight until a person moves it 0.05 m away; then let it go.
 
     Args:
-        law: Settings of our controller, or one that is not ours.
-        mass: Of the object; the controller is not told [kg].
-        conditions: Loop, bus and beliefs.
+        law: Settings of a controller, or a baseline.
+        mass: Of the object, unknown to the controller [kg].
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.
@@ -210,12 +211,12 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
 
 @dataclass(frozen=True, kw_only=True)
 class Plugged:
-    """A plug on its way into a hole.
+    """Result of a plug.
 
     Attributes:
-        inside: Whether it went in.
+        inside: True if it went in.
         along, across: Largest contact force along and across the hole, over 10 ms [N].
-        off: Distance of the tip from its path when it first touched, across the hole [m].
+        off: Distance of the tip from its path at the first touch, across the hole [m].
         trace: The run.
     """
 
@@ -233,13 +234,13 @@ def plug_in(
     tilt: tuple[float, float] = (0.0, 0.0),
     conditions: Conditions = NOMINAL,
 ) -> Plugged:
-    """Push a round plug of 20 mm down into a square hole that is elsewhere than believed.
+    """Push a round plug of 20 mm down into a square hole that is off its assumed pose.
 
     Args:
-        law: Settings of our controller, or one that is not ours.
-        offset: Where the hole is, from where the target believes it, x and y [m].
-        tilt: How it is turned about x and y [rad].
-        conditions: Loop, bus and beliefs.
+        law: Settings of a controller, or a baseline.
+        offset: Offset of the hole from its assumed position, x and y [m].
+        tilt: Its rotation about x and y [rad].
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.

@@ -1,8 +1,8 @@
-"""Minutes of control over real bytes while 1 % of all transactions go wrong.
+"""Minutes of control over real bytes while 1 % of all transactions fail.
 
-``python -m experiments.soak [--family sts|x|p1] [--minutes 10] [--rate 100]`` runs in real
-time, with servos, wire timing and the simulated arm in a process of their own; ``--stepped`` in the
-emulator's time, as fast as the computer goes.
+``python -m experiments.soak [--family sts|x|p1] [--minutes 10] [--rate 100]`` runs in real time,
+with servos, wire timing and the simulated arm in a process of their own; ``--stepped`` in emulated
+time, as fast as the computer allows.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from experiments.bus_arm import FAMILIES, configuration, emulator, stepped
 from experiments.bus_audit import Audit
 from experiments.setups import displaced
 from pliant.arm import Arm
-from pliant.config import assemble
+from pliant.config import factory
 from pliant.emulator import Faults
 from pliant.emulator.faults import KINDS
 from pliant.emulator.process import Remote
@@ -33,45 +33,45 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant.arm.drive import Sample
+    from pliant.drive import JointReadings
     from pliant.emulator import ArmEmulator
 
     Array = NDArray[np.float64]
 
-#: Share of the transactions that a fault strikes, all kinds alike.
+#: Share of transactions with a fault, all kinds alike.
 SHARE = 0.01
-#: The target's swing [m], axis by axis, and its periods [s].
+#: The target's amplitude [m], axis by axis, and its periods [s].
 SWING, PERIODS = {"x": 0.04, "y": 0.06, "z": 0.04}, {"x": 3.1, "y": 4.3, "z": 3.7}
-#: The emulator's tables and the driver's may disagree by this much about a stall torque.
+#: Allowed difference between the emulator's and the driver's stall torques.
 TABLES = 0.001
-#: Distance from the truth that is no staleness [counts]: half a count of rounding, and half of one
-#: between the two tables' scales of an EX-106+, 250.92° and 251°.
+#: Distance from the true position that is not staleness [counts]: half a count of rounding, and
+#: half of one between the two tables' scales of an EX-106+, 250.92° and 251°.
 ROUNDING = 1.2
-#: Age of positions from which no command is made any more: the loop's own bound [s].
+#: Largest age of positions that commands are computed from: the loop's own bound [s].
 OLD = 0.1
-#: In real time, on a machine that is busy: least time to wait for an answer, for positions, and for
-#: a silent host [s].
+#: In real time, on a busy machine: minimum reply timeout, and timeouts for positions and a silent
+#: host [s].
 PATIENCE, COMM_TIMEOUT, WATCHDOG = 0.05, 20.0, 2.0
 
 
 class Recorder(ServoBus):
-    """A chain that remembers what it handed out and what it was asked to send.
+    """A driver that records its readings and commands.
 
     Attributes:
-        readings: Positions that were handed out as good: (joint, angle, from, to) [rad, s].
-        asked: Limits (n,) [N·m] that were asked for, in order.
-        ceilings: Largest limits (n,) [N·m] as the servos said at open.
+        readings: Positions returned as valid: (joint, angle, from, to) [rad, s].
+        asked: Requested limits (n,) [N·m], in order.
+        ceilings: Largest limits (n,) [N·m], read from the servos at open.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """Remember nothing yet."""
+        """Start with an empty record."""
         super().__init__(*args, **kwargs)
         self.readings: list[tuple[int, float, float, float]] = []
         self.asked: list[Array] = []
         self.ceilings = np.zeros(self.n)
 
-    def read(self) -> Sample:
-        """Read, and remember."""
+    def read(self) -> JointReadings:
+        """Read, and record."""
         sample = super().read()
         now = time.perf_counter() if self.clock is None else self.clock.now()
         times = np.broadcast_to(sample.time, self.n)
@@ -82,12 +82,12 @@ class Recorder(ServoBus):
         return sample
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
-        """Remember, and write."""
+        """Record, and write."""
         self.asked.append(np.array(limit, dtype=np.float64))
         super().write(goal, limit, velocity)
 
     def enable(self, goal: ArrayLike, limit: ArrayLike) -> None:
-        """Remember, and enable."""
+        """Record, and enable."""
         self.asked.append(np.array(limit, dtype=np.float64))
         self.ceilings = np.array(self.servos.max_torque)
         super().enable(goal, limit)
@@ -95,27 +95,27 @@ class Recorder(ServoBus):
 
 @dataclass(frozen=True, kw_only=True)
 class Soaked:
-    """What came of it.
+    """Result of a soak.
 
     Attributes:
-        family: Which servos.
-        seconds: Under control.
-        ended: The error that ended it early, empty where none did.
+        family: The servos.
+        seconds: Time under control.
+        ended: The error that ended it early, else empty.
         loop: Counters of the loop.
-        bus: Counters of chain and arm.
-        struck: How often each kind of fault struck.
+        bus: Counters of driver and arm.
+        struck: Number of faults of each kind.
         broken: Rules broken, by name; empty is good.
-        late: Positions handed out as good that were not true at any moment between request and
-            answer: the answer was to an earlier request.
-        stale: Those that were not true within 0.1 s before the answer either.
-        furthest: Largest distance from the truth of that time [counts].
-        telling: Share of the positions that would have been found stale had they been three cycles
-            old: how sharp the comparison is.
-        positions: How many were compared.
-        limits: How many limits were compared with what was asked.
-        off: Largest distance of a limit on the wire from the one asked for [counts].
-        above: Limits that were above what was asked.
-        lateness: Of ticks, in words.
+        late: Positions returned as valid that were not true at any time between request and reply:
+            the reply belonged to an earlier request.
+        stale: Those that were not true within 0.1 s before the reply either.
+        furthest: Largest distance from the true position of that time [counts].
+        telling: Share of the positions that would be detected as stale if they were three cycles
+            old: the sensitivity of the comparison.
+        positions: Number of compared positions.
+        limits: Number of limits compared with the requested ones.
+        off: Largest distance of a limit on the wire from the requested one [counts].
+        above: Limits above the requested ones.
+        lateness: Of ticks, as text.
         lag: Time the emulator dropped because the computer was too slow [s].
     """
 
@@ -146,12 +146,12 @@ class Soaked:
 
     @property
     def good(self) -> bool:
-        """Whether nothing happened that must not."""
+        """True if the run was complete, no rule was broken, and limits and positions matched."""
         return not (self.ended or self.broken or self.stale or self.above) and self.off <= 1.0
 
 
 def stale(readings: list[tuple[int, float, float, float]], truth: Array, count: Array) -> Array:
-    """Distance of positions from what was true between their request and their answer.
+    """Return the distance of positions from the true ones between their request and their reply.
 
     Args:
         readings: As `Recorder.readings`.
@@ -159,7 +159,7 @@ def stale(readings: list[tuple[int, float, float, float]], truth: Array, count: 
         count: Size of a count of each joint [rad].
 
     Returns:
-        Distance of each [counts], 0 inside of what was true.
+        Distance of each [counts], 0 inside the true range.
     """
     times = truth[:, 0]
     out = np.zeros(len(readings))
@@ -175,7 +175,7 @@ def stale(readings: list[tuple[int, float, float, float]], truth: Array, count: 
 
 
 def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
-    """Follow a target that moves all the time, y soft; return the loop and what ended it."""
+    """Follow a moving target, y soft; return the loop and the error that ended it."""
     settings = pliant.Settings.soft("y").replace(rate=rate)
     ended = ""
     arm.enable()
@@ -202,7 +202,7 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
 def judge(
     family: str, arm: Arm, driven: tuple[Loop, str], ask: Callable[[str], Any], lag: float
 ) -> Soaked:
-    """Compare what the host remembers with what the emulator saw."""
+    """Compare the host's record with the emulator's."""
     (loop, ended), chain = driven, arm.drive
     assert isinstance(chain, Recorder)
     report, truth = ask("report"), ask("truth")
@@ -250,12 +250,12 @@ def judge(
 
 
 def shares(share: float = SHARE) -> dict[str, float]:
-    """A share of all transactions, spread over all kinds of fault."""
+    """Distribute a share of all transactions over all kinds of fault."""
     return dict.fromkeys(KINDS, share / len(KINDS))
 
 
 def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
-    """In the emulator's own time, everything in this process."""
+    """Soak in emulated time, everything in this process."""
     faults = Faults(seed=seed)
     options = {"rate": rate, "comm_timeout": COMM_TIMEOUT}
     with stepped(family, chain=Recorder, arm=options, faults=faults, log=10) as (bus, arm):
@@ -268,17 +268,17 @@ def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int 
 
 
 def audited(family: str, seed: int) -> ArmEmulator:
-    """The emulator of a soak in real time."""
+    """Return the emulator of a soak in real time."""
     bus = emulator(family, faults=Faults(seed=seed), log=10)
     bus.log.watch = Audit(bus, machine=True)
     return bus
 
 
 def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
-    """In real time, servos and arm in a process of their own."""
+    """Soak in real time, servos and arm in a process of their own."""
     read = configuration(family)
     with Remote(audited, family, seed) as bus:
-        chain = Recorder(assemble.specs(read, bus.ports), rate=rate, patience=PATIENCE)
+        chain = Recorder(factory.servo_specs(read, bus.ports), rate=rate, patience=PATIENCE)
         try:
             arm = Arm(
                 read.model(),
@@ -298,7 +298,7 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
 
 
 def table(runs: list[Soaked]) -> str:
-    """Counters as a table in Markdown, one column a run."""
+    """Return the counters as a table in Markdown, one column per run."""
     rows: dict[str, list[str]] = {}
 
     def row(name: str, values: list[Any]) -> None:
@@ -333,7 +333,7 @@ def table(runs: list[Soaked]) -> str:
 
 
 def main() -> None:
-    """Run, print the counters, and fail where something happened that must not."""
+    """Run, print the counters, and fail if a rule was broken."""
     parser = argparse.ArgumentParser(prog="python -m experiments.soak")
     parser.add_argument("--family", choices=FAMILIES, help="default: one after the other")
     parser.add_argument("--minutes", type=float, default=10.0)

@@ -1,9 +1,9 @@
-"""Steps of 10 cm: how fast the tool goes, and how far it runs past its target.
+"""Steps of 10 cm: tool speed and overshoot.
 
-``python -m experiments.steps --robot so101`` moves the target of an arm with stiff axes by
-10 cm, from seeded poses in several directions, under every law and at two speeds, and prints the
-fastest tool speed (mean over 50 ms), the farthest overshoot along the step and what is left after
-4 s. The controller believes the servos of the table; the plant has those, or others.
+``python -m experiments.steps --robot so101`` moves the target of an arm with stiff axes by 10 cm,
+from seeded poses in several directions, under every law and at two speeds. It prints the largest
+tool speed (mean over 50 ms), the largest overshoot along the step and the distance left after 4 s.
+The controller assumes the servos of the table; the plant has those, or others.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ WAY = 0.1  # [m]
 RATE = 100.0  # [Hz]
 #: Rest before the step, time after it, and the window of the mean speed [s].
 BEFORE, AFTER, WINDOW = 0.5, 4.0, 0.05
-#: What a pose on the way must have: room of every joint to its limits [rad], share of the usable
-#: torque that gravity may take, share of the median smallest singular value, height [m].
+#: Requirements on poses of a path: distance of every joint to its limits [rad], share of the usable
+#: torque for gravity, share of the median smallest singular value, height [m].
 ROOM, LOAD, SIGMA, HEIGHT = 0.3, 0.6, 0.65, 0.03
 #: Allowed tool speed ``FACTOR v + MORE`` [m/s] and overshoot [m].
 FACTOR, MORE, OVERSHOOT = 1.2, 0.02, 0.005
-#: Plants that differ from what the controller believes: name, stiffness, friction, ticks of delay.
+#: Plants that differ from the controller's assumptions: name, stiffness, friction, ticks of delay.
 DISTURBED = (
     ("friction x 0.7", 1.0, 0.7, 0),
     ("friction x 1.3", 1.0, 1.3, 0),
@@ -53,11 +53,11 @@ DISTURBED = (
 
 @cache
 def arm(name: str) -> Arm:
-    """A built-in arm, or that of a ready file whose URDF lies beside us, by name.
+    """Return a built-in arm, or that of a ready file with an available URDF, by name.
 
     Raises:
         ConfigError: The name is unknown.
-        FileNotFoundError: The URDF does not lie beside us.
+        FileNotFoundError: The URDF is not available.
     """
     if name in robots.names():
         return Arm(name, robots.load(name))
@@ -78,7 +78,7 @@ class Step:
 
     Attributes:
         q: Start (n,) [rad].
-        way: Of the tool (3,) [m].
+        way: Displacement of the tool (3,) [m].
     """
 
     q: tuple[float, ...]
@@ -87,7 +87,7 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What one step came to.
+    """Result of one step.
 
     Attributes:
         fastest: Largest mean speed of the tool over 50 ms [m/s].
@@ -102,12 +102,12 @@ class Outcome:
     seconds: float
 
     def kept(self, speed: float) -> bool:
-        """Whether speed and overshoot are within what is promised for a set `speed` [m/s]."""
+        """Return True if speed and overshoot are within the bounds for a set `speed` [m/s]."""
         return self.fastest <= FACTOR * speed + MORE and self.overshoot <= OVERSHOOT
 
 
 def steps(name: str, count: int, seed: int = 1) -> list[Step]:
-    """Seeded steps whose whole way is far from joint limits and singular poses."""
+    """Return seeded steps whose whole path is far from joint limits and singular poses."""
     it = arm(name)
     model, chance = it.model, np.random.default_rng(seed)
     found: list[Step] = []
@@ -133,7 +133,7 @@ def _sigma(it: Arm, q: Array) -> float:
 
 
 def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
-    """Whether the arm can go this way, by small steps of inverse kinematics."""
+    """Return True if the arm can follow this path, by small steps of inverse kinematics."""
     model, q = it.model, q.copy()
     start = np.array(model.forward_kinematics(q))
     usable = np.asarray(it.servos.max_torque)
@@ -157,14 +157,14 @@ def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
 
 
 def settings(name: str, law: Law, speed: float) -> pliant.Settings:
-    """All axes of an arm stiff, the tool no faster than `speed` [m/s]."""
+    """Return settings with all axes stiff, the tool no faster than `speed` [m/s]."""
     return pliant.Settings.firm(task=" ".join(arm(name).axes), law=law, max_tool_speed=speed)
 
 
 def run(
     name: str, step: Step, settings: pliant.Settings, plant: Mapping[str, Any] | None = None
 ) -> Outcome:
-    """One step on a plant with these options of `pliant.sim.Plant`."""
+    """Run one step on a plant with these options of `pliant.sim.Plant`."""
     model = arm(name).model
     options = {"count": np.asarray(arm(name).servos.encoder_step), **(plant or {})}
     controller = pliant.Controller(model, settings)
@@ -215,13 +215,13 @@ class Job:
 
 
 def rows(robot: str, count: int, *, disturbed: bool = False) -> list[Job]:
-    """The rows of the table of a robot."""
+    """Return the rows of the table of a robot."""
     cases = DISTURBED if disturbed else (("as believed", 1.0, 1.0, 0),)
     return [Job(robot, law, v, count, case) for case in cases for law in LAWS for v in SPEEDS]
 
 
 def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[Outcome]]) -> str:
-    """Markdown: worst and, in brackets, median of each row."""
+    """Return Markdown: worst and, in brackets, median of each row."""
     lines = [
         "| arm | plant | law | set [m/s] | fastest [m/s] | allowed | overshoot [mm] | left [mm] | "
         "within 10 mm after [s] | kept |",
@@ -252,7 +252,7 @@ def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: i
     Args:
         robot: A built-in arm, or vx300s where its URDF lies beside this checkout.
         poses: Steps of each row.
-        disturbed: Plants that differ from what the controller believes, in place of equal ones.
+        disturbed: Use plants that differ from the controller's assumptions.
         jobs: Processes.
     """
     todo = rows(robot, poses, disturbed=disturbed)
@@ -260,7 +260,7 @@ def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: i
 
 
 if __name__ == "__main__":
-    # Other processes find this module's jobs by its name, not as `__main__`.
+    # Other processes import this module's jobs by its name, not as `__main__`.
     from experiments import steps as module  # noqa: PLW0406 -- by name
 
     tyro.cli(module.main)

@@ -1,8 +1,8 @@
 """Teach and replay measured: ``python -m experiments.teaching``.
 
-A hand leads the tool in float mode, sideways and up; the motion is replayed on the same arm; then a
-hand holds the tool for 3 s on its way and lets go, with the motion waiting and with it running on.
-Encoder of 0.088°, k_p as the table says or 20 % below.
+A hand guides the tool sideways and up, and the same arm replays the motion. Then a hand holds the
+tool for 3 s in mid-motion and lets go, with the motion waiting and with it running on. Encoder of
+0.088°, k_p as in the table or 20 % below.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 COUNT = float(np.deg2rad(0.088))
-#: Where each arm starts [rad], how far it is led in y and z [m], and the cap of a soft axis [N].
+#: Start of each arm [rad], distance in y and z [m], and cap of a soft axis [N].
 ARMS = {
     "arm7": ([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657], 0.15, 0.06, 5.0),
     "so101": ([0.0, -0.3, 0.3, 0.9, 0.0], 0.08, 0.03, 2.0),
 }
-#: When the teaching hand comes [s] and how long it leads [s].
+#: Start of the teaching hand [s] and its duration [s].
 COMES, LEADS = 9.0, 3.0
-#: Grip of every hand [N/m], [N].
+#: Stiffness and largest force of every hand [N/m], [N].
 STIFFNESS, LIMIT = 2000.0, 60.0
-#: The blocking hand: from when to when after the beginning of the replay [s].
+#: The blocking hand: start and end after the beginning of the replay [s].
 BLOCKS = (2.2, 5.2)
 #: Deviations that never make a clock wait [m], [rad].
 NEVER = (10.0, 10.0)
 
 
 def teaching(name: str, kp_scale: float) -> Motion:
-    """What a scripted hand teaches."""
+    """Return the motion taught by a scripted hand."""
     q, sideways, up, _ = ARMS[name]
     course = Course(start=COMES, rise=LEADS, end=COMES + LEADS + 0.5)
     hands = [
@@ -63,15 +63,15 @@ def _connect(name: str, q: Iterable[float], kp_scale: float, scene: list[Drag]) 
 
 @dataclass(frozen=True)
 class Played:
-    """One replay.
+    """Result of one replay.
 
     Attributes:
-        worst, median, end: Distance of the tool from where the motion's clock is [m].
-        path: Largest distance from the taught path, whenever [m].
+        worst, median, end: Distance of the tool from the motion at the clock's time [m].
+        path: Largest distance from the taught path at any time [m].
         force: Median force of the blocking hand in its last second [N].
         peak: Its largest force [N].
-        after: Largest speed of the tool after it has let go [m/s].
-        took: [s].
+        after: Largest speed of the tool after its release [m/s].
+        took: Duration [s].
     """
 
     worst: float
@@ -85,7 +85,7 @@ class Played:
 
 
 def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) -> Played:
-    """Teach, replay, measure; `held`: whether the motion waits for a hand that holds the tool."""
+    """Teach, replay and measure; `held`: the motion waits for a hand that holds the tool."""
     block, wait = bool(held), all(held)
     motion, cap = teaching(name, kp_scale), ARMS[name][3]
     model = load(name).model
@@ -104,9 +104,9 @@ def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
         remembered = False
         for tick in pliant.Loop(arm, controller, duration=40.0):
             tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
-            now = tick.began  # the scene's hand goes by the plant's clock
+            now = tick.began  # the scene's hand uses the plant's clock
             if block and not remembered and now >= BLOCKS[0] - 0.02:
-                plant.truth.remember()  # the hand holds the tool where it is now
+                plant.truth.remember()  # the hand holds the present position of the tool
                 remembered = True
             force = float(np.linalg.norm(plant.hands[0].force)) if block else 0.0
             want = model.forward_kinematics(motion.at(replay.time))[:3, 3]
@@ -140,7 +140,7 @@ class Options:
     """Measure teaching and replaying.
 
     Attributes:
-        jobs: Processes at once.
+        jobs: Number of processes.
     """
 
     jobs: int = 2

@@ -1,4 +1,4 @@
-"""The target moves: sinusoids, a tilt of the hand, and a walk out of reach."""
+"""Moving targets: sinusoids, a rotation step, and a path out of reach."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Tracked:
-    """How well an axis followed its sinusoid while it was compliant.
+    """Tracking of a sinusoid by a compliant axis.
 
     Attributes:
         share: Rms error over amplitude.
         position: Largest deviation of the other positions [m].
         rotation: Largest deviation of the other rotations [rad].
         sunk: Largest loss of height where the tool is beyond x = 0.40 m [m].
-        left: Loss of height when the tool first is back at x = 0.38 m after the far half-wave [m].
+        left: Loss of height when the tool is first back at x = 0.38 m after the far half-wave [m].
         trace: The run.
     """
 
@@ -49,7 +49,7 @@ class Tracked:
 
 
 def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> Tracked:
-    """Let the target swing along or about one axis from 1 to 17 s, two periods."""
+    """Move the target sinusoidally along or about one axis from 1 to 17 s, two periods."""
     start = tool(VERTICAL)
     index = AXES.index(axis)
     target = sinusoid(start, axis, AMPLITUDE[axis])
@@ -73,11 +73,11 @@ def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> Tracked:
 
 @dataclass(frozen=True, kw_only=True)
 class Tilted:
-    """How a jump of the hand's orientation was followed.
+    """Response to a step of the tool's orientation.
 
     Attributes:
-        angle: What is left of it at 6 s [rad].
-        position: Largest deviation of the position on the way [m].
+        angle: Remaining angle at 6 s [rad].
+        position: Largest deviation of the position meanwhile [m].
         trace: The run.
     """
 
@@ -87,7 +87,7 @@ class Tilted:
 
 
 def tilt(law: Law, *, conditions: Conditions = NOMINAL) -> Tilted:
-    """Turn the target of the horizontal grasp at once, by 0.44 rad about no axis in particular."""
+    """Turn the target of the horizontal grasp at once, by 0.44 rad about an oblique axis."""
     target = tilted(tool(HORIZONTAL))
     trace = run(conditions.build(), conditions.controller(law), target, 6.0, q=HORIZONTAL)
     return Tilted(
@@ -99,7 +99,7 @@ def tilt(law: Law, *, conditions: Conditions = NOMINAL) -> Tilted:
 
 @dataclass(frozen=True, kw_only=True)
 class Reached:
-    """What happened when the target left the arm's reach and came back.
+    """Result of a target that left the arm's reach and returned.
 
     Attributes:
         farthest: Largest x of the tool [m].
@@ -117,7 +117,7 @@ class Reached:
 
 
 def leave_reach(law: Law, *, conditions: Conditions = NOMINAL) -> Reached:
-    """Lead the target to x = 0.80 m, where the arm ends at 0.71 m from its shoulder, and back."""
+    """Move the target to x = 0.80 m, where the arm ends at 0.71 m from its shoulder, and back."""
     trace = run(conditions.build(), conditions.controller(law), beyond_reach, 15.0, q=AT_REACH)
     return Reached(
         farthest=float(trace.position[:, 0].max()),

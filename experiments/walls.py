@@ -1,4 +1,4 @@
-"""Running into a wall: how hard the bump is, and what force stays."""
+"""Motion into a wall: impact, and remaining force."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GAP, BEHIND = 0.05, 0.10
 
 @dataclass(frozen=True, kw_only=True)
 class Bumped:
-    """What the wall felt.
+    """Forces on the wall.
 
     Attributes:
         peak: Largest force of any physics step [N].
@@ -51,7 +51,7 @@ class Bumped:
 
 
 def effective_mass(plant: Plant, axis: int) -> float:
-    """Mass [kg] met along a base axis at the tool: 1 / (n J M⁻¹ Jᵀ nᵀ), rotors included."""
+    """Return the effective mass [kg] along a base axis: 1 / (n J M⁻¹ Jᵀ nᵀ), with rotors."""
     model, data = plant.mj_model, plant.mj_data
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
@@ -71,15 +71,15 @@ def bump(
     cap: float = 15.0,
     conditions: Conditions = NOMINAL,
 ) -> Bumped:
-    """Run into a wall 0.05 m away with a target that goes on for another 0.10 m.
+    """Run into a wall 0.05 m away with a target that continues for another 0.10 m.
 
     Args:
-        law: Makes the settings from the axis that is soft, `soft`, and `eta`.
+        law: Makes the settings from the soft axis, `soft`, and `eta`.
         direction: One of `DIRECTIONS`.
         speed: Of the target [m/s].
         stiffness: Of the wall [N/m].
         cap: Force that the law promises at a large deviation [N].
-        conditions: Loop, bus and beliefs.
+        conditions: Loop, bus and assumptions.
 
     Returns:
         The figures and the run.

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pliant
-from pliant._connect import ARM_OPTIONS
+from pliant.config.factory import ARM_OPTIONS
 from pliant.sim import Plant, SimDrive
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import pliant
-from pliant._connect import ARM_OPTIONS
+from pliant.config.factory import ARM_OPTIONS
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")

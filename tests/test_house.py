@@ -1,8 +1,7 @@
-"""Rules of the house: one version, light import, short files, documents that run, whole wheel."""
+"""Rules of the house: one version, light import, documents that run, whole wheel."""
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import importlib.metadata
 import json
@@ -152,40 +151,6 @@ def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
     lenders = [s for s in signatures if re.search(r"->[^{]*&'?\w* ?(mut )?\[f64\]", s)]
     assert len(lenders) == 2
     assert all(s.startswith(("unsafe fn", "pub(crate) unsafe fn")) for s in lenders), lenders
-
-
-def imported(folder: str) -> set[tuple[str, str]]:
-    """File and module of every import below a folder of the package, lazy ones included."""
-    found = set()
-    for path in sorted((ROOT / "python" / folder).rglob("*.py")):
-        file = path.relative_to(ROOT).as_posix()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                found |= {(file, alias.name) for alias in node.names}
-            elif isinstance(node, ast.ImportFrom):
-                assert node.level == 0, f"{file}: imports of the package are absolute"
-                found |= {(file, f"{node.module}.{alias.name}") for alias in node.names}
-    return found
-
-
-@pytest.mark.parametrize(
-    ("folder", "forbidden"),
-    [
-        ("pliant", "experiments"),
-        ("pliant/servo", "pliant.emulator"),
-        ("pliant/emulator", "pliant.servo"),
-    ],
-)
-def test_imports_point_one_way(folder, forbidden):
-    found = imported(folder)
-    assert found
-    assert not [pair for pair in sorted(found) if f"{pair[1]}.".startswith(f"{forbidden}.")]
-
-
-def test_only_configuration_and_command_line_build_emulators():
-    users = {file for file, module in imported("pliant") if module.startswith("pliant.emulator")}
-    outside = {file for file in users if "/emulator/" not in file}
-    assert outside == {"python/pliant/cli/servos/emulate.py", "python/pliant/config/emulation.py"}
 
 
 def built(pattern: str) -> Path:

@@ -22,9 +22,9 @@ pytest.importorskip("mcap", reason="texts name parts of the extra log")
 import tyro
 
 import pliant
-from pliant._connect import ARM_OPTIONS, FILE_OPTIONS, PLANT_OPTIONS
 from pliant.cli import COMMANDS
 from pliant.cli import main as cli_main
+from pliant.config.factory import ARM_OPTIONS, FILE_OPTIONS, PLANT_OPTIONS
 from pliant.config.schema import Config
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -1,7 +1,6 @@
-"""Pages of the gallery: an example's picture, what it prints, and its source, one page each.
+"""Pages of the gallery: picture, output and source of each example.
 
-Made from `examples/` and what `make gallery` kept in docs/gallery, so that a page cannot say
-anything that its example does not do.
+Inputs are `examples/` and the files that `make gallery` stored in docs/gallery.
 """
 
 import ast
@@ -13,36 +12,36 @@ SOURCE = "../../examples"
 
 
 def title(example):
-    """The first sentence of its docstring."""
+    """Return the first paragraph of the docstring."""
     text = ast.get_docstring(ast.parse(example.read_text(encoding="utf-8"))) or example.stem
     return " ".join(text.split("\n\n")[0].split()).rstrip(".")
 
 
 def short(example):
-    """Its name in the sidebar."""
+    """Return the name in the sidebar."""
     return example.stem.replace("_", " ")
 
 
 def about(example):
-    """The rest of its docstring."""
+    """Return the docstring after its first paragraph."""
     text = ast.get_docstring(ast.parse(example.read_text(encoding="utf-8"))) or ""
     return "\n\n".join(text.split("\n\n")[1:])
 
 
 def page(example):
-    """A page as MyST."""
+    """Return an example's page as MyST."""
     parts = [f"# {example.stem[:2]}: {title(example)}", about(example)]
     if (GALLERY / f"{example.stem}.html").exists():
         parts.append(
             "```{raw} html\n"
             f'<iframe src="../_static/replays/{example.stem}.html" title="{example.stem}" '
             'loading="lazy" style="width: 100%; height: 420px; border: 1px solid #8885"></iframe>\n'
-            "```\n\nDrag to turn it, the wheel zooms. The arrow is the force of the hand."
+            "```\n\nDrag to turn it, use the wheel to zoom. The arrow is the force of the hand."
         )
     elif (GALLERY / f"{example.stem}.jpg").exists():
-        parts.append(f"![what the arm does]({example.stem}.jpg)")
+        parts.append(f"![the motion of the arm]({example.stem}.jpg)")
     parts += [
-        "It prints:",
+        "Output:",
         f"```{{literalinclude}} {example.stem}.txt\n:language: text\n:lines: 2-\n```",
         f"```{{literalinclude}} {SOURCE}/{example.name}\n:language: python\n```",
     ]
@@ -50,7 +49,7 @@ def page(example):
 
 
 def index(examples):
-    """The page that shows all of them."""
+    """Return the index page."""
     rows = []
     for example in examples:
         picture = GALLERY / f"{example.stem}.jpg"
@@ -60,17 +59,17 @@ def index(examples):
     pages = "\n".join(f"{short(example)} <{example.stem}>" for example in examples)
     return (
         "# Gallery\n\n"
-        "The examples in order are the tutorial. Each runs as it stands on the simulated arm: "
-        "`.venv/bin/python examples/01_soft_sideways.py` after `make demo`. Pictures and texts "
-        "were made by running them (`make gallery`); a test notices when one has changed since."
+        "The numbered examples are the tutorial. Each runs unchanged on the simulated arm: "
+        "`.venv/bin/python examples/01_soft_sideways.py` after `make demo`. `make gallery` runs "
+        "them and stores pictures and output; a test fails when an example has changed since."
         "\n\n"
-        "| example | what the arm does |\n|---|---|\n" + "\n".join(rows) + "\n\n"
+        "| example | motion |\n|---|---|\n" + "\n".join(rows) + "\n\n"
         f"```{{toctree}}\n:hidden:\n\n{pages}\n```\n"
     )
 
 
 def write(app):
-    """Write what changed, so that pages that did not are not built again."""
+    """Write the changed pages only, so that Sphinx does not rebuild the others."""
     examples = sorted(EXAMPLES.glob("*.py"))
     texts = {f"{example.stem}.md": page(example) for example in examples}
     texts["index.md"] = index(examples)
@@ -88,6 +87,6 @@ def write(app):
 
 
 def setup(app):
-    """Sphinx calls it."""
+    """Connect to Sphinx."""
     app.connect("builder-inited", write)
     return {"parallel_read_safe": True}

@@ -16,7 +16,7 @@ NEW = "__new__"
 
 
 def signatures():
-    """Arguments and results in the stub by dotted name; the first overload speaks for all."""
+    """Arguments and results in the stub by dotted name; of the first overload."""
     found = {}
     for item in ast.parse(STUB.read_text(encoding="utf-8")).body:
         inside = item.body if isinstance(item, ast.ClassDef) else [item]
@@ -45,7 +45,7 @@ def parts(function):
 
 KNOWN = signatures()
 
-#: Pages of the package itself; a public name that stands nowhere fails the build.
+#: Pages of the package itself; a public name without a page fails the build.
 CORE = {
     "robot": ("Model, poses and servos", "Model Pose Payload Servos"),
     "controller": ("Controller", "Controller Command Diagnostics BatchState"),
@@ -62,13 +62,13 @@ CORE = {
         "ServoTimeoutError ServoFaultError",
     ),
 }
-#: Modules with a page each, and what else they have that is public.
+#: Modules with a page each, and their other public modules.
 MODULES = {
     "functional": "The equations of the paper for a Jacobian of your own",
     "model": "Parts of a model, and results of inverse kinematics",
     "feasibility": "What an arm can exert in a pose or along a path",
     "arm": "What an arm is, its states and its way down",
-    "reactions": "Conditions over what is felt, and what to do then",
+    "reactions": "Conditions on measured quantities, and actions",
     "robots": "Arms that ship with the package",
     "identify": "Servos, payload and delay from the arm itself",
     "teach": "Motions led by hand, and their replay",
@@ -81,7 +81,7 @@ MODULES = {
 
 
 def entry(module, name):
-    """A directive for one thing."""
+    """Return the directive of one item."""
     thing = getattr(module, name)
     if inspect.isclass(thing):
         members = "" if issubclass(thing, Exception) else "\n   :members:"
@@ -93,13 +93,13 @@ def entry(module, name):
 
 
 def chapter(heading, module, names):
-    """A page as MyST."""
+    """Return a page as MyST."""
     entries = "\n".join(entry(module, name) for name in names)
     return f"# {heading}\n\n```{{eval-rst}}\n{entries}```\n"
 
 
 def public(module):
-    """What a module offers."""
+    """Return the public items of a module."""
     own = getattr(module, "__all__", None) or [
         name
         for name, thing in vars(module).items()
@@ -109,13 +109,13 @@ def public(module):
 
 
 def known(thing, listed):
-    """Whether exactly this one has its place already."""
+    """Return True if this very item already has a page."""
     return any(thing is other for other in listed)
 
 
 def write(app):
-    """Write what changed."""
-    texts, listed = {}, []  # things, since a module may offer what another one has
+    """Write the changed pages."""
+    texts, listed = {}, []  # objects, since two modules may export the same one
     for key, (heading, names) in CORE.items():
         listed += [getattr(pliant, name) for name in names.split()]
         texts[f"{key}.md"] = chapter(heading, pliant, names.split())
@@ -144,14 +144,14 @@ def write(app):
 
 
 def signature(app, what, name, thing, options, given, result):
-    """The stub's words for what is compiled."""
+    """Replace the docstring of a compiled item by that of the stub."""
     short = name.removeprefix("pliant.")
     called = what in {"class", "method", "function"} and short in KNOWN
     return (KNOWN[short], "") if called else None
 
 
 def plain(app, what, name, thing, options, lines):
-    """What reStructuredText would take for markup outside of back-quotes."""
+    """Escape reStructuredText markup outside of back-quotes."""
     for i, line in enumerate(lines):
         pieces = re.split(r"(``[^`]*``|`[^`]*`)", line)
         pieces[::2] = [
@@ -160,7 +160,7 @@ def plain(app, what, name, thing, options, lines):
         lines[i] = "".join(pieces)
 
 
-#: Stands for a colon in an attribute's docstring: napoleon takes what is before it for a type.
+#: Replaces a colon in an attribute's docstring: napoleon takes the text before it for a type.
 COLON = "\ue000"
 
 
@@ -176,7 +176,7 @@ def reveal(app, what, name, thing, options, lines):
 
 
 def setup(app):
-    """Sphinx calls it."""
+    """Connect to Sphinx."""
     app.connect("builder-inited", write)
     app.connect("autodoc-process-signature", signature)
     app.connect("autodoc-process-docstring", plain, priority=400)

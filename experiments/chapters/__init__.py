@@ -1,4 +1,4 @@
 """The experiments as chapters of a report: runs, numbers, statements, pictures.
 
-A chapter is a module with `jobs`, `measure`, `chapter` and `draw`; `demo` walks through them.
+A chapter is a module with `jobs`, `measure`, `chapter` and `draw`; `demo` runs them.
 """

@@ -1,4 +1,4 @@
-"""Chapter 1: which joint does what, the activation matrices of the two grasp poses (Fig. 3)."""
+"""Chapter 1: activation matrices of the two grasp poses (Fig. 3)."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ REFERENCE: Mapping[str, tuple[tuple[float, ...], ...]] = {
 
 
 def matrix(pose: str, *, damped: bool = False) -> Array:
-    """Activation matrix (7, 7) of a grasp pose, read off the controller.
+    """Return the activation matrix (7, 7) of a grasp pose, read from the controller.
 
     Args:
         pose: `vertical` or `horizontal`.
-        damped: With the damping of the other chapters instead of none. The reference was
-            made without, and the figure compares with the reference.
+        damped: True: with the damping of the other chapters. The reference was made without
+            damping.
 
     Returns:
         Shares of joints (rows) in task axes and null space (columns).
@@ -84,7 +84,7 @@ def matrix(pose: str, *, damped: bool = False) -> Array:
 
 
 def jobs(options: Options) -> list[Job]:
-    """Two per pose: as drawn, and with the damping of the other chapters."""
+    """Return two jobs per pose: as drawn, and with the damping of the other chapters."""
     return [
         *(Job(pose, matrix, (pose,)) for pose in POSES),
         *(Job(f"{pose} damped", matrix, (pose,), {"damped": True}) for pose in POSES),
@@ -92,7 +92,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Array]) -> Numbers:
-    """The matrices and how far they are from the reference."""
+    """Return the matrices and their distance from the reference."""
     return {
         "joints": list(JOINTS),
         "columns": list(COLUMNS),
@@ -136,13 +136,13 @@ def chapter(numbers: Numbers) -> Chapter:
 
 
 def _top(column: Array, count: int) -> str:
-    """The largest entries of a column, in words."""
+    """Describe the largest entries of a column."""
     order = np.argsort(-column)[:count]
     return listed([f"{JOINTS[i]} {column[i]:.2f}" for i in order])
 
 
 def _lead(column: Array, wanted: tuple[int, ...], ignored: tuple[int, ...] = ()) -> float:
-    """By how much the least of the wanted joints exceeds the largest of the others."""
+    """Return by how much the least of the wanted joints exceeds the largest of the others."""
     rest = [i for i in range(7) if i not in {*wanted, *ignored}]
     return float(column[list(wanted)].min() - column[rest].max())
 

@@ -1,4 +1,4 @@
-"""Any arm: which one, with which servos, in which pose, in which task axes."""
+"""Any arm: its servos, pose and task axes."""
 
 from __future__ import annotations
 
@@ -20,23 +20,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Poses that are looked at to find a good one, and the inner share of the joint ranges they come
-#: from.
+#: Number of poses searched for a good one, and the inner share of the joint ranges they come from.
 POSES, INNER = 512, 0.6
-#: Effort that is assumed where nothing is known: so many times the largest torque that holds the
-#: arm, at least [N·m].
+#: Assumed effort where none is known: this multiple of the largest torque that holds the arm, at
+#: least [N·m].
 STRONG_ENOUGH, LEAST_EFFORT = 4.0, 0.5
-#: How far the soft axis is moved, as a share of the reach, within [m].
+#: Distance of the soft axis, as a share of the reach, within [m].
 WAY_SHARE, WAY_RANGE = 0.2, (0.03, 0.15)
 #: Steps in which a motion is checked beforehand.
 STEPS = 12
-#: Share of the usable torque that gravity may take in a pose that is chosen.
+#: Share of the usable torque that gravity may take in a chosen pose.
 GRAVITY_SHARE = 0.6
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where an arm comes from: a built-in one by name, or a URDF with base and tip."""
+    """Source of an arm: a built-in one by name, or a URDF with base and tip."""
 
     name: str = ""
     urdf: str = ""
@@ -46,16 +45,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm ready to be tried.
+    """An arm ready for the experiments.
 
     Attributes:
         model: The arm.
         servos: Its servos, known or guessed.
-        axes: Task axes its joints can serve.
-        soft: The axis that is made compliant.
-        pose: Joint positions (n,) [rad] where it is tried.
-        way: How far the soft axis can be moved from there, both ways [m].
-        notes: What had to be assumed.
+        axes: Task axes that its joints can control.
+        soft: The compliant axis.
+        pose: Joint positions (n,) [rad] of the experiments.
+        way: Distance that the soft axis can move from there, both ways [m].
+        notes: Assumptions that were made.
     """
 
     model: pliant.Model
@@ -73,7 +72,7 @@ class Arm:
 
     @property
     def where(self) -> str:
-        """The pose in words."""
+        """The pose as text."""
         angles = ", ".join(f"{angle:.2f}" for angle in self.pose)
         return (
             f"pose ({angles}) rad, the best conditioned of {POSES} random ones that hold "
@@ -88,16 +87,16 @@ class Arm:
 
 @cache
 def load(source: Source) -> Arm:
-    """Load an arm, guess what is not known of its servos, and find a pose.
+    """Load an arm, guess unknown servo parameters, and find a pose.
 
     Args:
-        source: Where it comes from.
+        source: Source of the arm.
 
     Returns:
         The arm.
 
     Raises:
-        PliantError: The URDF is refused, or no pose lets the soft axis move.
+        PliantError: The URDF is rejected, or no pose lets the soft axis move.
     """
     model, servos, notes = _built_in(source.name) if source.name else _from_urdf(source)
     if model.n < 2:
@@ -147,13 +146,13 @@ def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
 
 
 def ranges(model: pliant.Model) -> tuple[Array, Array]:
-    """Joint limits (n,) with ±π where there are none."""
+    """Return joint limits (n,), ±π for joints without."""
     lower, upper = np.asarray(model.lower), np.asarray(model.upper)
     return np.where(np.isfinite(lower), lower, -np.pi), np.where(np.isfinite(upper), upper, np.pi)
 
 
 def sample(model: pliant.Model, count: int = POSES, *, inner: float = 1.0, seed: int = 0) -> Array:
-    """Random poses (count, n) from the inner share of the joint ranges."""
+    """Return random poses (count, n) from the inner share of the joint ranges."""
     lower, upper = ranges(model)
     middle, half = (lower + upper) / 2, inner * (upper - lower) / 2
     return np.random.default_rng(seed).uniform(middle - half, middle + half, (count, model.n))
@@ -165,13 +164,13 @@ def _holding(model: pliant.Model) -> Array:
 
 
 def _reach(model: pliant.Model) -> float:
-    """Farthest the tool gets from the origin of the base in random poses [m]."""
+    """Return the largest distance of the tool from the origin of the base in random poses [m]."""
     places = [model.forward_kinematics(q)[:3, 3] for q in sample(model, 128)]
     return float(np.ptp(np.array(places), axis=0).max() / 2)
 
 
 def sigma(model: pliant.Model, q: Array, axes: tuple[str, ...]) -> float:
-    """Smallest singular value of the task rows, translations divided by the reach."""
+    """Return the smallest singular value of the task rows, translations divided by the reach."""
     rows = np.asarray(model.jacobian(q))[[AXES.index(name) for name in axes]].copy()
     rows[[AXES.index(name) < 3 for name in axes]] /= _cached_reach(model)
     return float(np.linalg.svd(rows, compute_uv=False).min())
@@ -185,7 +184,7 @@ def _cached_reach(model: pliant.Model) -> float:
 
 
 def capacity(model: pliant.Model, servos: pliant.Servos, q: Array, axis: int, sign: float) -> float:
-    """Largest push [N or N·m] toward `sign` of an axis (index) that the servos hold at q (n,)."""
+    """Return the largest push [N or N·m] along an axis that the servos hold at q (n,)."""
     lever = sign * np.asarray(model.jacobian(q))[axis]
     felt = np.abs(lever) > 1e-6
     if not felt.any():
@@ -197,7 +196,7 @@ def capacity(model: pliant.Model, servos: pliant.Servos, q: Array, axis: int, si
 def _find_pose(
     model: pliant.Model, servos: pliant.Servos, axes: tuple[str, ...], soft: str, way: float
 ) -> tuple[Array, float]:
-    """The best conditioned pose that holds itself easily and lets the soft axis move both ways."""
+    """Return the best conditioned pose that lets the soft axis move both ways."""
     usable = np.asarray(servos.max_torque)
     light = [
         q
@@ -216,7 +215,7 @@ def _find_pose(
 
 
 def _can_move(model: pliant.Model, q: Array, axes: tuple[str, ...], soft: str, way: float) -> bool:
-    """Whether the soft axis can go that way, inside limits and away from singular poses."""
+    """Return True if the soft axis can move that far within limits, away from singular poses."""
     lower, upper = ranges(model)
     rows = [AXES.index(name) for name in axes]
     least = 0.4 * sigma(model, q, axes)

@@ -1,4 +1,4 @@
-"""The chapters that suit any arm: who does what, swinging, promises."""
+"""Chapters that suit any arm: activation, swinging, promises."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ class Activation:
     TITLE: ClassVar[str] = "Which joint does what"
 
     def jobs(self, options: Options) -> list[Job]:
-        """One."""
+        """Return one job."""
         return [Job("matrix", anyarm_runs.activation, (self.source,))]
 
     def measure(self, outcomes: Mapping[str, Array]) -> Numbers:
-        """The matrix."""
+        """Return the matrix."""
         arm = anyarm.load(self.source)
         return {
             "joints": list(arm.model.joint_names),
@@ -61,7 +61,7 @@ class Activation:
         }
 
     def chapter(self, numbers: Numbers) -> Chapter:
-        """Say which joint leads on each axis."""
+        """State the leading joint of each axis."""
         arm = anyarm.load(self.source)
         share = np.array(numbers["activation"])[:, : len(arm.axes)]
         sums = np.abs(share.sum(axis=0) - 1.0).max()
@@ -109,11 +109,11 @@ class Swinging:
     TITLE: ClassVar[str] = "A compliant axis still tracks"
 
     def jobs(self, options: Options) -> list[Job]:
-        """One."""
+        """Return one job."""
         return [Job("swing", anyarm_runs.swing, (self.source,))]
 
     def measure(self, outcomes: Mapping[str, Trace]) -> Numbers:
-        """Rms error over amplitude, and the other positions."""
+        """Return the rms error over amplitude, and the other positions."""
         arm, trace = anyarm.load(self.source), outcomes["swing"]
         axis = AXES.index(arm.soft)
         swing = trace.between(1.0, 17.0)
@@ -163,21 +163,21 @@ class Swinging:
 
 @dataclass(frozen=True)
 class Promised:
-    """Chapter 4: is the promised cap what a hand feels?"""
+    """Chapter 4: the promised cap against the force on a hand."""
 
     source: Source
     NUMBER: ClassVar[int] = 4
     TITLE: ClassVar[str] = "Promised and felt"
 
     def jobs(self, options: Options) -> list[Job]:
-        """A job per pose: every axis, both ways."""
+        """Return a job per pose: every axis, both ways."""
         count = POSES[options.quick]
         return [
             Job(f"pose {k}", anyarm_runs.promises, (self.source, k, count)) for k in range(count)
         ]
 
     def measure(self, outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
-        """Every push, and how many kept the promise."""
+        """Return every push, and the number of kept promises."""
         pushes = [one for several in outcomes.values() for one in several]
         errors = [abs(one.measured - one.promise) / one.cap for one in pushes]
         return {
@@ -239,6 +239,6 @@ class Promised:
 
 
 def experiments(source: Source) -> dict[int, Any]:
-    """The chapters by number."""
+    """Return the chapters by number."""
     chapters = (Activation(source), Dragged(source), Swinging(source), Promised(source))
     return {chapter.NUMBER: chapter for chapter in chapters}

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from experiments.chapters.common import Options
     from experiments.episode import Trace
 
-#: Kinds of the drag: how stiff, η, toward which side.
+#: Kinds of the drag: stiffness, η, direction.
 DRAGS = (
     ("soft", 0.999, 1),
     ("soft", 0.999, -1),
@@ -42,7 +42,7 @@ class Dragged:
     TITLE: ClassVar[str] = "Held, dragged, let go"
 
     def jobs(self, options: Options) -> list[Job]:
-        """Soft with and without adaptation, and stiff, both ways."""
+        """Return the runs: soft with and without adaptation, and stiff, both ways."""
         runs = [d for d in DRAGS if d[2] == 1] if options.quick else DRAGS
         return [
             Job("strengths", anyarm_runs.strengths, (self.source,)),
@@ -53,7 +53,7 @@ class Dragged:
         ]
 
     def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
-        """Numbers by kind: the worse of both directions."""
+        """Return numbers by kind: the worse of both directions."""
         arm, given = anyarm.load(self.source), outcomes["strengths"]
         kinds: dict[str, dict[str, float]] = {}
         for name, trace in outcomes.items():

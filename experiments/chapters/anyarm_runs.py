@@ -1,4 +1,4 @@
-"""Runs with any arm, each a call that another process can make."""
+"""Runs with any arm, each a picklable call."""
 
 from __future__ import annotations
 
@@ -25,18 +25,17 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 RATE = 100.0
-#: A hand's spring and damper for an arm whose caps are around 15 N [N/m, N·s/m]; they grow with the
+#: A hand's spring and damper for an arm with caps around 15 N [N/m, N·s/m]; they scale with the
 #: caps.
 SPRING, DAMPER, USUAL = 2000.0, 30.0, 15.0
-#: How far the hand goes in the test of the promise, as a share of what the soft axis can do;
-#: rotations [rad].
+#: Distance of the hand in the test of the promise, as a share of the soft axis' range; rotations
+#: [rad].
 TURN = 0.3
-#: When the hand holds still, and the end [s].
+#: Time at which the hand holds still, and the end [s].
 STILL, END = 2.5, 3.0
-#: Poses of the promise whose smallest singular value lies below this share of the median are left
-#: out.
+#: Poses of the promise with a smallest singular value below this share of the median are left out.
 LEAST_SIGMA = 0.65
-#: Cap that is promised, as a share of the median static capacity, translations and rotations.
+#: Promised cap, as a share of the median static capacity, translations and rotations.
 CAP_SHARE = (0.30, 0.14)
 
 
@@ -54,11 +53,11 @@ class Promise:
     """One axis pushed at one pose: what was promised and what was felt [N or N·m].
 
     Attributes:
-        axis, sign: Where it was pushed.
-        cap: What was set.
+        axis, sign: Of the push.
+        cap: Setting.
         promise: min(cap, stiffness × deviation).
-        measured: What the hand felt.
-        friction: What the joints' friction may hide.
+        measured: Force on the hand.
+        friction: The part that the joints' friction may hide.
     """
 
     axis: str
@@ -70,7 +69,7 @@ class Promise:
 
     @property
     def kept(self) -> bool:
-        """Whether the force is within 15 % of the cap and the friction of its promise."""
+        """True if the force is within 15 % of the cap and the friction of its promise."""
         return abs(self.measured - self.promise) <= 0.15 * self.cap + self.friction
 
 
@@ -88,7 +87,7 @@ def _loop(
 
 
 def activation(source: Source) -> Array:
-    """Activation matrix (n, k + 1) at the pose."""
+    """Return the activation matrix (n, k + 1) at the pose."""
     arm = anyarm.load(source)
     controller = pliant.Controller(
         arm.model, arm.law(soft="", tracking=pliant.Tracking(damping=0.0)), arm.servos
@@ -99,7 +98,7 @@ def activation(source: Source) -> Array:
 
 
 def strengths(source: Source) -> Strengths:
-    """Read the default strengths off the controller: near its target, far from it, stiff."""
+    """Read the default strengths from the controller: near its target, far from it, stiff."""
     arm = anyarm.load(source)
     start = np.asarray(arm.model.forward_kinematics(arm.pose))
     row = arm.axes.index(arm.soft)
@@ -110,7 +109,7 @@ def strengths(source: Source) -> Strengths:
         controller.step(arm.pose, setups.displaced(start, arm.soft, away))
         return float(controller.diagnostics.axis_strength[row])
 
-    # Far from the target, and not farther than a target may be.
+    # Far from the target, but within the range allowed for a target.
     far = min(1.0, float(arm.model.reach))
     return Strengths(
         soft=strength(arm.soft, 0.0), firm=strength(arm.soft, far), hold=strength("", 0.0)
@@ -118,7 +117,7 @@ def strengths(source: Source) -> Strengths:
 
 
 def hand(arm: Arm, distance: float, strongest: float) -> Drag:
-    """A hand that is stiff and strong enough for this arm, at the tool."""
+    """Return a hand that is stiff and strong enough for this arm, at the tool."""
     scale = max(strongest / USUAL, 0.05)
     return Drag(
         axis=arm.soft,
@@ -137,7 +136,7 @@ def drag(source: Source, kind: str, eta: float, sign: int) -> Trace:
         source: The arm.
         kind: `soft`, or `stiff` for all axes stiff.
         eta: Target adaptation.
-        sign: Toward which side.
+        sign: Direction.
 
     Returns:
         The run.
@@ -158,7 +157,7 @@ def swing(source: Source) -> Trace:
 
 
 def poses(source: Source, count: int) -> list[Array]:
-    """Well conditioned random poses that hold themselves."""
+    """Return well conditioned random poses that hold themselves."""
     arm = anyarm.load(source)
     sampled = anyarm.sample(arm.model, inner=0.8, seed=1)
     sigmas = np.array([anyarm.sigma(arm.model, q, arm.axes) for q in sampled])
@@ -167,7 +166,7 @@ def poses(source: Source, count: int) -> list[Array]:
 
 
 def caps(source: Source) -> tuple[float, float]:
-    """Caps to promise, translations [N] and rotations [N·m]: shares of the median capacity."""
+    """Return the promised caps [N], [N·m]: shares of the median capacity."""
     arm = anyarm.load(source)
     found = []
     for group, share in enumerate(CAP_SHARE):

@@ -8,10 +8,10 @@ from experiments.demonstration import Subject
 
 
 def subject(source: Source) -> Subject:
-    """Load an arm and put the experiments together that suit it.
+    """Load an arm and select the experiments that suit it.
 
     Raises:
-        PliantError: The arm is refused.
+        PliantError: The arm is rejected.
     """
     arm = anyarm.load(source)
     name = source.name or arm.model.name

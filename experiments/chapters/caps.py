@@ -28,12 +28,12 @@ FIGURES = ("poses", "cases", "refused", "kept", "kept_clear", "stopped", "median
 
 
 def promises(arm: str, pose: int) -> list[Promise]:
-    """Try every axis, sign and cap in one pose, the other axes free and guided."""
+    """Measure every axis, sign and cap in one pose, the other axes free and guided."""
     return Poses(arm, NOMINAL, pose).run()
 
 
 def jobs(options: Options) -> list[Job]:
-    """One per pose."""
+    """Return one job per pose."""
     places = [(arm, i) for arm, count in POSES.items() for i in range(min(count, _drawn(arm)))]
     if options.quick:
         places = [QUICK]
@@ -52,7 +52,7 @@ def _by_arm(outcomes: Mapping[str, Sequence[Promise]]) -> dict[str, list[Promise
 
 
 def measure(outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
-    """Shares and errors per arm."""
+    """Return shares and errors per arm."""
     rows = {a: table.summary(a, "nominal", found) for a, found in _by_arm(outcomes).items()}
     return {arm: {name: getattr(row, name) for name in FIGURES} for arm, row in rows.items()}
 

@@ -1,4 +1,4 @@
-"""What the chapters share: calls that another process can make, and figures read off a trace."""
+"""Shared code of the chapters: picklable calls, and figures of a trace."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Below this deviation an axis counts as back at its target: [m], [rad].
+#: Deviation below which an axis counts as back at its target: [m], [rad].
 BACK = (0.015, 0.06)
-#: When the hands let go [s].
+#: Time at which the hands let go [s].
 RELEASE = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What the user asked of the demo.
+    """Options of the demo.
 
     Attributes:
-        quick: Only as many runs as it takes to exercise everything once.
+        quick: True: the fewest runs that exercise everything once.
         figures: Folder of the pictures.
     """
 
@@ -40,22 +40,22 @@ class Options:
 
 
 def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> hands.Dragged:
-    """`hands.drag` with a law that is made where it is used, in whatever process that is."""
+    """Run `hands.drag` with a law that is made in the process that uses it."""
     return hands.drag(law(), *args, **kwargs)
 
 
 def track(law: Callable[[], Law], *args: Any, **kwargs: Any) -> tracking.Tracked:
-    """`tracking.track` with a law that is made where it is used."""
+    """Run `tracking.track` with a law that is made in the process that uses it."""
     return tracking.track(law(), *args, **kwargs)
 
 
 def returned(trace: Trace, axis: int, *, release: float = RELEASE) -> float | None:
-    """Time after the release until an axis is back for good [s], None if it is not back at the end.
+    """Return the time from the release until an axis stays back [s]; None if it does not.
 
     Args:
         trace: A run in which a hand lets go at `release`.
         axis: Index of the task axis.
-        release: When [s].
+        release: Time of the release [s].
 
     Returns:
         Time until the deviation stays below `BACK`.
@@ -70,7 +70,7 @@ def returned(trace: Trace, axis: int, *, release: float = RELEASE) -> float | No
 
 
 def return_speed(trace: Trace, axis: int, *, release: float = RELEASE) -> float:
-    """Largest speed of a task axis after the release [m/s or rad/s]."""
+    """Return the largest speed of a task axis after the release [m/s or rad/s]."""
     after = trace.t > release
     along = trace.moved[after, axis]
     period = float(trace.t[1] - trace.t[0])
@@ -78,5 +78,5 @@ def return_speed(trace: Trace, axis: int, *, release: float = RELEASE) -> float:
 
 
 def seconds(time: float | None) -> str:
-    """A time, or that something stays."""
+    """Format a time, or state that the axis stays."""
     return "stays" if time is None else f"{time:.1f} s"

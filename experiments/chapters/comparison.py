@@ -1,4 +1,4 @@
-"""Chapter 5: six ways to be moved by a hand."""
+"""Chapter 5: six control methods under the same hand."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TITLE = "Against other ways"
 
 @dataclass(frozen=True)
 class Way:
-    """A way to control the arm, and how it is shown.
+    """A control method and its presentation.
 
     Attributes:
         name: In tables and figures.
@@ -51,7 +51,7 @@ class Way:
     delay: tuple[int, int] = (0, 0)
 
 
-#: Spring of those that come back [N/m]: 15 N where the hand holds still.
+#: Spring of the methods that return [N/m]: 15 N where the hand holds still.
 SPRING = 100.0
 
 WAYS: Mapping[str, Way] = {
@@ -90,7 +90,7 @@ QUICK = ("stiff", "uniform 30", "paper literal", "paper 0.999", "cap 0", "cap 0.
 
 
 def jobs(options: Options) -> list[Job]:
-    """Every way, pushed toward + and toward −."""
+    """Return the runs of every method, pushed toward + and toward −."""
     signs = (1,) if options.quick else (1, -1)
     plain = [
         Job(
@@ -110,7 +110,7 @@ def _keys(jobs: list[Job]) -> set[str]:
 
 
 def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
-    """Numbers by way: the worse of the two directions."""
+    """Return numbers by method: the worse of the two directions."""
     gathered: dict[str, list[dict[str, float | None]]] = {}
     for name, run in outcomes.items():
         key, what = name.split("/")
@@ -148,7 +148,7 @@ def _worse(ones: list[dict[str, float | None]]) -> dict[str, float | None]:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Judge the ways against each other."""
+    """Compare the methods."""
     figure = Figure(
         file="5-comparison",
         title="Force to move it, and what the stiff axes do meanwhile",

@@ -1,4 +1,4 @@
-"""The same hand, and something is wrong: a host that stalls, gears unlike their table."""
+"""The same hand under a fault: a host that stalls, gears unlike their table."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from experiments.conditions import Conditions
     from experiments.hands import Dragged, Law
 
-#: When the host says nothing, in the middle of the hand's way [s].
+#: Time at which the host is silent, while the hand moves [s].
 STALL = (2.6, 3.6)
 #: Friction and damping of the gears over the table's.
 TIGHT, LOOSE = 1.0 / 0.7, 1.0 / 1.3
-#: Who is tried: one of each kind.
+#: Methods that are run: one of each kind.
 WHO = (
     "stiff",
     "uniform 30",
@@ -38,11 +38,11 @@ WHO = (
 
 
 class Way(Protocol):
-    """What is needed of a way to control the arm."""
+    """Interface of a control method."""
 
     @property
     def make(self) -> Callable[[], Law]:
-        """Makes the law."""
+        """Factory of the law."""
 
     @property
     def rate(self) -> float:
@@ -50,7 +50,7 @@ class Way(Protocol):
 
 
 def jobs(ways: Mapping[str, Way]) -> list[Job]:
-    """Three runs for each of `WHO` that is there."""
+    """Return three runs for each available method of `WHO`."""
     out = []
     for key in WHO:
         if key not in ways:
@@ -72,7 +72,7 @@ def _stresses(nominal: Conditions) -> dict[str, Conditions]:
 
 
 def measure(key: str, outcomes: Mapping[str, Dragged]) -> dict[str, float | None]:
-    """What the runs of one way say; nothing for a way that was not tried."""
+    """Compute the figures of one method; empty for a method that was not run."""
     if f"{key}/stall" not in outcomes:
         return {}
     stall, tight, loose = (outcomes[f"{key}/{what}"] for what in ("stall", "tight", "loose"))
@@ -89,7 +89,7 @@ def measure(key: str, outcomes: Mapping[str, Dragged]) -> dict[str, float | None
 
 
 def table(numbers: Numbers, names: Mapping[str, str]) -> Table:
-    """What each way does."""
+    """Return the table of all methods."""
     rows = [
         (
             names[key],
@@ -124,7 +124,7 @@ def table(numbers: Numbers, names: Mapping[str, str]) -> Table:
 
 
 def statements(numbers: Numbers) -> tuple[Statement, ...]:
-    """What the runs show, if they were made."""
+    """Return the statements on the runs, if they were made."""
     needed = ("cap 0.999", "admittance", "stiff", "impedance")
     if not all("stall_force" in numbers.get(key, {}) for key in needed):
         return ()

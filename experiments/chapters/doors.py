@@ -1,4 +1,4 @@
-"""Chapter 4: doors and a fridge, opened and closed, with the handle deciding the path."""
+"""Chapter 4: doors and a fridge, opened and closed; the handle determines the path."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ GRIPS = ("rigid", "turning")
 
 
 def stiff(*, soft: str, **more: Any) -> Law:
-    """All axes stiff, whatever the scene would have liked to be soft."""
+    """Make all axes stiff, whatever the scene's soft axes."""
     return laws.all_stiff(**more)
 
 
@@ -49,7 +49,7 @@ LAWS: Mapping[str, Callable[..., Law]] = {
 
 
 def jobs(options: Options) -> list[Job]:
-    """Every scene, both grips, soft and stiff; then opening and closing by resistance."""
+    """Return every scene, both grips, soft and stiff; then opening and closing by resistance."""
     scenes = ("door",) if options.quick else tuple(SCENES)
     grips = ("rigid",) if options.quick else GRIPS
     runs = [
@@ -71,7 +71,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Any]) -> Numbers:
-    """Numbers by scene, grip and law: opening, and opening and closing."""
+    """Return numbers by scene, grip and law: opening, and opening and closing."""
     opening: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     both: dict[str, dict[str, dict[str, dict[str, Any]]]] = {}
     for name, run in outcomes.items():
@@ -103,7 +103,7 @@ def _both(run: OpenedAndClosed) -> dict[str, Any]:
 
 
 def felt(trace: Trace) -> Array:
-    """Force in x (N,) [N] that the arm estimates from its joint positions, replayed from a run."""
+    """Return the force in x (N,) [N] estimated from the joint positions, replayed from a run."""
     contact = pliant.ContactEstimator(pliant.Controller(arm(), laws.cap(), NOMINAL.servos()))
     force = np.zeros(trace.t.size)
     for k in range(trace.t.size):
@@ -113,7 +113,7 @@ def felt(trace: Trace) -> Array:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Judge what the paper says about doors, and the bands."""
+    """Judge the paper's statements on doors, and the bands."""
     opening, both = numbers["opening"], numbers["opening_and_closing"]
     rigid = opening["door"]["rigid"]
     soft, hard = rigid["cap"], rigid["stiff"]

@@ -1,4 +1,4 @@
-"""What the paper says about doors and the fridge, beside what a run says."""
+"""The paper's statements on doors and the fridge, and the results of a run."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ NAMES = {
     "base door": "door, base moves",
     "base fridge": "fridge, base moves",
 }
-#: A door that is stiff in every axis but this far open is stuck [deg].
+#: Opening below which a door with all axes stiff counts as stuck [deg].
 STUCK = 35.0
-#: How near a recognised end has to be [deg].
+#: Allowed distance of a detected end [deg].
 NEAR = 1.0
 
 
 def figures(opening: Numbers, both: Numbers) -> tuple[Figure, ...]:
-    """Pictures, force over angle, all scenes, opening and closing."""
+    """Return pictures, force over angle, all scenes, opening and closing."""
     grips = list(opening["door"])
     return (
         Figure(
@@ -229,7 +229,7 @@ def _stiff_ends(both: Numbers) -> tuple[Statement, ...]:
 
 
 def opening_table(opening: Numbers) -> Table:
-    """Angle and peak force of every run."""
+    """Return angle and peak force of every run."""
     rows = [
         (
             NAMES[scene],
@@ -252,7 +252,7 @@ def opening_table(opening: Numbers) -> Table:
 
 
 def closing_table(both: Numbers) -> Table:
-    """Recognised ends of every run."""
+    """Return the detected ends of every run."""
     rows = []
     for scene, grips in both.items():
         for grip, laws in grips.items():

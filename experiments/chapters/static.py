@@ -30,19 +30,19 @@ DURATION = 12.0
 
 
 def key(axis: str, law: str, eta: float, sign: int) -> str:
-    """Name of a run."""
+    """Return the name of a run."""
     return f"{axis} {law} {eta:g} {sign:+d}"
 
 
 def hand(axis: str, sign: int) -> Drag | Twist:
-    """At most 15 N at the wrist to 0.25 m, or 3 N m at the tool to 0.8 rad."""
+    """Return a hand of at most 15 N at the wrist to 0.25 m, or 3 N·m at the tool to 0.8 rad."""
     if axis == "yaw":
         return replace(YAW, angle=sign * YAW.angle)
     return replace(LIGHT, distance=sign * LIGHT.distance)
 
 
 def jobs(options: Options) -> list[Job]:
-    """Both laws, three η, both directions, in y and in yaw."""
+    """Return both laws, three η, both directions, in y and in yaw."""
     axes, signs = (("y",), (1,)) if options.quick else (("y", "yaw"), (1, -1))
     return [
         Job(
@@ -59,7 +59,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
-    """Numbers by axis, law, η and direction."""
+    """Return numbers by axis, law, η and direction."""
     numbers: dict[str, dict[str, dict[str, dict[str, dict[str, float | None]]]]] = {}
     for name, run in outcomes.items():
         axis, law, eta, sign = name.split()

@@ -1,4 +1,4 @@
-"""What the paper says about Figs 4 and 5, beside what a run says."""
+"""The paper's statements on Figs 4 and 5, and the results of a run."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from pliant._report.page import Table
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-#: Where compliance begins to fade and where it has gone, from the target: d⁻ and d⁺ [m], [rad].
+#: Deviations at which compliance begins to fade and is gone: d⁻ and d⁺ [m], [rad].
 RANGE = {"y": (0.01, 0.10), "yaw": (0.04, 0.40)}
-#: A return that deserves to be called slow [m/s], [rad/s].
+#: Bound of a slow return [m/s], [rad/s].
 SLOW = {"y": 0.2, "yaw": 0.8}
-#: How far the hand goes [m], [rad].
+#: Distance of the hand [m], [rad].
 WAY = {"y": 0.25, "yaw": 0.8}
 NUMBER_OF_FIGURE = {"y": "Fig. 4", "yaw": "Fig. 5"}
 
 
 def amount(axis: str) -> Callable[[float], str]:
-    """How a deviation of an axis is written."""
+    """Format a deviation of an axis."""
     return (lambda value: f"{value:.2f} rad") if axis == "yaw" else mm
 
 
 def worst(runs: Numbers, name: str) -> float:
-    """Largest number of all push directions."""
+    """Return the largest number of all push directions."""
     return float(max(one[name] for one in runs.values()))
 
 
 def least(runs: Numbers, name: str) -> float:
-    """Smallest number of all push directions."""
+    """Return the smallest number of all push directions."""
     return float(min(one[name] for one in runs.values()))
 
 
 def figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
-    """The overview, and all six deviations under each law."""
+    """Return the overview, and all six deviations under each law."""
     of, push = (
         amount(axis),
         "at most 3 N·m at the tool" if axis == "yaw" else "at most 15 N at the wrist",
@@ -153,7 +153,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
 
 
 def _why_not_slowly(axis: str, none: Numbers, some: Numbers) -> str:
-    """Where gravity holds the arm off its target, and how fast the servos throw it."""
+    """Explain a remaining deviation at η = 0.9, and a fast return."""
     reasons = []
     if worst(some, "left") > BACK[axis == "yaw"]:
         reasons.append(
@@ -208,20 +208,20 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
 
 
 def comes_back(axis: str, one: Numbers) -> str:
-    """Return time of a run, or that the arm stays where it was left or comes not near enough."""
+    """Describe the return time of a run, or that the arm stays or does not come close enough."""
     if one["returned"] is not None:
         return f"{one['returned']:.1f} s"
     return "stays" if one["crept"] <= BACK[axis == "yaw"] else "not back"
 
 
 def times(axis: str, runs: Numbers) -> str:
-    """Return times of both directions."""
+    """Describe the return times of both directions."""
     each = dict.fromkeys(comes_back(axis, one) for one in runs.values())
     return " and ".join(each)
 
 
 def span(of: Callable[[float], str], runs: Numbers, name: str) -> str:
-    """The range of a number over the push directions."""
+    """Return the range of a number over the push directions."""
     low, high = of(least(runs, name)), of(worst(runs, name))
     return low if low == high else f"{low} to {high}"
 
@@ -231,7 +231,7 @@ def _unit(axis: str, what: str = "force") -> str:
 
 
 def table(axis: str, numbers: Numbers) -> Table:
-    """Return time per η, and the price of moving the arm."""
+    """Return the return time per η, and the force to move the arm."""
     of = amount(axis)
     rows = []
     for law, etas in numbers.items():

@@ -28,16 +28,16 @@ LAWS: Mapping[str, Callable[..., Law]] = {
     "paper + gravity": laws.rec,
     "cap": laws.cap,
 }
-#: The literal reading, for the loss of z: no step limits either.
+#: The literal reading, for the loss of z: also without step limits.
 LITERAL: Callable[..., Law] = partial(laws.limits_only, 10.0)
-#: What counts as tracking very well: rms error over amplitude.
+#: Bound of "tracking very well": rms error over amplitude.
 WELL = 0.10
 #: Bands of law cap: rms error over amplitude.
 CAP_BANDS = {"x": 0.025, "y": 0.035, "z": 0.06, "roll": 0.025, "pitch": 0.05, "yaw": 0.03}
 
 
 def jobs(options: Options) -> list[Job]:
-    """Every axis under three laws, and x under the literal reading."""
+    """Return every axis under three laws, and x under the literal reading."""
     axes = ("x", "y") if options.quick else AXES
     wanted = {name: LAWS[name] for name in (("paper", "cap") if options.quick else LAWS)}
     runs = [
@@ -50,7 +50,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Tracked]) -> Numbers:
-    """Numbers by axis and law."""
+    """Return numbers by axis and law."""
     numbers: dict[str, dict[str, dict[str, float]]] = {}
     for name, run in outcomes.items():
         axis, law = name.split("/")

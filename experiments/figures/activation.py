@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: From almost nothing to the blue of the house. Text on it has colours of its own, which no theme
-#: changes.
+#: Colour scale up to the blue of the common style. Text on it has colours of its own, which no
+#: theme changes.
 SHADES = LinearSegmentedColormap.from_list("shares", ["#f3f7fb", "#9ecae1", BLUE, "#08306b"])
 DARK, PALE = "#1b1f25", "#fefefe"
-#: Share at which the shade is full.
+#: Share with the full shade.
 FULL = 0.55
-#: Where the camera of the postures stands; a bar in the hand tells the grasps apart.
+#: Camera of the postures; a bar in the hand distinguishes the grasps.
 VIEW: dict[str, Any] = {
     "look_at": (0.19, 0.0, -0.17),
     "distance": 0.82,
@@ -53,7 +53,7 @@ def draw(
         poses: Joint positions (n,) [rad] per pose.
         joints: Names of the rows.
         columns: Names of the columns.
-        folder: Where to.
+        folder: Target folder.
     """
     with canvas(2, 2, size=(WIDE, 7.2), width_ratios=[1.0, 1.75]) as (figure, axes):
         for row, (pose, q) in enumerate(poses.items()):
@@ -65,7 +65,7 @@ def draw(
 def posture(
     model: Any, q: Array, *, servos: Any | None = None, **view: Any
 ) -> NDArray[np.uint8] | None:
-    """Picture of a posture, None where nothing can draw; without a view, the camera finds one."""
+    """Return a picture of a posture, None without a drawing backend; `view` is optional."""
     plant = Plant(model, servos)
     plant.reset(q)
     view = view or beside(plant)
@@ -77,7 +77,7 @@ def posture(
 
 
 def beside(plant: Plant) -> dict[str, Any]:
-    """Where a camera sees the whole arm from its side."""
+    """Return a camera position that sees the whole arm from its side."""
     places = plant.mj_data.site_xpos
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
     radius = float(np.linalg.norm(places - middle, axis=1).max())

@@ -1,4 +1,4 @@
-"""How promised caps are kept: the distribution of felt less promised, one line per group."""
+"""Accuracy of promised caps: the distribution of felt minus promised, one line per group."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from experiments.campaign_bench import Promise
 
-    #: Promises by what stands beside their line.
+    #: Promises by the label of their line.
     Groups = Mapping[str, Sequence[Promise]]
 
 
@@ -23,7 +23,7 @@ def draw(panels: Mapping[str, Groups], folder: Path, stem: str) -> None:
 
     Args:
         panels: Groups by the panel's title.
-        folder: Where to.
+        folder: Target folder.
         stem: Name of the picture's files.
     """
     lines = max(4, *(len(groups) for groups in panels.values()))
@@ -35,7 +35,7 @@ def draw(panels: Mapping[str, Groups], folder: Path, stem: str) -> None:
 
 
 def _strips(ax: Any, groups: Groups) -> None:
-    """One line per group: the middle 95 % and half of the errors, the median, the share in band."""
+    """Draw a line per group: the middle 95 % and half of the errors, median, share in band."""
     for place, promises in enumerate(reversed(list(groups.values()))):
         run = [p for p in promises if not p.refused]
         if not run:

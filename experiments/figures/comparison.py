@@ -1,4 +1,4 @@
-"""Force needed to move the arm against what its stiff axes do, and the way back."""
+"""Force to move the arm against the drift of its stiff axes, and the return."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from experiments.episode import Trace
     from experiments.result import Numbers
 
-#: What is shown over time: one of each family.
+#: Curves shown over time: one of each family.
 OVER_TIME = ("stiff", "uniform 30", "paper 0.999", "cap 0", "cap 0.999", "impedance")
 
 

@@ -86,7 +86,7 @@ def _frames(trace: Trace) -> list[NDArray[np.uint8] | None]:
 
 
 def circle(most: float = 80.0) -> Array:
-    """Points (k, 3) [m] of the path the handle has to take, up to `most` [deg]."""
+    """Return points (k, 3) [m] of the handle's path, up to `most` [deg]."""
     handle = tool(SCENES["door"].start)[:3, 3]
     arm_of_handle = np.array([0.0, 0.30, 0.0])
     angle = np.deg2rad(np.linspace(0.0, most, 41))[:, None]
@@ -131,7 +131,7 @@ def force_over_angle(outcomes: Mapping[str, Opened], folder: Path) -> None:
 
 
 def _paths(ax: Any, outcomes: Mapping[str, Opened]) -> None:
-    """Draw the tool's way seen from above, with the circle of the handle."""
+    """Draw the tool's path seen from above, with the circle of the handle."""
     path = circle()
     hinge = path[0] + np.array([0.0, -0.30, 0.0])
     ax.plot(1e3 * path[:, 1], 1e3 * path[:, 0], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
@@ -244,7 +244,7 @@ def closing(traces: Mapping[str, Trace], felt: Callable[[Trace], Array], folder:
 
 
 def recognised(t: Array, force: Array) -> list[int]:
-    """Ticks at which resistance had lasted long enough, first to a pull, then to a push."""
+    """Return the ticks at which resistance was detected, first to a pull, then to a push."""
     ticks = round(PERSISTENCE / float(t[1] - t[0]))
     found: list[int] = []
     for sign in (1.0, -1.0):

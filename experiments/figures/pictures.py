@@ -18,29 +18,29 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Pixels = NDArray[np.uint8]
 
-#: What is raised where nothing can draw off screen.
+#: Exceptions raised where no off-screen drawing is possible.
 CANNOT_DRAW = (mujoco.FatalError, OSError, RuntimeError)
-#: How many times finer a picture is drawn than it is kept: smooth edges of the cut-out.
+#: Supersampling factor: smooth edges of the cut-out.
 FINER = 3
 BONE, JOINT, HAND = (0.80, 0.82, 0.85, 1.0), (0.20, 0.24, 0.30, 1.0), (0.90, 0.38, 0.0, 1.0)
 LEAF = (0.62, 0.72, 0.80, 0.80)
 
 
 class Studio:
-    """Draws a plant in postures that need no simulation: light, a camera, and joints one can see.
+    """Draws a plant in postures that need no simulation: light, a camera, and visible joints.
 
     Args:
         plant: The arm, reset, with its fixtures.
         size: Width and height of a picture [pixel].
-        look_at: What the camera looks at, base axes [m].
+        look_at: Look-at point of the camera, base axes [m].
         distance: Of the camera from there [m].
         azimuth, elevation: Of the camera [deg].
-        handle: Whether to draw a bar in the hand, along z of the tool.
+        handle: True: draw a bar in the hand, along z of the tool.
         trail: Points (k, 3) of a thin line through the scene, base axes [m].
 
     Raises:
-        RuntimeError: MuJoCo was loaded without a way to draw.
-        mujoco.FatalError: Its way to draw does not work here.
+        RuntimeError: MuJoCo was loaded without a drawing backend.
+        mujoco.FatalError: Its drawing backend does not work here.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Studio:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Free the drawing context, which would complain at the end of the process."""
+        """Free the drawing context, which would otherwise warn at the end of the process."""
         self._renderer.close()
 
     def picture(
@@ -124,7 +124,7 @@ class Studio:
 
 
 def _shrink(colours: Array, solid: Array) -> Pixels:
-    """Average blocks of pixels; the background counts for the transparency only."""
+    """Average blocks of pixels; the background affects only the transparency."""
     height, width = solid.shape[0] // FINER, solid.shape[1] // FINER
     blocks = (height, FINER, width, FINER)
     cover = solid.reshape(blocks).mean(axis=(1, 3))
@@ -136,7 +136,7 @@ def _shrink(colours: Array, solid: Array) -> Pixels:
 
 
 def furnish(spec: Any, plant: Plant, *, handle: bool) -> None:
-    """Light, an off-screen buffer that is large enough, and visible joints and hand."""
+    """Add light, an off-screen buffer that is large enough, and visible joints and hand."""
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 4096, 4096
     spec.visual.headlight.ambient = (0.45, 0.45, 0.45)
     spec.visual.headlight.diffuse = (0.35, 0.35, 0.35)
@@ -166,7 +166,7 @@ def furnish(spec: Any, plant: Plant, *, handle: bool) -> None:
 
 
 def _add_hand(tip: Any, usual: float, ink: dict[str, Any], *, handle: bool) -> None:
-    """Two fingers in the tool's frame and, if wanted, what they hold."""
+    """Add two fingers in the tool's frame and, if requested, a bar between them."""
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, np.asarray(tip.quat))
     axes = turn.reshape(3, 3)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 ETAS = ("0", "0.9", "0.999")
 SIGNS = ("+1", "-1")
-#: When the hand comes [s].
+#: Time at which the hand comes [s].
 GRIPPED = 2.0
 #: Time between two runs drawn in a row [s].
 PAUSE = 0.6

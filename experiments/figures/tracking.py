@@ -1,4 +1,4 @@
-"""Figs 6 and 7: sinusoids, and how the arm loses height when it swings in x."""
+"""Figs 6 and 7: sinusoids, and the loss of height while the arm swings in x."""
 
 from __future__ import annotations
 

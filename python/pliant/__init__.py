@@ -56,8 +56,9 @@ if TYPE_CHECKING:
     from pliant import servo as servo
     from pliant import sim as sim
     from pliant import teach as teach
-    from pliant._connect import connect as connect
+    from pliant._validation import AXES as AXES
     from pliant.arm import Arm as Arm
+    from pliant.config import connect as connect
     from pliant.identify.hand_guiding import HandGuiding as HandGuiding
     from pliant.loop import Loop as Loop
     from pliant.loop import Tick as Tick
@@ -102,9 +103,6 @@ __all__ = [
     "connect",
 ]
 
-#: Task axes in their order: translations [m], then rotations [rad].
-AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-
 #: Submodules imported at first use, because they need extras or import slowly.
 _PARTS = (
     "arm",
@@ -122,13 +120,14 @@ _PARTS = (
 )
 #: Names exported from submodules, imported at first use.
 _NAMES = {
+    "AXES": "pliant._validation",
     "Arm": "pliant.arm",
     "HandGuiding": "pliant.identify.hand_guiding",
     "Loop": "pliant.loop",
     "Reaction": "pliant.reactions",
     "ReactionMonitor": "pliant.reactions",
     "Tick": "pliant.loop",
-    "connect": "pliant._connect",
+    "connect": "pliant.config.factory",
 }
 
 

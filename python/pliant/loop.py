@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pliant import Command, ConfigError, ServoError, ServoFaultError, ServoTimeoutError
-from pliant.arguments import given, real
-from pliant.arm.checks import vector
-from pliant.arm.lateness import Lateness
+from pliant._core import Command, ConfigError, ServoError, ServoFaultError, ServoTimeoutError
+from pliant._validation import format_value, real
+from pliant.arm._checks import vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
-    from pliant.arm import Arm, State
-    from pliant.log import Recorder
+    from pliant.arm.arm import Arm
+    from pliant.drive import State
 
     Array = NDArray[np.float64]
+
 
 LOG = logging.getLogger("pliant")
 #: Gap between two steps after which a controller is reset to the present pose [s].
@@ -38,6 +38,51 @@ LOWEST = 1.0
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 
 
+#: Lower end of the first bin [s], bins per decade, and number of bins: 1 µs to 10 s.
+FIRST, PER_DECADE, BINS = 1e-6, 20, 140
+
+
+class LatenessHistogram:
+    """Histogram of ticks by lateness, 20 bins per decade from 1 µs to 10 s.
+
+    Attributes:
+        counts: Ticks per bin (142,): below 1 µs, the 140 bins, above 10 s.
+        largest: Latest tick [s].
+    """
+
+    def __init__(self) -> None:
+        """Start with empty bins."""
+        self.counts = np.zeros(BINS + 2, dtype=np.int64)
+        self.largest = 0.0
+
+    def add(self, late: float) -> None:
+        """Count a tick that began `late` [s] after its deadline."""
+        late = max(late, 0.0)
+        self.largest = max(self.largest, late)
+        bin_ = 0
+        if late >= FIRST:
+            bin_ = min(1 + int(PER_DECADE * math.log10(late / FIRST)), BINS + 1)
+        self.counts[bin_] += 1
+
+    def __len__(self) -> int:
+        """Return the number of ticks."""
+        return int(self.counts.sum())
+
+    def percentile(self, share: float) -> float:
+        """Return the lateness percentile `share` (0 to 100) [s], 12 % coarse; 0 without ticks."""
+        total = len(self)
+        if total == 0:
+            return 0.0
+        place = int(np.searchsorted(np.cumsum(self.counts), max(share / 100.0 * total, 1e-9)))
+        if place > BINS:
+            return self.largest
+        return min(FIRST * float(10.0 ** (place / PER_DECADE)), self.largest)
+
+    def __str__(self) -> str:
+        parts = [f"{1e6 * self.percentile(p):.0f}" for p in (50.0, 99.0, 99.9)]
+        return f"{' / '.join(parts)} µs (50, 99, 99.9 %), at most {1e6 * self.largest:.0f} µs"
+
+
 class Commanded(Protocol):
     """Protocol of a command: joint goals and torque limits."""
 
@@ -48,6 +93,19 @@ class Commanded(Protocol):
     @property
     def torque_limit(self) -> Array:
         """Torque limits (n,) [N·m]."""
+
+
+class TickRecorder(Protocol):
+    """Protocol of a recorder of ticks; `pliant.log.Recorder` is one."""
+
+    def start(self, arm: Arm, controller: Any | None, rate: float) -> Any:
+        """Begin a run at `rate` [Hz]; return the controller that the loop steps."""
+
+    def add(self, tick: Tick, command: Commanded | None) -> None:
+        """Record a tick with its command."""
+
+    def close(self) -> None:
+        """Finish the record."""
 
 
 class Tick:
@@ -183,17 +241,17 @@ class Loop:
         rate: float | None = None,
         duration: float | None = None,
         max_step_time: float | None = None,
-        recorder: Recorder | None = None,
+        recorder: TickRecorder | None = None,
     ) -> None:
         """Check the arguments."""
         if not hasattr(arm, "clock"):
             raise TypeError(
-                f"arm must be an Arm, as pliant.connect(...) makes one, got {given(arm)}"
+                f"arm must be an Arm, as pliant.connect(...) makes one, got {format_value(arm)}"
             )
         if controller is not None and not callable(getattr(controller, "reset", None)):
             raise TypeError(
                 f"controller must be a Controller, or have reset(q), or be None, got "
-                f"{given(controller)}"
+                f"{format_value(controller)}"
             )
         wanted = getattr(getattr(controller, "settings", None), "rate", arm.rate)
         rate = real(wanted if rate is None else rate, "rate")
@@ -211,7 +269,7 @@ class Loop:
             )
         self._arm, self.duration = arm, duration
         self._max_step_time = arm.comm_timeout if max_step_time is None else float(max_step_time)
-        self.lateness = Lateness()
+        self.lateness = LatenessHistogram()
         self.missed = self.missing = self.rejected = self.restarts = 0
         self.delay: float | None = None
         self._told: float | None = None
@@ -229,14 +287,14 @@ class Loop:
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
         ended = False
         try:
-            with self._arm.watched(patience) as self._check:
+            with self._arm.supervised(patience) as self._check:
                 yield from self._turns()
             ended = True
         finally:
             if self._recorder is not None:
                 self._close(self._recorder, raises=ended)
 
-    def _close(self, recorder: Recorder, *, raises: bool) -> None:
+    def _close(self, recorder: TickRecorder, *, raises: bool) -> None:
         """Close the recorder; log its error if raising would hide another one."""
         try:
             recorder.close()
@@ -319,7 +377,7 @@ class Loop:
         controller = self.controller
         if not first:
             self.restarts += 1
-            self._arm.ease()
+            self._arm.ramp_limits()
         if controller is None:
             return
         if first:
@@ -348,7 +406,8 @@ class Loop:
         if not (hasattr(command, "goal") and hasattr(command, "torque_limit")):
             raise TypeError(
                 "command must be a Command, as Controller.step makes one, or have goal and "
-                f"torque_limit, got {given(command)}; arm.write(goal, limit) takes bare numbers"
+                f"torque_limit, got {format_value(command)}; arm.write(goal, limit) "
+                "takes bare numbers"
             )
         model = self._arm.model
         goal = vector(model, command.goal, "goal", finite=False)

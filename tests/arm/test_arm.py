@@ -241,7 +241,7 @@ def test_a_gripper_holds_on_while_the_arm_comes_down(make):
     arm = make(q=None, robot="so101", grippers={"gripper": GripperConfig(lever=0.05)})
     with arm:
         gripper = arm.gripper
-        assert gripper.limit == pytest.approx(0.3 * gripper.largest)
+        assert gripper.limit == pytest.approx(0.3 * gripper.max_limit)
         gripper.open()
         arm.clock.wait_until(arm.clock.now() + 1.0)
         arm.read()

@@ -13,8 +13,7 @@ from bare_arm import bare_arm
 import pliant
 from pliant.log import Recorder, read
 from pliant.reactions import Call, Force, Reaction, ReactionMonitor
-
-from .test_over_bytes import arm_over_bytes
+from tests.arm.test_over_bytes import arm_over_bytes
 
 START = np.array([0.0, -0.3, 0.3, 0.9, 0.0])
 

@@ -17,8 +17,8 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 import pliant
 import pliant.arm.arm
-from pliant.arm.ending import Ending
-from pliant.arm.speaker import LOGGER, SPEAKER, Speaker
+from pliant.arm._messages import LOGGER, MESSAGES, MessageQueue
+from pliant.arm._shutdown import ExitMessages
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 
@@ -315,7 +315,7 @@ def test_what_breaks_on_the_way_down_leaves_the_arm_carried(make, grasp, monkeyp
     caplog.set_level(logging.DEBUG)
     with pytest.raises(ZeroDivisionError), arm:
         arm.write(grasp, np.zeros(7))
-    SPEAKER.flush(5.0)
+    MESSAGES.flush(5.0)
     arm.clock.wait_until(arm.clock.now() + 3.0)
     assert np.abs(arm.drive.plant.read().q - grasp).max() < 0.1
     assert arm.drive.enabled.all()
@@ -324,23 +324,23 @@ def test_what_breaks_on_the_way_down_leaves_the_arm_carried(make, grasp, monkeyp
 
 def test_progress_never_disturbs_a_descent(make, monkeypatch):
     arm = make()
-    ending = Ending("arm", arm._cycle, None)
-    monkeypatch.setattr(pliant.arm.ending, "PROGRESS", 0.0)
-    ending.progress(None)
-    monkeypatch.setattr(SPEAKER, "say", lambda *_, **__: 1 / 0)
-    ending.progress(None)
+    messages = ExitMessages("arm", arm._io, None)
+    monkeypatch.setattr(pliant.arm._shutdown, "PROGRESS", 0.0)
+    messages.progress(None)
+    monkeypatch.setattr(MESSAGES, "post", lambda *_, **__: 1 / 0)
+    messages.progress(None)
 
 
 def test_a_blocked_reader_is_waited_for_once():
     with reader("blocked") as stderr:
         said, _, _ = run(
             """
-            from pliant.arm.speaker import SPEAKER
-            SPEAKER.start()
-            message = SPEAKER.say("text", 40)
+            from pliant.arm._messages import MESSAGES
+            MESSAGES.start()
+            message = MESSAGES.post("text", 40)
             for _ in range(20):
-                SPEAKER.flush(0.05)
-            print(message.told)
+                MESSAGES.flush(0.05)
+            print(message.is_written)
             """,
             stderr,
         )
@@ -348,18 +348,18 @@ def test_a_blocked_reader_is_waited_for_once():
 
 
 def test_a_message_of_a_process_without_the_thread_counts_as_told():
-    assert Speaker().say("nothing is started").told
+    assert MessageQueue().post("nothing is started").is_written
 
 
 def test_progress_comes_seldom_where_it_cannot_be_overwritten(capfd, monkeypatch):
     monkeypatch.setattr(LOGGER, "hasHandlers", lambda: False)
     monkeypatch.setattr(sys, "stderr", sys.__stderr__)
-    speaker = Speaker()
-    speaker.start()
+    messages = MessageQueue()
+    messages.start()
     for second in range(12):
         monkeypatch.setattr(time, "monotonic", lambda second=second: float(second))
-        message = speaker.say(f"second {second}", progress=True)
-        while not message.told:
+        message = messages.post(f"second {second}", progress=True)
+        while not message.is_written:
             pass
     assert capfd.readouterr().err.splitlines() == [
         "pliant: second 0",

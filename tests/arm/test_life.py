@@ -22,12 +22,12 @@ from hypothesis.stateful import (
 )
 
 import pliant
+import pliant.arm._signals
 import pliant.arm.arm
-import pliant.arm.signals
 from pliant.sim import Plant, SimDrive
 
-CAUGHT = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-NUMBERS = [getattr(signal, name) for name in CAUGHT if hasattr(signal, name)]
+HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+NUMBERS = [getattr(signal, name) for name in HANDLED if hasattr(signal, name)]
 #: Two signals this near to each other are one request, and this far two [s].
 REPEATED, DELIBERATE = 0.1, 2.0
 LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
@@ -47,9 +47,11 @@ class Life(RuleBasedStateMachine):
         self.patch = pytest.MonkeyPatch()
         self.time, self.during, self.heard = 100.0, [], []
         clock = SimpleNamespace(monotonic=lambda: self.time)
-        self.patch.setattr(pliant.arm.signals, "time", clock, raising=False)
+        self.patch.setattr(pliant.arm._signals, "time", clock, raising=False)
         self.patch.setattr(pliant.arm.arm, "descend", self.descend)
-        self.patch.setattr(pliant.arm.arm, "take_up", lambda _, stood, *__: np.full(5, np.nan))
+        self.patch.setattr(
+            pliant.arm.arm, "transfer_weight", lambda _, start_q, *__: np.full(5, np.nan)
+        )
         self.former = lambda number, _: self.heard.append(number)
         self.before = {number: signal.signal(number, self.former) for number in NUMBERS}
         self.last = (0, -10.0)
@@ -71,22 +73,22 @@ class Life(RuleBasedStateMachine):
             self.arms.append(pliant.arm.Arm(plant.model, SimDrive(plant)))
         self.on = [False] * len(self.arms)
 
-    def descend(self, cycle, points, rest, rate, unwanted, **_):
+    def descend(self, io, points, rest, rate, is_aborted, **_):
         """Wait for some turns, in which signals come."""
         for _ in range(TURNS):
             if self.during:
                 number, gap = self.during.pop(0)
                 self.wait(gap)
                 signal.raise_signal(number)
-            if unwanted():
+            if is_aborted():
                 return False
-            cycle.clock.wait_until(cycle.clock.now() + 1.0 / rate)
+            io.clock.wait_until(io.clock.now() + 1.0 / rate)
         return True
 
     def wait(self, seconds):
         self.time += seconds
-        if speaker := getattr(pliant.arm.signals, "SPEAKER", None):
-            speaker.flush(5.0)
+        if messages := getattr(pliant.arm._signals, "MESSAGES", None):
+            messages.flush(5.0)
 
     def which(self, data):
         return data.draw(st.integers(0, len(self.arms) - 1), label="arm")

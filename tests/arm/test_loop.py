@@ -9,7 +9,7 @@ from bare_arm import bare_arm
 
 import pliant
 from experiments.mishaps import MISHAPS, suffer
-from pliant.arm.lateness import Lateness
+from pliant.loop import LatenessHistogram
 
 
 @pytest.fixture
@@ -148,7 +148,7 @@ def test_other_threads_run_while_the_loop_waits():
 
 
 def test_lateness_is_bounded_and_right_within_a_bin():
-    late = Lateness()
+    late = LatenessHistogram()
     size = late.counts.nbytes
     for value in np.linspace(0.0, 1e-3, 10_001):
         late.add(value)
@@ -158,7 +158,7 @@ def test_lateness_is_bounded_and_right_within_a_bin():
     assert late.percentile(50.0) == pytest.approx(0.5e-3, rel=0.13)
     assert late.percentile(99.0) == pytest.approx(0.99e-3, rel=0.13)
     assert late.percentile(100.0) == late.largest == 100.0
-    assert Lateness().percentile(50.0) == 0.0
+    assert LatenessHistogram().percentile(50.0) == 0.0
 
 
 #: What becomes of the arm, and the highest speeds before and during the descent [m/s].

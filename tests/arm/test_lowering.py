@@ -7,7 +7,7 @@ from mismatch import Mismatch, Parameters
 import pliant
 from experiments.lifecycle import LOAD, lower, postures
 from pliant.arm import Lowering
-from pliant.arm.points import Points
+from pliant.arm._points import Points
 
 #: Delays of sampling and of writing by one tick each [s].
 TICKS = 0.02

@@ -198,8 +198,8 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkey
     """The line is dead for longer than the watchdog, then the arm is lowered."""
     if not cleared:
         # As if the watchdog could not be cleared by any means.
-        monkeypatch.setattr("pliant.servo.port.Port.revive", lambda *_: None)
-        monkeypatch.setattr("pliant.servo.port.Port.set_watchdog", lambda *_: [])
+        monkeypatch.setattr("pliant.servo._port.Port.clear_watchdogs", lambda *_: None)
+        monkeypatch.setattr("pliant.servo._port.Port.set_watchdog", lambda *_: [])
     with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], watchdog=0.1) as (bus, arm):
         arm.enable()
         if not cleared:

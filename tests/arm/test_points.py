@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pliant.robots
-from pliant.arm.points import Points
+from pliant.arm._points import Points
 from pliant.sim import Plant
 
 

@@ -7,12 +7,12 @@ import pytest
 
 import pliant
 from pliant import config
-from pliant.arm.checks import posture
+from pliant.arm._checks import posture
 from pliant.cli import main
 from pliant.cli.servos import doctor
-from pliant.config import assemble
+from pliant.config import factory
 from pliant.config.doctor import Diagnosis, examine
-from pliant.config.emulation import emulated
+from pliant.config.factory import make_emulator
 
 
 def findings(text, folder, level="bad"):
@@ -42,7 +42,9 @@ def test_a_urdf_with_masses_in_grams_is_not_ready(factor, is_bad, tmp_path):
         assert "gravity takes all the torque" in bad["model"]
     notes = findings(so101_of("arm.urdf"), tmp_path, "note")
     assert "6 axes on an arm of 5 joints" in notes["settings"]
-    assert "settings" not in findings(config.ready.text("so101").replace("auto", "/x"), tmp_path)
+    assert "settings" not in findings(
+        config.loader.builtin_text("so101").replace("auto", "/x"), tmp_path
+    )
 
 
 def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
@@ -55,16 +57,16 @@ def test_a_rest_pose_inside_the_table_is_bad(tmp_path):
 
 
 def test_a_gain_that_the_servo_has_not_is_said():
-    with emulated(config.load("so101", backend="emulator"), clock="steps") as bus:
+    with make_emulator(config.load("so101", backend="emulator"), clock="steps") as bus:
         read = config.load("so101", port=bus.port)
-        chain = assemble.chain(read, {"main": bus.port})
+        chain = factory.make_bus(read, {"main": bus.port})
         chain.open()
         try:
             assert chain.gains == dict.fromkeys(chain.names, 16)
         finally:
             chain.close()
-    text = config.ready.text("so101").replace("id = 2, gain = 16", "id = 2, gain = 32")
-    with emulated(config.parse(f'backend = "emulator"\n{text}')) as bus:
+    text = config.loader.builtin_text("so101").replace("id = 2, gain = 16", "id = 2, gain = 32")
+    with make_emulator(config.parse(f'backend = "emulator"\n{text}')) as bus:
         read = config.load("so101", port=bus.port)
         said = {f.about: f.text for f in examine(read) if f.level == "note"}
     assert said["shoulder_lift"].startswith("its P gain is 32, the file says 16")
@@ -72,13 +74,15 @@ def test_a_gain_that_the_servo_has_not_is_said():
 
 
 def test_the_watch_ends_with_a_rest_pose_to_paste(capsys):
-    with emulated(config.load("so101", backend="emulator")) as bus:
+    with make_emulator(config.load("so101", backend="emulator")) as bus:
         assert (
             main(["servos", "doctor", "so101", "--port", bus.port, "--watch", "--duration", "0.3"])
             == 0
         )
     line = capsys.readouterr().out.splitlines()[-1]
-    pasted = config.parse(config.ready.text("so101").partition("[life]")[0] + f"[life]\n{line}\n")
+    pasted = config.parse(
+        config.loader.builtin_text("so101").partition("[life]")[0] + f"[life]\n{line}\n"
+    )
     model = pasted.model()
     assert posture(model, pasted.life.rest_q, "rest_q") == pytest.approx([0.0] * 5, abs=0.02)
 

@@ -12,9 +12,9 @@ pytest.importorskip("mcap_ros2", reason="logs need the extra log")
 from bare_arm import bare_arm
 
 import pliant
+from pliant._files import KINDS, check_output, replacing
 from pliant.cli import main
 from pliant.log import Recorder
-from pliant.outputs import KINDS, check_output, replacing
 from pliant.teach import Motion
 
 TOML = """

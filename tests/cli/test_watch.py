@@ -14,8 +14,8 @@ import pytest
 import pliant
 from pliant import config
 from pliant.cli import main
-from pliant.config.emulation import emulated
-from pliant.config.ways import ways
+from pliant.cli.servos._watch import joint_directions
+from pliant.config.factory import make_emulator
 
 UP = (0.0, 0.0, 1.0)
 
@@ -25,7 +25,7 @@ def test_ways_are_those_of_finite_differences(name):
     model = getattr(pliant.robots, name)()
     q = 0.5 * np.ones(model.n) * np.where(np.arange(model.n) % 2, 1.0, -1.0)
     for falling, sign in ((False, 1.0), (True, -1.0)):
-        for joint, phrase in enumerate(ways(model, q, up=UP, falling=falling)):
+        for joint, phrase in enumerate(joint_directions(model, q, up=UP, falling=falling)):
             step = 1e-5 * np.eye(model.n)[joint] * sign
             here, there = (model.forward_kinematics(p)[:3, 3] for p in (q, q + step))
             moved = (there - here) / 1e-5
@@ -40,7 +40,7 @@ def test_ways_are_those_of_finite_differences(name):
 
 def test_what_moves_the_tool_nowhere_says_about_what_it_turns():
     model = pliant.robots.so101()
-    roll = ways(model, np.zeros(5), up=UP)[4]
+    roll = joint_directions(model, np.zeros(5), up=UP)[4]
     assert roll == "turns in place about +x, as a screw goes in"
 
 
@@ -48,8 +48,8 @@ def test_what_moves_the_tool_nowhere_says_about_what_it_turns():
 def arm(tmp_path):
     """An emulated SO-101 and a file for it whose shoulder_lift has the wrong sign."""
     ready = config.load("so101", backend="emulator")
-    with emulated(ready) as bus:
-        text = config.ready.text("so101").replace('path = "auto"', f'path = "{bus.port}"')
+    with make_emulator(ready) as bus:
+        text = config.loader.builtin_text("so101").replace('path = "auto"', f'path = "{bus.port}"')
         file = tmp_path / "arm.toml"
         file.write_text(text)
         mirrored = tmp_path / "mirrored.toml"

@@ -3,11 +3,11 @@ import pytest
 
 import pliant
 from pliant import config
-from pliant.config import assemble
-from pliant.config.emulation import emulated
+from pliant.config import factory
+from pliant.config.factory import make_emulator
 from pliant.emulator import StepClock
 from pliant.servo import ServoBus
-from pliant.servo.units import Units
+from pliant.servo.spec import Units
 
 
 def test_specs_are_what_the_file_says(tmp_path):
@@ -17,7 +17,7 @@ def test_specs_are_what_the_file_says(tmp_path):
         "shoulder_pan = { model = 'STS3215-12V', id = 7, sign = -1, zero = 9, kp = 8.0 }\n"
         "shoulder_lift = { model = 'XM540-W270', id = 2, secondary = { id = 3 }, lower = -1 }\n"
     )
-    pan, lift = assemble.specs(read, assemble.paths(read))
+    pan, lift = factory.servo_specs(read, factory.port_paths(read))
     assert (pan.name, pan.port, pan.sign, pan.zero, pan.kp) == (
         "shoulder_pan",
         "/dev/ttyX",
@@ -30,12 +30,12 @@ def test_specs_are_what_the_file_says(tmp_path):
 
 def test_an_automatic_port_is_the_only_one(monkeypatch):
     read = config.load("so101")
-    monkeypatch.setattr(assemble, "serial_ports", lambda: ("/dev/a",))
-    assert assemble.paths(read) == {"main": "/dev/a"}
-    monkeypatch.setattr(assemble, "serial_ports", lambda: ("/dev/a", "/dev/b"))
+    monkeypatch.setattr(factory, "serial_ports", lambda: ("/dev/a",))
+    assert factory.port_paths(read) == {"main": "/dev/a"}
+    monkeypatch.setattr(factory, "serial_ports", lambda: ("/dev/a", "/dev/b"))
     with pytest.raises(pliant.ServoError, match=r"there are 2: /dev/a, /dev/b.*--port"):
-        assemble.paths(read)
-    monkeypatch.setattr(assemble, "serial_ports", tuple)
+        factory.port_paths(read)
+    monkeypatch.setattr(factory, "serial_ports", tuple)
     with pytest.raises(pliant.ServoError, match="no serial port on this machine"):
         pliant.connect("so101")
 
@@ -63,9 +63,9 @@ def move(arm, name):
 @pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
 def test_a_ready_arm_moves_over_real_bytes(name):
     read = config.load(name)
-    with emulated(read, clock="steps") as bus:
-        chain = ServoBus(assemble.specs(read, bus.ports), patience=0.2, clock=StepClock(bus))
-        options = {"rate": 50.0, "grippers": assemble.grippers(read), "signals": False}
+    with make_emulator(read, clock="steps") as bus:
+        chain = ServoBus(factory.servo_specs(read, bus.ports), patience=0.2, clock=StepClock(bus))
+        options = {"rate": 50.0, "grippers": factory.gripper_configs(read), "signals": False}
         with pliant.Arm(read.model(), chain, **options) as arm:
             target, reached = move(arm, name)
             arm.disable_torque()
@@ -95,7 +95,7 @@ def test_joint_ranges_of_ready_arms_fit_their_servos():
         ranges = dict(
             zip(model.joint_names, zip(model.lower, model.upper, strict=True), strict=True)
         )
-        for spec in assemble.specs(read, {"main": "/dev/none"}):
+        for spec in factory.servo_specs(read, {"main": "/dev/none"}):
             if spec.name in ranges:
                 units = Units.of(spec)
                 counts = [units.counts(bound) for bound in ranges[spec.name]]

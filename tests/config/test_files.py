@@ -6,7 +6,7 @@ import pytest
 
 import pliant
 from pliant import config
-from pliant.config import build
+from pliant.config.schema import zeros
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
 OWN = ("arm7", "koch", "so100", "so101")
@@ -266,12 +266,12 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
         'elbow_flex = { model = "STS3215-7.4V", id = 3, zero = 7 }\n'
     ).replace('calibration = "cal.json"\n', "")
     read = config.parse('calibration = "cal.json"\n' + text, folder=tmp_path)
-    assert build.zeros(read) == {"shoulder_pan": 2000.5, "elbow_flex": 7.0}
+    assert zeros(read) == {"shoulder_pan": 2000.5, "elbow_flex": 7.0}
     other = config.parse(
         'calibration = "cal.json"\n' + text.replace("id = 1", "id = 2"), folder=tmp_path
     )
     with pytest.raises(pliant.ConfigError, match="has id 1, the configuration says 2"):
-        build.zeros(other)
+        zeros(other)
 
 
 def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():

@@ -3,7 +3,8 @@ import json
 import pytest
 
 import pliant
-from pliant.config import build, read_calibration
+from pliant.config import read_calibration
+from pliant.config.schema import zeros
 
 MOTOR = {"id": 1, "drive_mode": 0, "homing_offset": -12, "range_min": 900, "range_max": 3100}
 
@@ -64,4 +65,4 @@ def test_a_range_that_the_encoder_has_not_is_refused(tmp_path, key, count):
     read = pliant.config.parse(text, folder=tmp_path)
     said = rf"shoulder_pan\.{key} is {count}, and positions of STS3215-7\.4V run from 0 to 4095"
     with pytest.raises(pliant.ConfigError, match=said):
-        build.zeros(read)
+        zeros(read)

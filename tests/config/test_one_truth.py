@@ -9,9 +9,9 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
-from pliant.arm.tables import COLUMNS
-from pliant.config import assemble
-from pliant.config.emulation import emulated
+from pliant._servo_tables import COLUMNS
+from pliant.config import factory
+from pliant.config.factory import make_emulator
 from pliant.emulator import StepClock
 from pliant.servo import ServoBus
 
@@ -51,9 +51,9 @@ def read(name, tmp_path, backend):
 
 def on_bytes(own, model):
     """What the driver of a real bus reads from such servos."""
-    with emulated(own, clock="steps") as bus:
-        chain = ServoBus(assemble.specs(own, bus.ports), patience=0.5, clock=StepClock(bus))
-        arm = pliant.Arm(model, chain, grippers=assemble.grippers(own), signals=False)
+    with make_emulator(own, clock="steps") as bus:
+        chain = ServoBus(factory.servo_specs(own, bus.ports), patience=0.5, clock=StepClock(bus))
+        arm = pliant.Arm(model, chain, grippers=factory.gripper_configs(own), signals=False)
         arm.open()
         try:
             return arm.servos, bus.plant.gains, arm.model.servos
@@ -108,7 +108,7 @@ def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
     servo = drive.plant.mj_model.actuator("gripper")
     assert drive.servos.kp[at] == pytest.approx(0.72, rel=0.01)
     assert servo.gainprm[0] == pytest.approx(drive.servos.kp[at])
-    assert arm.gripper.largest == pytest.approx(drive.servos.max_torque[at])
+    assert arm.gripper.max_limit == pytest.approx(drive.servos.max_torque[at])
 
 
 @pytest.mark.parametrize("kp", [True, False])

@@ -10,10 +10,10 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
-from pliant._connect import ARM_OPTIONS, PLANT_OPTIONS
-from pliant.arm.points import Points
-from pliant.arm.rest import STEPS, obstacle
-from pliant.config import assemble
+from pliant.arm._checks import STEPS, path_obstacle
+from pliant.arm._points import Points
+from pliant.config import factory
+from pliant.config.factory import ARM_OPTIONS, PLANT_OPTIONS
 from pliant.sim import Plant, Tabletop
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
@@ -101,15 +101,17 @@ def test_a_way_through_the_table_is_found():
 
     way = [lowest(share) for share in np.linspace(0.0, 1.0, STEPS)]
     assert min(way[0], way[-1]) > 0.0 > -0.008 > min(way)
-    said = obstacle(model, points, np.array(BARRED), rest, 0.0)
+    said = path_obstacle(model, points, np.array(BARRED), rest, 0.0)
     assert said == f"the way to the rest pose leads the tool {-min(way):.3f} m into the table"
     for free, table in ((np.zeros(5), 0.0), (np.array(BARRED), None), (np.array(BARRED), -0.1)):
-        assert obstacle(model, points, free, rest, table) is None
+        assert path_obstacle(model, points, free, rest, table) is None
     # A point that begins below the table may come out, and no deeper.
     inside, out = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
     assert points(inside).position[:, 2].min() < -0.09
-    assert obstacle(model, points, inside, out, 0.0) is None
-    assert "the tool 0.1" in obstacle(model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0)
+    assert path_obstacle(model, points, inside, out, 0.0) is None
+    assert "the tool 0.1" in path_obstacle(
+        model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0
+    )
 
 
 def test_an_arm_whose_way_to_rest_is_barred_is_lowered_straight_down():
@@ -162,11 +164,11 @@ def test_an_arm_that_would_start_inside_its_table_is_refused(backend):
 
 
 def test_an_emulated_arm_stands_on_the_table_of_its_file():
-    from pliant.config.emulation import emulated
+    from pliant.config.factory import make_emulator
 
-    bus = emulated(config.load("koch", backend="emulator"), clock="steps")
+    bus = make_emulator(config.load("koch", backend="emulator"), clock="steps")
     assert [fixture.height for fixture in bus.plant.fixtures] == [0.0]
-    bus = emulated(config.load("koch", backend="emulator", table=False), clock="steps")
+    bus = make_emulator(config.load("koch", backend="emulator", table=False), clock="steps")
     assert bus.plant.fixtures == ()
 
 
@@ -175,7 +177,7 @@ def test_a_simulated_arm_begins_at_its_rest_pose_where_zero_is_in_the_table():
         'backend = "sim"\nrobot = { builtin = "so101", table = 0.3 }\n[life]\n'
         "rest_q = [0.0, -0.3, -1.0, 0.0, 0.0]\n"
     )
-    np.testing.assert_array_equal(assemble.start(read, read.model()), read.life.rest_q)
+    np.testing.assert_array_equal(factory.start_pose(read, read.model()), read.life.rest_q)
 
 
 def test_backend_sim_takes_the_options_of_the_simulator():

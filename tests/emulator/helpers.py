@@ -7,8 +7,8 @@ import termios
 import time
 import tty
 
+from pliant._extras import missing
 from pliant.emulator import Device, Line
-from pliant.extras import missing
 
 BAUD = 1_000_000
 

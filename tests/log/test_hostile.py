@@ -13,9 +13,9 @@ pytest.importorskip("mcap_ros2", reason="logs need the extra log")
 from bare_arm import bare_arm
 
 import pliant
+from pliant._files import printable
 from pliant.cli import main
 from pliant.config.lerobot import read_calibration
-from pliant.inputs import printable
 from pliant.log import Recorder, layout, read, verify
 from pliant.teach import Motion
 

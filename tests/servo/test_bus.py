@@ -233,7 +233,7 @@ def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
 
 def test_a_chain_that_is_not_open_says_so():
     chain = ServoBus([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
-    for call in (chain.read, chain.slow, chain.identify, chain.disable):
+    for call in (chain.read, chain.poll_status, chain.identify, chain.disable):
         with pytest.raises(ServoError, match="not open"):
             call()
     with pytest.raises(ConfigError, match="no joint 'lift'; there are: pan"):

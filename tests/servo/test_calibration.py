@@ -6,9 +6,9 @@ import pytest
 
 import pliant
 from pliant import config
-from pliant.config import assemble
+from pliant.config import factory
 from pliant.config.doctor import examine
-from pliant.config.emulation import emulated, mounts
+from pliant.config.factory import make_emulator, make_mounts
 from pliant.emulator import StepClock, emulate
 from pliant.servo import ServoBus
 
@@ -38,9 +38,9 @@ def opened(name, folder, **wrong):
     """Open the arm of a ready file whose servos were calibrated, with a file that is changed."""
     good = config.load(name, backend="emulator", calibration=lerobot_file(folder))
     theirs = config.load(name, backend="emulator", calibration=lerobot_file(folder, **wrong))
-    with emulated(good, clock="steps") as bus:
+    with make_emulator(good, clock="steps") as bus:
         before = bus.log.order(1)
-        chain = ServoBus(assemble.specs(theirs, bus.ports), patience=0.5, clock=StepClock(bus))
+        chain = ServoBus(factory.servo_specs(theirs, bus.ports), patience=0.5, clock=StepClock(bus))
         try:
             chain.open()
             return [note for found in chain.found for note in found.notes], chain
@@ -97,13 +97,13 @@ def test_a_joint_with_a_zero_of_its_own_needs_no_file(tmp_path):
     )
     file = lerobot_file(tmp_path)
     read = config.parse(f'calibration = "{file.name}"\n{text}', folder=tmp_path)
-    assert {spec.calibration for spec in assemble.specs(read, {"main": "/dev/none"})} == {None}
+    assert {spec.calibration for spec in factory.servo_specs(read, {"main": "/dev/none"})} == {None}
 
 
 def test_doctor_says_it_joint_by_joint(tmp_path, monkeypatch):
     bare = config.load("so101", backend="emulator")
     read = config.load("so101", calibration=lerobot_file(tmp_path))
-    with emulate(bare.model(), mounts(bare), [0.0] * 5, held=True) as bus:
+    with emulate(bare.model(), make_mounts(bare), [0.0] * 5, held=True) as bus:
         wired = config.load("so101", calibration=read.calibration, port=bus.ports["main"])
         bad = [finding.text for finding in examine(wired) if finding.level == "bad"]
     said = [text for text in bad if "homing_offset" in text]

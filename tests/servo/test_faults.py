@@ -20,7 +20,7 @@ def sweep(bus, chain, limit, ticks, *, speed=1.0):
         yield sample, angle
         goal = 0.8 * np.sin(0.01 * k * speed * np.arange(1, chain.n + 1))
         chain.write(goal, limit)
-        chain.slow()
+        chain.poll_status()
         bus.advance(0.01)
 
 
@@ -97,7 +97,7 @@ def test_a_servo_that_lost_its_torque_is_noticed(emulated, enabled):
             found = []
             for _ in range(30):
                 chain.read()
-                found += getattr(chain.slow(), "faults", ())
+                found += getattr(chain.poll_status(), "faults", ())
             assert any("joint0: its torque went off by itself" in text for text in found)
             assert not any("joint1" in text for text in found)
 
@@ -110,7 +110,7 @@ def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, k
             for k in range(12 + place):
                 chain.read()
                 chain.write(np.full(6, 0.001 * k), limit)
-                chain.slow()
+                chain.poll_status()
                 bus.advance(0.01)
             bus.servo(place).put("torque_enable", 0)
             bus.log.clear()
@@ -118,7 +118,7 @@ def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, k
             # Protocol 1.0 and Feetech go round all servos in six ticks.
             for _ in range(4 if kind == "xm" else 6):
                 chain.read()
-                said += str(chain.slow())
+                said += str(chain.poll_status())
                 bus.advance(0.01)
             assert f"joint{place - 1}: its torque went off" in said
             bus.servo(place).put("torque_enable", 1)
@@ -143,7 +143,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
                 sample = chain.read()
                 assert sample.ok.tolist() == [True, False, False]
                 chain.write(np.full(3, 0.01 * k), limit)
-                found += getattr(chain.slow(), "faults", ())
+                found += getattr(chain.poll_status(), "faults", ())
                 bus.advance(0.01)
             assert "joint1: its port" in str(found[:2])
             moved = bus.servo(1).get("goal_position") - 2048
@@ -152,7 +152,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
                 chain.disable()
             assert not bus.servo(1).enabled
             bus.pull("main")
-            for call in (chain.read, chain.slow):
+            for call in (chain.read, chain.poll_status):
                 with pytest.raises(BusError, match="is gone"):
                     call()
 
@@ -165,7 +165,7 @@ def test_overload_comes_as_a_sentence(emulated, enabled):
             found = []
             for _ in range(4):
                 chain.read()
-                found += getattr(chain.slow(), "faults", ())
+                found += getattr(chain.poll_status(), "faults", ())
             assert any("joint1: overload" in text for text in found), kind
             chain.write([0.0, 0.0], limit)
 
@@ -200,7 +200,7 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
         for _ in range(70):
             chain.read()
             chain.write([0.0, 0.0], limit / 2)
-            found += getattr(chain.slow(), "faults", ())
+            found += getattr(chain.poll_status(), "faults", ())
             bus.advance(0.01)
         said = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
         assert any(said in text for text in found)
@@ -224,7 +224,7 @@ def test_lost_writes_are_waited_for_as_long_as_lost_answers(emulated, enabled, k
             for k in range(ticks):
                 chain.read()
                 chain.write([0.003 * k, 0.003 * k], limit * (1.0 - 0.004 * k))
-                found = getattr(chain.slow(), "faults", found)
+                found = getattr(chain.poll_status(), "faults", found)
                 bus.advance(0.01)
                 yield found
 
@@ -254,7 +254,7 @@ def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
             if k in {20, 21}:
                 bus.faults.inject("deaf", 1)
             chain.write([0.0, 0.0], limit * (1.0 - 0.01 * k))
-            found += getattr(chain.slow(), "faults", ())
+            found += getattr(chain.poll_status(), "faults", ())
         assert not found
         assert chain.counters["mismatches"] <= 2
 
@@ -281,7 +281,7 @@ def test_a_supply_that_stays_too_low_is_a_fault(emulated, enabled):
             for _ in range(round(seconds / 0.01)):
                 chain.read()
                 chain.write([0.0, 0.0], limit)
-                found += getattr(chain.slow(), "faults", ())
+                found += getattr(chain.poll_status(), "faults", ())
                 bus.advance(0.01)
             return found
 
@@ -342,7 +342,7 @@ def test_an_encoder_that_steps_is_a_fault_and_never_believed(emulated, enabled, 
             assert not sample.ok[0]
             assert sample.position[0] == before
             chain.write([0.0, 0.0], limit)
-            said.append(getattr(chain.slow(), "faults", ()))
+            said.append(getattr(chain.poll_status(), "faults", ()))
             bus.advance(0.01)
         assert "joint0: its position jumped by" in str(said[:10])
         # Once torque is off the joint may be anywhere.
@@ -367,7 +367,7 @@ def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enable
         for _ in range(15):
             chain.read()
             chain.write([0.1, 0.1], limit)
-            assert not getattr(chain.slow(), "faults", ())
+            assert not getattr(chain.poll_status(), "faults", ())
             bus.advance(0.01)
         assert [servo.get("bus_watchdog") for servo in bus.servos] == [5, 5]
         assert bus.servos[0].get("goal_position") > 2048

@@ -3,7 +3,7 @@
 import pytest
 
 from pliant.servo import BusError
-from pliant.servo.guard import Guard
+from pliant.servo._transactions import TransactionGuard
 from pliant.servo.models import Block
 
 SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
@@ -11,7 +11,7 @@ SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
 
 def guarded(bus, **options):
     options = {"baudrate": 1_000_000, "absent": 200, **options}
-    return Guard(bus, "p1", clock=bus.clock, **options)
+    return TransactionGuard(bus, "p1", clock=bus.clock, **options)
 
 
 def failure(reason, id=None):
@@ -48,7 +48,7 @@ def test_two_failures_are_reported(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan = [failure("timeout"), failure("corrupt")]
-    guard.begin(1.0)
+    guard.start_cycle(1.0)
     with pytest.raises(BusError) as caught:
         guard.read(1, SHORT, LONG)
     assert caught.value.reason == "corrupt"
@@ -60,17 +60,17 @@ def test_nothing_is_asked_before_a_noisy_line_is_silent(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan, bus.late = [failure("timeout")], 10**6
-    guard.begin(0.03)
+    guard.start_cycle(0.03)
     with pytest.raises(BusError):
         guard.read(1, SHORT)
     sent = len(requests(bus))
-    guard.begin(0.03)
+    guard.start_cycle(0.03)
     with pytest.raises(BusError) as caught:
         guard.read(1, SHORT)
     assert caught.value.reason == "late"
     assert len(requests(bus)) == sent == 1
     bus.late = 0
-    guard.begin(0.03)
+    guard.start_cycle(0.03)
     assert guard.read(1, SHORT, LONG).status == 0
 
 
@@ -104,7 +104,7 @@ def test_a_stale_sync_read_is_kept_out(fake_bus):
 def test_a_length_is_not_asked_for_while_it_is_owed(fake_bus):
     bus = fake_bus([1, 2])
     guard = guarded(bus)
-    guard.begin(10.0)
+    guard.start_cycle(10.0)
     bus.plan = [failure("timeout"), failure("corrupt")]
     with pytest.raises(BusError):
         guard.read(1, SHORT, LONG)
@@ -126,7 +126,7 @@ def test_a_length_is_not_asked_for_while_it_is_owed(fake_bus):
 def test_a_servo_that_was_silent_for_long_is_asked_again(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
-    guard.begin(10.0)
+    guard.start_cycle(10.0)
     bus.plan = [failure("timeout")]
     with pytest.raises(BusError):
         guard.read(1, SHORT, again=False)
@@ -155,7 +155,7 @@ def test_a_ping_of_protocol_2_looks_like_three_bytes(fake_bus):
     guard._protocol = "p2"
     assert not guard.ping(1)
     bus.memory[1] = bytearray(256)
-    guard.begin(1.0)
+    guard.start_cycle(1.0)
     with pytest.raises(BusError) as caught:
         guard.read(1, Block(144, 3))
     assert caught.value.reason == "late"
@@ -165,7 +165,7 @@ def test_no_retry_that_could_not_be_answered_in_time(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan = [failure("timeout")]
-    guard.begin(0.016)  # 10 ms are lost, 3 ms are drained, 10 ms more would be needed
+    guard.start_cycle(0.016)  # 10 ms are lost, 3 ms are drained, 10 ms more would be needed
     with pytest.raises(BusError):
         guard.read(1, SHORT)
     assert len(requests(bus)) == 1
@@ -195,7 +195,7 @@ def test_a_refused_read_is_not_mistaken_for_a_stale_one(fake_bus):
 def test_drains_listen_behind_an_id_that_nobody_has(fake_bus):
     bus = fake_bus([253, 252, 1])
     guard = guarded(bus, absent=0)
-    guard.find_absent({1}, 253)
+    guard.find_unused_id({1}, 253)
     bus.calls.clear()
     bus.plan = [failure("timeout")]
     guard.read(1, SHORT)
@@ -205,7 +205,7 @@ def test_drains_listen_behind_an_id_that_nobody_has(fake_bus):
 def test_timeouts_follow_the_wire(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus, baudrate=57_600, cycle=0.1)
-    guard.begin(1.0)
+    guard.start_cycle(1.0)
     guard.read(1, SHORT)
     # 8 + 21 bytes at 57600 baud are 5.0 ms: twice that, twice the latency of 1 ms, and 5 ms.
     assert bus.timeout == pytest.approx(0.0171, abs=2e-4)
@@ -223,7 +223,7 @@ def test_without_a_cycle_there_is_no_hurry(fake_bus):
 def test_a_write_goes_out_although_the_line_is_not_silent(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
-    guard.begin(0.01)
+    guard.start_cycle(0.01)
     bus.plan = [failure("timeout")]
     with pytest.raises(BusError):
         guard.read(1, SHORT)

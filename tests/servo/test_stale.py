@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pliant.servo import BusError
-from pliant.servo.guard import Guard
+from pliant.servo._transactions import TransactionGuard
 from pliant.servo.models import find
 
 #: Bytes of the positions that the servos report: the time of the request [µs].
@@ -100,13 +100,13 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
     family = find(model).family
     blocks = [type(block)(block.address, block.size) for block in family.read]
     bus = LateLine([1, 2, 3], held, keeps_order=keeps_order)
-    guard = Guard(
+    guard = TransactionGuard(
         bus, family.protocol, baudrate=1_000_000, patience=patience, absent=200, clock=bus.clock
     )
     taken = 0
     for cycle in range(6000):
         bus.now = max(bus.now, 0.01 * cycle)
-        guard.begin(0.03)
+        guard.start_cycle(0.03)
         replies = {}
         try:
             replies = guard.sync_read(bus.ids, *blocks)

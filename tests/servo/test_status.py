@@ -1,7 +1,7 @@
 """Status bytes in sentences: what refuses, and what merely states a condition."""
 
 from pliant.servo import find
-from pliant.servo.status import conditions, hardware, refusal
+from pliant.servo._status import conditions, hardware, refusal
 
 STS, P1, X = (find(name).family for name in ("STS3215-7.4V", "RX-64", "XM430-W350"))
 

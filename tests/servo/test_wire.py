@@ -5,7 +5,7 @@ import pytest
 
 from pliant.emulator import Timing
 from pliant.servo import wire_bytes, wire_time
-from pliant.servo.wire import reply_timeout
+from pliant.servo._transactions import reply_timeout
 
 
 def rate(*transactions, baudrate):
@@ -37,7 +37,7 @@ def test_bytes_of_the_packets_in_the_manuals():
 
 def test_a_return_delay_costs_one_turn_per_answer():
     quick = wire_time("p2", "sync_read", 7, 10, baudrate=1_000_000)
-    slow = wire_time("p2", "sync_read", 7, 10, baudrate=1_000_000, turn=530e-6)
+    slow = wire_time("p2", "sync_read", 7, 10, baudrate=1_000_000, response_delay=530e-6)
     assert slow - quick == pytest.approx(7 * 500e-6)
 
 

@@ -109,7 +109,7 @@ def test_a_file_that_cannot_be_written_is_said_before_torque_comes_on(
 
 
 def test_looking_whether_a_file_can_be_written_changes_nothing(tmp_path):
-    from pliant.outputs import check_output
+    from pliant._files import check_output
 
     new, old = tmp_path / "new.json", tmp_path / "old.json"
     old.write_text('{"format": "pliant motion 1"}')

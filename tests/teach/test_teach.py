@@ -272,7 +272,7 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     # Left held, not lowered: an emulated arm comes down as slowly as a real one. The machine that
     # tests may be busy elsewhere.
     life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
-    arm.write_text(pliant.config.ready.text("so101").replace("[life]\n", life))
+    arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
     flags = [
         "replay",
         str(arm),
@@ -298,7 +298,7 @@ def test_the_command_teaches_with_a_scripted_hand(tmp_path, backend, capsys, mon
     monkeypatch.setattr("sys.stdin", io.StringIO())
     file, arm = tmp_path / "m.json", tmp_path / "arm.toml"
     life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
-    arm.write_text(pliant.config.ready.text("so101").replace("[life]\n", life))
+    arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
     assert main(["teach", str(arm), str(file), "--backend", backend, "--hand"]) == 0
     assert "pliant replay" in capsys.readouterr().out
     motion = Motion.load(file)

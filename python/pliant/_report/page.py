@@ -118,7 +118,7 @@ def _themed(svg: str, name: str, title: str) -> str:
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", body)
-    # As wide as the page lets it be, yet never larger than drawn: text keeps one size.
+    # At most the drawn size, so that text keeps one size.
     body = re.sub(r'(<svg[^>]*?)\swidth="([^"]*)"', r'\1 style="max-width: \2"', body, count=1)
     body = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r"\1", body, count=1)
     body = body.replace("<svg", f'<svg role="img" aria-label="{escape(title)}"', 1)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-import pliant
+from pliant._core import __version__
 
-#: Packages whose versions decide numbers or pictures.
+#: Packages whose versions affect numbers or pictures.
 PACKAGES = ("numpy", "mujoco", "matplotlib")
 
 
@@ -31,7 +31,7 @@ class Facts:
 
 def collect() -> Facts:
     """Collect the facts."""
-    versions = {"pliant": pliant.__version__, "Python": platform.python_version()}
+    versions = {"pliant": __version__, "Python": platform.python_version()}
     for package in PACKAGES:
         try:
             versions[package] = metadata.version(package)
@@ -44,7 +44,7 @@ def collect() -> Facts:
 def commit(folder: Path) -> str | None:
     """Short hash of this package's commit, with `+` for uncommitted changes; None if none."""
     top = _git(folder, "rev-parse", "--show-toplevel")
-    # An installed copy may lie inside somebody else's repository: only our own source tree counts.
+    # An installed copy may be inside another repository: only this project's tree counts.
     if top is None or not (Path(top) / "python" / "pliant").is_dir():
         return None
     head = _git(folder, "rev-parse", "--short=10", "HEAD")

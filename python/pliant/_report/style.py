@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import PliantError
-from pliant.extras import missing
+from pliant._core import PliantError
+from pliant._extras import missing
 
 try:
     import matplotlib
@@ -102,7 +102,7 @@ def canvas(
     size: tuple[float, float] = (WIDE, 4.0),
     **grid: Any,
 ) -> Iterator[tuple[Figure, Grid]]:
-    """A figure in the style of the house and its axes (rows, columns).
+    """Yield a figure in the common style and its axes (rows, columns).
 
     Args:
         rows: Of the grid of axes.
@@ -184,7 +184,7 @@ PLACES = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side 
 def label_points(
     ax: Axes, points: Sequence[tuple[float, float, str, str]], *, size: float = 7.5
 ) -> None:
-    """Write names beside points, each at the first place that is still free.
+    """Write names beside points, each at the first free place.
 
     Args:
         ax: Axes whose limits are final.
@@ -258,7 +258,7 @@ def room(row: Grid, share: float) -> None:
 
 
 def shade(ax: Axes, start: float, end: float, text: str = "") -> None:
-    """Mark a span of time, e.g. while a hand holds on."""
+    """Mark a span of time, e.g. the contact of a hand."""
     ax.axvspan(start, end, color=MUTED, alpha=0.10, linewidth=0)
     if text:
         ax.annotate(

@@ -1,11 +1,10 @@
 """Life cycle of an arm over any drive: torque on, read and write, lower, torque off."""
 
 from pliant.arm.arm import Arm
-from pliant.arm.budget import Budget
-from pliant.arm.drive import Clock, Drive, Health, MonotonicClock, Sample
 from pliant.arm.gripper import Gripper, GripperConfig
 from pliant.arm.lowering import Lowering
-from pliant.arm.state import State
+from pliant.arm.thermal import Budget
+from pliant.drive import Clock, Drive, JointReadings, MonotonicClock, ServoStatus, State
 
 __all__ = [
     "Arm",
@@ -14,9 +13,9 @@ __all__ = [
     "Drive",
     "Gripper",
     "GripperConfig",
-    "Health",
+    "JointReadings",
     "Lowering",
     "MonotonicClock",
-    "Sample",
+    "ServoStatus",
     "State",
 ]

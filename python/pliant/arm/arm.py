@@ -11,20 +11,24 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant import ConfigError, ServoError
-from pliant.arguments import instance, real
-from pliant.arm.budget import Budget
-from pliant.arm.checks import posture, times
-from pliant.arm.cycle import Cycle
-from pliant.arm.ending import Ending, cause_of
-from pliant.arm.entry import first_orders, hear_all, stand_within, strange_leads, take_up
-from pliant.arm.exits import descend, settle
+from pliant._core import ConfigError, ServoError
+from pliant._validation import instance, real
+from pliant.arm._checks import check_rest, path_obstacle, posture, times
+from pliant.arm._io import ArmIO
+from pliant.arm._messages import MESSAGES
+from pliant.arm._points import Points
+from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
+from pliant.arm._signals import Signals, is_interrupted
+from pliant.arm._startup import (
+    check_within_limits,
+    initial_commands,
+    stiffness_mismatch,
+    transfer_weight,
+    wait_for_all,
+)
+from pliant.arm._supervisor import Supervisor
 from pliant.arm.gripper import Gripper, check_grippers, make_grippers
-from pliant.arm.keeper import Keeper
-from pliant.arm.points import Points
-from pliant.arm.rest import check_rest, obstacle
-from pliant.arm.signals import Signals, is_interrupted
-from pliant.arm.speaker import SPEAKER
+from pliant.arm.thermal import Budget
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -33,10 +37,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model
-    from pliant.arm.drive import Clock, Drive
+    from pliant._core import Model
     from pliant.arm.gripper import GripperConfig
-    from pliant.arm.state import State
+    from pliant.drive import Clock, Drive, State
 
     Array = NDArray[np.float64]
     Exit = Literal["lower", "leave_enabled"]
@@ -105,10 +108,10 @@ class Arm:
         self._on_exit = on_exit
         self._budget = Budget() if budget is None else instance(budget, Budget, "budget")
         self._gripper_configs = check_grippers(grippers)
-        self._keeper = Keeper(self._leave)
-        self._signals = Signals(self._keeper.unwanted.set) if signals else None
-        self._left: str | None = None
-        self._meet()
+        self._supervisor = Supervisor(self._take_down)
+        self._signals = Signals(self._supervisor.abort.set) if signals else None
+        self._exit_message: str | None = None
+        self._build()
         self.table = None if table is None else real(table, "table [m]")
         self.detour: str | None = None
         self.rest_q = None if rest_q is None else posture(self.model, rest_q, "rest_q")
@@ -117,21 +120,21 @@ class Arm:
         self._opened = False
         self.leads: Array = np.full(model.n, np.nan)
 
-    def _meet(self) -> None:
+    def _build(self) -> None:
         """Create all parts that depend on the servo parameters; `open` may have updated them."""
-        self._cycle = Cycle(self.model, self.drive, self._budget)
-        self.servos = self._cycle.servos
+        self._io = ArmIO(self.model, self.drive, self._budget)
+        self.servos = self._io.servos
         # The model's own servo parameters may differ from the drive's.
         self.model = self.model.with_servos(self.servos)
         self._points = Points(self.model, self.servos.armature)
-        self.grippers = make_grippers(self._cycle, self._gripper_configs, self._order)
+        self.grippers = make_grippers(self._io, self._gripper_configs, self._send_gripper)
 
     # Life.
 
     @property
     def enabled(self) -> bool:
         """True if torque is on and this process switched it on."""
-        return self._keeper.owner == os.getpid()
+        return self._supervisor.owner == os.getpid()
 
     def open(self) -> None:
         """Connect and identify the servos; torque stays as it is.
@@ -142,7 +145,7 @@ class Arm:
         if not self._opened:
             self.drive.open()
             self._opened = True
-            self._meet()
+            self._build()
 
     def enable(self) -> None:
         """Switch torque on: limits, then goals at the present positions, then a ramp of 0.5 s.
@@ -155,42 +158,42 @@ class Arm:
             ServoError: A joint reads outside its limits, and nothing was sent; or joints moved or
                 did not confirm when torque came on.
         """
-        with self._keeper.alone():
+        with self._supervisor.exclusive():
             if not self.enabled:
                 self._enable()
 
     def _enable(self) -> None:
         """Enable the arm with the lock held."""
         self.open()
-        self._keeper.reason = None
-        cycle = self._cycle
-        hear_all(cycle, self.rate)
-        names = cycle.roster.names
-        on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[cycle.roster.chain]
-        stand_within(cycle, on)
-        stood = cycle.q
-        start, limit, taken = first_orders(cycle, on)
+        self._supervisor.reason = None
+        io = self._io
+        wait_for_all(io, self.rate)
+        names = io.joints.names
+        on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[io.joints.chain]
+        check_within_limits(io, on)
+        start_q = io.q
+        start, limit, carried = initial_commands(io, on)
         for name, gripper in self.grippers.items():
-            cycle.orders[name] = (gripper.position, gripper.limit)
-        SPEAKER.start()
+            io.orders[name] = (gripper.position, gripper.limit)
+        MESSAGES.start()
         try:
             if self._signals is not None:
                 self._signals.install()
             atexit.register(self._at_exit)
-            self._keeper.owner = os.getpid()
-            cycle.begin(start, limit)
+            self._supervisor.owner = os.getpid()
+            io.start(start, limit)
         except ServoError:
-            self._forget()
+            self._release()
             raise
         except BaseException:
             # If a signal comes before torque on, remove the handlers; later signals lower the arm.
             if not self.enabled:
-                self._forget()
+                self._release()
             raise
-        self.leads = take_up(cycle, stood, taken, self.rate)
-        if text := strange_leads(cycle, self.leads):
-            SPEAKER.say(text, logging.WARNING)
-        cycle.guard(self._watchdog)
+        self.leads = transfer_weight(io, start_q, carried, self.rate)
+        if text := stiffness_mismatch(io, self.leads):
+            MESSAGES.post(text, logging.WARNING)
+        io.set_watchdog(self._watchdog)
 
     def lower(self) -> None:
         """Lower the arm: to the rest pose if set, then down at 0.15 m/s until it rests; torque off.
@@ -219,11 +222,11 @@ class Arm:
 
     def leave_enabled(self) -> None:
         """Hold the present pose with torque on, also after the program ends. The servos get hot."""
-        with self._keeper.alone():
+        with self._supervisor.exclusive():
             if self.enabled:
-                settle(self._cycle)
-                self._left = self._ending(cause_of(sys.exception())).stays()
-                self._forget()
+                hold_position(self._io)
+                self._exit_message = self._exit_messages(exit_cause(sys.exception())).left_enabled()
+                self._release()
 
     def disable_torque(self) -> None:
         """Switch torque off in the present pose: the arm falls. Every joint is tried.
@@ -231,132 +234,134 @@ class Arm:
         Raises:
             ServoError: Torque of a joint stayed on.
         """
-        with self._keeper.alone(at_once=True):
+        with self._supervisor.exclusive(at_once=True):
             try:
-                self.drive.disable(self._cycle.roster.names)
+                self.drive.disable(self._io.joints.names)
             finally:
-                self._forget()
+                self._release()
 
     def close(self) -> None:
         """Leave as `on_exit` says if torque is on, then close the bus."""
-        if self._keeper.elsewhere:
+        if self._supervisor.is_owned_elsewhere:
             return
         try:
             if self.enabled:
                 self.lower() if self._on_exit == "lower" else self.leave_enabled()
         finally:
-            self._forget()
+            self._release()
             if self._opened:
                 self._opened = False
                 self.drive.close()
-            SPEAKER.flush()
+            MESSAGES.flush()
 
     def _descend(self, rest: Array | None) -> None:
         """Lower the arm; a second Ctrl-C aborts this, torque on."""
         if not self.enabled:
             return
         error, signals = sys.exception(), self._signals
-        ending = self._ending(self._keeper.reason or cause_of(error))
-        told = ending.begin(interrupted=is_interrupted(error))
+        messages = self._exit_messages(self._supervisor.reason or exit_cause(error))
+        announcement = messages.begin(interrupted=is_interrupted(error))
         if signals is not None:
-            signals.begin(told)
+            signals.begin(announcement)
         try:
-            with self._keeper.alone():
+            with self._supervisor.exclusive():
                 try:
                     if self.enabled:
-                        self._bring_down(rest, ending)
+                        self._run_descent(rest, messages)
                 finally:
-                    self._forget()
+                    self._release()
         finally:
-            self._forget()
-            SPEAKER.flush()
+            self._release()
+            MESSAGES.flush()
             if signals is not None:
                 signals.deliver()
 
-    def _bring_down(self, rest: Array | None, ending: Ending) -> None:
+    def _run_descent(self, rest: Array | None, messages: ExitMessages) -> None:
         """Descend and switch torque off; if the descent is aborted, keep the arm held."""
         down = False
         rest = self._reachable(rest)
         if self.detour is not None:
-            SPEAKER.say(f"{self.detour}: the arm is lowered straight down")
+            MESSAGES.post(f"{self.detour}: the arm is lowered straight down")
         try:
             down = descend(
-                self._cycle,
+                self._io,
                 self._points,
                 rest,
                 self.rate,
-                self._keeper.unwanted.is_set,
-                on_tick=ending.progress,
+                self._supervisor.abort.is_set,
+                on_tick=messages.progress,
             )
             if down:
                 with contextlib.suppress(ServoError):
-                    self._cycle.guard(0.0)
-                self.drive.disable(self._cycle.roster.names)
+                    self._io.set_watchdog(0.0)
+                self.drive.disable(self._io.joints.names)
         except BaseException as error:
             # The bus hung and a third Ctrl-C aborted the call: do not use the bus again.
-            hangs = isinstance(error, SystemExit) and self._keeper.unwanted.is_set()
+            hangs = isinstance(error, SystemExit) and self._supervisor.abort.is_set()
             if not down and not hangs:
-                self._stay()
+                self._hold()
             # Without a connection the torque state is unknown.
-            unknown = isinstance(error, ServoError) and not down
-            self._left = ending.failed(error, None if unknown else self._powered())
+            is_unknown = isinstance(error, ServoError) and not down
+            self._exit_message = messages.failed(
+                error, None if is_unknown else self._powered_joints()
+            )
             raise
         if down:
-            heard = self._signals is not None and self._signals.heard
-            self._left = ending.down(heard=heard)
+            has_signal = self._signals is not None and self._signals.has_pending
+            self._exit_message = messages.lowered(has_signal=has_signal)
         else:
-            self._stay()
-            self._left = ending.stays(stopped=True)
+            self._hold()
+            self._exit_message = messages.left_enabled(stopped=True)
 
-    def _stay(self) -> None:
+    def _hold(self) -> None:
         """Send goals and limits that hold the arm, as far as the bus works."""
         with contextlib.suppress(Exception):
-            settle(self._cycle)
+            hold_position(self._io)
 
-    def _powered(self) -> list[str]:
+    def _powered_joints(self) -> list[str]:
         """Return the joints whose torque is on, as far as the drive knows."""
-        names = self._cycle.roster.names
+        names = self._io.joints.names
         on = np.broadcast_to(getattr(self.drive, "enabled", True), len(names))
         return [name for name, powered in zip(names, on, strict=True) if powered]
 
-    def _ending(self, cause: str | None) -> Ending:
-        return Ending(self.model.name, self._cycle, cause)
+    def _exit_messages(self, cause: str | None) -> ExitMessages:
+        return ExitMessages(self.model.name, self._io, cause)
 
     def _reachable(self, rest: Array | None) -> Array | None:
         """Return the rest pose if the path is free; else set `detour` and return None."""
         self.detour = None
         if rest is None:
             return None
-        self.detour = obstacle(self.model, self._points, self._cycle.q, rest, self.table)
+        self.detour = path_obstacle(self.model, self._points, self._io.q, rest, self.table)
         return rest if self.detour is None else None
 
-    def _leave(self) -> None:
+    def _take_down(self) -> None:
         """Leave on behalf of a stalled program; its signals are not delivered here."""
         try:
             if not self.enabled:
                 return
-            ending = self._ending(self._keeper.reason)
+            messages = self._exit_messages(self._supervisor.reason)
             if self._on_exit == "lower":
-                ending.begin()
-                self._bring_down(self.rest_q, ending)
+                messages.begin()
+                self._run_descent(self.rest_q, messages)
             else:
-                settle(self._cycle)
-                self._left = ending.stays()
+                hold_position(self._io)
+                self._exit_message = messages.left_enabled()
         finally:
-            self._keeper.owner = None
+            self._supervisor.owner = None
 
-    def _forget(self) -> None:
+    def _release(self) -> None:
         """Release ownership, watchdog and signal handlers."""
-        self._keeper.owner = None
-        self._keeper.dismiss()
+        self._supervisor.owner = None
+        self._supervisor.end_supervision()
         atexit.unregister(self._at_exit)
         if self._signals is not None:
             self._signals.restore()
 
     def _at_exit(self) -> None:
         """Leave the arm if the program ends with torque on."""
-        if not self._keeper.elsewhere:
-            self._keeper.reason = self._keeper.reason or "the program ends"
+        if not self._supervisor.is_owned_elsewhere:
+            self._supervisor.reason = self._supervisor.reason or "the program ends"
         self.close()
 
     def __repr__(self) -> str:
@@ -378,7 +383,7 @@ class Arm:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._left = None
+        self._exit_message = None
         try:
             self.close()
         except ServoError as worse:
@@ -387,9 +392,9 @@ class Arm:
             # The first error is the cause; attach the error of the descent as a note.
             error.add_note(f"while the arm was being lowered: {worse}")
         else:
-            if error is not None and self._left is not None:
+            if error is not None and self._exit_message is not None:
                 # The traceback is printed after the summary: repeat the summary below it.
-                error.add_note(f"pliant: {self._left}")
+                error.add_note(f"pliant: {self._exit_message}")
         finally:
             if isinstance(error, KeyboardInterrupt):
                 _end_at_the_caller(error)
@@ -406,8 +411,8 @@ class Arm:
             ServoTimeoutError: The program stalled for too long, and the arm was lowered meanwhile.
             ServoError: The connection is gone, or another process switched torque on.
         """
-        with self._keeper:
-            return self._cycle.state(self._cycle.sample())
+        with self._supervisor:
+            return self._io.state(self._io.sample())
 
     def write(
         self,
@@ -441,21 +446,21 @@ class Arm:
             ServoError: Torque is off, or was switched on by another process, or the connection is
                 gone.
         """
-        with self._keeper:
-            self._on()
-            self._cycle.write(goal, limit, extra, lead=lead, velocity=velocity)
+        with self._supervisor:
+            self._check_enabled()
+            self._io.write(goal, limit, extra, lead=lead, velocity=velocity)
 
-    def watched(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
+    def supervised(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
         """Return a context that leaves an arm in real time after `patience` [s] without a call.
 
         `Loop` uses this. The context yields a function that raises `ServoTimeoutError` after that.
         """
         real = getattr(self.clock, "real_time", False)
-        return self._keeper.watched(patience if real else None)
+        return self._supervisor.supervised(patience if real else None)
 
-    def ease(self) -> None:
+    def ramp_limits(self) -> None:
         """Ramp limits up again within 0.5 s, from those that hold the arm: after a silence."""
-        self._cycle.ease()
+        self._io.ramp_limits()
 
     @property
     def gripper(self) -> Gripper:
@@ -472,26 +477,26 @@ class Arm:
     @property
     def clock(self) -> Clock:
         """Clock of the drive."""
-        return self._cycle.clock
+        return self._io.clock
 
     @property
     def heat(self) -> dict[str, float]:
         """Share of the thermal budget in use, by joint; limits are reduced from 0.8 on."""
-        return dict(zip(self._cycle.roster.names, self._cycle.meter.heat.tolist(), strict=True))
+        return dict(zip(self._io.joints.names, self._io.thermal.heat.tolist(), strict=True))
 
     @property
     def counters(self) -> dict[str, int]:
         """Event counters: those of the drive, and `jumps`, the readings rejected for a jump."""
-        return {**self.drive.counters, "jumps": self._cycle.belief.jumps}
+        return {**self.drive.counters, "jumps": self._io.positions.jumps}
 
-    def _order(self, name: str, goal: float, limit: float) -> None:
+    def _send_gripper(self, name: str, goal: float, limit: float) -> None:
         """Send goal and limit of a joint off the chain at once; the chain's stay unchanged."""
-        with self._keeper:
-            self._on()
-            self._cycle.orders[name] = (goal, limit)
-            self._cycle.send(self._cycle.goal, self._cycle.limit)
+        with self._supervisor:
+            self._check_enabled()
+            self._io.orders[name] = (goal, limit)
+            self._io.send(self._io.goal, self._io.limit)
 
-    def _on(self) -> None:
+    def _check_enabled(self) -> None:
         if not self.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError
-from pliant.arguments import instance, mapping, real
+from pliant._core import ConfigError
+from pliant._validation import instance, mapping, real
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pliant import Model
-    from pliant.arm.cycle import Cycle
+    from pliant._core import Model
+    from pliant.arm._io import ArmIO
 
 #: Default limit as a share of the largest torque, and of the overload threshold.
 DEFAULT_SHARE, OVERLOAD_SHARE = 0.3, 0.9
@@ -62,10 +62,10 @@ class Gripper:
     def __init__(
         self,
         name: str,
-        jaw: GripperConfig,
+        config: GripperConfig,
         model: Model,
         *,
-        largest: float,
+        max_limit: float,
         overload: float,
         order: Callable[[str, float, float], None],
         measure: Callable[[str], float],
@@ -73,16 +73,20 @@ class Gripper:
         """Fill in defaults from the model; `Arm` creates grippers.
 
         Raises:
-            ConfigError: Neither `jaw` nor the model gives the ends of the travel.
+            ConfigError: Neither `config` nor the model gives the ends of the travel.
         """
         joint = next((j for j in model.joints if j.name == name), None)
-        self.name, self.largest = name, largest
+        self.name, self.max_limit = name, max_limit
         self._sliding = joint is not None and joint.kind == "prismatic"
-        self.closed = self._end(jaw.closed, None if joint is None else joint.lower, "closed")
-        self.opened = self._end(jaw.opened, None if joint is None else joint.upper, "opened")
-        default = min(DEFAULT_SHARE, OVERLOAD_SHARE * overload) * largest
-        self.limit = default if jaw.limit is None else min(jaw.limit, largest)
-        self._lever, self._order, self._measure = jaw.lever, order, measure
+        self.closed = self._travel_end(
+            config.closed, None if joint is None else joint.lower, "closed"
+        )
+        self.opened = self._travel_end(
+            config.opened, None if joint is None else joint.upper, "opened"
+        )
+        default = min(DEFAULT_SHARE, OVERLOAD_SHARE * overload) * max_limit
+        self.limit = default if config.limit is None else min(config.limit, max_limit)
+        self._lever, self._order, self._measure = config.lever, order, measure
 
     def open(self) -> None:
         """Open all the way with the default limit."""
@@ -116,10 +120,10 @@ class Gripper:
     @property
     def width(self) -> float:
         """Opening, 0 when closed: [m] with a lever or a sliding joint, else [rad]."""
-        way = abs(self.position - self.closed)
+        travel = abs(self.position - self.closed)
         if self._sliding or self._lever is None:
-            return way
-        return 2.0 * self._lever * math.sin(min(way, math.pi) / 2.0)
+            return travel
+        return 2.0 * self._lever * math.sin(min(travel, math.pi) / 2.0)
 
     def _torque(self, force: float | None) -> float:
         """Return the torque limit [N·m] for a force [N]."""
@@ -127,15 +131,15 @@ class Gripper:
             return self.limit
         arm = self._lever if self._lever is not None and not self._sliding else 1.0
         torque = real(force, f"{self.name}: force") * arm
-        if not 0.0 <= torque <= self.largest:
+        if not 0.0 <= torque <= self.max_limit:
             raise ConfigError(
-                f"{self.name}: force must be between 0 and {self.largest / arm:g}, got {force!r}"
+                f"{self.name}: force must be between 0 and {self.max_limit / arm:g}, got {force!r}"
             )
         return torque
 
-    def _end(self, given: float | None, described: float | None, which: str) -> float:
+    def _travel_end(self, configured: float | None, limit: float | None, which: str) -> float:
         """Return one end of the travel [rad, m]."""
-        value = described if given is None else given
+        value = limit if configured is None else configured
         if value is None or not math.isfinite(value):
             raise ConfigError(
                 f"gripper {self.name!r} has no limit in the model: give "
@@ -153,34 +157,34 @@ def check_grippers(grippers: Mapping[str, GripperConfig] | None) -> dict[str, Gr
     hint = "as {'gripper': pliant.arm.GripperConfig(lever=0.05)}"
     named = {} if grippers is None else mapping(grippers, "grippers", hint)
     return {
-        name: instance(jaw, GripperConfig, f"grippers[{name!r}]", hint)
-        for name, jaw in named.items()
+        name: instance(config, GripperConfig, f"grippers[{name!r}]", hint)
+        for name, config in named.items()
     }
 
 
 def make_grippers(
-    cycle: Cycle, grippers: Mapping[str, GripperConfig], order: Callable[[str, float, float], None]
+    io: ArmIO, grippers: Mapping[str, GripperConfig], order: Callable[[str, float, float], None]
 ) -> dict[str, Gripper]:
     """Create one gripper per joint off the chain.
 
     Raises:
         ConfigError: A configuration names no such joint, or the ends of the travel are missing.
     """
-    roster, drive = cycle.roster, cycle.drive
-    unknown = sorted(set(grippers) - set(roster.extra))
+    joints, drive = io.joints, io.drive
+    unknown = sorted(set(grippers) - set(joints.extra))
     if unknown:
-        there = ", ".join(roster.extra) or "none"
+        there = ", ".join(joints.extra) or "none"
         raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
-    overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(roster.names))
+    overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(joints.names))
     return {
         name: Gripper(
             name,
             grippers.get(name, GripperConfig()),
-            cycle.model,
-            largest=float(np.broadcast_to(drive.servos.max_torque, len(roster.names))[i]),
+            io.model,
+            max_limit=float(np.broadcast_to(drive.servos.max_torque, len(joints.names))[i]),
             overload=float(overload[i]),
             order=order,
-            measure=lambda name: float(cycle.belief.position[roster.index(name)]),
+            measure=lambda name: float(io.positions.position[joints.index(name)]),
         )
-        for name, i in zip(roster.extra, roster.beside.tolist(), strict=True)
+        for name, i in zip(joints.extra, joints.off_chain.tolist(), strict=True)
     }

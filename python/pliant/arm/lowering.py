@@ -27,13 +27,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant.arm.points import Points
+from pliant.arm._points import Points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Model, Servos
-    from pliant.arm.points import Geometry
+    from pliant._core import Model, Servos
+    from pliant.arm._points import Geometry
 
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]

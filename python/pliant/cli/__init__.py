@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pliant
+from pliant._core import PliantError, __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -103,7 +103,7 @@ def _run(given: list[str]) -> int:
     """Run a command by its name."""
     first = given[0] if given else "--help"
     if first in {"--version", "-V"}:
-        print(f"pliant {pliant.__version__}")
+        print(f"pliant {__version__}")
         return 0
     if first in {"--help", "-h"}:
         print(usage())
@@ -143,7 +143,7 @@ def _call(
         if isinstance(error, BrokenPipeError):
             raise
         return _explain(_not_there(error) if isinstance(error, FileNotFoundError) else str(error))
-    except (pliant.PliantError, ImportError) as error:
+    except (PliantError, ImportError) as error:
         explained = _explain(str(error))
         return explained if (code := _signalled(error)) is None else code
     except SystemExit as stop:
@@ -207,7 +207,7 @@ def _explain(message: str) -> int:
 
 def _signalled(error: BaseException) -> int | None:
     """Return the exit code of the signal behind an exception, None without a signal."""
-    from pliant.arm.signals import signal_of
+    from pliant.arm._signals import signal_of
 
     number = signal_of(error)
     return None if number is None else 128 + number

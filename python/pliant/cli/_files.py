@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from pliant import ConfigError
-from pliant.outputs import check_output
+from pliant._core import ConfigError
+from pliant._files import check_output
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -21,7 +21,7 @@ def check_written(path: Path, kind: str, inputs: Iterable[Path | str | None] = (
     """Check that a file can be written, and warn if an existing one will be replaced.
 
     Raises:
-        ConfigError: See `pliant.outputs.check_output`.
+        ConfigError: See `pliant._files.check_output`.
     """
     if check_output(path, kind, inputs):
         text = f"{path}: the {kind} that is there will be replaced"

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
-from pliant import ConfigError, PliantError
+from pliant._core import ConfigError, PliantError, Pose
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Model
+    from pliant._core import Model
 
     Array = NDArray[np.float64]
 
@@ -86,7 +85,7 @@ class Target:
             pose[:3, 3] = self.position
         if self.rotation is not None:
             order, quaternion = self.rotation
-            make = pliant.Pose.from_wxyz if order == "wxyz" else pliant.Pose.from_xyzw
+            make = Pose.from_wxyz if order == "wxyz" else Pose.from_xyzw
             pose[:3, :3] = make(pose[:3, 3], quaternion).rotation
         return pose
 

@@ -13,12 +13,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
-from pliant import ConfigError
+from pliant._core import ConfigError
+from pliant._files import LARGE, read_text
 from pliant.cli._target import Target
-from pliant.inputs import LARGE, read_text
 
 if TYPE_CHECKING:
-    from pliant import Model
+    from pliant._core import Model
 
 #: Longest line and largest datagram [bytes].
 LONGEST = 4096

@@ -11,8 +11,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from pliant import ConfigError, config
-from pliant.config import ready
+from pliant import config
+from pliant._core import ConfigError
+from pliant.config import loader
 
 #: Optional name of a ready arm.
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -29,12 +30,12 @@ def run(name: Name = "") -> None:
     if not name:
         Console().print(_table())
         return
-    names = ready.names()
+    names = loader.names()
     if name not in names:
         close = difflib.get_close_matches(name, names, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""
         raise ConfigError(f"no ready arm is called {name!r}; there are {', '.join(names)}{hint}")
-    sys.stdout.write(ready.text(name))
+    sys.stdout.write(loader.builtin_text(name))
 
 
 def _table() -> Table:
@@ -42,7 +43,7 @@ def _table() -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for heading in ("name", "joints", "servos", "URDF"):
         table.add_column(heading, justify="right" if heading == "joints" else "left")
-    for name in ready.names():
+    for name in loader.names():
         read = config.load(name)
         servos = dict.fromkeys(servo.model for servo in read.servo.values())
         gripper = "" if read.gripper is None else " + gripper"

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-import pliant
 from pliant import identify
+from pliant._core import ConfigError, Controller, Settings
 from pliant.cli.flags import ArmName, Override
+from pliant.config import connect
 
 if TYPE_CHECKING:
     from pliant.arm import Arm
@@ -48,12 +49,12 @@ def run(
     """
     options: dict[str, Any] = {} if span is None else {"span": span}
     if procedure == "gravity" and options:
-        raise pliant.ConfigError("--span belongs to servos and payload: gravity moves nothing")
+        raise ConfigError("--span belongs to servos and payload: gravity moves nothing")
     read = override.load(arm)
     settings = read.settings()
-    connected = pliant.connect(read)
+    connected = connect(read)
     # Errors of the configuration appear before torque comes on.
-    pliant.Controller(connected.model, settings, connected.servos)
+    Controller(connected.model, settings, connected.servos)
     console = Console()
     _say(console, f"{procedure}: {ANNOUNCED[procedure]}; do not touch the arm")
     made: list[list[str]] = []
@@ -70,14 +71,14 @@ def _measure(
     procedure: Procedure,
     arm: Arm,
     read: Config,
-    settings: pliant.Settings,
+    settings: Settings,
     options: dict[str, Any],
 ) -> list[str]:
     """Run a procedure; return its findings and the lines for the file."""
     if procedure == "servos":
         found = identify.identify_servos(arm, arm.model, arm.servos, **options)
         return [*found.summary(), *_servo_lines(read, found), *_payload_lines(found.payload)]
-    controller = pliant.Controller(arm.model, settings, arm.servos)
+    controller = Controller(arm.model, settings, arm.servos)
     if procedure == "payload":
         weighed = identify.estimate_payload(arm, controller, **options)
         return [*weighed.summary(), *_payload_lines(weighed)]

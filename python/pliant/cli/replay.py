@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
-import pliant
+from pliant import teach
+from pliant._core import ConfigError, Controller
 from pliant.cli._files import check_log, recorder_of
 from pliant.cli._keys import Keys
 from pliant.cli.flags import ArmName, Axes, File, MotionFile, Override
 from pliant.cli.soft import softened
+from pliant.config import connect
+from pliant.loop import Loop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,36 +58,36 @@ def run(
     check_log(log, [*override.inputs(arm, read), motion])
     settings = softened(read.settings(), soft, read.model(), holds=True)
     if times < 1:
-        raise pliant.ConfigError(f"--times must be at least 1, got {times}")
+        raise ConfigError(f"--times must be at least 1, got {times}")
     loaded = _load(motion)
     loaded.fits(read.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
-    made = pliant.connect(read)
+    made = connect(read)
     # Check that controller and motion fit before torque comes on.
-    pliant.teach.Replay(pliant.Controller(made.model, settings, made.servos), loaded, **options)
+    teach.Replay(Controller(made.model, settings, made.servos), loaded, **options)
     play = _Play(times)
     try:
         with made as live:
-            controller = pliant.Controller(live.model, settings, live.servos)
-            replay = partial(pliant.teach.Replay, motion=loaded, **options)
+            controller = Controller(live.model, settings, live.servos)
+            replay = partial(teach.Replay, motion=loaded, **options)
             note = f"replay of {motion}"
             recorder = None if log is None else recorder_of(log, config=read, note=note)
-            play.run(pliant.Loop(live, controller, recorder=recorder), live, replay)
+            play.run(Loop(live, controller, recorder=recorder), live, replay)
     finally:
         play.summary()
 
 
-def _load(path: Path) -> pliant.teach.Motion:
+def _load(path: Path) -> teach.Motion:
     """Load a motion; print a note if its log ends early."""
     if path.suffix != ".mcap":
-        return pliant.teach.Motion.load(path)
+        return teach.Motion.load(path)
     from pliant.log import read
 
     log = read(path)
     try:
-        made = pliant.teach.Motion.logged(log)
-    except pliant.ConfigError as error:
-        raise pliant.ConfigError(f"{path}: {error}") from error
+        made = teach.Motion.logged(log)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
     if not log.whole:
         Console().print(
             f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends",
@@ -104,7 +107,7 @@ class _Play:
         self._took = self._waited = 0.0
         self._console = Console()
 
-    def run(self, loop: pliant.Loop, arm: Arm, make: Callable[..., Replay]) -> None:
+    def run(self, loop: Loop, arm: Arm, make: Callable[..., Replay]) -> None:
         """Play the motion."""
         keys, replay, said = Keys(), make(loop.controller), ""
         begun: float | None = None

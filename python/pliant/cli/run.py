@@ -11,11 +11,14 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-import pliant
+from pliant._core import Command, ConfigError, Controller, Model
+from pliant._validation import AXES
 from pliant.cli._files import check_log, recorder_of
 from pliant.cli._targets import Targets, open_targets
 from pliant.cli.flags import ArmName, Axes, File, Override, Seconds
 from pliant.cli.soft import softened
+from pliant.config import connect
+from pliant.loop import Loop
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,19 +65,19 @@ def run(
     check_log(log, [*override.inputs(arm, read), targets])
     settings = read.settings()
     if duration is not None and not duration > 0.0:
-        raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
+        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
     model = read.model()
     settings = softened(settings, soft, model, holds=False)
-    connected = pliant.connect(read)
+    connected = connect(read)
     # Check the settings before torque comes on.
-    pliant.Controller(connected.model, settings, connected.servos)
-    made: list[tuple[Arm, pliant.Loop, list[str]]] = []
+    Controller(connected.model, settings, connected.servos)
+    made: list[tuple[Arm, Loop, list[str]]] = []
     try:
         with open_targets(targets, model) as source, connected as live:
-            controller = pliant.Controller(live.model, settings, live.servos)
+            controller = Controller(live.model, settings, live.servos)
             rate = controller.settings.rate
             recorder = None if log is None else recorder_of(log, config=read)
-            loop = pliant.Loop(live, controller, rate=rate, duration=duration, recorder=recorder)
+            loop = Loop(live, controller, rate=rate, duration=duration, recorder=recorder)
             _follow(made, live, loop, source=source, quiet=quiet)
     finally:
         # After the descent, also after Ctrl-C: a terminal may block.
@@ -83,9 +86,9 @@ def run(
 
 
 def _follow(
-    made: list[tuple[Arm, pliant.Loop, list[str]]],
+    made: list[tuple[Arm, Loop, list[str]]],
     arm: Arm,
-    loop: pliant.Loop,
+    loop: Loop,
     *,
     source: Targets,
     quiet: bool,
@@ -113,7 +116,7 @@ def _follow(
         notes += _missed(arm.model, tick.q, pose)
 
 
-def _missed(model: pliant.Model, q: NDArray[np.float64], target: NDArray[np.float64]) -> list[str]:
+def _missed(model: Model, q: NDArray[np.float64], target: NDArray[np.float64]) -> list[str]:
     """Return a sentence on a missed target, with the joints at their limits."""
     off = float(np.linalg.norm((model.forward_kinematics(q) - target)[:3, 3]))
     if off <= MISSED:
@@ -127,7 +130,7 @@ def _missed(model: pliant.Model, q: NDArray[np.float64], target: NDArray[np.floa
     return [f"the tool is {off * 1e3:.0f} mm off its last target{why if names else ''}"]
 
 
-def _summary(arm: Arm, loop: pliant.Loop, notes: list[str]) -> None:
+def _summary(arm: Arm, loop: Loop, notes: list[str]) -> None:
     for note in notes:
         Console().print(note, highlight=False, markup=False, soft_wrap=True)
     counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)
@@ -139,9 +142,9 @@ def _summary(arm: Arm, loop: pliant.Loop, notes: list[str]) -> None:
 
 def _table(
     arm: Arm,
-    controller: pliant.Controller,
+    controller: Controller,
     tick: Tick,
-    command: pliant.Command,
+    command: Command,
     here: NDArray[np.float64],
 ) -> Table:
     """Return the table: tool, compliance of each axis, torque limits, temperatures."""
@@ -155,7 +158,7 @@ def _table(
     for row in range(max(len(axes), arm.model.n)):
         cells = [""] * 9
         if row < len(axes):
-            place = pliant.AXES.index(axes[row])
+            place = AXES.index(axes[row])
             unit = "mm" if place < 3 else "mrad"
             cells[0] = axes[row]
             cells[1] = f"{here[place, 3] * 1e3:.0f} mm" if place < 3 else ""

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from rich.console import Console
 
-import pliant
+from pliant import teach
+from pliant._core import ConfigError
 from pliant.cli._files import check_written
 from pliant.cli._keys import Keys
 from pliant.cli.flags import ArmName, Duration, MotionFile, Override
+from pliant.config import connect
 from pliant.teach.bounded import ready
 from pliant.teach.lead import prepare
 from pliant.teach.teacher import RECORDING
@@ -54,17 +56,17 @@ def run(
     from dataclasses import replace
 
     if motion.suffix != ".json":
-        raise pliant.ConfigError(f"a motion file ends with .json, got {motion}")
+        raise ConfigError(f"a motion file ends with .json, got {motion}")
     if not duration > 0.0:
-        raise pliant.ConfigError(f"--duration must be above 0 s, got {duration:g}")
+        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
     if bounds is not None:
         ready(bounds)
     read = override.load(arm)
     check_written(motion, "motion", override.inputs(arm, read))
     if by == "gripper" and read.gripper is None:
-        raise pliant.ConfigError(f"{arm} names no gripper: use --by enter or rest")
+        raise ConfigError(f"{arm} names no gripper: use --by enter or rest")
     if hand and read.backend == "bus":
-        raise pliant.ConfigError("--hand leads simulated arms only: add --backend sim or emulator")
+        raise ConfigError("--hand leads simulated arms only: add --backend sim or emulator")
     console = Console()
     keys = Keys() if by == "enter" else None
 
@@ -81,7 +83,7 @@ def run(
         # Save the unbounded motion first, so that it is not lost if the bounds fail.
         taken.save(motion)
         if bounds is not None:
-            pliant.teach.bounded(taken, bounds).save(motion)
+            teach.bounded(taken, bounds).save(motion)
         files = map(shlex.quote, (arm, str(motion)))
         again = " ".join(["pliant replay", *files, *override.words()])
         console.print(
@@ -93,12 +95,12 @@ def run(
 
     made: list[Motion] = []
     cut: list[Motion] = []
-    live = pliant.connect(read)
+    live = connect(read)
     lead = prepare(live) if hand else lambda: None
     try:
         with live:
             made.append(
-                pliant.teach.teach(
+                teach.teach(
                     live,
                     seconds=duration,
                     said=None if by == "rest" else said,

@@ -8,10 +8,10 @@ import tyro
 from rich.console import Console
 
 import pliant.robots
-from pliant import ConfigError, PliantError
+from pliant._core import ConfigError, PliantError
+from pliant._extras import missing
 from pliant.cli._files import check_log
 from pliant.cli.flags import ArmName, File, HttpPort, Override
-from pliant.extras import missing
 
 if TYPE_CHECKING:
     from pliant.view.source import Source

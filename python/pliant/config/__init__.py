@@ -8,9 +8,18 @@ An error names the file, the key, the value and the allowed values. Nothing is o
 whole file is valid.
 """
 
+from pliant.config.factory import connect
 from pliant.config.lerobot import Calibration, read_calibration
-from pliant.config.load import load, parse
-from pliant.config.ready import describe, names
+from pliant.config.loader import describe, load, names, parse
 from pliant.config.schema import Config
 
-__all__ = ["Calibration", "Config", "describe", "load", "names", "parse", "read_calibration"]
+__all__ = [
+    "Calibration",
+    "Config",
+    "connect",
+    "describe",
+    "load",
+    "names",
+    "parse",
+    "read_calibration",
+]

@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant import Controller, PliantError, ServoError
-from pliant.arm.checks import outside, posture
-from pliant.arm.drive import MonotonicClock
-from pliant.arm.lateness import Lateness
-from pliant.arm.points import Points
-from pliant.arm.rest import check_rest
-from pliant.config import assemble, build
+from pliant._core import Controller, PliantError, ServoError
+from pliant.arm._checks import check_rest, outside, posture
+from pliant.arm._points import Points
+from pliant.config import factory
+from pliant.config.schema import servos, zeros
+from pliant.drive import MonotonicClock
+from pliant.loop import LatenessHistogram
 from pliant.servo import ServoBus, wire_time
-from pliant.servo.port import latency_timer
+from pliant.servo._port import latency_timer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.config.schema import Config
-    from pliant.servo.identify import Found
+    from pliant.servo._handshake import ServoInfo
 
 Level = Literal["good", "note", "bad"]
 #: Largest acceptable latency timer of an FTDI adapter [s].
@@ -61,7 +61,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
     """
     try:
         model = config.model()
-        build.zeros(config)
+        zeros(config)
     except PliantError as error:
         yield Diagnosis("bad", "files", str(error))
         return
@@ -72,7 +72,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
         yield Diagnosis("note", "bus", "backend 'sim' has none")
         return
     try:
-        drive = assemble.drive(config, model)
+        drive = factory.make_drive(config, model)
     except (PliantError, ImportError) as error:
         yield Diagnosis("bad", "ports", str(error))
         return
@@ -144,7 +144,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 def _clock(rate: float) -> Diagnosis:
     """Measure how late this machine wakes up."""
-    clock, late, period = MonotonicClock(), Lateness(), 1.0 / rate
+    clock, late, period = MonotonicClock(), LatenessHistogram(), 1.0 / rate
     deadline = clock.now()
     end = deadline + WATCHED
     while deadline < end:
@@ -176,7 +176,7 @@ def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
             )
 
 
-def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
+def _servos(found: tuple[ServoInfo, ...]) -> Iterator[Diagnosis]:
     """Report the identified servos and their notes."""
     volts = [f.voltage for f in found]
     yield Diagnosis(
@@ -204,7 +204,7 @@ def _servos(found: tuple[Found, ...]) -> Iterator[Diagnosis]:
 def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
     """Compare the servos' gains with those that the file gives the simulator."""
     read = chain.gains
-    for joint, servo in build.servos(config).items():
+    for joint, servo in servos(config).items():
         if servo.gain is not None and read[joint] != servo.gain:
             yield Diagnosis(
                 "note",

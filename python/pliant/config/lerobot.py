@@ -11,9 +11,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pliant import ConfigError
-from pliant.config.messages import suggest
-from pliant.inputs import read_text
+from pliant._core import ConfigError
+from pliant._files import read_text
+from pliant.config._messages import suggest
 from pliant.servo.calibration import Calibration
 
 __all__ = ["Calibration", "read_calibration"]

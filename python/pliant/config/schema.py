@@ -10,31 +10,40 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
-from pliant import ConfigError
-from pliant.arm.checks import LONGEST_HOLD
-from pliant.config import build
-from pliant.config.fields import check_preset
+from pliant import robots
+from pliant._core import ConfigError, Model, Servos
+from pliant._core import Payload as ToolPayload
+from pliant._servo_tables import take
+from pliant.arm._checks import MAX_COMM_TIMEOUT
+from pliant.config._messages import suggest
+from pliant.config._settings_table import check_preset, resolve
+from pliant.config.lerobot import read_calibration
+from pliant.servo._transactions import MAX_PATIENCE
 from pliant.servo.models import find
-from pliant.servo.wire import LONGEST_PATIENCE
+from pliant.servo.spec import ServoSpec, Units, servos_from_units
 
 if TYPE_CHECKING:
-    from pliant import Model, Settings
+    from collections.abc import Mapping
+
+    from pliant._core import Settings
+    from pliant.servo.calibration import Calibration
+
 
 # Strict: a number in quotes is an error.
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-Triple = tuple[Number, Number, Number]
+Vector3 = tuple[Number, Number, Number]
 Id = Annotated[int, Field(ge=0, le=252, strict=True)]
 
 
-class Table(BaseModel):
+class StrictModel(BaseModel):
     """A table that rejects unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Payload(Table):
+class Payload(StrictModel):
     """A load in the tool frame.
 
     Attributes:
@@ -43,10 +52,10 @@ class Payload(Table):
     """
 
     mass: NotNegative
-    com: Triple = (0.0, 0.0, 0.0)
+    com: Vector3 = (0.0, 0.0, 0.0)
 
 
-class Robot(Table):
+class Robot(StrictModel):
     """Source of the kinematics: one of `urdf` and `builtin`.
 
     Attributes:
@@ -66,7 +75,7 @@ class Robot(Table):
     base: str | None = None
     tip: str | None = None
     payload: Payload | None = None
-    gravity: Triple = (0.0, 0.0, -9.81)
+    gravity: Vector3 = (0.0, 0.0, -9.81)
     locked: dict[str, Number] = {}
     limits: dict[str, tuple[Number, Number]] = {}
     table: Number | None = None
@@ -79,7 +88,7 @@ class Robot(Table):
         return self
 
 
-class Port(Table):
+class Port(StrictModel):
     """A serial port.
 
     Attributes:
@@ -93,7 +102,7 @@ class Port(Table):
     baud: Annotated[int, Field(ge=9600, le=4_500_000, strict=True)] = 1_000_000
 
 
-class Secondary(Table):
+class Secondary(StrictModel):
     """A second servo that drives the same joint; its zero is found at open.
 
     Attributes:
@@ -105,7 +114,7 @@ class Secondary(Table):
     sign: Literal[1, -1] = -1
 
 
-class Servo(Table):
+class Servo(StrictModel):
     """One servo of one joint.
 
     Attributes:
@@ -162,7 +171,7 @@ class Servo(Table):
         return self
 
 
-class Gripper(Table):
+class Gripper(StrictModel):
     """A gripper: a joint off the chain that opens and closes.
 
     Attributes:
@@ -189,7 +198,7 @@ class Gripper(Table):
         return self
 
 
-class Loop(Table):
+class Loop(StrictModel):
     """The control loop.
 
     Attributes:
@@ -201,11 +210,11 @@ class Loop(Table):
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
-    comm_timeout: Annotated[float, Field(gt=0.0, le=LONGEST_HOLD, strict=True)] = 0.5
-    patience: Annotated[float, Field(gt=0.0, le=LONGEST_PATIENCE, strict=True)] = 0.01
+    comm_timeout: Annotated[float, Field(gt=0.0, le=MAX_COMM_TIMEOUT, strict=True)] = 0.5
+    patience: Annotated[float, Field(gt=0.0, le=MAX_PATIENCE, strict=True)] = 0.01
 
 
-class Life(Table):
+class Life(StrictModel):
     """Descent at the end.
 
     Attributes:
@@ -217,7 +226,7 @@ class Life(Table):
     on_exit: Literal["lower", "leave_enabled"] = "lower"
 
 
-class Supply(Table):
+class Supply(StrictModel):
     """Power supply of the servos.
 
     Attributes:
@@ -229,7 +238,7 @@ class Supply(Table):
     current: Positive | None = None
 
 
-class Config(Table):
+class Config(StrictModel):
     """Configuration of an arm. Read one with `pliant.config.load`.
 
     Attributes:
@@ -271,7 +280,7 @@ class Config(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        build.check(self)
+        check_tables(self)
         return self
 
     @property
@@ -297,7 +306,7 @@ class Config(Table):
             UrdfError: The URDF is not usable.
             ConfigError: Its joints do not match the servos of the file.
         """
-        return build.model(self)
+        return make_model(self)
 
     def settings(self) -> Settings:
         """Return the controller settings, validated by the same code as those created in Python.
@@ -305,7 +314,7 @@ class Config(Table):
         Raises:
             ConfigError: Invalid fields or values; the message lists all.
         """
-        return build.settings(self)
+        return make_settings(self)
 
     def __repr__(self) -> str:
         """Return a one-line description."""
@@ -313,3 +322,201 @@ class Config(Table):
         return f"<Config of {robot}, {len(self.servo)} servos, backend {self.backend!r}>"
 
     __str__ = __repr__
+
+
+def check_tables(config: Config) -> None:
+    """Check conditions across the tables of a configuration.
+
+    Raises:
+        ValueError: One sentence for each error, a line each.
+    """
+    wrong = [*_ports(config), *_ids(config)]
+    if config.backend != "sim" and not config.servo:
+        wrong.append(f"servo is missing: backend {config.backend!r} needs a servo for every joint")
+    if wrong:
+        raise ValueError("\n".join(wrong))
+
+
+def _ports(config: Config) -> list[str]:
+    names = [port.name for port in config.port]
+    out = [f"port {name!r} is there twice" for name in sorted(set(names)) if names.count(name) > 1]
+    for joint, servo in servos(config).items():
+        if servo.port not in names:
+            out.append(f"servo.{joint}.port: no port {servo.port!r}; {suggest(servo.port, names)}")
+    return out
+
+
+def _ids(config: Config) -> list[str]:
+    seen: dict[tuple[str, int], str] = {}
+    out = []
+    for joint, servo in servos(config).items():
+        own = [servo.id] if servo.secondary is None else [servo.id, servo.secondary.id]
+        for number in own:
+            other = seen.setdefault((servo.port, number), joint)
+            if other != joint or own.count(number) > 1:
+                out.append(
+                    f"servo.{joint} and servo.{other} have the same id {number} on port "
+                    f"{servo.port!r}; every servo on a port needs an id of its own"
+                )
+    return list(dict.fromkeys(out))
+
+
+def servos(config: Config) -> dict[str, Servo]:
+    """Return all servos of the file by joint name."""
+    out = dict(config.servo)
+    if config.gripper is not None:
+        out[config.gripper.joint] = config.gripper.servo
+    return out
+
+
+def make_model(config: Config) -> Model:
+    """Return the kinematic model; see `Config.model`."""
+    robot = config.robot
+    options: dict[str, Any] = {
+        "base": robot.base,
+        "tip": robot.tip,
+        "gravity": robot.gravity,
+        "locked": robot.locked or None,
+        "limits": robot.limits or None,
+    }
+    if robot.payload is not None:
+        options["payload"] = ToolPayload(robot.payload.mass, robot.payload.com)
+    options = {key: value for key, value in options.items() if value is not None}
+    if robot.builtin is not None:
+        out = robots.load(robot.builtin, **options)
+    else:
+        path = inside(config, robot.urdf)
+        if not path.is_file():
+            raise ConfigError(
+                f"robot.urdf: there is no file {path}; give the path of this arm's URDF, in the "
+                "file or by --urdf"
+            )
+        out = Model.from_urdf(str(path), **options)
+    _match(config, out)
+    return out.with_servos(chain_servos(config, out)) if config.servo else out
+
+
+def spec(
+    joint: str, servo: Servo, *, port: str, calibration: Calibration | None = None
+) -> ServoSpec:
+    """Return the `ServoSpec` of a joint; a calibration gives its zero."""
+    return ServoSpec(
+        name=joint,
+        zero=servo.zero if calibration is None else calibration.middle,
+        port=port,
+        calibration=calibration,
+        secondary=None if servo.secondary is None else (servo.secondary.id, servo.secondary.sign),
+        **servo.model_dump(exclude={"zero", "port", "secondary", "gain"}),
+    )
+
+
+def servo_table(config: Config) -> tuple[tuple[str, ...], Servos]:
+    """Return the joints of the file's servos, the gripper last, and their parameters (N,).
+
+    They equal those read from the registers on a bus, at the file's supply voltage and gains.
+    """
+    own = servos(config)
+    units = [
+        Units.of(spec(joint, servo, port=servo.port), config.supply.voltage)
+        for joint, servo in own.items()
+    ]
+    gains = [servo.gain or find(servo.model).gain_default for servo in own.values()]
+    return tuple(own), servos_from_units(units, gains, [unit.full for unit in units])
+
+
+def chain_servos(config: Config, model: Model) -> Servos:
+    """Return the servos (n,) of the chain; `stiffness_known` if the file gives every `kp`."""
+    names, table = servo_table(config)
+    known = all(config.servo[joint].kp is not None for joint in model.joint_names)
+    places = [names.index(joint) for joint in model.joint_names]
+    return take(table, len(names), places).replace(stiffness_known=known)
+
+
+def extra_servos(config: Config, model: Model) -> dict[str, Servos]:
+    """Return the servo parameters of joints off the chain, one entry each, by name."""
+    names, table = servo_table(config)
+    return {
+        name: take(table, len(names), [i])
+        for i, name in enumerate(names)
+        if name not in model.joint_names
+    }
+
+
+def _match(config: Config, model: Model) -> None:
+    """Check that the joints of the chain and the servos of the file are the same."""
+    if not config.servo:
+        return
+    chain, named = set(model.joint_names), set(config.servo)
+    lacking = [joint for joint in model.joint_names if joint not in named]
+    strange = [joint for joint in config.servo if joint not in chain]
+    if not (lacking or strange):
+        return
+    parts = []
+    if lacking:
+        parts.append(f"no servo for {', '.join(lacking)}")
+    if strange:
+        parts.append(f"no joint for the servos {', '.join(strange)}")
+    raise ConfigError(
+        f"file and URDF disagree on the joints from {model.base} to {model.tip}: "
+        f"{'; '.join(parts)}. The chain has {', '.join(model.joint_names)}"
+    )
+
+
+def make_settings(config: Config) -> Settings:
+    """Return the controller settings; see `Config.settings`."""
+    made, wrong = resolve(config.fields, config.preset, config.loop.rate)
+    if made is None:
+        raise ConfigError("; ".join(wrong))
+    return made
+
+
+def zeros(config: Config) -> dict[str, float | None]:
+    """Return the count at zero angle of each joint, `gripper` included; None: mid-range.
+
+    Raises:
+        ConfigError: The calibration file cannot be read, lacks a joint, or has another id or an
+            impossible range for its servo.
+    """
+    own = calibrations(config)
+    return {
+        joint: own[joint].middle if joint in own else servo.zero
+        for joint, servo in servos(config).items()
+    }
+
+
+def calibrations(config: Config) -> dict[str, Calibration]:
+    """Return the calibration of each joint that takes its zero from the calibration file.
+
+    Raises:
+        ConfigError: As `zeros`.
+    """
+    if config.calibration is None:
+        return {}
+    table: Mapping[str, Calibration] = read_calibration(inside(config, config.calibration))
+    out: dict[str, Calibration] = {}
+    for joint, servo in servos(config).items():
+        if servo.zero is not None:
+            continue
+        if joint not in table:
+            raise ConfigError(
+                f"{config.calibration} has no motor {joint!r}; {suggest(joint, table)}"
+            )
+        entry = table[joint]
+        if entry.id != servo.id:
+            raise ConfigError(
+                f"{config.calibration} says {joint} has id {entry.id}, the configuration says "
+                f"{servo.id}: one of them is of another arm"
+            )
+        try:
+            entry.check_range(joint, find(servo.model))
+        except ConfigError as error:
+            raise ConfigError(f"{config.calibration}: {error}") from error
+        out[joint] = entry
+    return out
+
+
+def inside(config: Config, path: Path | None) -> Path:
+    """Resolve a path of the file relative to its folder."""
+    assert path is not None
+    path = path.expanduser()
+    return path if path.is_absolute() else config.folder / path

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError, Servos
+from pliant._core import ConfigError, Servos
 from pliant.emulator.device import Device
 from pliant.emulator.emulator import Emulator
 from pliant.emulator.models import find
@@ -100,10 +100,10 @@ class ArmPhysics:
     """
 
     def __init__(self, plant: Plant, mounts: Sequence[Mount], *, held: bool = False) -> None:
-        """Wire the mounts up.
+        """Connect the mounts to the plant.
 
         Args:
-            plant: The simulated arm, standing where it is to begin.
+            plant: The simulated arm, in its initial pose.
             mounts: A servo for every joint of the chain.
             held: True: the arm is held until all joints of the chain have torque.
 
@@ -261,19 +261,19 @@ def emulate(
 
     Args:
         model: The robot.
-        mounts: A servo for every joint of the chain, and for off-chain joints that shall have one.
-        q: Where the arm stands at first (n,) [rad].
+        mounts: A servo for every joint of the chain, and for off-chain joints as needed.
+        q: Initial joint positions (n,) [rad].
         plant: Keywords of `pliant.sim.Plant`: `scene`, `payload`, `friction`, `backlash`, `dt`, ...
-            Delay, losses and counts belong to the emulated bus and are refused here.
-        held: Somebody holds the arm until all joints of the chain have torque; without that it
-            falls from the start.
+            Delay, losses and counts belong to the emulated bus and are rejected here.
+        held: True: the arm is held until all joints of the chain have torque; otherwise it falls
+            from the start.
         **options: Keywords of `Emulator`: `timing`, `faults`, `clock`, `baud`, `log`.
 
     Returns:
         The emulator, not yet started.
 
     Raises:
-        ConfigError: A joint has no servo or two, or an option has no place here.
+        ConfigError: A joint has no servo or two, or an option is not allowed here.
     """
     from pliant.sim import Plant
 

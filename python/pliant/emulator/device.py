@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.dxl1 import Dxl1Servo
 from pliant.emulator.models import find
 from pliant.emulator.sts import StsServo
@@ -23,8 +23,8 @@ class Device:
     Args:
         model: Maker's name: `STS3215`, `XM430-W350`, `MX-64`, `MX-64(2.0)`, ...
         id: On the bus, below 253 (P1, Feetech: 254).
-        port: Port it hangs on; ports come into being by being named.
-        angle: Where the shaft stands at first [rad], 0 at raw count 0; default the middle.
+        port: Name of its port; a new name creates a port.
+        angle: Initial shaft angle [rad], 0 at raw count 0; default the middle.
         **registers: EEPROM values that differ from a new servo's, by name (`operating_mode=5`).
 
     Raises:
@@ -48,10 +48,10 @@ class Device:
         return f"Device({self.model.name!r}, id={self.id})"
 
     def build(self, baud: int | None) -> Servo:
-        """Make a live servo; one whose `baud_rate` was not given gets this speed [bit/s].
+        """Make a live servo; without a `baud_rate` it gets this speed [bit/s].
 
         Raises:
-            ConfigError: A register is unknown or does not fit, or the speed is none of the servo's.
+            ConfigError: A register is unknown or does not fit, or the speed is not supported.
         """
         if not 0 <= self.id < BROADCAST_ID:
             raise ConfigError(f"id must be 0 to {BROADCAST_ID - 1}, got {self.id}")

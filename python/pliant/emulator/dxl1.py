@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator import tables
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
@@ -15,16 +15,16 @@ FAST_BAUDS = {250: 2_250_000, 251: 2_500_000, 252: 3_000_000}
 
 
 class Dxl1Servo(Servo):
-    """Limits its duty by Torque Limit, which an alarm shutdown sets to 0.
+    """A servo that limits its duty by Torque Limit, which an alarm shutdown sets to 0.
 
-    Guesses: a goal switches torque on; EEPROM is closed while torque is on; overload is three
-    seconds at the torque limit without moving.
+    Assumptions: a goal switches torque on; EEPROM is locked while torque is on; overload is three
+    seconds at the torque limit without motion.
     """
 
     protocol = 1
 
     def on_power(self) -> None:
-        """Torque Limit starts at Max Torque, the goal at the present position."""
+        """Set Torque Limit to Max Torque, and the goal to the present position."""
         self._latched = 0
         self._mx = "p_gain" in self.table
         self._rpm = (0.114 if self._mx else 0.111) * 2.0 * math.pi / 60.0
@@ -33,7 +33,7 @@ class Dxl1Servo(Servo):
 
     @property
     def position(self) -> int:
-        """Present position [counts]: an MX wraps at a turn, a potentiometer ends."""
+        """Return the present position [counts]: an MX wraps at a turn, a potentiometer ends."""
         top = self.model.top
         raw = round(self.shaft.angle / self.model.count)
         if self._multi_turn:
@@ -47,7 +47,7 @@ class Dxl1Servo(Servo):
         return -1 if self._reverse else 1
 
     def raw_of(self, count: float) -> float:
-        """Reverse mode counts from the other end."""
+        """Return the raw count; reverse mode counts from the other end."""
         return self.model.top - count if self._reverse else count
 
     @property
@@ -88,15 +88,15 @@ class Dxl1Servo(Servo):
         return self.get("status_return_level")
 
     def status(self) -> int:
-        """Conditions: voltage, heat, overload."""
+        """Return the conditions: voltage, heat, overload."""
         return self.faults() | self._latched
 
     def check_read(self, address: int, length: int) -> int:
-        """Only what is inside the table can be read."""
+        """Reject reads outside the table."""
         return 0 if length and address + length <= self.table.size else BIT_RANGE
 
     def check_write(self, address: int, data: bytes) -> int:
-        """Range, read-only, locked EEPROM, and goals outside the angle limits."""
+        """Check range, access, EEPROM lock, and goals against the angle limits."""
         end = address + len(data)
         if not data or end > self.table.size:
             return BIT_RANGE
@@ -119,7 +119,7 @@ class Dxl1Servo(Servo):
         return 0
 
     def on_write(self, address: int, data: bytes) -> None:
-        """EEPROM is kept at once; a limit revives; a goal switches torque on."""
+        """Store EEPROM at once; a limit ends a shutdown; a goal switches torque on."""
         for register in self.table.span(address, len(data)):
             if register.area == "eeprom":
                 self.keep(register.address, register.size)
@@ -129,7 +129,7 @@ class Dxl1Servo(Servo):
                 self.put("torque_enable", 1)
 
     def drive(self) -> Drive:
-        """Duty in proportion to the error, up to Torque Limit; wheel mode does not drive."""
+        """Return a duty in proportion to the error, up to Torque Limit; none in wheel mode."""
         limit = self.get("torque_limit")
         slave = "drive_mode" in self.table and self.get("drive_mode") & 2
         if not self.enabled or not limit or self._wheel or slave or not self.plugged:
@@ -159,7 +159,7 @@ class Dxl1Servo(Servo):
         return goal * self.model.count
 
     def protect(self, seconds: float) -> None:
-        """Overload latches; every condition in Shutdown sets Torque Limit to 0."""
+        """Latch an overload; every condition in Shutdown sets Torque Limit to 0."""
         ceiling = self.stall * self.get("torque_limit") / 1023.0
         if self.strained(seconds, 0.98 * ceiling):
             self._latched |= BIT_OVERLOAD
@@ -173,7 +173,7 @@ class Dxl1Servo(Servo):
         self.protect(0.0)
 
     def refresh(self) -> None:
-        """Position, speed, load, voltage, temperature, current."""
+        """Update position, speed, load, voltage, temperature, current."""
         self.put("present_position", self.position)
         sign = self.direction
         self.put("present_speed", sign * self.shaft.speed / self._rpm)
@@ -190,5 +190,5 @@ class Dxl1Servo(Servo):
             self.put("present_current", 2048 + amps / self.model.unit)
 
 
-#: Below this a servo says that it does not move [rad/s].
+#: Speed below which a servo reports standstill [rad/s].
 STILL = 0.05

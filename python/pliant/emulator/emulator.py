@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal, Self
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.device import Device
 from pliant.emulator.faults import Faults
 from pliant.emulator.line import Line
@@ -33,20 +33,20 @@ class Emulator:
     Args:
         devices: The servos; `Device(..., port="name")` puts one on a port of its own.
         physics: Physics of the shafts; by default each servo alone with its `load`.
-        timing: Latencies of the wire; by default none.
-        faults: Injected faults; by default none.
+        timing: Latencies of the wire; default without.
+        faults: Injected faults; default without.
         clock: `real`: physics follows the wall clock. `steps`: time advances only by `advance`
             and, with wire timing, by the duration of transactions.
-        baud: Speed of all servos that were not given a `baud_rate` [bit/s].
+        baud: Speed of all servos without a `baud_rate` of their own [bit/s].
         log: Longest log [transactions].
 
     Attributes:
         faults, log: Of all ports.
         world: Servos, physics and clock.
-        lines: The wires by the name of their ports; `lines["main"].feed(...)` needs no port.
+        lines: The wires by port name; `lines["main"].feed(...)` needs no port.
 
     Raises:
-        ConfigError: No devices, an unknown clock, a speed that a servo has not.
+        ConfigError: No devices, an unknown clock, or a speed that a servo does not support.
 
     Example:
         >>> with Emulator([Device("STS3215", id=1)]) as bus:
@@ -87,7 +87,7 @@ class Emulator:
     # Start, stop and time.
 
     def start(self) -> Self:
-        """Open the ports and begin to answer.
+        """Open the ports and start to answer.
 
         Raises:
             ServoError: It runs already, or the system has no pseudo-terminals.
@@ -142,7 +142,7 @@ class Emulator:
         """Wait until everything the host has written so far has been acted on.
 
         Raises:
-            ServoError: The emulator's thread does not answer.
+            ServoError: The emulator's thread does not respond.
         """
         self._server.sync()
 
@@ -150,7 +150,7 @@ class Emulator:
         """Advance the clock `steps`, after all bytes of the host so far have been processed.
 
         Raises:
-            ConfigError: The clock is real, or the time is no number.
+            ConfigError: The clock is real, or the time is not a number.
         """
         if self._clock != "steps":
             raise ConfigError("the real clock cannot be advanced: use Emulator(..., clock='steps')")
@@ -170,7 +170,7 @@ class Emulator:
         """Return the first servo with this id.
 
         Raises:
-            ConfigError: There is none.
+            ConfigError: No servo has it.
         """
         return self.world.servo(id)
 
@@ -236,7 +236,7 @@ class Emulator:
                     line.echo = echoing
 
     def hum(self, noisy: bool = True, port: str | None = None) -> None:
-        """Send noise to the host all the time, a few bytes every 5 ms, or stop it."""
+        """Start or stop continuous noise to the host, a few bytes every 5 ms."""
         with self._server.lock:
             for name, line in self.lines.items():
                 if port in {None, name}:

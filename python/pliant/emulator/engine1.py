@@ -30,7 +30,7 @@ Slot = list[tuple["Servo", bytes]]
 def handle(servos: Sequence[Servo], frame: Frame) -> list[Slot]:
     """Process a frame in the servos of this protocol and return their replies in order."""
     if not frame.ok:
-        # A Feetech servo keeps silent; a Dynamixel that recognises its id complains.
+        # A Feetech servo keeps silent; a Dynamixel that recognises its id reports an error.
         return _slot(
             [
                 (servo, _status(servo, BIT_CHECKSUM))
@@ -60,7 +60,7 @@ def _status(servo: Servo, error: int, data: bytes = b"") -> bytes:
 
 
 def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
-    """Act on an instruction to one servo and return its answer, empty for none."""
+    """Execute an instruction to one servo and return its reply; empty without one."""
     id, data, error, level = servo.id, b"", 0, 2
     if instruction == PING:
         level = 0

@@ -50,7 +50,7 @@ def _identity(servo: XServo) -> bytes:
 
 
 def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
-    """Act on an instruction to one servo and return its answer, empty for none."""
+    """Execute an instruction to one servo and return its reply; empty without one."""
     id, data, error, level = servo.id, b"", 0, 2
     alert = servo.status()
     if instruction == PING:
@@ -142,9 +142,9 @@ def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list
 
 
 def _fast_reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
-    """One status packet that the servos write in turn, each closing with the CRC so far.
+    """Return one status packet that the servos write in turn, each ending with the CRC so far.
 
-    It is not stuffed. MX(2.0) servos do not know the instruction.
+    It is not stuffed. MX(2.0) servos do not support the instruction.
     """
     length = 1 + sum(4 + size for _, _, size in wanted)
     if length > LONGEST:

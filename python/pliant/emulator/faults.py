@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.wire import HEADER_2, STATUS, packet_1, packet_2
 
 Kind = Literal["deaf", "lose", "late", "corrupt", "truncate", "wrong_id", "noise"]
@@ -55,17 +55,17 @@ class Faults:
     """Faults between servos and host.
 
     - `deaf`: the request does not reach the servo
-    - `lose`: the answer does not reach the host
-    - `late`: the answer arrives later, by default just before that to the next request
-    - `corrupt`: one bit of the answer is flipped
-    - `truncate`: the answer breaks off
-    - `wrong_id`: the answer carries another id, with a checksum that fits
-    - `noise`: a few bytes of noise come before the answer
+    - `lose`: the reply does not reach the host
+    - `late`: the reply arrives later, by default just before that to the next request
+    - `corrupt`: one bit of the reply is flipped
+    - `truncate`: the reply breaks off
+    - `wrong_id`: the reply has another id, with a valid checksum
+    - `noise`: a few bytes of noise precede the reply
 
     Args:
-        seed: Of all chance; equal seeds and equal requests give equal faults.
-        **shares: Share of transactions that each kind strikes, by name; a transaction has at most
-            one fault by chance, on one of its answers.
+        seed: Seed of the random faults; equal seeds and requests give equal faults.
+        **shares: Share of transactions with each kind of random fault, by name; a transaction has
+            at most one, on one of its replies.
 
     Raises:
         ConfigError: An unknown kind, or shares that are not in [0, 1] together.
@@ -77,7 +77,7 @@ class Faults:
         self.by_chance(**shares)
 
     def by_chance(self, **shares: float) -> None:
-        """Set the share of transactions that each kind strikes; kinds not named do not.
+        """Set the share of transactions with each kind of random fault; other kinds do not occur.
 
         Raises:
             ConfigError: An unknown kind, or shares that are not in [0, 1] together.
@@ -99,14 +99,14 @@ class Faults:
         skip: int = 0,
         seconds: float | None = None,
     ) -> None:
-        """Order a fault for the next chances.
+        """Order a fault for the next opportunities.
 
         Args:
             kind: See the table of the class.
-            id: The servo, None for whichever answers (or is asked) next.
-            count: How often.
-            skip: How many chances to let pass first.
-            seconds: How late a `late` answer is; None is until the next request.
+            id: The servo; None: the next one that replies (or is addressed).
+            count: Number of faults.
+            skip: Number of opportunities to skip first.
+            seconds: Delay of a `late` reply; None: until the next request.
 
         Raises:
             ConfigError: An unknown kind, or a count or skip below 0.
@@ -121,7 +121,7 @@ class Faults:
         self._shares.clear()
 
     def chance(self) -> Kind | None:
-        """Draw what strikes this transaction by chance."""
+        """Draw the random fault of this transaction."""
         if not self._shares:
             return None
         draw = self._rng.random()
@@ -132,7 +132,7 @@ class Faults:
         return None
 
     def pick(self, among: int) -> int:
-        """Choose one of so many answers."""
+        """Choose one of so many replies."""
         return int(self._rng.integers(among))
 
     def deaf(self, id: int) -> bool:
@@ -140,7 +140,7 @@ class Faults:
         return self._struck(id, ("deaf",)) is not None
 
     def strike(self, id: int) -> Blow | None:
-        """Return the ordered fault of this servo's answer."""
+        """Return the ordered fault of this servo's reply."""
         return self._struck(id, KINDS[1:])
 
     def _struck(self, id: int, kinds: tuple[Kind, ...]) -> Blow | None:
@@ -175,9 +175,9 @@ def _kind(kind: str) -> Kind:
 
 
 def collide(first: bytes, second: bytes) -> bytes:
-    """Return what two servos that talk at once leave on the line.
+    """Return the bytes on the line when two servos send at once.
 
-    The line is low when either pulls it low; the second talks one bit later, so the headers agree
+    The line is low when either pulls it low; the second sends one bit later, so the headers agree
     and the rest does not.
     """
     late = int.from_bytes(second, "little") << 1 | 1

@@ -27,7 +27,7 @@ class Delivery:
     """Bytes on their way to the host.
 
     Attributes:
-        after: Time after the request's first byte [s]; None is just before the next answer.
+        after: Time after the request's first byte [s]; None: just before the next reply.
         data: The bytes.
         late: True if a fault delays them in addition to the wire.
     """
@@ -45,9 +45,9 @@ class Line:
         servos: All servos on the wire.
         dead: True: no data pass, as on a shorted or stuck line.
         echo: True: the adapter returns every request before its reply.
-        noisy: True: the host gets random bytes all the time.
+        noisy: True: the host receives random bytes continuously.
         occupied: Time for which the last `feed` keeps the wire busy [s].
-        answered: Time at which the host has the last prompt reply to it [s].
+        answered: Time after which the host has the last undelayed reply to it [s].
         faults, timing, log: As given.
     """
 
@@ -60,7 +60,7 @@ class Line:
         faults: Faults | None = None,
         log: Log | None = None,
     ) -> None:
-        """Wire the servos up."""
+        """Connect the servos to the wire."""
         self.servos, self.name = list(servos), name
         self.dead = self.echo = self.noisy = False
         self.occupied = self.answered = self._took = 0.0
@@ -76,8 +76,8 @@ class Line:
         """Take bytes of the host and return those for it, in the order they leave the servos.
 
         Args:
-            data: What the host wrote, cut anywhere.
-            baud: The speed it wrote at [bit/s]; None is right for every servo.
+            data: Bytes from the host, split anywhere.
+            baud: Its speed [bit/s]; None matches every servo.
             now: Time [s], for the log.
         """
         deliveries: list[Delivery] = []

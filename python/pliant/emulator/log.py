@@ -19,11 +19,11 @@ SWITCH = "torque_enable"
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """One write to one servo, done or refused.
+    """One write to one servo, done or rejected.
 
     Attributes:
         time: Emulator time [s].
-        id: The servo's id when it was written to.
+        id: The servo's id at that time.
         instruction: `write`, `reg_write` (done at the action), `sync_write` or `bulk_write`.
         address: First byte.
         data: The bytes.
@@ -52,7 +52,7 @@ class Write:
 
     @property
     def eeprom(self) -> bool:
-        """True if a register of the EEPROM area was written to."""
+        """True if the write touches the EEPROM area."""
         return any(r.area == "eeprom" for r in self._table.span(self.address, len(self.data)))
 
 

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator import tables
 
 if TYPE_CHECKING:
@@ -44,8 +44,8 @@ class Motor:
         """Secant of the stall point [N·m/A]."""
         return self.stall / self.amps
 
-    # Friction, gear damping and rotor inertia are not published. These shares are guesses that make
-    # a free servo settle as in published videos.
+    # Friction, gear damping and rotor inertia are not published. With these assumed shares a free
+    # servo settles as in published videos.
 
     @property
     def friction(self) -> float:
@@ -132,7 +132,7 @@ _MODELS = (
 )  # fmt: skip
 
 MODELS: dict[str, Model] = {model.name: model for model in _MODELS}
-#: Names that stand for a common variant.
+#: Aliases of common variants.
 ALIASES = {"STS3215": "STS3215-7.4V", "STS3215-C001": "STS3215-7.4V", "STS3215-C018": "STS3215-12V"}
 
 

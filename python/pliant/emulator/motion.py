@@ -21,14 +21,14 @@ class Physics(Protocol):
     dt: float
 
     def bind(self, servos: Sequence[Servo]) -> None:
-        """Take charge of these servos and put their shafts where they belong."""
+        """Take over these servos and set their shafts."""
 
     def step(self, count: int) -> None:
-        """Run so many steps: ask every servo's `drive()`, leave the result in its `shaft`."""
+        """Run so many steps: read every servo's `drive()`, write the result to its `shaft`."""
 
 
 class Joints:
-    """Each servo alone with its `load`: rotor, gears, a pendulum, hard stops.
+    """Independent servos, each with its `load`: rotor, gears, a pendulum, hard stops.
 
     ``J dω = clip(k e − kv ω, ±ceiling) − slope ω + outer torque − damping ω``, dry friction as an
     impulse that only brakes, all at `dt`.
@@ -41,7 +41,7 @@ class Joints:
         self._references: list[float | None] = []
 
     def bind(self, servos: Sequence[Servo]) -> None:
-        """Take charge of these servos."""
+        """Take over these servos."""
         self._servos = list(servos)
         self._references = [None] * len(self._servos)
 
@@ -65,7 +65,7 @@ class Joints:
             torque = max(-drive.ceiling, min(torque, drive.ceiling))
         outer = load.torque - load.pendulum * math.sin(shaft.angle - load.down)
         resist = motor.damping + drive.slope
-        # Damping is taken implicitly, so that a light rotor cannot ring with the step.
+        # Damping is integrated implicitly, so that a light rotor cannot oscillate with the step.
         speed = (shaft.speed + dt * (torque + outer) / inertia) / (1.0 + dt * resist / inertia)
         brake = dt * motor.friction / inertia
         speed = math.copysign(max(abs(speed) - brake, 0.0), speed)
@@ -78,7 +78,7 @@ class Joints:
 
 
 def walk(drive: Drive, reference: float | None, angle: float, seconds: float) -> float | None:
-    """Return where the servo's own profile wants it after so long, None without power."""
+    """Return the reference of the servo's profile after `seconds`; None without power."""
     if drive.goal is None:
         return None
     if math.isinf(drive.speed):

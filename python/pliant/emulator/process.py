@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from pliant import PliantError, ServoError
+from pliant._core import PliantError, ServoError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -35,8 +35,8 @@ class Remote:
         **kwargs: For the factory.
 
     Raises:
-        PliantError, ImportError: What the factory raised.
-        ServoError: The process did not come up.
+        PliantError, ImportError: Raised by the factory.
+        ServoError: The process did not start.
 
     Example:
         >>> with Remote(Emulator, [Device("STS3215", id=1)]) as bus:
@@ -73,8 +73,8 @@ class Remote:
             **kwargs: For a method.
 
         Raises:
-            PliantError: What the method raised.
-            ServoError: The process is gone.
+            PliantError: Raised by the method.
+            ServoError: The process has ended.
         """
         try:
             self._pipe.send((name, args, kwargs))
@@ -114,7 +114,7 @@ class Remote:
 
 @contextmanager
 def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
-    """Keep the child from running the host's script again."""
+    """Prevent the child from importing the host's script."""
     main = sys.modules["__main__"]
     hidden = {} if factory.__module__ == "__main__" else {"__spec__": None, "__file__": None}
     kept = {name: getattr(main, name) for name in hidden if hasattr(main, name)}
@@ -131,7 +131,7 @@ def _serve(
     pipe: Connection, factory: Callable[..., Emulator], args: Any, kwargs: dict[str, Any]
 ) -> None:
     """Run the emulator in the child and carry out calls from the pipe."""
-    # A terminal sends these to all its processes; servos outlive them, for the arm to come down.
+    # A terminal sends these to all its processes; the servos must outlive them for the descent.
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -152,7 +152,7 @@ def _serve(
             except Exception as error:
                 pipe.send((False, _portable(error)))
     except (EOFError, OSError):
-        pass  # the other side is gone
+        pass  # the parent has ended
     finally:
         emulator.stop()
 

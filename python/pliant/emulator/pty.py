@@ -1,4 +1,4 @@
-"""A pseudo-terminal that stands in for a serial port, under a path that outlives unplugging."""
+"""A pseudo-terminal in place of a serial port; its path survives unplugging."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import struct
 import tempfile
 from pathlib import Path
 
-from pliant import ServoError
+from pliant._core import ServoError
 
 try:
     import fcntl
@@ -26,7 +26,7 @@ class Pty:
     """One port.
 
     Attributes:
-        path: What the host opens; a link that points to the present pseudo-terminal.
+        path: Path for the host; a link to the present pseudo-terminal.
         master: The emulator's end, None while the port is gone.
     """
 
@@ -47,7 +47,7 @@ class Pty:
     def open(self) -> None:
         """Make a fresh pseudo-terminal under the same path."""
         self.hang_up()
-        # The slave stays open here: without it the first close of the host would hang the line up.
+        # The slave stays open here; otherwise the host's first close would hang up the line.
         self.master, self._slave = os.openpty()
         os.set_blocking(self.master, False)
         tty.setraw(self._slave)
@@ -67,7 +67,7 @@ class Pty:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def baud(self) -> int | None:
-        """Return the speed the host has set [bit/s], None where the system does not say."""
+        """Return the host's speed [bit/s]; None where the system does not report it."""
         if self._slave is None:
             return None
         try:
@@ -77,7 +77,7 @@ class Pty:
         return int(struct.unpack(_TERMIOS2, answer)[-1])
 
     def read(self) -> bytes:
-        """Return what the host wrote, empty for nothing."""
+        """Return the bytes from the host; may be empty."""
         if self.master is None:
             return b""
         try:
@@ -96,6 +96,6 @@ class Pty:
                 return
 
     def mark(self, marker: bytes) -> None:
-        """Put a mark behind all that the host has written so far."""
+        """Put a mark behind all bytes of the host so far."""
         if self._slave is not None:
             os.write(self._slave, marker)

@@ -1,11 +1,11 @@
-"""Control tables: registers with address, size, area, access, first value, range and coding."""
+"""Control tables: registers with address, size, area, access, initial value, range and coding."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -39,7 +39,7 @@ class Register:
     sign: int | None
 
     def decode(self, data: bytes | bytearray) -> int:
-        """Return the number that these bytes mean."""
+        """Return the number encoded by these bytes."""
         raw = int.from_bytes(data[: self.size], "little")
         if self.sign is None:
             return raw
@@ -49,7 +49,7 @@ class Register:
         return -(raw & (bit - 1)) if raw & bit else raw & (bit - 1)
 
     def encode(self, value: int) -> bytes:
-        """Return the bytes of a number; what does not fit is cut at the end of the range."""
+        """Return the bytes of a number, clipped to the register's range."""
         if self.sign is None:
             raw = max(0, min(value, (1 << 8 * self.size) - 1))
         elif self.sign == 0:
@@ -88,7 +88,7 @@ class Table:
         """Return a register by name.
 
         Raises:
-            ConfigError: The table has none of that name; the message lists those there are.
+            ConfigError: The name is unknown; the message lists the known ones.
         """
         try:
             return self._by_name[name]
@@ -110,7 +110,7 @@ class Table:
         return found
 
     def changed(self, text: str = "", **initial: int) -> Table:
-        """Return a table with rows added or replaced, and other first values."""
+        """Return a table with rows added or replaced, and other initial values."""
         rows = {**self._by_name, **{register.name: register for register in parse(text)}}
         for name, value in initial.items():
             rows[name] = replace(rows[name], initial=value)

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from pliant import ServoError
+from pliant._core import ServoError
 from pliant.emulator.pty import Pty
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ SYNC_TIME = 10.0
 
 @dataclass
 class Port:
-    """A port with what hangs on it."""
+    """A port with its line and pseudo-terminal."""
 
     line: Line
     pty: Pty
@@ -53,13 +53,13 @@ class Server:
     """Serves lines on pseudo-terminals from a thread of its own.
 
     Attributes:
-        lock: Held while lines, servos or physics are at work.
+        lock: Held while lines, servos or physics run.
         lag: Time dropped because the computer was too slow [s].
-        late: Longest that an answer waited for the computer, under the real clock [s].
+        late: Largest latency of a reply due to a busy computer, under the real clock [s].
     """
 
     def __init__(self, world: World, lines: Mapping[str, Line], clock: Clock) -> None:
-        """Take what is to be served."""
+        """Store the lines to serve."""
         self._world, self._lines, self._clock = world, dict(lines), clock
         self._ports: dict[str, Port] = {}
         self._thread: threading.Thread | None = None
@@ -70,7 +70,7 @@ class Server:
         self._marking = threading.Lock()
 
     def start(self) -> None:
-        """Open the ports and begin to answer.
+        """Open the ports and start to answer.
 
         Raises:
             ServoError: It runs already, or the system has no pseudo-terminals.
@@ -132,7 +132,7 @@ class Server:
                     raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
 
     def hang_up(self, name: str | None) -> None:
-        """Pull the adapter of one port, or of all; when it returns, hosts see it."""
+        """Pull the adapter of one port, or of all; on return, hosts have noticed."""
         self.sync()
 
         def pull() -> None:
@@ -145,7 +145,7 @@ class Server:
         self._do(pull)
 
     def put_back(self, name: str | None) -> None:
-        """Open what was pulled, under the same path."""
+        """Open pulled ports again, under the same path."""
 
         def put() -> None:
             for key, port in self._ports.items():
@@ -209,7 +209,7 @@ class Server:
                         port.pty.write(NOISE)
 
     def _note(self, looked: float, pause: float | None) -> None:
-        """Note how long a request may have stood since the thread last looked for one."""
+        """Record how long a request may have waited since the last poll."""
         if pause is not None:
             self.late = max(self.late, time.perf_counter() - looked - pause)
 
@@ -237,7 +237,7 @@ class Server:
             self._world.advance(max(behind, 0.0), settle=False)
 
     def _serve(self, port: Port) -> None:
-        """Act on what a host has written."""
+        """Process the bytes of a host."""
         data = port.held + port.pty.read()
         port.held = b""
         while port.marker and data:
@@ -258,7 +258,7 @@ class Server:
     def _feed(self, port: Port, data: bytes) -> None:
         if not data:
             return
-        # By the emulator's own time: where it stands still, a computer that is busy between the two
+        # In emulated time: while it stands still, a computer that is busy between the two
         # halves of a packet must not lose the first.
         if self._now() - port.last > GAP:
             port.line.reset()
@@ -266,7 +266,7 @@ class Server:
         baud, start = port.pty.baud(), max(self._now(), port.busy)
         deliveries = port.line.feed(data, baud, self._world.time)
         port.busy = start + port.line.occupied
-        # Time passes before the answer leaves: a host that has it sees the time after it.
+        # Time advances before the reply leaves: a host that has it sees the later time.
         if self._clock == "steps":
             self._world.advance(max(port.line.occupied, port.line.answered))
         stale, port.stale = port.stale, []
@@ -282,7 +282,7 @@ class Server:
         self._flush(port)
 
     def _flush(self, port: Port) -> None:
-        """Send what is due."""
+        """Send the deliveries that are due."""
         if port.due:
             now = self._now()
             ready = sorted((item for item in port.due if item[0] <= now), key=lambda item: item[0])

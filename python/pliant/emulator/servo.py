@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.log import Write
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class Servo(ABC):
     protocol: ClassVar[Protocol]
 
     def __init__(self, model: Model, id: int, *, angle: float | None, **registers: int) -> None:
-        """Make a servo as it comes out of the box but for these EEPROM values.
+        """Make a servo in factory state, except for these EEPROM values.
 
         Raises:
             ConfigError: A register is unknown, in RAM, or the value does not fit.
@@ -147,7 +147,7 @@ class Servo(ABC):
     # Memory.
 
     def get(self, name: str) -> int:
-        """Return a register's value, as it stands in memory."""
+        """Return a register's value in memory."""
         # Called thousands of times a second, so it avoids `Table` objects if unsigned.
         start, stop, sign = self._fields[name]
         raw = int.from_bytes(self.memory[start:stop], "little")
@@ -199,7 +199,7 @@ class Servo(ABC):
     # Bus.
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Return error and bytes of a block, no bytes with an error."""
+        """Return error and bytes of a block; no bytes after an error."""
         self.refresh()
         for name, value in self.stuck.items():
             self.put(name, value)
@@ -208,9 +208,9 @@ class Servo(ABC):
         return error, bytes(self.memory[byte] for byte in places)
 
     def write(self, address: int, data: bytes, instruction: str = "write") -> int:
-        """Write a block if the rules allow it, note it, and return the error.
+        """Write a block if the rules allow it, record it, and return the error.
 
-        A block with one refused register is refused whole.
+        A block with one rejected register is rejected as a whole.
         """
         enabled = self.enabled
         places = self.resolve(address, len(data))
@@ -258,7 +258,7 @@ class Servo(ABC):
         self.protect(seconds)
 
     def faults(self) -> int:
-        """Return the bits of voltage and heat that hold now, from the limits in EEPROM."""
+        """Return the present bits of voltage and heat, from the limits in EEPROM."""
         low, high = self.get("min_voltage_limit"), self.get("max_voltage_limit")
         bits = (
             0

@@ -1,4 +1,4 @@
-"""Clock of an emulator whose time passes only during waits."""
+"""Clock of an emulator whose time advances only during waits."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 class StepClock:
     """Time of an emulator with the clock `steps`, for `ServoBus(..., clock=...)`.
 
-    Waiting advances the emulator's world, so that a program over real bytes runs as fast as the
-    computer goes. How busy that is matters only where an answer takes longer than the host waits.
+    Waiting advances the emulated time, so a program over real bytes runs as fast as the computer
+    allows. The computer's load matters only if a reply exceeds the host's timeout.
 
     Args:
         bus: The emulator, in this process.
@@ -22,7 +22,7 @@ class StepClock:
         self._bus = bus
 
     def now(self) -> float:
-        """Time of the emulated world [s], after what the host has written so far."""
+        """Return the emulated time [s], after all bytes of the host so far."""
         self._bus.sync()
         return self._bus.time
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_CURRENT = 0x08
@@ -18,24 +18,24 @@ SET_MIDDLE = 128
 
 
 class StsServo(Servo):
-    """Limits its duty by Torque Limit; an overload cuts to the protective torque.
+    """A servo that limits its duty by Torque Limit; an overload cuts to the protective torque.
 
-    Its error byte holds only conditions; rejected writes are ignored without an error. Guesses: a
-    write of a goal or of the torque switch ends the overload protection; values out of range are
-    ignored, goals beyond the position limits are clipped.
+    Its error byte holds only conditions; rejected writes are ignored without an error.
+    Assumptions: a write of a goal or of the torque switch ends the overload protection; values out
+    of range are ignored, goals beyond the position limits are clipped.
     """
 
     protocol = 1
 
     def on_power(self) -> None:
-        """Torque Limit starts at its maximum, the goal at the present position."""
+        """Set Torque Limit to its maximum, and the goal to the present position."""
         self._latched, self._over_current, self._overload = 0, 0.0, 0.0
         self.put("torque_limit", self.get("max_torque_limit"))
         self.put("goal_position", self.position)
 
     @property
     def position(self) -> int:
-        """Present position [counts]: raw minus Homing Offset, within a turn unless told else."""
+        """Present position [counts]: raw minus Homing Offset, by default within a turn."""
         raw = round(self.shaft.angle / self.model.count) - self.get("homing_offset")
         return raw if self._multi_turn else raw % 4096
 
@@ -45,7 +45,7 @@ class StsServo(Servo):
         return 1
 
     def raw_of(self, count: float) -> float:
-        """Homing Offset is taken off what is reported."""
+        """Return the raw count; the reported one excludes Homing Offset."""
         return count + self.get("homing_offset")
 
     @property
@@ -55,7 +55,7 @@ class StsServo(Servo):
 
     @property
     def baud(self) -> int:
-        """By the maker's list."""
+        """Return the speed, from the maker's list."""
         return BAUDS[self.get("baud_rate")]
 
     def set_baud(self, baud: int) -> None:
@@ -73,11 +73,11 @@ class StsServo(Servo):
 
     @property
     def level(self) -> int:
-        """Response level 1 answers all; 0 answers reads and pings."""
+        """Return the level: response level 1 answers all; 0 answers reads and pings."""
         return 2 if self.get("response_level") else 1
 
     def status(self) -> int:
-        """Conditions: voltage, heat, current, overload."""
+        """Return the conditions: voltage, heat, current, overload."""
         return self.faults() | self._latched
 
     def check_read(self, address: int, length: int) -> int:
@@ -85,7 +85,7 @@ class StsServo(Servo):
         return 0
 
     def resolve(self, address: int, length: int) -> list[int]:
-        """Bytes beyond the table are the empty last one."""
+        """Map bytes beyond the table to its empty last byte."""
         last = self.table.size - 1
         return [min(byte, last) for byte in range(address, address + length)]
 
@@ -100,7 +100,7 @@ class StsServo(Servo):
         return 0
 
     def on_write(self, address: int, data: bytes) -> None:
-        """EEPROM is kept while unlocked; a goal switches torque on."""
+        """Store EEPROM while unlocked; a goal switches torque on."""
         for register in self.table.span(address, len(data)):
             if register.area == "eeprom" and self.get("lock") == 0:
                 self.keep(register.address, register.size)
@@ -120,7 +120,7 @@ class StsServo(Servo):
             self.put("goal_position", max(low, min(self.get("goal_position"), high)))
 
     def drive(self) -> Drive:
-        """Duty in proportion to the error, up to Torque Limit or the protective torque."""
+        """Return a duty in proportion to the error, up to Torque Limit or the protective torque."""
         if not self.enabled or not self.plugged or self.get("operating_mode") != 0:
             return OFF
         stall, share = self.stall, self.get("torque_limit") / 1000.0
@@ -163,7 +163,7 @@ class StsServo(Servo):
         self.protect(0.0)
 
     def refresh(self) -> None:
-        """Position, velocity, load, voltage, temperature, status, current."""
+        """Update position, velocity, load, voltage, temperature, status, current."""
         self.put("present_position", self.position)
         self.put("present_velocity", self.shaft.speed / STEP)
         self.put("present_load", self.duty * 1000.0)

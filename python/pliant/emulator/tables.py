@@ -86,7 +86,7 @@ MX106 = _P1.changed(_GAINS + _TORQUE_MODE + _DRIVE_MODE)
 
 
 def _indirect(data: int, count: int, low: int, high: int) -> str:
-    """Rows of indirect addresses from 168 on, and of their data bytes."""
+    """Return rows of indirect addresses from 168 on, and of their data bytes."""
     rows = [
         f"{168 + 2 * k} 2 R rw {data + k} {low}..{high} u indirect_address_{k + 1}"
         for k in range(count)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 #: Payload of one packet of a full-speed FTDI adapter [bytes].
 USB_PACKET = 62
@@ -12,7 +12,7 @@ USB_PACKET = 62
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """Latencies between servos and host; by default none.
+    """Latencies between servos and host; default without.
 
     Attributes:
         wire: True: bytes take ten bits each at the port's speed, and servos their return delay.

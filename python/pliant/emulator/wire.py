@@ -1,4 +1,4 @@
-"""Packets on the wire: checksum, CRC, byte stuffing, and the cutting of a byte stream into frames.
+"""Packets on the wire: checksum, CRC, byte stuffing, and splitting a byte stream into frames.
 
 Written from the makers' protocol pages, independent of the drivers, so that it can test them.
 """
@@ -51,12 +51,12 @@ def checksum(body: bytes) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    """Add the byte that keeps the header pattern out of instruction and parameters."""
+    """Add bytes that keep the header pattern out of instruction and parameters."""
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 
 
 def unstuff(body: bytes) -> bytes:
-    """Take out what `stuff` added."""
+    """Remove the bytes added by `stuff`."""
     return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
 
@@ -84,11 +84,11 @@ class Frame:
 
     Attributes:
         protocol: 1 (Dynamixel 1.0 and Feetech) or 2.
-        id: Whom it is for.
+        id: Addressed servo.
         instruction: The instruction byte.
         params: Parameters, unstuffed.
-        ok: Whether checksum or CRC fit.
-        raw: All bytes of it.
+        ok: True if checksum or CRC is valid.
+        raw: All its bytes.
     """
 
     protocol: Protocol
@@ -133,7 +133,7 @@ class Framer:
 
     @staticmethod
     def _length(buffer: bytes, at: int) -> int | None:
-        """Bytes of the frame that starts here; None when too little has come, 0 for no frame."""
+        """Return the length of the frame here; None if incomplete, 0 if there is no frame."""
         have = len(buffer) - at
         if have < 4:
             return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.motion import Joints
 
 if TYPE_CHECKING:
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pliant.emulator.motion import Physics
     from pliant.emulator.servo import Servo
 
-#: Protections and watchdogs look at the servos at least so often [s].
+#: Longest period of protections and watchdogs [s].
 SLICE = 0.010
 
 
@@ -27,7 +27,7 @@ class World:
     """
 
     def __init__(self, servos: Sequence[Servo], physics: Physics | None = None) -> None:
-        """Put the servos in charge of `physics`, by default each alone."""
+        """Bind the servos to `physics`; by default they are independent."""
         self.servos = list(servos)
         self.physics: Physics = Joints() if physics is None else physics
         self.time = 0.0
@@ -41,7 +41,7 @@ class World:
         """Advance the time; a remainder below one physics step is kept for the next call.
 
         Args:
-            seconds: How long.
+            seconds: Duration [s].
             settle: True: the servos are also updated at the end, not only every 10 ms.
 
         Raises:
@@ -78,7 +78,7 @@ class World:
         """Return the first servo with this id.
 
         Raises:
-            ConfigError: There is none; the message lists those there are.
+            ConfigError: No servo has it; the message lists the known ones.
         """
         for servo in self.servos:
             if servo.id == id:

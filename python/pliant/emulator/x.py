@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 FAIL, INSTRUCTION, CRC, RANGE, LENGTH, LIMIT, ACCESS = range(1, 8)
@@ -22,17 +22,17 @@ _GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_g
 
 
 class XServo(Servo):
-    """Limits current (mode 5) or duty; a shutdown lasts until reboot.
+    """A servo that limits current (mode 5) or duty; a shutdown lasts until reboot.
 
-    Velocity, current and PWM modes accept their registers but do not drive. Guesses: a goal written
-    with torque off stays, and the servo jumps to it at torque-on; overload is three seconds at the
-    limit at standstill.
+    Velocity, current and PWM modes accept their registers but do not drive. Assumptions: a goal
+    written with torque off stays, and the servo jumps to it at torque-on; overload is three seconds
+    at the limit at standstill.
     """
 
     protocol = 2
 
     def on_power(self) -> None:
-        """Goals start at their limits and at the present position."""
+        """Set goals to their limits and to the present position."""
         self._shut = False
         self._heard = self.now
         self._within_a_turn()
@@ -62,7 +62,7 @@ class XServo(Servo):
         return -1 if self.get("drive_mode") & 1 else 1
 
     def raw_of(self, count: float) -> float:
-        """Homing Offset is added after the reversal."""
+        """Return the raw count; Homing Offset is added after the reversal."""
         raw = count - self.get("homing_offset")
         return raw if self.direction > 0 else 4096 - raw
 
@@ -74,7 +74,7 @@ class XServo(Servo):
 
     @property
     def baud(self) -> int:
-        """By the maker's list."""
+        """Return the speed, from the maker's list."""
         return BAUDS[self.get("baud_rate")]
 
     def set_baud(self, baud: int) -> None:
@@ -97,7 +97,7 @@ class XServo(Servo):
         return self.get("status_return_level")
 
     def heard(self) -> None:
-        """An instruction packet was on the bus."""
+        """Restart the watchdog: an instruction packet was on the bus."""
         self._heard = self.now
 
     def status(self) -> int:
@@ -117,11 +117,11 @@ class XServo(Servo):
         return [min(place, self.table.size - 1) for place in places]
 
     def check_read(self, address: int, length: int) -> int:
-        """Gaps read as 0; beyond the table there is nothing."""
+        """Accept gaps, which read as 0; reject reads beyond the table."""
         return 0 if length and address + length <= self.table.size else ACCESS
 
     def check_write(self, address: int, data: bytes) -> int:
-        """Access, length, range and limit errors, in this order."""
+        """Check access, length, range and limits, in this order."""
         end = address + len(data)
         if any(self.table.at(byte) is None for byte in range(address, end)):
             return ACCESS
@@ -160,7 +160,7 @@ class XServo(Servo):
         return True
 
     def on_write(self, address: int, data: bytes) -> None:
-        """EEPROM is kept at once; a mode resets goals and gains; a shutdown stays off."""
+        """Store EEPROM at once; a mode resets goals and gains; a shutdown stays off."""
         for register in self.table.span(address, len(data)):
             if register.area == "eeprom":
                 self.keep(register.address, register.size)
@@ -175,7 +175,7 @@ class XServo(Servo):
                 self.put("torque_enable", 1)
 
     def drive(self) -> Drive:
-        """Current (mode 5) or duty in proportion to the error, up to the goals' limits."""
+        """Return a current (mode 5) or duty in proportion to the error, up to the goals' limits."""
         mode = self.get("operating_mode")
         if not self.enabled or not self.plugged or mode not in {POSITION, EXTENDED,
                                                                 CURRENT_POSITION}:  # fmt: skip
@@ -198,7 +198,7 @@ class XServo(Servo):
         return Drive(angle, stiffness, min(limit, ceiling), speed, kv=kv)
 
     def protect(self, seconds: float) -> None:
-        """Watchdog; hardware errors, and the shutdown of those in the mask."""
+        """Apply the watchdog, hardware errors, and the shutdown of those in the mask."""
         watchdog = self.get("bus_watchdog")
         if watchdog > 0 and self.enabled and self.now - self._heard > watchdog * 0.020:
             self.put("bus_watchdog", -1)
@@ -218,7 +218,7 @@ class XServo(Servo):
             self.put("led", 1)
 
     def refresh(self) -> None:
-        """Position, velocity, PWM, current or load, voltage, temperature."""
+        """Update position, velocity, PWM, current or load, voltage, temperature."""
         sign = self.direction
         self.put("present_position", self.position)
         self.put("position_trajectory", self.position)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
-from pliant.arguments import instance, number
+from pliant._core import Compensation, ConfigError, Controller, Settings, Tracking
+from pliant._validation import instance, number
 from pliant.identify.seam import Order, Procedure, drive, guided
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Command, Controller, Servos, Settings
+    from pliant._core import Command, Servos
     from pliant.identify.seam import Arm, Steps, Tick
 
     Array = NDArray[np.float64]
@@ -122,9 +122,9 @@ def _gravity(
     controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
 ) -> Procedure[Captured]:
     """Make the procedure of `capture_gravity`."""
-    servos = instance(controller, pliant.Controller, "controller").servos
+    servos = instance(controller, Controller, "controller").servos
     if servos is None:
-        raise pliant.ConfigError(
+        raise ConfigError(
             "capturing gravity needs the believed k_p: Controller(model, settings, servos=…)"
         )
     numbers = (
@@ -176,12 +176,12 @@ def _capture(
 ) -> Steps[Captured]:
     seconds, check, bound = numbers
     model, before = controller.model, controller.settings
-    stiff = pliant.Settings(
+    stiff = Settings(
         task=before.task,
         rate=before.rate,
         delay=before.delay,
-        tracking=pliant.Tracking(integrate=INTEGRATE),
-        compensation=pliant.Compensation(friction=0.0, damping=0.0),
+        tracking=Tracking(integrate=INTEGRATE),
+        compensation=Compensation(friction=0.0, damping=0.0),
     )
     controller.reset(q)
     target = model.forward_kinematics(q)
@@ -245,7 +245,7 @@ def _remedy(
             controller.update(stiff)
             _, q = yield from _watch(controller, q, rest)
             less = before.replace(
-                compensation=pliant.Compensation(
+                compensation=Compensation(
                     friction=share * before.compensation.friction,
                     damping=share * before.compensation.damping,
                 ),

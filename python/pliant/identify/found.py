@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
+from pliant._core import Controller, Payload
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Controller, Model, Payload, Servos, Settings
+    from pliant._core import Model, Servos, Settings
     from pliant.identify.delay import Delay
     from pliant.identify.regress import Solution
     from pliant.identify.rig import Rig
@@ -69,7 +69,7 @@ class PayloadEstimate:
     @property
     def payload(self) -> Payload:
         """The `pliant.Payload`; of mass 0 if none was found."""
-        return pliant.Payload(self.mass if self.found else 0.0, self.com)
+        return Payload(self.mass if self.found else 0.0, self.com)
 
     def summary(self) -> list[str]:
         """Return sentences on mass, centre, and directions that the poses could not determine."""
@@ -186,7 +186,7 @@ class Identification:
 
     def controller(self, model: Model, settings: Settings | None = None) -> Controller:
         """Return a controller with the identified servos, payload and delay."""
-        controller = pliant.Controller(model, settings, self.servos)
+        controller = Controller(model, settings, self.servos)
         if self.payload.found:
             controller.set_payload(self.payload.mass, self.payload.com)
         controller.set_delay(self.delay)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
-from pliant.arguments import instance, number
+from pliant._core import ConfigError, Model, ServoError, Servos
+from pliant._validation import instance, number
 from pliant.identify.delay import delay as fit_delay
 from pliant.identify.found import Identification
 from pliant.identify.poses import SPAN, SWING, pose_list, wanted
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model, Servos
     from pliant.identify.delay import Delay
     from pliant.identify.rig import Record
     from pliant.identify.seam import Arm, Steps, Tick
@@ -66,10 +65,10 @@ def _servos(
     Raises:
         ConfigError: There is no servo table. OutOfRangeError: A number is out of range.
     """
-    known = instance(model, pliant.Model, "model").servos
-    believed = known if servos is None else instance(servos, pliant.Servos, "servos")
+    known = instance(model, Model, "model").servos
+    believed = known if servos is None else instance(servos, Servos, "servos")
     if believed is None:
-        raise pliant.ConfigError(
+        raise ConfigError(
             "identification needs a servo table: give servos=pliant.Servos(kp=…, max_torque=…)"
         )
     rig = Rig(model, believed, period, torque_share=torque_share)
@@ -220,7 +219,7 @@ def held(rig: Rig, q: Array, solution: Solution) -> Array:
 def _fit(rig: Rig, beliefs: Beliefs) -> Solution:
     rows = [slide for record in rig.records for slide in slides(rig, record)]
     if not rows:
-        raise pliant.ServoError(
+        raise ServoError(
             "no joint ever moved steadily: raise amplitude, or look whether the servos are enabled"
         )
     return solve(rig, rows, beliefs)

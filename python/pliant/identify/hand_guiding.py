@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
-from pliant.arguments import given, instance, number, vector
+from pliant._core import ConfigError, Model, Payload, Servos
+from pliant._validation import format_value, instance, number, vector
 from pliant.identify.guided import wide_enough
 from pliant.identify.rig import Rig
 from pliant.identify.seam import Order
@@ -29,7 +29,6 @@ from pliant.identify.slides import first_moments, payload_rows, slides
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model, Servos
     from pliant.identify.seam import Steps
     from pliant.identify.slides import Slide
 
@@ -93,16 +92,14 @@ class HandGuiding:
         *,
         rate: float = 100.0,
         delay: float = 0.0,
-        payload: pliant.Payload | tuple[float, ArrayLike] | None = None,
+        payload: Payload | tuple[float, ArrayLike] | None = None,
         swing: float = 0.04,
         torque_share: float = 0.3,
     ) -> None:
-        known = instance(model, pliant.Model, "model").servos
-        table = known if servos is None else instance(servos, pliant.Servos, "servos")
+        known = instance(model, Model, "model").servos
+        table = known if servos is None else instance(servos, Servos, "servos")
         if table is None:
-            raise pliant.ConfigError(
-                "HandGuiding needs a servo table: pass servos=pliant.Servos(…)"
-            )
+            raise ConfigError("HandGuiding needs a servo table: pass servos=pliant.Servos(…)")
         rate, delay = (
             number(rate, "rate", 10.0, 1000.0, "Hz"),
             number(delay, "delay", 0.0, 0.5, "s"),
@@ -292,17 +289,17 @@ class HandGuiding:
         return vector(q, self._n, "q", "rad")
 
 
-def as_payload(value: pliant.Payload | tuple[float, ArrayLike]) -> pliant.Payload:
+def as_payload(value: Payload | tuple[float, ArrayLike]) -> Payload:
     """Convert a payload, or its mass [kg] and centre (3,) [m] in the tool frame, to a `Payload`.
 
     Raises:
         ConfigError: The value is neither.
     """
-    if isinstance(value, pliant.Payload):
+    if isinstance(value, Payload):
         return value
     if not isinstance(value, tuple | list) or len(value) != 2:
-        raise pliant.ConfigError(
+        raise ConfigError(
             "payload must be a Payload, or mass [kg] and centre [m] as in (0.3, (0, 0, 0.05)), "
-            f"got {given(value)}"
+            f"got {format_value(value)}"
         )
-    return pliant.Payload(*value)
+    return Payload(*value)

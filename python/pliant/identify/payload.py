@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
-from pliant.arguments import instance, number
+from pliant._core import ConfigError, Controller, ServoError
+from pliant._validation import instance, number
 from pliant.identify.found import PayloadEstimate
 from pliant.identify.guided import statics, wide_enough
 from pliant.identify.poses import SPAN, SWING, pose_list, wanted
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Controller
     from pliant.identify.seam import Arm, Steps, Tick
 
     Array = NDArray[np.float64]
@@ -38,9 +37,9 @@ def _payload(
     amplitude: float = 0.05,
 ) -> Procedure[PayloadEstimate]:
     """Make the procedure of `estimate_payload`."""
-    servos = instance(controller, pliant.Controller, "controller").servos
+    servos = instance(controller, Controller, "controller").servos
     if servos is None:
-        raise pliant.ConfigError(
+        raise ConfigError(
             "weighing needs to know the servos: Controller(model, settings, servos=…)"
         )
     rig = Rig(controller.model, servos, 1.0 / controller.settings.rate)
@@ -97,7 +96,7 @@ def _weigh(
     q = yield from statics(rig, q, route[::-1], size)
     rows = [slide for record in rig.records for slide in slides(rig, record)]
     if not rows:
-        raise pliant.ServoError("no joint ever moved steadily: raise amplitude")
+        raise ServoError("no joint ever moved steadily: raise amplitude")
     kp = KNOWN if rig.servos.stiffness_known else UNKNOWN
     found = PayloadEstimate.of(solve(rig, rows, Beliefs(kp=kp)))
     if found.found:

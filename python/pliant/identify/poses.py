@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import OutOfRangeError, ShapeError
-from pliant.arguments import given
+from pliant._core import OutOfRangeError, ShapeError
+from pliant._validation import format_value
 from pliant.identify.rig import ROOM
 from pliant.identify.slides import bare_gravity, payload_rows
 
@@ -45,7 +45,7 @@ def wanted(poses: int | ArrayLike, n: int) -> int | Array:
     if postures.ndim != 2 or postures.shape[1] != n or not np.isfinite(postures).all():
         raise ShapeError(
             f"poses must be how many to choose, or postures (K, {n}) of finite numbers [rad], "
-            f"got {given(poses)}"
+            f"got {format_value(poses)}"
         )
     return postures
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, OutOfRangeError, ServoError
-from pliant.arguments import number
+from pliant._core import ConfigError, OutOfRangeError, ServoError
+from pliant._validation import number
 from pliant.identify.seam import Order
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model, Servos
+    from pliant._core import Model, Servos
 
     Array = NDArray[np.float64]
     Moving = Generator[Order, Array, Array]

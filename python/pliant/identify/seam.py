@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
-from pliant import ConfigError, ServoError, ShapeError
-from pliant.arguments import given, vector
+from pliant._core import ConfigError, ServoError, ShapeError
+from pliant._validation import format_value, vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -188,7 +188,7 @@ def drive(
     if not (callable(getattr(arm, "read", None)) and callable(getattr(arm, "write", None))):
         raise TypeError(
             "arm must have read() and write(goal, limit), as what pliant.connect(…) and "
-            f"pliant.sim.Plant(…) return, got {given(arm)}"
+            f"pliant.sim.Plant(…) return, got {format_value(arm)}"
         )
     try:
         for tick in _ticks(arm, rate) if loop is None else loop:

@@ -21,7 +21,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.identify.rig import Record, Rig
 
     Array = NDArray[np.float64]

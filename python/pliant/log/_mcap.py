@@ -12,7 +12,7 @@ try:
     from mcap_ros2.writer import Writer
     from zstandard import ZstdError, frame_content_size
 except ImportError as error:
-    from pliant.extras import missing
+    from pliant._extras import missing
 
     raise ImportError(missing("pliant.log", "log")) from error
 

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
+from pliant import feasibility
+from pliant._core import Axis, ConfigError, ContactEstimator, Controller
+from pliant._validation import AXES
 from pliant.log.verify import steps
 from pliant.loop import PRIME
 
@@ -41,8 +43,8 @@ class Felt:
     force: Array
     bound: Array
     worst: int
-    report: pliant.feasibility.PoseReport
-    strengths: dict[str, pliant.Axis]
+    report: feasibility.PoseReport
+    strengths: dict[str, Axis]
 
 
 def feel(log: Log) -> Felt | None:
@@ -56,7 +58,7 @@ def feel(log: Log) -> Felt | None:
     """
     axes, ticks = log.run["axes"], len(log)
     if not axes or not ticks:
-        raise pliant.ConfigError("the log has no ticks of a controller: nothing to feel")
+        raise ConfigError("the log has no ticks of a controller: nothing to feel")
     size = np.abs(log.deviation)
     farthest = size.argmax(axis=0)
     weight = [1.0 if name in "xyz" else 1.0 / RADIANS_PER_METRE for name in axes]
@@ -64,20 +66,20 @@ def feel(log: Log) -> Felt | None:
     primes = _primes(log)
     force = np.zeros((ticks, len(axes)))
     bound = np.full_like(force, np.inf)
-    strengths: dict[str, pliant.Axis] = {}
-    found: pliant.feasibility.PoseReport | None = None
-    contact: pliant.ContactEstimator | None = None
+    strengths: dict[str, Axis] = {}
+    found: feasibility.PoseReport | None = None
+    contact: ContactEstimator | None = None
     tick = 0
 
-    def before(call: Any, controller: pliant.Controller) -> None:
+    def before(call: Any, controller: Controller) -> None:
         nonlocal contact
         if contact is None:
-            contact = pliant.ContactEstimator(controller)
+            contact = ContactEstimator(controller)
         elif call.sequence in primes:
             contact.reset()
         if call.sequence not in primes and tick < ticks:
             estimate = contact.update(np.array(call.q), dt=None if np.isnan(call.dt) else call.dt)
-            rows = [pliant.AXES.index(name) for name in axes]
+            rows = [AXES.index(name) for name in axes]
             force[tick], bound[tick] = estimate.force[rows], estimate.uncertainty[rows]
 
     for call, controller, _ in steps(log, before=before):

@@ -15,7 +15,7 @@ from pliant._report.words import listed
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Axis
+    from pliant._core import Axis
     from pliant.log.felt import Felt
     from pliant.log.reader import Log
 

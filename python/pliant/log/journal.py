@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
+from pliant import functional
+from pliant._core import Settings
 from pliant.log import frames, layout, words
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Command, Controller
+    from pliant._core import Command, Controller
     from pliant.log.frames import Sender
 
     Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ class Journal:
         self.inner.reset(q)
         self._call("reset", q=q)
 
-    def update(self, settings: pliant.Settings) -> None:
+    def update(self, settings: Settings) -> None:
         """`Controller.update`."""
         self.inner.update(settings)
         self._call("update", settings=settings)
@@ -164,4 +165,4 @@ def _pose(target: Any) -> Array:
     """Return the array of a target, or the pose matrix of an object."""
     if isinstance(target, np.ndarray | list | tuple):
         return np.array(target, dtype=np.float64)
-    return np.asarray(pliant.functional.as_pose(target).matrix)
+    return np.asarray(functional.as_pose(target).matrix)

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
-from pliant import ConfigError
+from pliant._core import ConfigError, Controller, Model, Servos, Settings
 from pliant.log import layout, words
 from pliant.log._mcap import Attachment, Channel, DecoderFactory, Message, Schema
 from pliant.log.records import CutShortError, DamagedError, records
@@ -31,8 +30,8 @@ RUN: tuple[tuple[str, Any, bool], ...] = (
     ("extra", (list, tuple), False),
     ("axes", (list, tuple), True),
     ("model", dict, False),
-    ("servos", pliant.Servos, True),
-    ("settings", pliant.Settings, True),
+    ("servos", Servos, True),
+    ("settings", Settings, True),
     ("config", str, True),
 )
 #: Errors that a malformed file can raise.
@@ -85,18 +84,18 @@ class Log:
         return self.calls[-1].sequence + 1 - len(self.calls) if self.calls else 0
 
     @property
-    def settings(self) -> pliant.Settings | None:
+    def settings(self) -> Settings | None:
         """Settings at the beginning."""
-        settings: pliant.Settings | None = self.run["settings"]
+        settings: Settings | None = self.run["settings"]
         return settings
 
     @property
-    def servos(self) -> pliant.Servos | None:
+    def servos(self) -> Servos | None:
         """Servo table of the controller."""
-        servos: pliant.Servos | None = self.run["servos"]
+        servos: Servos | None = self.run["servos"]
         return servos
 
-    def model(self) -> pliant.Model:
+    def model(self) -> Model:
         """The arm, from the attached URDF."""
         return words.model(self.run["model"])
 
@@ -211,7 +210,7 @@ def _check(run: Any) -> None:
     if run["settings"] is not None:
         if tuple(run["axes"] or ()) != run["settings"].task.names:
             raise ConfigError("the description of the run has other axes than its settings")
-        pliant.Controller(model, run["settings"], run["servos"])
+        Controller(model, run["settings"], run["servos"])
     if run["config"] is not None:
         json.loads(run["config"])
 

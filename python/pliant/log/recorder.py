@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
-from pliant import ConfigError
-from pliant.arguments import given, instance
+from pliant._core import ConfigError, Controller, __version__
+from pliant._files import check_output
+from pliant._validation import format_value, instance
 from pliant.log import frames, layout, words
 from pliant.log.journal import Journal
-from pliant.outputs import check_output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,9 +59,11 @@ class Recorder:
     def __init__(self, path: str | Path, *, config: Config | None = None, note: str = "") -> None:
         instance(note, str, "note")
         if not isinstance(path, str | PathLike):
-            raise TypeError(f"path must be that of a file, got {given(path)}")
+            raise TypeError(f"path must be that of a file, got {format_value(path)}")
         if config is not None and not hasattr(config, "model_dump_json"):
-            raise TypeError(f"config must be what pliant.config.load gives, got {given(config)}")
+            raise TypeError(
+                f"config must be what pliant.config.load gives, got {format_value(config)}"
+            )
         self.path, self.ticks = Path(path), 0
         self._config, self._note = config, note
         self._process: subprocess.Popen[bytes] | None = None
@@ -90,7 +91,7 @@ class Recorder:
         if self._process is not None:
             raise ConfigError(f"{self.path} belongs to another loop: make a Recorder for each")
         given_controller = controller
-        controller = controller if isinstance(controller, pliant.Controller) else None
+        controller = controller if isinstance(controller, Controller) else None
         if controller is not None and controller.commands_made:
             raise ConfigError(
                 "the controller has made steps that the log would lack: give the recorder to the "
@@ -106,7 +107,7 @@ class Recorder:
         self._slots = vector.split(self._row)
         run = {
             "version": layout.VERSION,
-            "pliant": pliant.__version__,
+            "pliant": __version__,
             "note": self._note,
             "rate": float(rate),
             "joints": arm.model.joint_names,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
+from pliant._core import ConfigError
 from pliant._report import page, provenance
 from pliant._report.page import Table
 from pliant.log import felt as feeling
@@ -45,9 +45,9 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
         PliantError: Matplotlib is missing.
     """
     if not len(log):
-        raise pliant.ConfigError("the log has no ticks: nothing to report")
+        raise ConfigError("the log has no ticks: nothing to report")
     if not log.run["axes"]:
-        raise pliant.ConfigError(
+        raise ConfigError(
             "the log was made without a controller (hand guiding): nothing was soft or firm; "
             "`pliant log plot` draws its joints"
         )
@@ -60,7 +60,7 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
                 "Ticks and steps of this log do not pair, so forces are not shown: one step per "
                 "tick is what the controller can be asked about."
             )
-    except pliant.ConfigError as error:
+    except ConfigError as error:
         notes.append(f"Forces are not shown: {error}.")
     bounds = findings.spans(log)
     folder.mkdir(parents=True, exist_ok=True)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
-from pliant import ConfigError
+from pliant._core import Command, ConfigError, Controller, Settings, __version__
 from pliant.log.reader import Log, arguments
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ class Verification:
         return self.differing == 0 and self.missing == 0
 
 
-def verify(log: Log, settings: pliant.Settings | None = None) -> Verification:
+def verify(log: Log, settings: Settings | None = None) -> Verification:
     """Repeat all logged calls on a new controller.
 
     Args:
@@ -79,9 +78,9 @@ def verify(log: Log, settings: pliant.Settings | None = None) -> Verification:
 
 def steps(
     log: Log,
-    settings: pliant.Settings | None = None,
-    before: Callable[[Any, pliant.Controller], None] | None = None,
-) -> Iterator[tuple[Any, pliant.Controller, pliant.Command]]:
+    settings: Settings | None = None,
+    before: Callable[[Any, Controller], None] | None = None,
+) -> Iterator[tuple[Any, Controller, Command]]:
     """Repeat the calls one by one: yield each step's call, the controller, and its command.
 
     Args:
@@ -95,12 +94,12 @@ def steps(
     if log.settings is None:
         raise ConfigError("the log was made without a controller: there is nothing to run again")
     version = log.run["pliant"]
-    if settings is None and version != pliant.__version__:
+    if settings is None and version != __version__:
         raise ConfigError(
-            f"the log was made by pliant {version}, this is {pliant.__version__}: only the same "
+            f"the log was made by pliant {version}, this is {__version__}: only the same "
             "version need give the same commands"
         )
-    controller = pliant.Controller(log.model(), settings or log.settings, log.servos)
+    controller = Controller(log.model(), settings or log.settings, log.servos)
     for call in log.calls:
         if not call.what.startswith("step"):
             if not (settings is not None and call.what == "update"):
@@ -116,7 +115,7 @@ def steps(
         yield call, controller, _step(controller, call)
 
 
-def _step(controller: pliant.Controller, call: Any) -> pliant.Command:
+def _step(controller: Controller, call: Any) -> Command:
     """Run one step with the recorded arguments."""
     given: dict[str, Any] = {
         name: np.array(value) if len(value) else None

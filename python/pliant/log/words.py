@@ -7,23 +7,35 @@ from typing import Any
 
 import numpy as np
 
-import pliant
-from pliant import ConfigError
+from pliant._core import (
+    Axis,
+    Compensation,
+    ConfigError,
+    Model,
+    NullSpace,
+    Payload,
+    PliantError,
+    Servos,
+    Settings,
+    Task,
+    TorqueLimits,
+    Tracking,
+)
 from pliant.functional import PaperOptions
 
 _TYPES = {
     kind.__name__: kind
     for kind in (
-        pliant.Settings,
-        pliant.Tracking,
-        pliant.NullSpace,
-        pliant.Compensation,
-        pliant.TorqueLimits,
+        Settings,
+        Tracking,
+        NullSpace,
+        Compensation,
+        TorqueLimits,
         PaperOptions,
-        pliant.Axis,
-        pliant.Task,
-        pliant.Servos,
-        pliant.Payload,
+        Axis,
+        Task,
+        Servos,
+        Payload,
     )
 }
 
@@ -56,21 +68,21 @@ def read(text: str) -> Any:
         raise ConfigError(f"not the description of a run: {error}") from error
 
 
-def model(source: Any) -> pliant.Model:
+def model(source: Any) -> Model:
     """Return the model of a description by `describe`.
 
     Raises:
         ConfigError, UrdfError: The description is invalid.
     """
     try:
-        return pliant.Model.from_urdf_str(source["urdf"], **source["options"])
+        return Model.from_urdf_str(source["urdf"], **source["options"])
     except (AttributeError, LookupError, TypeError, ValueError) as error:
-        if isinstance(error, pliant.PliantError):
+        if isinstance(error, PliantError):
             raise
         raise ConfigError(f"not the description of a model: {error}") from error
 
 
-def describe(given: pliant.Model) -> dict[str, Any]:
+def describe(given: Model) -> dict[str, Any]:
     """Return URDF and options of a model."""
     text, options = given.source
     return {"urdf": text, "options": options}
@@ -79,7 +91,7 @@ def describe(given: pliant.Model) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     name = type(value).__name__
     if name in _TYPES and isinstance(value, _TYPES[name]):
-        if isinstance(value, pliant.Payload):
+        if isinstance(value, Payload):
             return {"type": name, "fields": {"mass": value.mass, "com": value.com.tolist()}}
         fields = value.__getnewargs_ex__()[1]
         return {"type": name, "fields": {key: _plain(item) for key, item in fields.items()}}

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
-from pliant.background import step_back
+from pliant._core import PliantError, Pose
+from pliant._files import replacing
+from pliant._priority import lower_priority
 from pliant.log import frames, layout, words
 from pliant.log._mcap import Writer
 from pliant.log.journal import STEP
-from pliant.outputs import replacing
 
 if TYPE_CHECKING:
     from typing import BinaryIO
@@ -176,15 +176,15 @@ def _quaternion(matrix: Array) -> list[float]:
     pose = np.eye(4)
     pose[:3, :3] = u @ v
     try:
-        x, y, z, w = pliant.Pose(pose).xyzw.tolist()
-    except pliant.PliantError:
+        x, y, z, w = Pose(pose).xyzw.tolist()
+    except PliantError:
         return [0.0, 0.0, 0.0, 1.0]
     return [x, y, z, w]
 
 
 def main() -> None:
     """Write frames until the end of the input."""
-    step_back()
+    lower_priority()
     source = sys.stdin.buffer
     first = frames.receive(source)
     if first is None:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
-from pliant.arguments import given, positive, vector
+from pliant import functional
+from pliant._core import Axis, ConfigError, Controller, Settings
+from pliant._validation import format_value, positive, vector
 from pliant.reactions.moment import indices
 from pliant.reactions.poses import moved
 
@@ -51,7 +52,7 @@ class Action(ABC):
     #: True if it needs a force estimate.
     feels = False
 
-    def check(self, controller: pliant.Controller) -> None:  # noqa: B027 - most refuse nothing
+    def check(self, controller: Controller) -> None:  # noqa: B027 - most refuse nothing
         """Check that the action is possible with this controller.
 
         Raises:
@@ -100,7 +101,7 @@ class Stop(Action):
 class _Yielding(Running):
     """Changed settings until the end."""
 
-    def __init__(self, controller: pliant.Controller, settings: pliant.Settings) -> None:
+    def __init__(self, controller: Controller, settings: Settings) -> None:
         self._before, self._changed = controller.settings, settings
         controller.update(settings)
 
@@ -127,24 +128,24 @@ class Yield(Action):
         """Check the arguments once."""
         indices(self.axes)
         if not isinstance(self.fields, Mapping):
-            raise pliant.ConfigError(
+            raise ConfigError(
                 'Yield.fields must be a dict of fields of Axis, as in {"soft": 2.0}, '
-                f"got {given(self.fields)}"
+                f"got {format_value(self.fields)}"
             )
-        pliant.Axis(**self.fields)
+        Axis(**self.fields)
 
-    def _settings(self, settings: pliant.Settings) -> pliant.Settings:
+    def _settings(self, settings: Settings) -> Settings:
         names = settings.task.names
         chosen = [names[index] for index in indices(self.axes, names)]
-        axes: dict[str, pliant.Axis] = dict(settings.axes.items())
+        axes: dict[str, Axis] = dict(settings.axes.items())
         for name in chosen:
             axes[name] = settings.axes[name].replace(**{"yields": "both", **self.fields})
         return settings.replace(axes=axes)
 
-    def check(self, controller: pliant.Controller) -> None:
+    def check(self, controller: Controller) -> None:
         """Try the settings on a controller of the same arm."""
         settings = self._settings(controller.settings)
-        pliant.Controller(controller.model, settings, controller.servos)
+        Controller(controller.model, settings, controller.servos)
 
     def begin(self, now: Moment) -> Running:
         """Apply the settings."""
@@ -165,7 +166,7 @@ class _Leashed(Running):
 
     def _off(self, now: Moment, target: Array) -> tuple[Array, Array]:
         frame = now.base_from_task
-        error = pliant.functional.pose_error(now.tool, target)
+        error = functional.pose_error(now.tool, target)
         return frame, np.concatenate((frame.T @ error[:3], frame.T @ error[3:]))
 
     def target(self, now: Moment, target: Array) -> Array:
@@ -263,7 +264,7 @@ class Call(Action):
         """Check that it is callable."""
         if not callable(self.function):
             raise TypeError(
-                f"Call.function must be a function of a Moment, got {given(self.function)}"
+                f"Call.function must be a function of a Moment, got {format_value(self.function)}"
             )
 
     def begin(self, now: Moment) -> Running:

@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from pliant.arguments import given, number
+from pliant._validation import format_value, number
 
 if TYPE_CHECKING:
-    import pliant
+    from pliant._core import ContactEstimator, Controller
     from pliant.reactions.moment import Moment
 
 #: Evaluates a condition at a tick; to be called exactly once per tick.
@@ -32,7 +32,7 @@ class Condition(ABC):
         """Return a new judge of this condition."""
 
     def check(  # noqa: B027 - most refuse nothing
-        self, contact: pliant.ContactEstimator | None, controller: pliant.Controller
+        self, contact: ContactEstimator | None, controller: Controller
     ) -> None:
         """Check that this arm can evaluate the condition.
 
@@ -70,7 +70,7 @@ def condition(value: object, name: str) -> Condition:
     """
     if not isinstance(value, Condition):
         wanted = "a condition, as Force('z', above=8.0) or Elapsed(1.0)"
-        raise TypeError(f"{name} must be {wanted}, got {given(value)}")
+        raise TypeError(f"{name} must be {wanted}, got {format_value(value)}")
     return value
 
 
@@ -87,7 +87,7 @@ class Joined(Condition):
         """True if one of them needs a force estimate."""
         return self.one.feels or self.other.feels
 
-    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
+    def check(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Check both."""
         self.one.check(contact, controller)
         self.other.check(contact, controller)
@@ -117,7 +117,7 @@ class Not(Condition):
         """True if it needs a force estimate."""
         return self.one.feels
 
-    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
+    def check(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Check the condition."""
         self.one.check(contact, controller)
 
@@ -146,7 +146,7 @@ class Lasting(Condition):
         """True if it needs a force estimate."""
         return self.one.feels
 
-    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
+    def check(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Check the condition."""
         self.one.check(contact, controller)
 

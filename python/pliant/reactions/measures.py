@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-import pliant
-from pliant.arguments import given, number, positive, rounded_up
+from pliant._core import ConfigError, ContactEstimator, Controller, OutOfRangeError
+from pliant._validation import AXES, format_value, number, positive, rounded_up
 from pliant.reactions.conditions import Condition, Judge
 from pliant.reactions.moment import indices
 
@@ -23,7 +23,7 @@ def _one_side(above: float | None, below: float | None, what: str) -> None:
     sides = {"above": above, "below": below}
     thresholds = {name: value for name, value in sides.items() if value is not None}
     if len(thresholds) != 1:
-        raise pliant.ConfigError(
+        raise ConfigError(
             f"{what} needs either above or below, got above={above!r}, below={below!r}"
         )
     for name, value in thresholds.items():
@@ -56,12 +56,12 @@ class Force(Condition):
         indices(self.axes)
         _one_side(self.above, self.below, "Force")
         if self.toward not in {"both", "+", "-"}:
-            raise pliant.ConfigError(f"Force.toward is 'both', '+' or '-', not {self.toward!r}")
+            raise ConfigError(f"Force.toward is 'both', '+' or '-', not {self.toward!r}")
         unknown = set(self.accept) - {"thresholds"}
         if unknown:
-            raise pliant.ConfigError(f"Force.accept knows 'thresholds', not {sorted(unknown)}")
+            raise ConfigError(f"Force.accept knows 'thresholds', not {sorted(unknown)}")
 
-    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
+    def check(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Reject a threshold that the arm at rest cannot distinguish from its own friction."""
         if contact is None:
             return
@@ -72,8 +72,8 @@ class Force(Condition):
         for axis in indices(self.axes):
             if self.above < least[axis]:
                 unit = "N" if axis < 3 else "N·m"
-                raise pliant.OutOfRangeError(
-                    f"{self!r}: {pliant.AXES[axis]} = {self.above:g} {unit} is outside "
+                raise OutOfRangeError(
+                    f"{self!r}: {AXES[axis]} = {self.above:g} {unit} is outside "
                     f"[{rounded_up(least[axis])}, ∞): below it this arm, at rest in the median "
                     "pose, cannot tell a contact from friction, k_p and gravity; raise it, say in "
                     "ContactEstimator(...) how well the arm is known, or accept=('thresholds',)"
@@ -118,7 +118,7 @@ class Touched(Condition):
         """Check the arguments once."""
         indices(self.axes)
         if self.kind not in {"touch", "stop"}:
-            raise pliant.ConfigError(f"Touched.kind is 'touch' or 'stop', not {self.kind!r}")
+            raise ConfigError(f"Touched.kind is 'touch' or 'stop', not {self.kind!r}")
 
     def judge(self) -> Judge:
         """Return a judge of the events."""
@@ -170,7 +170,7 @@ class _OfTask(Condition):
         indices(self.axes)
         _one_side(self.above, self.below, type(self).__name__)
 
-    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
+    def check(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Reject axes that are not in the task."""
         indices(self.axes, controller.settings.task.names)
 
@@ -252,16 +252,17 @@ class Saturated(Condition):
     def __post_init__(self) -> None:
         """Check that it is a list of names, not a string, which is a list of letters."""
         if isinstance(self.joints, str) or not isinstance(self.joints, Iterable):
-            raise pliant.ConfigError(
-                f"Saturated.joints must be names, as in ('elbow_pitch',), got {given(self.joints)}"
+            raise ConfigError(
+                f"Saturated.joints must be names, as in ('elbow_pitch',), got "
+                f"{format_value(self.joints)}"
             )
 
-    def check(self, contact: pliant.ContactEstimator | None, controller: pliant.Controller) -> None:
+    def check(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Reject joints that the arm does not have."""
         known = controller.model.joint_names
         unknown = [name for name in self.joints if name not in known]
         if unknown:
-            raise pliant.ConfigError(f"no joint {', '.join(unknown)}; there are {', '.join(known)}")
+            raise ConfigError(f"no joint {', '.join(unknown)}; there are {', '.join(known)}")
 
     def judge(self) -> Judge:
         """Return a judge of the saturated servos."""

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
+from pliant._core import ConfigError, Controller, Task, WrenchEstimate
+from pliant._validation import AXES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,13 +33,13 @@ class Moment:
         guard: Multiple of the uncertainty that a force must exceed to count.
     """
 
-    controller: pliant.Controller
+    controller: Controller
     time: float
     dt: float
     q: Array
     tool: Array
     wanted: Array
-    felt: pliant.WrenchEstimate | None
+    felt: WrenchEstimate | None
     guard: float = 1.0
 
     @property
@@ -58,16 +59,14 @@ class Moment:
         moved: Array = self.controller.diagnostics.task_jacobian @ velocity
         return moved
 
-    def force(self) -> pliant.WrenchEstimate:
+    def force(self) -> WrenchEstimate:
         """Return the estimated wrench on the tool.
 
         Raises:
             ConfigError: The monitor has no contact estimator.
         """
         if self.felt is None:
-            raise pliant.ConfigError(
-                "this watch feels no force: give it contact=ContactEstimator(...)"
-            )
+            raise ConfigError("this watch feels no force: give it contact=ContactEstimator(...)")
         return self.felt
 
     @property
@@ -79,16 +78,16 @@ class Moment:
         return frame
 
 
-def indices(axes: str, names: Sequence[str] = pliant.AXES) -> tuple[int, ...]:
+def indices(axes: str, names: Sequence[str] = AXES) -> tuple[int, ...]:
     """Return the indices of an axis key's axes in `names`.
 
     Raises:
         ConfigError: The key is invalid, or an axis is not among the names.
     """
-    wanted = pliant.Task(axes).names
+    wanted = Task(axes).names
     absent = [name for name in wanted if name not in names]
     if absent:
-        raise pliant.ConfigError(
+        raise ConfigError(
             f"axes {', '.join(absent)} are not of this task; it has {' '.join(names)}"
         )
     return tuple(list(names).index(name) for name in wanted)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-import pliant
-from pliant.arguments import given, instance, number
+from pliant import functional
+from pliant._core import ConfigError, ContactEstimator, Controller, WrenchEstimate
+from pliant._validation import format_value, instance, number
 from pliant.reactions.actions import Action, Running, Stop
 from pliant.reactions.conditions import Condition, Judge, condition
 from pliant.reactions.moment import Moment
@@ -46,14 +47,12 @@ class Reaction:
             condition(self.until, "Reaction.until")
         listed = isinstance(self.then, Action | Sequence)
         if not (listed and self.actions and all(isinstance(one, Action) for one in self.actions)):
-            raise pliant.ConfigError(
+            raise ConfigError(
                 "Reaction.then must be an action, as Hold() or Retract(0.05), or several in a "
-                f"list, got {given(self.then)}"
+                f"list, got {format_value(self.then)}"
             )
         if self.until is not None and any(isinstance(one, Stop) for one in self.actions):
-            raise pliant.ConfigError(
-                "a Stop ends by ReactionMonitor.resume() alone; use Hold with until"
-            )
+            raise ConfigError("a Stop ends by ReactionMonitor.resume() alone; use Hold with until")
         number(self.clear, "Reaction.clear", 0.0, unit="s")
 
     @property
@@ -87,7 +86,7 @@ class Noted:
     time: float
     what: Literal["began", "ended", "called"]
     reaction: Reaction
-    felt: pliant.WrenchEstimate | None
+    felt: WrenchEstimate | None
 
 
 class _InForce:
@@ -149,24 +148,24 @@ class ReactionMonitor:
 
     def __init__(
         self,
-        controller: pliant.Controller,
+        controller: Controller,
         reactions: Sequence[Reaction],
         *,
-        contact: pliant.ContactEstimator | None = None,
+        contact: ContactEstimator | None = None,
         resume_speed: tuple[float, float] = (0.1, 0.5),
     ) -> None:
-        self.controller = instance(controller, pliant.Controller, "controller")
+        self.controller = instance(controller, Controller, "controller")
         if contact is not None:
-            instance(contact, pliant.ContactEstimator, "contact")
+            instance(contact, ContactEstimator, "contact")
         if not isinstance(reactions, Iterable):
-            raise TypeError(f"reactions must be a list of Reaction, got {given(reactions)}")
+            raise TypeError(f"reactions must be a list of Reaction, got {format_value(reactions)}")
         self.reactions = tuple(instance(one, Reaction, "a reaction") for one in reactions)
         if contact is None and any(reaction.feels for reaction in self.reactions):
-            contact = pliant.ContactEstimator(controller)
+            contact = ContactEstimator(controller)
         if contact is not None and contact.controller is not controller:
-            raise pliant.ConfigError("contact is another controller's: make it of this one")
+            raise ConfigError("contact is another controller's: make it of this one")
         if not (min(resume_speed) > 0.0 and np.isfinite(resume_speed).all()):
-            raise pliant.ConfigError(f"resume_speed is two numbers > 0, got {resume_speed!r}")
+            raise ConfigError(f"resume_speed is two numbers > 0, got {resume_speed!r}")
         self.contact, self._resume_speed = contact, resume_speed
         for reaction in self.reactions:
             reaction.when.check(contact, controller)
@@ -210,7 +209,7 @@ class ReactionMonitor:
         return self._resuming
 
     @property
-    def felt(self) -> pliant.WrenchEstimate | None:
+    def felt(self) -> WrenchEstimate | None:
         """Estimated wrench on the tool at the last tick; None without a contact estimator."""
         return None if self.contact is None else self.contact.estimate
 
@@ -262,7 +261,7 @@ class ReactionMonitor:
     def _look(self, q: Any, target: Any, dt: float | None, *measured: Any) -> Moment:
         """Collect the data of this tick."""
         controller = self.controller
-        wanted = pliant.functional.as_pose(target).matrix
+        wanted = functional.as_pose(target).matrix
         tool = controller.model.forward_kinematics(q)
         felt, guard = None, 1.0
         if self.contact is not None:

@@ -18,14 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pliant
+from pliant._core import ConfigError, Model, Servos
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from pliant import Model, Servos
 
 #: One encoder count of a 12-bit servo [rad].
 COUNT_12_BIT = 2.0 * np.pi / 4096
@@ -78,7 +77,7 @@ def names() -> tuple[str, ...]:
     return tuple(_ARMS)
 
 
-#: Rest pose of each arm [rad], and the height of the table that it stands on [m], if any.
+#: Rest pose of each arm [rad], and the height of its table [m], if any.
 _REST: dict[str, tuple[float, ...]] = {
     "arm7": (0.0, 0.0, 0.0, -0.04, 0.0, 0.0, 0.0),
     "so101": (0.0, -1.74, 1.57, 0.85, 0.0),
@@ -98,7 +97,7 @@ def rest(name: str) -> NDArray[np.float64]:
 
 
 def table(name: str) -> float | None:
-    """Return the height of the table [m] that a built-in arm stands on; None: it hangs.
+    """Return the height of the table under a built-in arm [m]; None: it hangs.
 
     Raises:
         ConfigError: The name is unknown.
@@ -110,7 +109,7 @@ def table(name: str) -> float | None:
 def _check(name: str) -> None:
     """Raise unless the arm exists."""
     if name not in _ARMS:
-        raise pliant.ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
+        raise ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
 
 
 def load(name: str, **options: Any) -> Model:
@@ -124,7 +123,7 @@ def load(name: str, **options: Any) -> Model:
         A fresh model with servos attached.
 
     Raises:
-        ConfigError: The name is unknown; the message lists those there are.
+        ConfigError: The name is unknown; the message lists the known ones.
     """
     _check(name)
     return _ARMS[name](**options)
@@ -132,14 +131,14 @@ def load(name: str, **options: Any) -> Model:
 
 def _load(file: str, servos: Callable[[], Servos], options: dict[str, Any]) -> Model:
     text = resources.files(__name__).joinpath(file).read_text(encoding="utf-8")
-    return pliant.Model.from_urdf_str(
+    return Model.from_urdf_str(
         text, **{"base": "base", "tip": "tool", "servos": servos(), **options}
     )
 
 
 def _arm7_servos() -> Servos:
     """Four strong servos, three of the wrist; damping is gears and back-EMF together."""
-    return pliant.Servos(
+    return Servos(
         kp=[150.0] * 4 + [60.0] * 3,
         max_torque=[10.7] * 4 + [6.4] * 3,
         friction=[0.20] * 4 + [0.10] * 3,
@@ -157,7 +156,7 @@ def _so101_servos() -> Servos:
     speed.
     """
     stall, no_load = 1.9, 5.45
-    return pliant.Servos(
+    return Servos(
         kp=[5.1] * 5,
         max_torque=[stall] * 5,
         friction=[0.08] * 5,
@@ -174,9 +173,9 @@ def _koch_servos() -> Servos:
     """XL430-W250 at 11.1 V, XL330-M288 at 5 V: kp = 0.00576 P stall, factory P 640 and 400.
 
     Stall and no-load speed are the maker's, 1.4 N·m and 57 rpm, 0.52 N·m and 103 rpm; friction,
-    gear damping and rotor inertia are not published and are guesses.
+    gear damping and rotor inertia are not published and are assumed.
     """
-    return pliant.Servos(
+    return Servos(
         kp=[5.2] * 2 + [1.2] * 3,
         max_torque=[1.4] * 2 + [0.52] * 3,
         friction=[0.05] * 2 + [0.02] * 3,

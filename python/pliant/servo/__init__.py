@@ -5,20 +5,15 @@ Needs the extra ``servo`` only where a serial port is opened.
 
 from __future__ import annotations
 
-from pliant.arm.drive import Health, Sample
+from pliant.servo._transactions import wire_bytes, wire_time
 from pliant.servo.bus import ServoBus
 from pliant.servo.models import ServoModel, find, names
-from pliant.servo.spec import ServoSpec
-from pliant.servo.table import servos_of
+from pliant.servo.spec import ServoSpec, Units, servos_of
 from pliant.servo.transport import BusError, RustypotTransport, Transport, serial_ports
-from pliant.servo.units import Units
-from pliant.servo.wire import wire_bytes, wire_time
 
 __all__ = [
     "BusError",
-    "Health",
     "RustypotTransport",
-    "Sample",
     "ServoBus",
     "ServoModel",
     "ServoSpec",

@@ -5,35 +5,86 @@ from __future__ import annotations
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, ServoError, ShapeError
-from pliant.arm.drive import Clock, Health, Sample
-from pliant.servo import enable as enabling
-from pliant.servo.device import Device
-from pliant.servo.identify import Found, identify
-from pliant.servo.port import Port
-from pliant.servo.rota import Rota
-from pliant.servo.sample import align_secondaries, gather
-from pliant.servo.spec import ServoSpec, check_specs
-from pliant.servo.table import servos
+from pliant._core import ConfigError, ServoError, ShapeError
+from pliant.drive import Clock, JointReadings, ServoStatus
+from pliant.servo import _enable as sequences
+from pliant.servo._device import Device
+from pliant.servo._handshake import ServoInfo, identify
+from pliant.servo._port import Port, StatusPoller
+from pliant.servo._transactions import check_patience
+from pliant.servo.spec import ServoSpec, check_specs, servos_from_units
 from pliant.servo.transport import BusError, RustypotTransport
-from pliant.servo.wire import patient
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Servos
-    from pliant.servo.guard import Counters
-    from pliant.servo.models.row import Protocol as Wire
+    from pliant._core import Servos
+    from pliant.servo._transactions import Counters
+    from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
     Array = NDArray[np.float64]
+
+
+#: Difference between two servos of a joint from which on they work against each other [rad].
+MAX_DISAGREEMENT = 0.1
+
+
+def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
+    """Set the zero of each second servo from the first one, because the joint couples them.
+
+    Raises:
+        ServoError: The joint's range then crosses the second servo's encoder seam.
+    """
+    for first, *secondaries in joints:
+        for secondary in secondaries:
+            if first.position is not None and secondary.position is not None:
+                q = first.angle(first.position)
+                zero = secondary.position - secondary.units.sign * q / secondary.units.count
+                secondary.units = replace(secondary.units, zero=zero)
+                secondary.set_range()
+
+
+def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -> JointReadings:
+    """Return one reading of all joints.
+
+    Args:
+        joints: Servos of each joint, the first one first.
+        answered: Port and id of the servos that answered in this reading.
+    """
+    rows = []
+    for joint in joints:
+        first = joint[0]
+        angles = [d.angle(d.position) for d in joint if d.position is not None]
+        difference = max(angles) - min(angles) if angles else 0.0
+        first.fault(
+            "secondaries",
+            difference > MAX_DISAGREEMENT,
+            f"its two servos disagree by {difference:.2f} rad and work against each other",
+        )
+        amps = np.nan
+        if first.current is not None and first.row.current_unit:
+            amps = first.row.current_unit * sum(abs(d.current or 0) for d in joint)
+        rows.append(
+            (
+                angles[0] if angles else np.nan,
+                all((d.spec.port, d.id) in answered for d in joint),
+                min(d.time for d in joint),
+                first.units.velocity(first.speed),
+                sum(d.torque for d in joint) / len(joint),
+                amps,
+            )
+        )
+    position, ok, times, velocity, load, current = (np.array(c) for c in zip(*rows, strict=True))
+    return JointReadings(position, ok, times, velocity, load, current)
+
 
 #: Time for one reading, in periods and in multiples of `patience`; no retries after that.
 BUDGET = 3.0
@@ -93,15 +144,15 @@ class ServoBus:
         if missing := ports.keys() - rates.keys():
             raise ConfigError(f"no baud rate for {', '.join(sorted(missing))}")
         self._baudrate, self._cycle, self._speed = rates, 1.0 / rate, speed
-        self._patience = patient(patience)
+        self._patience = check_patience(patience)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
         self._transport, self.clock = transport, clock
-        self._start()
+        self._reset()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
         self._watchdog = 0.0
-        self.found: tuple[Found, ...] = ()
+        self.found: tuple[ServoInfo, ...] = ()
 
     # Opening and closing.
 
@@ -113,14 +164,14 @@ class ServoBus:
         """
         if self._ports:
             return
-        self._start()
+        self._reset()
         try:
             for path in dict.fromkeys(spec.port for spec in self.specs):
                 self._open_port(path)
             self.found = self.identify()
             if len(self._ports) > 1:
                 self._pool = ThreadPoolExecutor(len(self._ports), "pliant-bus")
-            self._first_look()
+            self._read_first()
         except BaseException:
             self.close()
             raise
@@ -143,22 +194,22 @@ class ServoBus:
         """Close; torque stays as it is."""
         self.close()
 
-    def identify(self) -> tuple[Found, ...]:
+    def identify(self) -> tuple[ServoInfo, ...]:
         """Identify and check every servo, and read its ceilings, limits and gains.
 
         Raises:
             ServoError: A servo is missing, is another model, or cannot be driven.
         """
         self._check_open()
-        wrong: list[str] = []
-        found: list[Found] = []
+        errors: list[str] = []
+        found: list[ServoInfo] = []
         for port in self._ports:
             try:
                 found += identify(port)
             except ServoError as error:
-                wrong.append(str(error))
-        if wrong:
-            raise ServoError("\n".join(wrong))
+                errors.append(str(error))
+        if errors:
+            raise ServoError("\n".join(errors))
         order = {name: i for i, name in enumerate(self.names)}
         return tuple(sorted(found, key=lambda f: order[f.joint]))
 
@@ -169,7 +220,7 @@ class ServoBus:
         """Servo parameters for a controller: gains and torque ceilings as read from the servos."""
         first = [joint[0] for joint in self._joints]
         ceilings = [min(device.ceiling for device in joint) for joint in self._joints]
-        return servos([d.units for d in first], [d.gain for d in first], ceilings)
+        return servos_from_units([d.units for d in first], [d.gain for d in first], ceilings)
 
     @property
     def stiffness_known(self) -> NDArray[np.bool_]:
@@ -202,8 +253,10 @@ class ServoBus:
     def counters(self) -> dict[str, int]:
         """Event counters since open, summed over all ports.
 
-        Those of `pliant.servo.guard.Counters`, and `mismatches`: limits that did not read back as
-        written; `alerts`: errors that appeared in a status, even briefly; `trips`: bus watchdogs
+        Those of the ports (`transactions`, `retries`, `timeouts`, `corrupt`, `stale`, `drains`,
+        `refused`), and `mismatches`: limits that did not read back as written; `alerts`: errors
+        that appeared
+            in a status, even briefly; `trips`: bus watchdogs
         that tripped and were cleared.
         """
         kinds = ("mismatches", "alerts", "trips")
@@ -223,9 +276,9 @@ class ServoBus:
         """Goals [rad] and limits [N·m] (n,) of joints whose torque was on at open; else NaN."""
         goals, limits = np.full(len(self._joints), np.nan), np.full(len(self._joints), np.nan)
         for i, joint in enumerate(self._joints):
-            standing = [d.standing for d in joint if d.torque_on and not d.enabled]
-            if len(standing) == len(joint) and standing[0] is not None:
-                goal, limit = standing[0]
+            stored_command = [d.stored_command for d in joint if d.torque_on and not d.enabled]
+            if len(stored_command) == len(joint) and stored_command[0] is not None:
+                goal, limit = stored_command[0]
                 goals[i], limits[i] = joint[0].angle(goal), abs(joint[0].units.torque(limit))
         return goals, limits
 
@@ -236,7 +289,7 @@ class ServoBus:
 
     # The cycle.
 
-    def read(self) -> Sample:
+    def read(self) -> JointReadings:
         """Read all joints; a joint without an answer has `ok` False and keeps its last position.
 
         Raises:
@@ -244,13 +297,13 @@ class ServoBus:
         """
         self._check_open()
         if self._pool is None:
-            taken = [self._take(port) for port in self._ports]
+            accepted = [self._read_port(port) for port in self._ports]
         else:
-            taken = list(self._pool.map(self._take, self._ports))
-        self._see_what_is_left()
+            accepted = list(self._pool.map(self._read_port, self._ports))
+        self._report_lost_ports()
         answered = {
             (port.path, number)
-            for port, ids in zip(self._ports, taken, strict=True)
+            for port, ids in zip(self._ports, accepted, strict=True)
             for number in ids
         }
         return gather(self._joints, answered)
@@ -270,8 +323,8 @@ class ServoBus:
                 limit stay in force.
         """
         self._check_open()
-        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", least="N·m")
-        cap = self._cap(velocity)
+        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
+        cap = self._speed_caps(velocity)
         packets: dict[int, list[tuple[Device, int, int, int]]] = {}
         for i, joint in enumerate(self._joints):
             for device in joint:
@@ -289,9 +342,9 @@ class ServoBus:
                 # Counted; the last written values stay in force.
                 with suppress(BusError):
                     port.write(packets[id(port)])
-        self._see_what_is_left()
+        self._report_lost_ports()
 
-    def slow(self) -> Health | None:
+    def poll_status(self) -> ServoStatus | None:
         """Read voltage, temperature, faults or limit of the next servo.
 
         Call it once per cycle, after `read` and `write`.
@@ -300,14 +353,14 @@ class ServoBus:
             ServoError: All ports are gone.
         """
         self._check_open()
-        health = None
+        status = None
         with suppress(BusError):
-            health = self._rota.step(self._port_of)
+            status = self._poller.step(self._port_of)
         for port in self._ports:
             with suppress(BusError):
-                port.revive(port.devices)
-        self._see_what_is_left()
-        return health
+                port.clear_watchdogs(port.devices)
+        self._report_lost_ports()
+        return status
 
     # Torque on and off.
 
@@ -326,9 +379,9 @@ class ServoBus:
                 Torque is then as it was before.
         """
         self._check_open()
-        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", least="N·m")
-        cap = self._cap(None)
-        enabling.enable(self._devices, self._port_of, goal, limit, cap)
+        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
+        cap = self._speed_caps(None)
+        sequences.enable(self._devices, self._port_of, goal, limit, cap)
         if self._watchdog:
             self.watchdog(self._watchdog)
 
@@ -339,7 +392,7 @@ class ServoBus:
             ServoError: Joints that did not confirm.
         """
         self._check_open()
-        enabling.disable(self._chosen(names), self._port_of)
+        sequences.disable(self._select(names), self._port_of)
 
     def reboot(self, name: str) -> None:
         """Restart the servos of a joint, which clears latched faults; torque is then off.
@@ -348,7 +401,7 @@ class ServoBus:
             ServoError: The servo family does not support it, or the servo did not return.
         """
         self._check_open()
-        enabling.reboot(self._chosen([name]), self._port_of)
+        sequences.reboot(self._select([name]), self._port_of)
 
     def watchdog(self, seconds: float) -> None:
         """Set the bus watchdog (Protocol 2.0): servos stop after this silence [s]; 0: never.
@@ -364,27 +417,27 @@ class ServoBus:
 
     # Inside.
 
-    def _take(self, port: Port) -> set[int]:
+    def _read_port(self, port: Port) -> set[int]:
         """Return the ids read on one port; empty if the port is gone."""
         try:
             return port.read(self._budget)
         except BusError:
             return set()
 
-    def _see_what_is_left(self) -> None:
+    def _report_lost_ports(self) -> None:
         """Report the joints of lost ports as faults; the others can still be driven and lowered.
 
         Raises:
             BusError: All ports are gone.
         """
-        gone = [port for port in self._ports if port.guard.gone]
+        gone = [port for port in self._ports if port.guard.is_gone]
         if len(gone) == len(self._ports):
             gone[0].guard.check_port()
         for port in gone:
             for device in port.devices:
                 device.fault("port", True, f"its port {port.path} is gone: is it plugged in?")
 
-    def _start(self) -> None:
+    def _reset(self) -> None:
         """Reset all servo state."""
         #: Servos of each joint, the primary first.
         self._joints = [
@@ -392,7 +445,7 @@ class ServoBus:
             for i, spec in enumerate(self.specs)
         ]
         self._devices = [device for joint in self._joints for device in joint]
-        self._rota = Rota(self._joints)
+        self._poller = StatusPoller(self._joints)
         self._counters: list[Counters] = []
 
     def _open_port(self, path: str) -> None:
@@ -410,24 +463,24 @@ class ServoBus:
         self._counters.append(port.guard.counters)
         self._port_of.update({id(device): port for device in devices})
 
-    def _first_look(self) -> None:
+    def _read_first(self) -> None:
         """Read all joints once; secondaries take their zero from the first servo of the joint."""
         for device in self._devices:
             port = self._port_of[id(device)]
-            port.guard.begin()
+            port.guard.start_cycle()
             device.accept(port.guard.read(device.id, *device.family.read))
         align_secondaries(self._joints)
 
-    def _cap(self, velocity: ArrayLike | None) -> Array:
+    def _speed_caps(self, velocity: ArrayLike | None) -> Array:
         speeds = np.array([self._speed or joint[0].units.no_load_speed for joint in self._joints])
         if velocity is None:
             return speeds
         # inf means no speed limit.
-        cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity", least="rad/s")
+        cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity", unit="rad/s")
         slower: Array = np.minimum(cap, speeds)
         return slower
 
-    def _chosen(self, names: Sequence[str] | None) -> list[Device]:
+    def _select(self, names: Sequence[str] | None) -> list[Device]:
         if names is None:
             return self._devices
         unknown = [name for name in names if name not in self.names]
@@ -435,16 +488,16 @@ class ServoBus:
             raise ConfigError(f"no joint {unknown[0]!r}; there are: {', '.join(self.names)}")
         return [device for device in self._devices if device.spec.name in names]
 
-    def _vector(self, value: ArrayLike, name: str, *, least: str = "") -> Array:
-        """Return one finite number per joint; `least` is the unit if values must be at least 0."""
+    def _vector(self, value: ArrayLike, name: str, *, unit: str = "") -> Array:
+        """Return one finite number per joint; `unit` is the unit if values must be at least 0."""
         array = np.array(value, dtype=np.float64)
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
         if not np.isfinite(array).all():
             raise ConfigError(f"{name} is not finite: {array.tolist()}")
-        if least and array[i := int(np.argmin(array))] < 0.0:
+        if unit and array[i := int(np.argmin(array))] < 0.0:
             raise ConfigError(
-                f"{name} of {self.names[i]} is {array[i]:g} {least}, at least 0 is needed"
+                f"{name} of {self.names[i]} is {array[i]:g} {unit}, at least 0 is needed"
             )
         return array
 

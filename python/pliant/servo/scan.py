@@ -6,17 +6,16 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from pliant import ServoError
-from pliant.servo.guard import NOISY
+from pliant._core import ServoError
+from pliant.servo._port import latency_timer
+from pliant.servo._transactions import NOISE_MESSAGE, wire_time
 from pliant.servo.models import by_number
-from pliant.servo.port import latency_timer
 from pliant.servo.transport import BusError, RustypotTransport
-from pliant.servo.wire import wire_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pliant.servo.models.row import Protocol as Wire
+    from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
 #: Baud rates to try [bit/s], the most common first.
@@ -121,7 +120,7 @@ class _Asking:
         self, io: Transport, port: str, baudrate: int, protocol: Wire, held_back: float
     ) -> None:
         self._io, self._port, self._baudrate, self._protocol = io, port, baudrate, protocol
-        wire = wire_time(protocol, "read", 1, 2, baudrate=baudrate, turn=SLOWEST_TURN)
+        wire = wire_time(protocol, "read", 1, 2, baudrate=baudrate, response_delay=SLOWEST_TURN)
         self._quick = wire + held_back + PATIENCE
         self._careful = max(CAREFUL, 3.0 * self._quick)
 
@@ -133,7 +132,7 @@ class _Asking:
         """
         self._is_silent = False
         if not self._listen():
-            raise ServoError(f"{self._port}: {NOISY}")
+            raise ServoError(f"{self._port}: {NOISE_MESSAGE}")
         known: dict[int, Seen | None] = {}
         for place, number in enumerate(ids):
             if number in known or not self._stirs(number):

@@ -1,20 +1,28 @@
-"""Assignment of a servo to a joint: ids, signs, zero, gear and identified values."""
+"""Assignment of servos to joints, and the conversion between joint units and registers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from math import floor, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError
-from pliant.servo.models import find
+from pliant._core import ConfigError, Servos
+from pliant._validation import real
+from pliant.servo.models import by_number, find
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
 
     from pliant.servo.calibration import Calibration
     from pliant.servo.models import ServoModel
+
+    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,16 +114,16 @@ class ServoSpec:
         return own if self.secondary is None else (*own, self.secondary)
 
 
-def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
+def check_specs(specs: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
     """Check conditions across joints: unique names and ids, one protocol per port.
 
     Raises:
         ConfigError: Names or ids repeat, or Dynamixel 1.0 and 2.0 share a port.
     """
-    specs = tuple(given)
+    specs = tuple(specs)
     if not specs:
         raise ConfigError("a chain needs at least one servo")
-    seen: dict[tuple[str, int], str] = {}
+    owners: dict[tuple[str, int], str] = {}
     protocols: dict[str, tuple[str, str]] = {}
     names = [spec.name for spec in specs]
     for name in names:
@@ -123,9 +131,9 @@ def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
             raise ConfigError(f"two joints are named {name!r}")
     for spec in specs:
         for number, _ in spec.servos:
-            if (other := seen.get((spec.port, number))) is not None:
+            if (other := owners.get((spec.port, number))) is not None:
                 raise ConfigError(f"{other} and {spec.name} both have id {number} on {spec.port}")
-            seen[spec.port, number] = spec.name
+            owners[spec.port, number] = spec.name
         protocol = spec.row.family.protocol
         first, joint = protocols.setdefault(spec.port, (protocol, spec.name))
         if first != protocol:
@@ -136,3 +144,252 @@ def check_specs(given: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
                 "an adapter of their own and give them its port"
             )
     return specs
+
+
+RPM = 2.0 * pi / 60.0  # [rad/s]
+
+
+def at_voltage(table: tuple[tuple[float, float], ...], voltage: float) -> float:
+    """Return the value of a table ((V, value), ...) at a voltage.
+
+    Interpolation is linear between the entries. Outside, the value is proportional to the voltage,
+    as are stall torque and no-load speed of a motor.
+    """
+    for (v0, y0), (v1, y1) in pairwise(table):
+        if v0 <= voltage <= v1:
+            return y0 + (y1 - y0) * (voltage - v0) / (v1 - v0)
+    v, y = table[0] if voltage < table[0][0] else table[-1]
+    return y * voltage / v
+
+
+@dataclass(frozen=True)
+class Units:
+    """Conversions of one joint and one of its servos, at one supply voltage.
+
+    Attributes:
+        spec: Joint and servo.
+        voltage: Supply voltage [V].
+        zero: Count of the servo at q = 0.
+        sign: +1 if its counts rise with the joint angle, else -1.
+    """
+
+    spec: ServoSpec
+    voltage: float
+    zero: float
+    sign: int
+
+    @staticmethod
+    def of(spec: ServoSpec, voltage: float | None = None) -> Units:
+        """Create the units of the first servo at a voltage, by default the rated one.
+
+        Raises:
+            ConfigError: The voltage is not above 0.
+        """
+        volts = spec.row.rated if voltage is None else float(voltage)
+        if not volts > 0.0:
+            raise ConfigError(f"{spec.name}: the supply voltage must be above 0 V, got {volts!r}")
+        zero = (spec.row.counts + 1) / 2 if spec.zero is None else float(spec.zero)
+        return Units(spec, volts, zero, spec.sign)
+
+    @cached_property
+    def row(self) -> ServoModel:
+        """Row of the model in the servo table."""
+        return self.spec.row
+
+    @cached_property
+    def count(self) -> float:
+        """Joint angle of one encoder count [rad]."""
+        return 2.0 * pi / (self.row.resolution * self.spec.gear)
+
+    @cached_property
+    def _stall(self) -> float:
+        """Stall torque of one servo at its horn [N·m]."""
+        torque = at_voltage(self.row.stall, self.voltage)
+        if self.spec.stall is not None:
+            torque *= self.spec.stall / at_voltage(self.row.stall, self.row.rated)
+        return torque
+
+    @cached_property
+    def _ratio(self) -> float:
+        """Joint torque per torque of one servo: gear ratio times number of servos."""
+        return self.spec.gear * len(self.spec.servos)
+
+    @cached_property
+    def no_load_speed(self) -> float:
+        """Joint speed at no load [rad/s]."""
+        return at_voltage(self.row.no_load, self.voltage) * RPM / self.spec.gear
+
+    @cached_property
+    def full(self) -> int:
+        """Largest value of the limit register."""
+        return self.row.current_max if self.row.kind == "current" else self.row.family.full_duty
+
+    @cached_property
+    def torque_per_unit(self) -> float:
+        """Joint torque of one unit of the limit register [N·m]."""
+        if self.row.kind == "current":
+            rated = at_voltage(self.row.stall, self.row.rated)
+            constant = (self.spec.stall or rated) / self.row.stall_current  # [N·m/A]
+            return constant * self.row.current_unit * self._ratio
+        return self._stall / self.row.family.full_duty * self._ratio
+
+    def torque(self, register: int) -> float:
+        """Return the joint torque of a limit register [N·m]; signed for load and current."""
+        size = abs(register) * self.torque_per_unit - self.spec.torque_offset
+        return max(size, 0.0) * (1 if register >= 0 else -1)
+
+    def register(self, torque: float, ceiling: int | None = None) -> int:
+        """Return the limit register of a joint torque, rounded down, from 0 to the ceiling.
+
+        Args:
+            torque: Joint torque, at least 0 [N·m].
+            ceiling: Largest register value allowed; default: the model's.
+        """
+        maximum = self.full if ceiling is None else min(ceiling, self.full)
+        if torque <= 0.0:
+            return 0
+        # Add a rounding tolerance, so that a result of `torque` converts back to the same count.
+        counts = (torque + self.spec.torque_offset) / self.torque_per_unit
+        return max(0, min(floor(counts * (1.0 + 1e-12) + 1e-9), maximum))
+
+    def load(self, register: int) -> float:
+        """Return the joint torque of a load register, positive toward rising counts [N·m]."""
+        fraction = register / self.row.family.full_load
+        return fraction * self._stall * self._ratio
+
+    def usable(self, ceiling: int) -> float:
+        """Return the joint torque at a ceiling, at most the stall torque [N·m]."""
+        return min(self.torque(min(ceiling, self.full)), self._stall * self._ratio)
+
+    def angle(self, counts: float) -> float:
+        """Return the joint angle of a servo position [rad]."""
+        return self.sign * (counts - self.zero) * self.count
+
+    def counts(self, angle: float) -> int:
+        """Return the servo position at a joint angle, rounded, not clamped."""
+        return round(self.zero + self.sign * angle / self.count)
+
+    def velocity(self, register: int) -> float:
+        """Return the joint velocity of a speed register [rad/s]."""
+        return self.sign * register * self.row.speed_unit * RPM / self.spec.gear
+
+    def speed_register(self, speed: float) -> int:
+        """Return the speed cap register of a joint speed: at least 1, because 0 means no cap."""
+        counts = abs(speed) * self.spec.gear / (self.row.speed_unit * RPM)
+        return max(1, min(floor(counts), self.row.family.speed_max))
+
+    def stiffness(self, gain: int) -> float:
+        """Return k_p of the joint from the gain register [N·m/rad].
+
+        ``k_p = τ_stall · (duty per radian of error)``. A current-limited servo in mode 5 converts
+        position error into current: P/128 current counts per position count. These are initial
+        values: the sources agree within a factor of two (docs/ports.md).
+        """
+        row, gear = self.row, self.spec.gear
+        if row.kind == "current":
+            return gain / 128.0 * self.torque_per_unit / self.count
+        if row.gain == 0.0:  # a slope [counts] over which the torque rises to full
+            return self._stall * self._ratio / (max(gain, 1) * self.count)
+        return self._stall * self._ratio * row.gain * gain * gear
+
+
+def servos_of(
+    models: Sequence[str],
+    *,
+    voltage: float | None = None,
+    gains: Sequence[int | None] | None = None,
+) -> Servos:
+    """Return the servo parameters of these models, one entry per joint.
+
+    Args:
+        models: Servo models base to tip, as `pliant.servo.names()` lists them.
+        voltage: Supply voltage [V]; default: the rated voltage of each model.
+        gains: Gain registers; None: the maker's default.
+
+    Returns:
+        Servos with k_p from the gain register, and usable torque, friction, damping, count and
+        no-load speed from the tables. ``stiffness_known`` is False: sources for k_p differ by up to
+        a factor of two.
+
+    Raises:
+        ConfigError: A model is unknown, the voltage is out of range, or the number of gains differs
+            from that of the models.
+    """
+    if isinstance(models, str):
+        raise ConfigError(f"models is a list, one per joint: [{models!r}]")
+    gain_values = [None] * len(models) if gains is None else list(gains)
+    if len(gain_values) != len(models):
+        raise ConfigError(f"{len(gain_values)} gains for {len(models)} servos: one each, or None")
+    volts = None if voltage is None else real(voltage, "voltage [V]")
+    specs = [ServoSpec(name=f"joint {i}", model=m, id=i + 1, port="") for i, m in enumerate(models)]
+    units = []
+    for spec in specs:
+        low, high = spec.row.voltage
+        if volts is not None and not low <= volts <= high:
+            others = [
+                row.name for row in by_number(spec.row.number) if _accepts_voltage(row, volts)
+            ]
+            variant = f"; for {volts:g} V there is {' or '.join(others)}" if others else ""
+            raise ConfigError(
+                f"{spec.row.name} takes {low:g} to {high:g} V, got {volts:g} V{variant}; "
+                "on several supplies build the arm's servos per joint"
+            )
+        units.append(Units.of(spec, volts))
+    registers = [
+        unit.row.gain_default if gain is None else gain
+        for unit, gain in zip(units, gain_values, strict=True)
+    ]
+    return servos_from_units(units, registers, [unit.full for unit in units])
+
+
+def _accepts_voltage(row: ServoModel, volts: float) -> bool:
+    """Return True if a model accepts this supply voltage."""
+    low, high = row.voltage
+    return low <= volts <= high
+
+
+def servos_from_units(
+    units: Sequence[Units], gains: Sequence[int], ceilings: Sequence[int]
+) -> Servos:
+    """Return the servo parameters of joints at their present voltage, gains and ceilings.
+
+    Values identified on the arm (`ServoSpec.kp`, `friction`, `damping`) replace those of the table.
+    k_p counts as known if it was identified for every joint.
+
+    A chain with both duty and current limits is of kind `current`. The back-EMF of its duty joints,
+    ``τ_stall / ω_0``, is added to their damping.
+
+    Args:
+        units: Conversions of each joint.
+        gains: Gain registers.
+        ceilings: Largest value of each limit register.
+    """
+    torque = np.array([u.usable(c) for u, c in zip(units, ceilings, strict=True)])
+    speed = np.array([unit.no_load_speed for unit in units])
+    # The gear scales friction and damping like torque; damping and inertia once more, by the speed.
+    ratio = np.array([unit.spec.gear * len(unit.spec.servos) for unit in units])
+    gears = np.array([unit.spec.gear for unit in units])
+    damping = np.array([unit.row.mechanics.damping for unit in units]) * ratio * gears
+    is_pwm = np.array([unit.row.kind == "pwm" for unit in units])
+    all_pwm = bool(is_pwm.all())
+    if not all_pwm:
+        stall = np.array([unit.usable(unit.full) for unit in units])
+        damping = damping + np.where(is_pwm, stall / speed, 0.0)
+    friction = np.array([unit.row.mechanics.friction for unit in units]) * ratio
+    stiffness = np.array([u.stiffness(g) for u, g in zip(units, gains, strict=True)])
+    return Servos(
+        kp=_identified(stiffness, [unit.spec.kp for unit in units]),
+        max_torque=torque,
+        friction=_identified(friction, [unit.spec.friction for unit in units]),
+        damping=_identified(damping, [unit.spec.damping for unit in units]),
+        armature=np.array([unit.row.mechanics.armature for unit in units]) * ratio * gears,
+        encoder_step=[unit.count for unit in units],
+        limit_type="pwm" if all_pwm else "current",
+        no_load_speed=speed if all_pwm else None,
+        stiffness_known=all(unit.spec.kp is not None for unit in units),
+    )
+
+
+def _identified(table: Array, own: Sequence[float | None]) -> Array:
+    """Return the table's values, replaced by identified ones if given."""
+    return np.array([t if o is None else o for t, o in zip(table, own, strict=True)])

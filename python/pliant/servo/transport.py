@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from pliant import ServoError
+from pliant._core import ServoError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pliant.servo.models.row import Protocol as Wire
+    from pliant.servo.models.base import Protocol as Wire
 
 Reason = Literal["timeout", "corrupt", "stale", "refused", "late", "noisy", "gone"]
 
@@ -89,7 +89,7 @@ class RustypotTransport:
         try:
             import rustypot
         except ImportError as error:
-            from pliant.extras import missing
+            from pliant._extras import missing
 
             raise ImportError(missing("driving servos", "servo")) from error
         self.port, self.baudrate = port, baudrate

@@ -11,7 +11,7 @@ base axes; all units SI.
 axes; all units SI.
 """
 
-from pliant.arm.state import State
+from pliant.drive import State
 from pliant.sim.doors import Door, Drive, door, fridge, oven
 from pliant.sim.drawer import Drawer, drawer
 from pliant.sim.drive import SimDrive

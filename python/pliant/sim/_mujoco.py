@@ -5,7 +5,7 @@ from __future__ import annotations
 try:
     import mujoco
 except ImportError as error:
-    from pliant.extras import missing
+    from pliant._extras import missing
 
     raise ImportError(missing("pliant.sim", "sim")) from error
 

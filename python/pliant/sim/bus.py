@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError
-from pliant.arm.state import State
+from pliant._core import ConfigError
+from pliant.drive import State
 from pliant.sim.imperfections import Encoder, Line, delays, is_whole, share, span
 from pliant.sim.state import Order
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError, Servos
-from pliant.arguments import given, instance, number
-from pliant.arm.tables import spread
+from pliant._core import ConfigError, Servos
+from pliant._servo_tables import spread
+from pliant._validation import format_value, instance, number
 from pliant.sim.imperfections import Overload
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def protection(overload: Any | None) -> Overload | None:
 def off_chain(value: str) -> None:
     """Check the treatment of off-chain joints."""
     if value not in {"held", "welded"}:
-        raise ConfigError(f"off_chain is 'held' or 'welded', got {given(value)}")
+        raise ConfigError(f"off_chain is 'held' or 'welded', got {format_value(value)}")
 
 
 def creep(value: float) -> float:
@@ -81,7 +81,9 @@ def split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
     try:
         items: list[Any] = list(scene)
     except TypeError:
-        raise TypeError(f"scene must be a list of hands and fixtures, got {given(scene)}") from None
+        raise TypeError(
+            f"scene must be a list of hands and fixtures, got {format_value(scene)}"
+        ) from None
     for i, item in enumerate(items):
         if hasattr(item, "add"):
             fixtures.append(item)
@@ -89,7 +91,7 @@ def split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
             hands.append(item)
         else:
             known = "a hand (Drag, Push, Wall …) nor a fixture (door(), Surface …) of pliant.sim"
-            raise TypeError(f"scene[{i}] is neither {known}, got {given(item)}")
+            raise TypeError(f"scene[{i}] is neither {known}, got {format_value(item)}")
     return hands, fixtures
 
 
@@ -105,7 +107,7 @@ def load(payload: Any) -> tuple[float, Array] | None:
     if not (np.isfinite(mass) and mass >= 0.0) or com.shape != (3,) or not np.isfinite(com).all():
         raise ConfigError(
             f"payload is a mass >= 0 kg and a centre (3,) m, as in (0.3, [0, 0, 0.05]), "
-            f"got {given(payload)}"
+            f"got {format_value(payload)}"
         )
     return mass, com
 
@@ -115,4 +117,4 @@ def _float(value: Any, name: str) -> float:
     try:
         return float(value)
     except (TypeError, ValueError):
-        raise ConfigError(f"{name} must be a number, got {given(value)}") from None
+        raise ConfigError(f"{name} must be a number, got {format_value(value)}") from None

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant.arm.drive import Health, MonotonicClock, Sample
-from pliant.arm.tables import join, spread
+from pliant._servo_tables import join, spread
+from pliant.drive import JointReadings, MonotonicClock, ServoStatus
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from pliant import Servos
+    from pliant._core import Servos
     from pliant.sim import Plant
 
     Array = NDArray[np.float64]
@@ -125,14 +125,14 @@ class SimDrive:
     def close(self) -> None:
         """Do nothing: there is no connection to close."""
 
-    def read(self) -> Sample:
+    def read(self) -> JointReadings:
         """Return a sample from the simulated bus."""
         self.clock.catch_up()
         state = self.plant.read()
         self.counters["reads"] += 1
         self.counters["lost reads"] += not state.fresh
         position = np.concatenate((state.q, [state.extra[name] for name in self._extra]))
-        return Sample(position, np.full(position.size, state.fresh), state.time)
+        return JointReadings(position, np.full(position.size, state.fresh), state.time)
 
     def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send goals (N,) [rad] and limits (N,) [N·m]; joints with torque off stay off.
@@ -146,7 +146,7 @@ class SimDrive:
         self.plant.write(goal[:n], limit[:n], dict(zip(self._extra, pairs, strict=True)))
         self.counters["writes"] += 1
 
-    def slow(self) -> Health | None:
+    def poll_status(self) -> ServoStatus | None:
         """Return None: simulated servos report neither voltage nor temperature."""
         return None
 

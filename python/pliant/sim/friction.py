@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError, Servos
+from pliant._core import ConfigError, Servos
 from pliant.sim._mujoco import mujoco
 from pliant.sim.gains import per_joint
 

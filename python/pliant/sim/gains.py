@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pliant import ConfigError, Servos, ShapeError
-from pliant.arm.tables import spread
+from pliant._core import ConfigError, Servos, ShapeError
+from pliant._servo_tables import spread
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.sim.gains import per_joint
 
 if TYPE_CHECKING:

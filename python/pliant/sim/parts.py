@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import Servos
+from pliant._core import Servos
 from pliant.sim._mujoco import mujoco
 from pliant.sim.gains import DAMPING_SHARE, FULL_EFFORT_ERROR, resolve
 from pliant.sim.tree import as_matrix, kind_of, locked_angle, unit

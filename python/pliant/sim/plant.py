@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pliant import ConfigError, Model, PliantError, ShapeError
-from pliant.arguments import given, instance
-from pliant.arm.state import State
+from pliant._core import ConfigError, Model, PliantError, ShapeError
+from pliant._validation import format_value, instance
+from pliant.drive import State
 from pliant.sim import checks
 from pliant.sim import spec as spec_module
 from pliant.sim._mujoco import mujoco
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Servos
+    from pliant._core import Servos
     from pliant.sim.gains import LimitType
     from pliant.sim.hand import Hand
     from pliant.sim.imperfections import Overload
@@ -407,7 +407,9 @@ class Plant:
         try:
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ShapeError(f"{name} must be {self.n} numbers, got {given(value)}") from None
+            raise ShapeError(
+                f"{name} must be {self.n} numbers, got {format_value(value)}"
+            ) from None
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
         if not np.isfinite(array).all():

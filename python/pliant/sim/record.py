@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ShapeError
+from pliant._core import ShapeError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

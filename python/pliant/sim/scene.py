@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.sim.truth import TOOL, WRIST
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Servos
+    from pliant._core import Servos
     from pliant.sim.gains import Gains
     from pliant.sim.tree import Group, OffChain, Robot
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import FrameNotFoundError
+from pliant._core import FrameNotFoundError
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:

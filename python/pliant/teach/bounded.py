@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError
-from pliant.extras import pip
+from pliant._core import ConfigError
+from pliant._extras import pip
 from pliant.teach.motion import RATE
 
 if TYPE_CHECKING:

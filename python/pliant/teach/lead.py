@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

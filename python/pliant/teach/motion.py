@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant import ConfigError
-from pliant.inputs import LARGE, read_text
-from pliant.outputs import check_output, replacing
+from pliant._core import ConfigError
+from pliant._files import LARGE, check_output, read_text, replacing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.log import Log
 
     Array = NDArray[np.float64]

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-import pliant
-from pliant import OutOfRangeError
-from pliant.arguments import rounded_up
+from pliant import functional
+from pliant._core import ContactEstimator, OutOfRangeError
+from pliant._validation import AXES, rounded_up
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant import Command, Controller
+    from pliant._core import Command, Controller
     from pliant.arm import Arm
     from pliant.teach.motion import Motion
 
@@ -79,21 +79,21 @@ class Replay:
         self.motion, self.speed = motion, speed
         self._controller, self._model = controller, controller.model
         names = controller.settings.task.names
-        self._rows = [pliant.AXES.index(name) for name in names]
+        self._rows = [AXES.index(name) for name in names]
         self._bound = np.array([wait[row >= 3] for row in self._rows])
-        self._contact: pliant.ContactEstimator | None = None
+        self._contact: ContactEstimator | None = None
         if stop is not None:
             axes = "".join(name for name in names if name in "xyz")
             inner = getattr(controller, "inner", controller)
-            contact = pliant.ContactEstimator(inner)
-            felt = contact.typical_uncertainty()[[pliant.AXES.index(name) for name in axes]]
+            contact = ContactEstimator(inner)
+            felt = contact.typical_uncertainty()[[AXES.index(name) for name in axes]]
             least = rounded_up(contact.guard * felt.max(initial=1e-3))
             if not float(least) <= stop < math.inf:
                 raise OutOfRangeError(
                     f"stop [N] = {stop:g} is outside [{least}, ∞): this arm, at rest in the median "
                     "pose, cannot tell a smaller force from friction, k_p and gravity"
                 )
-            self._contact = pliant.ContactEstimator(inner, touch={axes: stop}, min_time=LASTING)
+            self._contact = ContactEstimator(inner, touch={axes: stop}, min_time=LASTING)
         self.time, self.pace, self.waited, self.stops = 0.0, 1.0, 0.0, 0
         self._offset: Array | None = None
         self._left = self._way = 0.0
@@ -175,7 +175,7 @@ class Replay:
     def _advance(self, q: Array, dt: float) -> None:
         """Advance the clock according to the tool's deviation."""
         here, there = (self._model.forward_kinematics(at) for at in (q, self._target()))
-        error = pliant.functional.pose_error(here, there)[self._rows]
+        error = functional.pose_error(here, there)[self._rows]
         share = float(np.abs(error / self._bound).max())
         wanted = min(max((1.0 - share) / (1.0 - SLOW), 0.0), 1.0)
         self.pace = min(wanted, self.pace + dt / RISE)

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
-from pliant import PliantError
+from pliant._core import PliantError
+from pliant.identify import HandGuiding
+from pliant.loop import Loop
 from pliant.teach.motion import Motion
 
 if TYPE_CHECKING:
@@ -49,10 +50,10 @@ class Teacher:
     """
 
     def __init__(
-        self, arm: Arm, *, rate: float = 100.0, floating: pliant.HandGuiding | None = None
+        self, arm: Arm, *, rate: float = 100.0, floating: HandGuiding | None = None
     ) -> None:
         self._arm, self._dt = arm, 1.0 / rate
-        self._float = floating or pliant.HandGuiding(arm.model, arm.servos, rate=rate)
+        self._float = floating or HandGuiding(arm.model, arm.servos, rate=rate)
         self._rows: list[tuple[float, Array, dict[str, float]]] = []
         self.recording = False
         self.still, self.moved = 0.0, False
@@ -196,7 +197,7 @@ def _record(
 ) -> None:
     """Run the ticks from the first swing to the end of the recording."""
     begun = 0.0
-    for tick in pliant.Loop(arm, rate=rate):
+    for tick in Loop(arm, rate=rate):
         before = teacher.ready
         tick.write(teacher.step(tick.state, dt=tick.dt), teacher.extra(tick.state))
         if not teacher.ready:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.arm import Arm
 
     Array = NDArray[np.float64]

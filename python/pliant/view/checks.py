@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.view.orders import Grab, Push, Target
 
     Array = NDArray[np.float64]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-import pliant
-from pliant import ConfigError, PliantError
+from pliant._core import Axis, ConfigError, PliantError, Settings, Task
 from pliant.view import orders
 from pliant.view.snapshot import Shown
 
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from pliant import Controller, Settings
+    from pliant._core import Controller
 
     Array = NDArray[np.float64]
 
@@ -92,7 +91,7 @@ class Desk:
         """Return the settings for the controller."""
         if not self.firm:
             return self.settings
-        axes: dict[str, pliant.Axis] = {
+        axes: dict[str, Axis] = {
             name: axis.replace(yields="none", adaptation=0.0)
             for name, axis in self._axes(self.settings).items()
         }
@@ -122,14 +121,12 @@ class Desk:
             case orders.Law(law=law):
                 bare: dict[str, Any] = dict.fromkeys(OF_THE_LAW)
                 for name, axis in axes.items():
-                    axes[name] = pliant.Axis(
-                        **{**fields_of(axis), **bare, "yields": yields_of(axis)}
-                    )
+                    axes[name] = Axis(**{**fields_of(axis), **bare, "yields": yields_of(axis)})
                 # The core rejects an unknown law.
                 known = cast("Literal['cap', 'impedance', 'paper']", law)
                 self.settings = self.settings.replace(law=known, axes=axes)
             case orders.Change(axis=name, fields=fields):
-                strengths: dict[str, pliant.Axis] = {n: a for n, a in controller.axes.items()}
+                strengths: dict[str, Axis] = {n: a for n, a in controller.axes.items()}
                 if name not in strengths:
                     there = ", ".join(strengths)
                     raise ConfigError(f"the task has no axis {name!r}; it has {there}")
@@ -142,7 +139,7 @@ class Desk:
                 made |= fields
                 if made["yields"] == "none":
                     made["adaptation"] = 0.0
-                self.settings = self.settings.replace(axes={**axes, name: pliant.Axis(**made)})
+                self.settings = self.settings.replace(axes={**axes, name: Axis(**made)})
             case orders.Eta(value=eta):
                 for name, axis in axes.items():
                     if yields_of(axis) != "none":
@@ -168,7 +165,7 @@ class Desk:
         )
 
     @staticmethod
-    def _axes(settings: Settings) -> dict[str, pliant.Axis]:
+    def _axes(settings: Settings) -> dict[str, Axis]:
         """Return the axes of the task; `Settings.axes` lists all six, but only these may change."""
         return {name: a for name, a in settings.axes.items() if name in settings.task.names}
 
@@ -178,12 +175,12 @@ class Desk:
         return self._makers[name]().replace(rate=self._rate)
 
 
-def fields_of(axis: pliant.Axis) -> dict[str, Any]:
+def fields_of(axis: Axis) -> dict[str, Any]:
     """Return the fields of an axis."""
     return {name: getattr(axis, name) for name in FIELDS}
 
 
-def yields_of(axis: pliant.Axis) -> Literal["both", "+", "-", "none"]:
+def yields_of(axis: Axis) -> Literal["both", "+", "-", "none"]:
     """Return the pushes to which an axis yields, also if not set explicitly."""
     if axis.yields is not None:
         return axis.yields
@@ -192,7 +189,7 @@ def yields_of(axis: pliant.Axis) -> Literal["both", "+", "-", "none"]:
 
 def _is_plain(settings: Settings) -> bool:
     """Return True if the settings define no axis of their task."""
-    return all(settings.axes[name] == pliant.Axis() for name in settings.task.names)
+    return all(settings.axes[name] == Axis() for name in settings.task.names)
 
 
 def _within(
@@ -213,14 +210,14 @@ def _within(
 
 def _presets(axes: str) -> dict[str, Callable[[], Settings]]:
     """Return the presets; presets with rotations need a task that has them."""
-    task = pliant.Task(axes=axes)
+    task = Task(axes=axes)
     names = task.names
 
     def soft(which: str) -> Callable[[], Settings]:
-        return lambda: pliant.Settings.soft(which, task=task)
+        return lambda: Settings.soft(which, task=task)
 
     def ready(which: str) -> Callable[[], Settings]:
-        return lambda: cast("Settings", getattr(pliant.Settings, which)(task=task))
+        return lambda: cast("Settings", getattr(Settings, which)(task=task))
 
     out = {f"soft {name}": soft(name) for name in ("y", "x", "z") if name in names}
     out["soft all"] = soft(" ".join(names))

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from pliant import PliantError
+from pliant._core import PliantError
 from pliant.view.orders import Edit, Order, Queue
 
 if TYPE_CHECKING:

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-import pliant
+from pliant._core import ContactEstimator
 from pliant.view.link import PageGone
 from pliant.view.snapshot import Felt, Health, Shown, Snapshot, Step
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant import Command, Controller
+    from pliant._core import Command, Controller
     from pliant.arm import Arm
     from pliant.loop import Loop, Tick
     from pliant.view.body import Body
@@ -63,7 +63,7 @@ class Look:
         """Observe a new arm from now on."""
         self._arm, self._body, self._tap, self._pace = arm, body, tap, pace
         self._step: Step | None = None
-        self._contact: pliant.ContactEstimator | None = None
+        self._contact: ContactEstimator | None = None
         self.phase, self.hand = "starting", None
 
     def say(self, text: str, cause: Cause) -> None:
@@ -85,7 +85,7 @@ class Look:
 
     def feel(self, controller: Controller) -> None:
         """Start to estimate the force at the tool for this controller."""
-        self._contact, self._restarts = pliant.ContactEstimator(controller), -1
+        self._contact, self._restarts = ContactEstimator(controller), -1
 
     def before_step(self, tick: Tick, loop: Loop) -> None:
         """Update the contact estimate with a tick; reset it after a restart."""

@@ -10,11 +10,11 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING
 
-from pliant.arm.drive import MonotonicClock
-from pliant.arm.lateness import Lateness
+from pliant.drive import MonotonicClock
+from pliant.loop import LatenessHistogram
 
 if TYPE_CHECKING:
-    from pliant.arm.drive import Clock
+    from pliant.drive import Clock
 
 #: Largest delay that is caught up [s]; the rest of a longer delay is not.
 SLACK = 0.03
@@ -34,7 +34,7 @@ class Pace:
         self._clock, self._wall = clock, MonotonicClock()
         self._lag = self._wall.now() - clock.now()
         self._seen: deque[tuple[float, float]] = deque([(self._wall.now(), clock.now())])
-        self.lateness = Lateness()
+        self.lateness = LatenessHistogram()
 
     def wait(self) -> None:
         """Sleep, or accept the delay if the simulation is late."""

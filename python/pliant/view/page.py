@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import viser
 
-from pliant.background import step_back
+from pliant._priority import lower_priority
 from pliant.view.gate import Gate
 from pliant.view.link import Ear, Failed, Ready
 from pliant.view.orders import LetGo
@@ -84,7 +84,7 @@ class Page:
 def main(descriptor: int, host: str, port: int) -> int:
     """Serve until the loop ends."""
     ear = Ear(descriptor)
-    step_back()
+    lower_priority()
     try:
         # viser tries a thousand ports and then blocks.
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]

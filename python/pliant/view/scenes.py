@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pliant
+from pliant import robots
+from pliant._core import Model
 from pliant.sim import Course, Handed, Wall, door, drawer
 from pliant.sim.handed import OPENS
 from pliant.sim.postures import AT_DOOR, VERTICAL
@@ -67,14 +68,14 @@ class Scene:
         return pose
 
 
-def scenes(robot: str) -> tuple[pliant.Model, Mapping[str, Scene]]:
+def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
     """Return a built-in arm and its scenes; only `arm7` has doors and drawers.
 
     Raises:
         ConfigError: No such arm.
     """
     if robot != "arm7":
-        return pliant.robots.load(robot), of_any(np.array(AHEAD[robot]))
+        return robots.load(robot), of_any(np.array(AHEAD[robot]))
     free = Scene(
         about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=VERTICAL
     )
@@ -109,7 +110,7 @@ def scenes(robot: str) -> tuple[pliant.Model, Mapping[str, Scene]]:
         make=lambda: [Handed(course=NEVER)],
         play="A person takes it",
     )
-    return pliant.robots.arm7(), {
+    return robots.arm7(), {
         "free": free,
         "door": opens,
         "drawer": slides,

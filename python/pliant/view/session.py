@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-import pliant
-from pliant import ConfigError, PliantError, ServoError
+from pliant._core import ConfigError, Controller, PliantError, ServoError
 from pliant.loop import Loop
 from pliant.view import checks, orders, scenes
 from pliant.view.body import Body
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Command, Controller
+    from pliant._core import Command
     from pliant.arm import Arm
     from pliant.loop import Tick
     from pliant.view.link import Link
@@ -103,7 +102,7 @@ class Session:
         self.look.at(arm, self._body, tap, self._pace)
         tap.on_read = self.look.on_read
         # Check the settings before torque comes on.
-        pliant.Controller(arm.model, self.desk.effective, arm.servos)
+        Controller(arm.model, self.desk.effective, arm.servos)
         with arm:
             try:
                 self._control(arm)
@@ -163,7 +162,7 @@ class Session:
         if self._source.scene is not None and self._fresh:
             self.desk.begin(self._source.scene.preset)
         self._fresh = False
-        controller = pliant.Controller(arm.model, self.desk.effective, arm.servos)
+        controller = Controller(arm.model, self.desk.effective, arm.servos)
         self.home = np.asarray(arm.model.forward_kinematics(q))
         self.target = self._accepted = self.home.copy()
         self._played = None

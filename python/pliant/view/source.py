@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
-import pliant
-from pliant import ConfigError
-from pliant.config.build import inside
+from pliant._core import ConfigError
+from pliant.arm import Arm
+from pliant.config import connect
+from pliant.config.schema import inside
 from pliant.sim.postures import task_axes
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pliant import Settings
-    from pliant.arm import Arm
+    from pliant._core import Settings
     from pliant.config import Config
     from pliant.view.scenes import Scene
 
@@ -97,7 +97,7 @@ class Simulated:
         scene = self.scenes[self.name]
         plant = Plant(self.model, rate=self.rate, scene=scene.make())
         plant.reset(scene.q)
-        return pliant.Arm(self.model, SimDrive(plant), rate=self.rate)
+        return Arm(self.model, SimDrive(plant), rate=self.rate)
 
 
 class Configured:
@@ -125,4 +125,4 @@ class Configured:
     def arm(self) -> Arm:
         """Return the arm, on the port that the previous one has closed."""
         assert self.config is not None
-        return pliant.connect(self.config, **self._options)
+        return connect(self.config, **self._options)

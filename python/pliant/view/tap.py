@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pliant.arm.drive import Drive, Sampled
+    from pliant.drive import Drive, JointReadings
 
 
 class Tap:
@@ -21,10 +21,10 @@ class Tap:
     def __init__(self, drive: Drive) -> None:
         """Wrap a drive."""
         self._drive = drive
-        self.last: Sampled | None = None
+        self.last: JointReadings | None = None
         self.on_read: Callable[[], None] = _nobody
 
-    def read(self) -> Sampled:
+    def read(self) -> JointReadings:
         """Read the positions of this cycle."""
         self.last = self._drive.read()
         self.on_read()

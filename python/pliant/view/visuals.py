@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pliant import Model
+    from pliant._core import Model
 
     Array = NDArray[np.float64]
 

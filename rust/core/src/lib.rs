@@ -1,19 +1,21 @@
 //! Compliant task-space control for arms with back-drivable position servos. This crate is independent of Python.
 //!
-//! The control step passes data through these modules:
+//! The modules in their order: each imports only from those before it.
 //!
+//! * [`error`]: the one error type;
+//! * `math`: SIMD number types, linear algebra, rotations; without knowledge of robots;
+//! * [`pose`]: position and rotation of one frame in another;
 //! * [`model`]: URDF text → immutable, validated robot;
-//! * [`kinematics`]: joint positions → pose, Jacobian, gravity;
-//! * [`task`]: poses → deviation, softness, strength per axis;
-//! * `law`: deviation and strength → torque and motion of each joint;
-//! * `command`: motion and force → goals and torque limits for the servos;
+//! * [`kinematics`]: joint positions → pose, Jacobian, gravity, mass matrix; inverse kinematics;
+//! * [`params`]: settings, task axes and servos; resolved once into the constants that all later modules read;
+//! * [`task`]: poses → pose error, compliance and demand of each task axis;
+//! * `law`: pose error and demand → offsets and torques of the joints;
+//! * `command`: offsets and torques → goals and torque limits for the servos;
+//! * [`batch`]: inputs, outputs and states of many arms, and their distribution over the cores;
 //! * [`controller`]: runs these stages once per step;
-//! * [`batch`]: steps of many arms at once;
-//! * [`contact`]: commands and positions → estimated contact wrench; not part of the step.
-//!
-//! [`settings`] and [`servos`] hold the user's requirements and the servo parameters; they are resolved once into a
-//! plan that all stages read. [`functions`] offers the equations for Jacobians from other libraries. [`error`] and
-//! [`pose`] are shared by all modules.
+//! * [`analysis`]: what an arm can do in a pose or on a path;
+//! * [`contact`]: commands and positions → estimated contact wrench;
+//! * [`equations`]: the paper's equations for Jacobians from other libraries.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -43,56 +45,43 @@
 //! are those that *hold* the arm.
 #![deny(unsafe_code)]
 
+pub mod analysis;
+pub mod arm;
 pub mod batch;
 mod command;
 pub mod contact;
 pub mod controller;
+pub mod equations;
 pub mod error;
-pub mod functions;
-mod halton;
-pub mod hand_guiding;
 pub mod kinematics;
 mod law;
-pub mod lowering;
+mod math;
 pub mod model;
-mod number;
-mod plan;
+pub mod params;
 pub mod pose;
-mod pose_forms;
-mod presets;
-pub mod report;
-pub mod servos;
-pub mod settings;
-mod survey;
 pub mod task;
-mod threads;
-mod words;
 
 pub use batch::{BatchCommand, BatchInput, BatchState, Invalid, Targets};
 pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate};
 // Version of the matrices and vectors in public functions.
 pub use nalgebra;
 
-pub use command::thermal::{ThermalModel, ThermalOptions};
+pub use analysis::{FeasibilityReport, Issue, PoseReport};
+pub use arm::{HandGuiding, Lowering, ThermalModel};
 pub use controller::{Carried, Command, Controller, Record, StepInput};
-pub use error::{Error, Result};
-pub use functions::{
+pub use equations::{
     activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,
     null_space_projector, pose_error, responsibility,
 };
-pub use hand_guiding::HandGuiding;
-pub use kinematics::{ArmGeometry, ArmPoints, Frames, IkOptions, IkReason, IkResult, Masses, Reference};
-pub use lowering::Lowering;
+pub use error::{Error, Result};
+pub use kinematics::{Frames, IkOptions, IkReason, IkResult, Masses, Reference};
+pub use math::simd::Instructions;
 pub use model::{Model, ModelOptions, Payload};
-pub use number::Instructions;
-pub use pose::Pose;
-pub use report::{FeasibilityReport, Issue, PoseReport};
-pub use servos::{LimitType, Servos};
-pub use settings::{
-    Compensation, Damping, Follow, Gain, GravityUse, Law, LimitRule, NullSpace, PaperOptions, Projector, Settings,
-    TorqueLimits, Tracking,
+pub use params::{
+    Axis, Compensation, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, LimitType, NullSpace,
+    OnDeviationLimit, PaperOptions, Profile, Projector, Servos, Settings, Task, TorqueLimits, Tracking, Yields,
 };
-pub use task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
+pub use pose::Pose;
 
 /// Maximum number of independent joints of a chain, and of joints between base and tip, mimic joints included.
 ///

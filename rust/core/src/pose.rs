@@ -1,11 +1,11 @@
 //! Poses: position and rotation of one frame in another.
 
-use nalgebra::{Isometry3, Matrix3, Matrix4, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::error::{Error, Result};
-use crate::kinematics::spatial::{Mat3, cross, dot, sub};
-use crate::model::Workspace;
-use crate::number::{Arithmetic, Number, Plain};
+use crate::math::rotation::{rotation_matrix, rotation_vector};
+use crate::math::simd::{Arithmetic, Number, Plain};
+use crate::math::spatial::{Mat3, cross, dot, sub};
 
 /// Largest plausible joint coordinate.
 ///
@@ -18,9 +18,45 @@ pub const POSITION_BOUND: f64 = 100.0;
 /// Largest allowed absolute entry of `RᵀR − I`.
 pub const ROTATION_TOLERANCE: f64 = 1e-4;
 
+/// Allowed difference of a quaternion's norm from 1.
+const QUATERNION_TOLERANCE: f64 = 1e-3;
+
 /// Fast-accept threshold: if the summed residuals are below it, every entry of `RᵀR − I` is within
 /// [`ROTATION_TOLERANCE`], since no entry exceeds six times the sum.
 pub(crate) const DOUBT: f64 = 0.1 * ROTATION_TOLERANCE;
+
+/// Region of plausible target positions: a ball around the first joint.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct TargetRegion {
+    /// Centre, in the base [m].
+    pub(crate) centre: [f64; 3],
+    /// Largest distance from it [m].
+    pub(crate) radius: f64,
+    /// [`DOUBT`] divided by the radius [1/m].
+    doubt: f64,
+}
+
+impl TargetRegion {
+    /// Region bounded by [`POSITION_BOUND`] only, for tasks without translations.
+    pub(crate) const ANY: Self = Self::ball([0.0; 3], POSITION_BOUND);
+
+    /// Creates a region from centre and radius [m].
+    pub(crate) const fn ball(centre: [f64; 3], radius: f64) -> Self {
+        Self { centre, radius, doubt: DOUBT / radius }
+    }
+
+    /// Distance of a position from the centre [m].
+    pub(crate) fn distance(&self, position: &[f64; 3]) -> f64 {
+        // Scaled by hand: squares of 1e300 overflow.
+        let apart = std::array::from_fn::<f64, 3, _>(|i| position[i] - self.centre[i]);
+        apart[0].hypot(apart[1]).hypot(apart[2])
+    }
+
+    /// Returns true if a position is outside or NaN.
+    pub(crate) fn excludes(&self, position: &[f64; 3]) -> bool {
+        !(self.distance(position) <= self.radius)
+    }
+}
 
 /// Pose of the tool in the base, `base_from_tool`: rotation matrix (row-major) and position [m].
 ///
@@ -87,20 +123,20 @@ impl Pose {
     /// [`Pose::validate`] with the argument's name in the message.
     #[inline]
     pub(crate) fn check(&self, name: &str) -> Result<()> {
-        if self.doubt::<Plain>(&Workspace::ANY) <= DOUBT { Ok(()) } else { self.explain(name) }
+        if self.doubt::<Plain>(&TargetRegion::ANY) <= DOUBT { Ok(()) } else { self.explain(name) }
     }
 
-    /// Returns true if [`Pose::check`] refuses this pose or if it is outside `workspace`; uses the fast check first.
+    /// Returns true if [`Pose::check`] refuses this pose or if it is outside `region`; uses the fast check first.
     #[inline(always)]
-    pub(crate) fn is_refused<A: Arithmetic<Real = f64>>(&self, workspace: &Workspace) -> bool {
-        !(self.doubt::<A>(workspace) <= DOUBT) && self.is_wrong(workspace)
+    pub(crate) fn is_refused<A: Arithmetic<Real = f64>>(&self, region: &TargetRegion) -> bool {
+        !(self.doubt::<A>(region) <= DOUBT) && self.is_wrong(region)
     }
 
     /// [`Pose::is_refused`] without the fast check.
     #[cold]
     #[inline(never)]
-    fn is_wrong(&self, workspace: &Workspace) -> bool {
-        workspace.excludes(&self.position) || self.explain("").is_err()
+    fn is_wrong(&self, region: &TargetRegion) -> bool {
+        region.excludes(&self.position) || self.explain("").is_err()
     }
 
     /// Returns the error of an invalid pose.
@@ -156,6 +192,94 @@ impl Pose {
             position: [m[(0, 3)], m[(1, 3)], m[(2, 3)]],
         }
     }
+
+    /// Creates a pose from a position [m] and a quaternion w, x, y, z, which is normalised.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] for a quaternion whose norm is not 1 within 1e-3; as [`Pose::validate`] for the position.
+    pub fn from_wxyz(position: [f64; 3], wxyz: [f64; 4]) -> Result<Self> {
+        let [w, x, y, z] = wxyz;
+        let quaternion = Quaternion::new(w, x, y, z);
+        let length = quaternion.norm();
+        if !((length - 1.0).abs() <= QUATERNION_TOLERANCE) {
+            return Err(Error::out_of_range("quaternion: length", length, format!("1 ± {QUATERNION_TOLERANCE}")));
+        }
+        let rotation = UnitQuaternion::new_normalize(quaternion).to_rotation_matrix();
+        Self::checked(position, &rotation)
+    }
+
+    /// [`Pose::from_wxyz`] with w last: x, y, z, w, the order of ROS and SciPy.
+    ///
+    /// # Errors
+    /// As [`Pose::from_wxyz`].
+    pub fn from_xyzw(position: [f64; 3], xyzw: [f64; 4]) -> Result<Self> {
+        let [x, y, z, w] = xyzw;
+        Self::from_wxyz(position, [w, x, y, z])
+    }
+
+    /// Creates a pose from a position [m] and a rotation vector [rad] (axis times angle).
+    ///
+    /// # Errors
+    /// As [`Pose::validate`].
+    pub fn from_rotation_vector(position: [f64; 3], vector: [f64; 3]) -> Result<Self> {
+        let pose = Self { rotation: rotation_matrix(vector), position };
+        pose.validate()?;
+        Ok(pose)
+    }
+
+    /// Creates a pose from a position [m] and roll, pitch, yaw [rad] about the fixed axes x, y, z, in this order, as in
+    /// a URDF.
+    ///
+    /// # Errors
+    /// As [`Pose::validate`].
+    pub fn from_rpy(position: [f64; 3], rpy: [f64; 3]) -> Result<Self> {
+        Self::checked(position, &Rotation3::from_euler_angles(rpy[0], rpy[1], rpy[2]))
+    }
+
+    fn checked(position: [f64; 3], rotation: &Rotation3<f64>) -> Result<Self> {
+        let m = rotation.matrix();
+        let row = |i: usize| [m[(i, 0)], m[(i, 1)], m[(i, 2)]];
+        let pose = Self { rotation: [row(0), row(1), row(2)], position };
+        pose.validate()?;
+        Ok(pose)
+    }
+
+    /// Returns the rotation as a quaternion w, x, y, z with w ≥ 0.
+    pub fn wxyz(&self) -> [f64; 4] {
+        let q = self.to_isometry().rotation;
+        let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
+        [q.w, q.i, q.j, q.k].map(|value| sign * value)
+    }
+
+    /// Returns the rotation as a quaternion x, y, z, w with w ≥ 0.
+    pub fn xyzw(&self) -> [f64; 4] {
+        let [w, x, y, z] = self.wxyz();
+        [x, y, z, w]
+    }
+
+    /// Returns the rotation as a vector [rad] of norm at most π.
+    pub fn rotation_vector(&self) -> [f64; 3] {
+        rotation_vector(&self.rotation)
+    }
+
+    /// Returns the pose of the base in the tool.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let (r, p) = (&self.rotation, &self.position);
+        let column = |i: usize| [r[0][i], r[1][i], r[2][i]];
+        let back = |i: usize| -(r[0][i] * p[0] + r[1][i] * p[1] + r[2][i] * p[2]);
+        Self { rotation: [column(0), column(1), column(2)], position: [back(0), back(1), back(2)] }
+    }
+
+    /// Returns `a_from_c` from `self` = `a_from_b` and `other` = `b_from_c`.
+    #[must_use]
+    pub fn compose(&self, other: &Self) -> Self {
+        let r = &self.rotation;
+        let entry = |i: usize, j: usize| (0..3).map(|k| r[i][k] * other.rotation[k][j]).sum();
+        let row = |i: usize| [entry(i, 0), entry(i, 1), entry(i, 2)];
+        let moved = |i: usize| self.position[i] + (0..3).map(|k| r[i][k] * other.position[k]).sum::<f64>();
+        Self { rotation: [row(0), row(1), row(2)], position: [moved(0), moved(1), moved(2)] }
+    }
 }
 
 impl<R: Copy> Pose<R> {
@@ -163,25 +287,25 @@ impl<R: Copy> Pose<R> {
     ///
     /// The third row of a rotation is the cross product of the other two, which are orthonormal.
     #[inline(always)]
-    fn doubt<A: Arithmetic<Real = R>>(&self, workspace: &Workspace) -> R
+    fn doubt<A: Arithmetic<Real = R>>(&self, region: &TargetRegion) -> R
     where
         R: Number,
     {
-        let ([x, y, z], centre) = (&self.rotation, workspace.centre.map(A::splat));
+        let ([x, y, z], centre) = (&self.rotation, region.centre.map(A::splat));
         let [a, b, c] = sub::<A>(&self.position, &centre);
         let (one, off) = (A::splat(1.0), sub::<A>(&cross::<A>(x, y), z));
         let lengths = A::abs(dot::<A>(x, x) - one) + A::abs(dot::<A>(y, y) - one);
         let angles = A::abs(dot::<A>(x, y)) + (A::abs(off[0]) + A::abs(off[1]) + A::abs(off[2]));
         // The sum of the components is at least the distance.
         let far = A::abs(a) + A::abs(b) + A::abs(c);
-        A::fma(A::splat(workspace.doubt), far, lengths + angles)
+        A::fma(A::splat(region.doubt), far, lengths + angles)
     }
 
-    /// Returns `fine` if this pose passes the fast check within `workspace`, 0 if [`Pose::is_refused`] must decide.
+    /// Returns `fine` if this pose passes the fast check within `region`, 0 if [`Pose::is_refused`] must decide.
     #[inline(always)]
-    pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, workspace: &Workspace, mut fine: R) -> R {
-        let (nothing, radius) = (A::splat(0.0), workspace.radius);
-        let apart = sub::<A>(&self.position, &workspace.centre.map(A::splat));
+    pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, region: &TargetRegion, mut fine: R) -> R {
+        let (nothing, radius) = (A::splat(0.0), region.radius);
+        let apart = sub::<A>(&self.position, &region.centre.map(A::splat));
         fine = A::if_less(dot::<A>(&apart, &apart), A::splat(radius * radius), fine, nothing);
         for i in 0..3 {
             for j in 0..=i {
@@ -203,4 +327,55 @@ fn orthogonality_error<A: Arithmetic>(r: &Mat3<A::Real>, i: usize, j: usize) -> 
 #[inline(always)]
 fn determinant<A: Arithmetic>(r: &Mat3<A::Real>) -> A::Real {
     dot::<A>(&r[0], &cross::<A>(&r[1], &r[2]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(a: &Pose, b: &Pose) {
+        let (a, b) = (a.to_rows(), b.to_rows());
+        for (x, y) in a.iter().flatten().zip(b.iter().flatten()) {
+            assert!((x - y).abs() < 1e-14, "{a:?} {b:?}");
+        }
+    }
+
+    #[test]
+    fn forms_agree() {
+        let (p, half) = ([0.1, -0.2, 0.3], std::f64::consts::FRAC_PI_4);
+        let turned = Pose { position: p, rotation: [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]] };
+        close(&Pose::from_wxyz(p, [half.cos(), 0.0, 0.0, half.sin()]).unwrap(), &turned);
+        close(&Pose::from_rotation_vector(p, [0.0, 0.0, 2.0 * half]).unwrap(), &turned);
+        close(&Pose::from_rpy(p, [0.0, 0.0, 2.0 * half]).unwrap(), &turned);
+        close(&Pose::from_wxyz(p, turned.wxyz()).unwrap(), &turned);
+        close(&Pose::from_xyzw(p, [0.0, 0.0, half.sin(), half.cos()]).unwrap(), &turned);
+        close(&Pose::from_xyzw(p, turned.xyzw()).unwrap(), &turned);
+    }
+
+    #[test]
+    fn roll_comes_first_and_about_fixed_axes() {
+        let roll = Pose::from_rpy([0.0; 3], [0.3, 0.0, 0.0]).unwrap();
+        let pitch = Pose::from_rpy([0.0; 3], [0.0, 0.5, 0.0]).unwrap();
+        let yaw = Pose::from_rpy([0.0; 3], [0.0, 0.0, -0.7]).unwrap();
+        close(&Pose::from_rpy([0.0; 3], [0.3, 0.5, -0.7]).unwrap(), &yaw.compose(&pitch).compose(&roll));
+    }
+
+    #[test]
+    fn a_pose_times_its_inverse_is_nothing() {
+        let pose = Pose::from_rpy([1.0, 2.0, 3.0], [0.3, 0.5, -0.7]).unwrap();
+        close(&pose.compose(&pose.inverse()), &Pose::IDENTITY);
+    }
+
+    #[test]
+    fn the_order_of_a_quaternion_is_in_its_name() {
+        let pose = Pose::from_rpy([0.1, -0.2, 0.3], [0.3, 0.5, -0.7]).unwrap();
+        let ([w, x, y, z], xyzw) = (pose.wxyz(), pose.xyzw());
+        assert_eq!(xyzw.map(f64::to_bits), [x, y, z, w].map(f64::to_bits));
+    }
+
+    #[test]
+    fn a_quaternion_of_another_length_is_refused() {
+        let message = Pose::from_wxyz([0.0; 3], [0.5, 0.0, 0.0, 0.0]).unwrap_err().to_string();
+        assert_eq!(message, "quaternion: length = 0.5 is outside 1 ± 0.001");
+    }
 }

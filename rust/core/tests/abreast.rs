@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Follow, Law, NullSpace, PaperOptions, Projector, Tracking};
+use pliant_core::params::{Damping, Follow, Law, NullSpace, PaperOptions, Projector, Tracking};
 use pliant_core::{BatchInput, Controller, Instructions, Invalid, Model, ModelOptions, Settings, StepInput};
 
 #[path = "oracle/cases.rs"]

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Law, Tracking};
+use pliant_core::params::{Law, Tracking};
 use pliant_core::{
     BatchInput, BatchState, Controller, Error, Invalid, ModelOptions, Pose, Settings, StepInput, Targets,
 };
@@ -118,7 +118,7 @@ fn other_settings_take_over_as_with_a_single_step() {
     let (mut alone, mut state) = (vec![controller.clone(); ARMS], BatchState::new(7, ARMS).unwrap());
     let mut out = Out::new(ARMS, 7);
     for axes in ["all", "xyz", "y rpy"] {
-        let task = pliant_core::task::axes::Task::of(axes).unwrap();
+        let task = pliant_core::params::Task::of(axes).unwrap();
         let settings =
             Settings { task, tracking: Tracking { integrate: 0.5, ..Tracking::default() }, ..Settings::default() };
         controller.update(settings.clone()).unwrap();
@@ -201,7 +201,7 @@ fn where_asked_for_bad_rows_are_nan_and_the_others_are_stepped() {
 fn one_target_for_all_and_positions_alone() {
     let mut random = Random::new(10);
     let (controller, arms) = usual(&mut random, ARMS);
-    let settings = Settings { task: pliant_core::task::axes::Task::of("xyz").unwrap(), ..Settings::default() };
+    let settings = Settings { task: pliant_core::params::Task::of("xyz").unwrap(), ..Settings::default() };
     let lateral = Controller::new(Arc::clone(controller.model()), settings, Some(seeded::servos(0))).unwrap();
     let positions: Vec<f64> = arms.poses.iter().flat_map(|pose| pose.position).collect();
     let mut out = Out::new(ARMS, 7);

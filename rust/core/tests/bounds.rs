@@ -3,8 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Follow, Law, LimitRule, PaperOptions, TorqueLimits, Tracking};
-use pliant_core::task::axes::{Axis, Task, Yields};
+use pliant_core::params::{Axis, Follow, Law, LimitRule, PaperOptions, Task, TorqueLimits, Tracking, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, Settings, StepInput};
 
 #[path = "oracle/cases.rs"]

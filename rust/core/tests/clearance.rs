@@ -3,8 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Law, NullSpace, PaperOptions};
-use pliant_core::task::axes::{Axis, Yields};
+use pliant_core::params::{Axis, Law, NullSpace, PaperOptions, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Settings, StepInput};
 
 #[path = "common/seeded.rs"]

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::task::axes::{Frame, Task};
+use pliant_core::params::{Frame, Task};
 use pliant_core::{ContactEstimator, ContactInput, ContactOptions, Controller, Model, Reference, Servos, Settings};
 
 #[path = "common/mod.rs"]
@@ -313,7 +313,7 @@ fn options_are_checked_by_name() {
     }
     let blind = Controller::new(
         Arc::new(common::arm7()),
-        Settings { law: pliant_core::settings::Law::Paper, gravity: false, ..Settings::default() },
+        Settings { law: pliant_core::params::Law::Paper, gravity: false, ..Settings::default() },
         None,
     );
     assert!(

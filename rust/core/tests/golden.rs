@@ -3,8 +3,9 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Damping, Gain, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking};
-use pliant_core::task::axes::{Axis, Yields};
+use pliant_core::params::{
+    Axis, Damping, Gain, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking, Yields,
+};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
 use serde_json::Value;
 

@@ -5,11 +5,10 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{
-    Compensation, Damping, Follow, Gain, GravityUse, Law, LimitRule, NullSpace, PaperOptions, Projector, TorqueLimits,
-    Tracking,
+use pliant_core::params::{
+    Axis, Compensation, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, NullSpace, OnDeviationLimit,
+    PaperOptions, Profile, Projector, Task, TorqueLimits, Tracking, Yields,
 };
-use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
 use pliant_core::{Controller, Error, LimitType, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
 #[path = "oracle/cases.rs"]

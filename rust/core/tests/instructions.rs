@@ -3,8 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Law, PaperOptions, Settings, Tracking};
-use pliant_core::task::axes::{Axis, Yields};
+use pliant_core::params::{Axis, Law, PaperOptions, Settings, Tracking, Yields};
 use pliant_core::{Controller, Instructions, Model, ModelOptions, Pose, Servos, StepInput};
 
 #[path = "common/seeded.rs"]

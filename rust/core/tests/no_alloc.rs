@@ -5,8 +5,9 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use pliant_core::settings::{Follow, Law, LimitRule, NullSpace, PaperOptions, Projector, Tracking};
-use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Task, Yields};
+use pliant_core::params::{
+    Axis, Follow, Frame, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Projector, Task, Tracking, Yields,
+};
 use pliant_core::{Controller, ModelOptions, Settings, StepInput};
 
 #[path = "common/seeded.rs"]

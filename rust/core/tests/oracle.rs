@@ -4,7 +4,7 @@
 use std::cell::RefCell;
 use std::sync::Arc;
 
-use pliant_core::settings::Law;
+use pliant_core::params::Law;
 use pliant_core::{Controller, ModelOptions, Payload, StepInput};
 
 #[path = "oracle/cases.rs"]

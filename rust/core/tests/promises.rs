@@ -4,8 +4,7 @@
 use std::sync::Arc;
 
 use nalgebra::DMatrix;
-use pliant_core::settings::{Damping, Gain, Law, NullSpace, PaperOptions, Tracking};
-use pliant_core::task::axes::{Axis, Task, Yields};
+use pliant_core::params::{Axis, Damping, Gain, Law, NullSpace, PaperOptions, Task, Tracking, Yields};
 use pliant_core::{Controller, Error, Model, ModelOptions, Reference, Servos, Settings, StepInput};
 
 #[path = "common/seeded.rs"]
@@ -131,7 +130,7 @@ fn springs_belong_to_law_impedance() {
     );
     let hold = Settings {
         law: Law::Impedance,
-        paper_options: PaperOptions { follow: Some(pliant_core::settings::Follow::Hold), ..PaperOptions::default() },
+        paper_options: PaperOptions { follow: Some(pliant_core::params::Follow::Hold), ..PaperOptions::default() },
         ..Settings::default()
     };
     assert!(message(hold).starts_with("paper_options.follow: law=\"impedance\" has no solve"));

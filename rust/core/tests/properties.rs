@@ -4,9 +4,10 @@
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
-use pliant_core::functions::{damped_pseudo_inverse, null_space_projector};
-use pliant_core::settings::{Damping, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking};
-use pliant_core::task::axes::{Axis, Frame, Task, Yields};
+use pliant_core::equations::{damped_pseudo_inverse, null_space_projector};
+use pliant_core::params::{
+    Axis, Damping, Frame, Law, NullSpace, PaperOptions, Projector, Task, TorqueLimits, Tracking, Yields,
+};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
 
 mod common;
@@ -292,7 +293,7 @@ fn shifted(pose: &Pose, frame: Frame, axis: usize, amount: f64) -> Pose {
     if axis < 3 {
         (0..3).for_each(|i| out.position[i] += direction[i]);
     } else {
-        let turn = pliant_core::task::deviation::rotation_matrix(direction);
+        let turn = Pose::from_rotation_vector([0.0; 3], direction).unwrap().rotation;
         for i in 0..3 {
             for j in 0..3 {
                 out.rotation[i][j] = (0..3).map(|k| turn[i][k] * pose.rotation[k][j]).sum();

@@ -3,8 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{GravityUse, Law, NullSpace, PaperOptions, TorqueLimits, Tracking};
-use pliant_core::task::axes::{Axis, Task};
+use pliant_core::params::{Axis, GravityUse, Law, NullSpace, PaperOptions, Task, TorqueLimits, Tracking};
 use pliant_core::{
     BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Invalid, Model,
     ModelOptions, Payload, Servos, Settings, StepInput, Targets,

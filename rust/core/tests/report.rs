@@ -3,8 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{LimitRule, PaperOptions};
-use pliant_core::task::axes::{Axis, Task};
+use pliant_core::params::{Axis, LimitRule, PaperOptions, Task};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Reference, Servos, Settings, StepInput};
 
 #[path = "common/mod.rs"]
@@ -277,7 +276,7 @@ fn tracking_raises_soft_to_three_times_the_friction_and_no_more() {
 #[test]
 fn fewer_axes_and_other_frames() {
     let mut settings = soft("y", 4.0, 15.0);
-    settings.task = Task { frame: pliant_core::task::axes::Frame::Tool, ..Task::of("y z").unwrap() };
+    settings.task = Task { frame: pliant_core::params::Frame::Tool, ..Task::of("y z").unwrap() };
     let controller = controller(settings);
     for seed in 0..20 {
         let q = common::state(controller.model(), seed);

@@ -3,8 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{Compensation, Law, NullSpace, Tracking};
-use pliant_core::task::axes::{Axis, Frame, Task, Yields};
+use pliant_core::params::{Axis, Compensation, Frame, Law, NullSpace, Task, Tracking, Yields};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
 #[path = "common/seeded.rs"]

@@ -1,6 +1,7 @@
 //! `ArmPoints`.
 
-use pliant_core::{ArmPoints as CorePoints, JointVec, MAX_JOINTS};
+use pliant_core::kinematics::ArmPoints as CorePoints;
+use pliant_core::{JointVec, MAX_JOINTS};
 use pyo3::prelude::*;
 
 use crate::arguments;

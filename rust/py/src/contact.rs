@@ -1,21 +1,20 @@
 //! `ContactEstimator` and `WrenchEstimate`.
 
 use numpy::PyArray1;
-use pliant_core::task::axes::{AXIS_NAMES, parse_axes};
+use pliant_core::params::{AXIS_NAMES, parse_axes};
 use pliant_core::{
     ContactEstimator as CoreContact, ContactInput, ContactOptions, JointVec, MAX_AXES, WrenchEstimate as CoreEstimate,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use crate::arguments;
 use crate::controller::Controller;
 use crate::convert::new_array;
 use crate::error::{OrRaise, config, wrong_type};
 use crate::extras::SECONDS;
-use crate::in_use;
 use crate::kinds::{Kind, Names};
 use crate::read::{given, joints, number, real, vector};
+use crate::{arguments, in_use};
 
 /// Name with which a caller accepts thresholds below the uncertainty.
 const THRESHOLDS: &str = "thresholds";

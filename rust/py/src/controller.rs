@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::Law;
-use pliant_core::task::axes::{AXIS_NAMES, Axis as CoreAxis};
+use pliant_core::params::{AXIS_NAMES, Axis as CoreAxis, Law};
 use pliant_core::{
     Carried, Command as CoreCommand, Controller as CoreController, MAX_JOINTS, Payload as CorePayload,
     Settings as CoreSettings,
@@ -11,7 +10,6 @@ use pliant_core::{
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::convert::new_array;
 use crate::diagnostics::Diagnostics;
@@ -19,13 +17,14 @@ use crate::error::OrRaise;
 use crate::extras::{Extras, SECONDS};
 use crate::in_use::{exclusive, shared};
 use crate::model::Model;
-use crate::pickle::{self, Reduced};
-use crate::read::{self, array_into, joints, pose, real, vector3};
+use crate::pickle::Reduced;
+use crate::read::{array_into, joints, pose, real, vector3};
 use crate::report::{FeasibilityReport, PoseReport, check_with};
 use crate::servos::Servos;
 use crate::settings::Settings;
 use crate::step_batch::{BatchCall, BatchState};
 use crate::task::Axis;
+use crate::{arguments, pickle, read};
 
 #[pyclass(module = "pliant")]
 pub(crate) struct Controller {

@@ -3,8 +3,7 @@
 
 use nalgebra::DMatrix;
 use pliant_core as core;
-use pliant_core::settings::Projector;
-use pliant_core::task::axes::parse_axes;
+use pliant_core::params::{Projector, parse_axes};
 use pyo3::prelude::*;
 
 use crate::convert::new_array;

@@ -5,7 +5,7 @@
 
 use std::marker::PhantomData;
 
-use pliant_core::settings as core;
+use pliant_core::params as core;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 

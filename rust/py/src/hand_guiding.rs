@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use pliant_core::HandGuiding;
-use pliant_core::hand_guiding::{HandGuidingOptions, SwingResult};
+use pliant_core::arm::{HandGuidingOptions, SwingResult};
 use pyo3::prelude::*;
 
 use crate::arguments;

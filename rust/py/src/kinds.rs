@@ -2,8 +2,7 @@
 
 use std::marker::PhantomData;
 
-use pliant_core::settings::{Damping, Gain};
-use pliant_core::task::axes::{AXIS_NAMES, Frame, parse_axes};
+use pliant_core::params::{AXIS_NAMES, Damping, Frame, Gain, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyList, PyString, PyTuple};
 

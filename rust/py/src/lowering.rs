@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use pliant_core::lowering::{LoweringPhase, LoweringStart, torque_margin as core_torque_margin};
-use pliant_core::{ArmPoints, Lowering as CoreLowering, MAX_JOINTS};
+use pliant_core::arm::{LoweringPhase, LoweringStart, torque_margin as core_torque_margin};
+use pliant_core::kinematics::ArmPoints;
+use pliant_core::{Lowering as CoreLowering, MAX_JOINTS};
 use pyo3::prelude::*;
 
 use crate::arguments;

@@ -10,19 +10,19 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple};
 
-use crate::arguments;
 use crate::convert::{freeze, new_array};
 use crate::error::{OrRaise, wrong_type};
 use crate::kinds::Kind;
-use crate::kinematics::{self, positions};
+use crate::kinematics::positions;
 use crate::options::Payload;
-use crate::pickle::{self, Reduced};
+use crate::pickle::Reduced;
 use crate::pose::matrix;
 use crate::read::{count, given, joints, pose, real};
 use crate::servos::Servos;
 use crate::solution::{IkResult, search};
 use crate::tree::{Joint, Link};
 use crate::words::Word;
+use crate::{arguments, kinematics, pickle};
 
 #[pyclass(module = "pliant", frozen)]
 pub(crate) struct Model {

@@ -1,6 +1,6 @@
 //! `Servos`.
 
-use pliant_core::servos::{LimitType, Servos as CoreServos};
+use pliant_core::params::{LimitType, Servos as CoreServos};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 

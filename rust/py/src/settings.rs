@@ -1,15 +1,13 @@
 //! `Settings`.
 
 use pliant_core::MAX_AXES;
-use pliant_core::settings::{Law, Settings as CoreSettings};
-use pliant_core::task::axes::{Axis, parse_axes};
+use pliant_core::params::{Axis, Law, Settings as CoreSettings, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
-use crate::arguments;
 use crate::error::{OrRaise, config};
 use crate::fields::{Fields, Special, fields};
-use crate::groups::{self, Compensation, Group, NullSpace, PaperOptions, TorqueLimits, Tracking};
+use crate::groups::{Compensation, Group, NullSpace, PaperOptions, TorqueLimits, Tracking};
 use crate::kinds::{Flag, Kind, Number, Speeds};
 use crate::model::Model;
 use crate::read::real;
@@ -17,6 +15,7 @@ use crate::report::path as postures;
 use crate::servos::Servos;
 use crate::task::{AxesField, TaskField, merged};
 use crate::words::Word;
+use crate::{arguments, groups};
 
 #[pyclass(name = "Settings", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]

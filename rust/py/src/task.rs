@@ -1,7 +1,7 @@
 //! `Task` and `Axis`.
 
 use pliant_core::MAX_AXES;
-use pliant_core::task::axes::{
+use pliant_core::params::{
     AXIS_NAMES, Axis as CoreAxis, OnDeviationLimit, Profile, Task as CoreTask, Yields, parse_axes,
 };
 use pyo3::prelude::*;

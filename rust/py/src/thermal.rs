@@ -1,6 +1,6 @@
 //! `ThermalModel`.
 
-use pliant_core::{ThermalModel as CoreThermalModel, ThermalOptions};
+use pliant_core::arm::{ThermalModel as CoreThermalModel, ThermalOptions};
 use pyo3::prelude::*;
 
 use crate::convert::new_array;

@@ -1,6 +1,7 @@
 //! `Link`, `Joint`, `Inertial`, `Mimic`: the complete robot tree, for simulators.
 
-use pliant_core::model::{self, JointKind};
+use pliant_core::model;
+use pliant_core::model::JointKind;
 use pyo3::prelude::*;
 
 use crate::convert::new_array;

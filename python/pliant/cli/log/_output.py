@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.cli._files import check_written
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def check_data(log: Path, data: Log, file: Path, kind: str) -> None:
     """Check that a log has ticks and that the file may be written.
 
     Raises:
-        ConfigError: The log has no ticks, or see `pliant.outputs.check_output`.
+        ConfigError: The log has no ticks, or see `pliant._files.check_output`.
     """
     check_written(file, kind, [log])
     if not len(data):

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
+from pliant._extras import pip
+from pliant._files import replacing
 from pliant.cli.flags import LogFile, Output
 from pliant.cli.log._output import check_data, check_output
-from pliant.extras import pip
-from pliant.outputs import replacing
 
 if TYPE_CHECKING:
     from pathlib import Path

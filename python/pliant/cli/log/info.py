@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
+from pliant._files import printable
 from pliant.cli.flags import LogFile
-from pliant.inputs import printable
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from pliant._extras import missing
+from pliant._files import replacing
 from pliant.cli.flags import LogFile, Output
 from pliant.cli.log._output import check_data, check_output
-from pliant.extras import missing
-from pliant.outputs import replacing
 
 if TYPE_CHECKING:
     from pathlib import Path

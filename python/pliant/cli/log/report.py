@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rich.console import Console
 
+from pliant._files import check_output
 from pliant.cli._files import check_written
 from pliant.cli.flags import LogFile, Output
-from pliant.outputs import check_output
 
 
 def run(

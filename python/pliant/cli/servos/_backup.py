@@ -7,9 +7,9 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pliant import ConfigError, ServoError
+from pliant._core import ConfigError, ServoError
+from pliant.servo.eeprom import SETUP_REGISTERS, RegisterChange
 from pliant.servo.models import find
-from pliant.servo.settle import SETS, Change
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,7 @@ FORMAT = "pliant servos setup 2"
 _KINDS = {"joint": str, "id": int, "register": str, "old": int, "new": int, "why": str}
 
 
-def save(path: Path, arm: str, wanted: Sequence[Change]) -> None:
+def save(path: Path, arm: str, wanted: Sequence[RegisterChange]) -> None:
     """Save the old values before a change.
 
     Args:
@@ -39,7 +39,7 @@ def save(path: Path, arm: str, wanted: Sequence[Change]) -> None:
     path.write_text(json.dumps(data, indent=1), encoding="utf-8")
 
 
-def load(path: Path, arm: str) -> list[Change]:
+def load(path: Path, arm: str) -> list[RegisterChange]:
     """Load the changes of a backup.
 
     Args:
@@ -70,7 +70,7 @@ def load(path: Path, arm: str) -> list[Change]:
         raise ServoError(f"{path} is no backup of pliant servos setup: {why}") from error
 
 
-def check(path: Path, former: Sequence[Change], specs: Sequence[ServoSpec]) -> None:
+def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpec]) -> None:
     """Check that every old value belongs to a servo of the arm and can be written to it.
 
     Args:
@@ -98,7 +98,7 @@ def check(path: Path, former: Sequence[Change], specs: Sequence[ServoSpec]) -> N
                 f"{where} was {change.model}, the configuration says {row.name}: its registers "
                 "mean something else. Nothing was written"
             )
-        known = [name for name in SETS if name in row.family.registers]
+        known = [name for name in SETUP_REGISTERS if name in row.family.registers]
         if change.register not in known:
             raise ConfigError(
                 f"{where}: {change.register!r} is no register that setup writes on {row.name}; "
@@ -115,12 +115,12 @@ def check(path: Path, former: Sequence[Change], specs: Sequence[ServoSpec]) -> N
         seen.add((change.joint, change.id, change.register))
 
 
-def _change(entry: Any) -> Change:
+def _change(entry: Any) -> RegisterChange:
     """Parse one entry; all fields are required, except the model."""
     kinds = {**_KINDS, "model": str}
     if not isinstance(entry, dict) or not set(_KINDS) <= set(entry) <= set(kinds):
-        raise TypeError(f"an entry has {', '.join(f.name for f in fields(Change))}")
+        raise TypeError(f"an entry has {', '.join(f.name for f in fields(RegisterChange))}")
     for name, value in entry.items():
         if type(value) is not kinds[name]:
             raise TypeError(f"{name} is {'text' if kinds[name] is str else 'a whole number'}")
-    return Change(**entry)
+    return RegisterChange(**entry)

@@ -11,19 +11,19 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from pliant.config import assemble
-from pliant.config.ways import ways
+from pliant.config import factory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
     from rich.console import Console
 
-    from pliant import Model
+    from pliant._core import Model
     from pliant.config import Config
 
     Array = NDArray[np.float64]
+
 
 #: Period of the readings [s].
 PERIOD = 0.1
@@ -106,7 +106,7 @@ class Watch:
         return f"{begin}: for this model the tool {self._ways(falling=way < 0.0)[name]}"
 
     def _ways(self, *, falling: bool = False) -> dict[str, str]:
-        phrases = ways(self.model, self._chain(), up=self._up, falling=falling)
+        phrases = joint_directions(self.model, self._chain(), up=self._up, falling=falling)
         return dict(zip(self.model.joint_names, phrases, strict=True))
 
     def _chain(self) -> Array:
@@ -127,7 +127,7 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
         ServoError: A port cannot be opened, or a servo is missing or cannot be driven.
     """
     model = config.model()
-    drive: Any = assemble.drive(config, model)
+    drive: Any = factory.make_drive(config, model)
     drive.open()
     look = None
     try:
@@ -206,3 +206,51 @@ def _lines(console: Console, look: Watch, *, first: bool, moved: bool) -> None:
         lines = [look.said]
     for line in [*lines, look.tool] if lines else []:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+#: Tool motion below which a joint only turns the tool in place [m/rad].
+IN_PLACE = 0.02
+#: Least share of the motion from which on an axis is named.
+NAMED = 0.3
+
+
+def joint_directions(
+    model: Model, q: ArrayLike, *, up: ArrayLike, falling: bool = False
+) -> tuple[str, ...]:
+    """Describe the motion of the tool as each joint angle grows, in base axes.
+
+    From the columns of the geometric Jacobian: the axes with most of the motion, with signs; if the
+    tool turns in place, the axes of rotation.
+
+    Args:
+        model: The robot.
+        q: Joint positions (n,) [rad].
+        up: Upward vector (3,) in base axes; the axis along it is also labelled up or down.
+        falling: Describe the motion for a falling angle instead.
+
+    Returns:
+        One phrase per joint, `goes +x 0.11, -z (down) 0.30 m/rad`.
+    """
+    columns = np.asarray(model.jacobian(q)).T * (-1.0 if falling else 1.0)
+    rise = np.asarray(up, dtype=np.float64)
+    rise = rise / max(float(np.linalg.norm(rise)), 1e-9)
+    return tuple(_direction(column[:3], column[3:], rise) for column in columns)
+
+
+def _direction(linear: Array, angular: Array, up: Array) -> str:
+    if np.linalg.norm(linear) >= IN_PLACE:
+        return f"goes {_axes(linear, up, numbers=True)} m/rad"
+    return f"turns in place about {_axes(angular, up, numbers=False)}, as a screw goes in"
+
+
+def _axes(vector: Array, up: Array, *, numbers: bool) -> str:
+    """Format the large components of a vector, the largest first."""
+    size, parts = np.abs(vector), []
+    for axis in np.argsort(-size):
+        if size[axis] >= NAMED * np.linalg.norm(vector):
+            sign = 1.0 if vector[axis] > 0.0 else -1.0
+            tilt = sign * up[axis]
+            word = " (up)" if tilt > 0.9 else " (down)" if tilt < -0.9 else ""
+            number = f" {size[axis]:.2f}" if numbers else ""
+            parts.append(f"{'+' if sign > 0.0 else '-'}{'xyz'[axis]}{word}{number}")
+    return ", ".join(parts)

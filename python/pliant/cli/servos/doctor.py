@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.markup import escape
 
-from pliant import ConfigError, PliantError
+from pliant._core import ConfigError, PliantError
 from pliant.cli.flags import ArmName, Override, Seconds
 from pliant.cli.servos._watch import watch as look
 from pliant.config.doctor import examine

@@ -8,8 +8,8 @@ from typing import Literal
 
 from rich.console import Console
 
-from pliant import ConfigError
-from pliant.background import step_forward
+from pliant._core import ConfigError
+from pliant._priority import raise_priority
 from pliant.cli.flags import ArmName, Files, Seconds
 from pliant.emulator import Faults, Timing
 
@@ -44,7 +44,7 @@ def run(
         duration: Ends by itself after this time [s].
         override: What the command line says in place of the file.
     """
-    from pliant.config.emulation import emulated
+    from pliant.config.factory import make_emulator
 
     if not 0.0 <= lose <= 1.0:
         raise ConfigError(f"--lose is a share from 0 to 1, got {lose:g}")
@@ -55,10 +55,10 @@ def run(
     chosen = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
     # Remove the ports after any signal, as after Ctrl-C.
-    step_forward()
+    raise_priority()
     former = {number: signal.signal(number, _ended) for number in ENDS}
     try:
-        with emulated(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
+        with make_emulator(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
             for name, path in bus.ports.items():
                 console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
             said = "somebody holds the arm until its torque comes on; Ctrl-C ends"

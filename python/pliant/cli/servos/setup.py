@@ -10,14 +10,21 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.cli.flags import ArmName, File, Ids, Wired
 from pliant.cli.servos import _backup as kept
-from pliant.config import assemble
+from pliant.config import factory
 from pliant.servo import RustypotTransport
-from pliant.servo.guard import Guard
-from pliant.servo.port import latency_timer
-from pliant.servo.settle import Change, apply, changes, check_rename, rename, restore
+from pliant.servo._port import latency_timer
+from pliant.servo._transactions import TransactionGuard
+from pliant.servo.eeprom import (
+    RegisterChange,
+    check_set_id,
+    plan_restore,
+    plan_setup,
+    set_id,
+    write_changes,
+)
 
 if TYPE_CHECKING:
     from pliant.config import Config
@@ -54,21 +61,21 @@ def run(
     former = None if undo is None else kept.load(undo, arm)
     read = override.load(arm)
     console = Console()
-    specs = assemble.specs(read, assemble.paths(read))
+    specs = factory.servo_specs(read, factory.port_paths(read))
     if ids is not None:
         _rename(read, specs, *ids, console, yes=yes)
         return
     if undo is not None and former is not None:
         kept.check(undo, former, specs)
     with _Ports(read, specs) as ports:
-        wanted: list[Change] = []
+        wanted: list[RegisterChange] = []
         for spec in specs:
             for number, _ in spec.servos:
                 servo = ports[spec.port], spec.name, number, spec.row
                 wanted += (
-                    changes(*servo, overload=not keep_overload)
+                    plan_setup(*servo, overload=not keep_overload)
                     if former is None
-                    else restore(*servo, former)
+                    else plan_restore(*servo, former)
                 )
         if not wanted:
             console.print("nothing to change" + ("; no backup is written" if undo is None else ""))
@@ -81,7 +88,7 @@ def run(
         for spec in specs:
             for number, _ in spec.servos:
                 own = [c for c in wanted if c.joint == spec.name and c.id == number]
-                apply(ports[spec.port], spec.row.family, own)
+                write_changes(ports[spec.port], spec.row.family, own)
     console.print(f"{len(wanted)} registers written and read back")
     name = shlex.quote(arm)
     again = " ".join(["pliant servos doctor", name, "--watch", *override.words()])
@@ -118,11 +125,11 @@ def _rename(
     (spec,) = owners
     with _Ports(read, specs) as ports:
         io = ports[spec.port]
-        check_rename(io, spec.name, spec.row, old, new)
-        _show(console, [Change(spec.name, old, "id", old, new, "has an id of its own")])
+        check_set_id(io, spec.name, spec.row, old, new)
+        _show(console, [RegisterChange(spec.name, old, "id", old, new, "has an id of its own")])
         if not (yes or _agreed(console)):
             _cancel()
-        rename(io, spec.name, spec.row, old, new)
+        set_id(io, spec.name, spec.row, old, new)
     console.print(f"the servo of {spec.name} answers to id {new} now", highlight=False)
 
 
@@ -149,29 +156,31 @@ class _Ports:
     """The open ports by path; a request without a reply is repeated."""
 
     def __init__(self, config: Config, specs: list[ServoSpec]) -> None:
-        paths = assemble.paths(config)
+        paths = factory.port_paths(config)
         bauds = {paths[port.name]: port.baud for port in config.port}
         protocols = {spec.port: spec.row.family.protocol for spec in specs}
         self._wanted = {path: (bauds[path], protocol) for path, protocol in protocols.items()}
         self._open: list[Transport] = []
-        self._guards: dict[str, Guard] = {}
+        self._guards: dict[str, TransactionGuard] = {}
 
     def __enter__(self) -> _Ports:
         for path, (baud, protocol) in self._wanted.items():
             self._open.append(RustypotTransport(path, baud, protocol))
             latency = latency_timer(path) or 0.001
-            self._guards[path] = Guard(self._open[-1], protocol, baudrate=baud, latency=latency)
+            self._guards[path] = TransactionGuard(
+                self._open[-1], protocol, baudrate=baud, latency=latency
+            )
         return self
 
     def __exit__(self, *_: object) -> None:
         for io in self._open:
             io.close()
 
-    def __getitem__(self, path: str) -> Guard:
+    def __getitem__(self, path: str) -> TransactionGuard:
         return self._guards[path]
 
 
-def _show(console: Console, wanted: list[Change]) -> None:
+def _show(console: Console, wanted: list[RegisterChange]) -> None:
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title="EEPROM", title_justify="left")
     for heading in ("joint", "id", "register", "is", "becomes", "so that it"):
         table.add_column(heading)

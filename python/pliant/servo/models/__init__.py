@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import difflib
 
-from pliant import ConfigError
+from pliant._core import ConfigError
 from pliant.servo.models import feetech, protocol1, protocol2
-from pliant.servo.models.row import Block, Family, Register, ServoModel
+from pliant.servo.models.base import Block, Family, Register, ServoModel
 
 __all__ = ["Block", "Family", "Register", "ServoModel", "by_number", "find", "names"]
 

@@ -7,7 +7,7 @@ scaled by the ratio. All variants answer with the same model number: which one i
 
 from __future__ import annotations
 
-from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, windows
+from pliant.servo.models.base import Block, Family, Mechanics, Register, ServoModel, nested_blocks
 
 STS = Family(
     name="STS3215",
@@ -49,14 +49,14 @@ STS = Family(
         "condition": Register(65, 1),
         "current": Register(69, 2, "bit15"),
     },
-    read=windows(Block(56, 15), Block(0, 71)),
+    read=nested_blocks(Block(56, 15), Block(0, 71)),
     write=(("goal", "goal_time", "speed_cap", "limit"),),
     sync_read=True,
     full_duty=1000,
     full_load=1000,
     speed_max=3400,
     ceiling="max_torque",
-    unbound={"acceleration_cap": 0},
+    drive_values={"acceleration_cap": 0},
 )
 
 KG_CM = 0.0980665  # [N·m]

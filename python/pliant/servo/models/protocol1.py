@@ -7,7 +7,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled, windows
+from pliant.servo.models.base import (
+    Block,
+    Family,
+    Mechanics,
+    Register,
+    ServoModel,
+    estimated_mechanics,
+    nested_blocks,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -38,21 +46,21 @@ _COMMON = {
 }
 
 
-def _family(name: str, *, unbound: Mapping[str, int | str], **own: Register) -> Family:
+def _family(name: str, *, drive_values: Mapping[str, int | str], **own: Register) -> Family:
     return Family(
         name=name,
         protocol="p1",
         status="p1",
         registers={**_COMMON, **own},
         # With the torque limit, which is 0 after an overload.
-        read=windows(Block(34, 10), Block(0, 50)),
+        read=nested_blocks(Block(34, 10), Block(0, 50)),
         write=(("goal", "speed_cap", "limit"),),
         sync_read=False,
         full_duty=1023,
         full_load=1023,
         speed_max=1023,
         ceiling="max_torque",
-        unbound=unbound,
+        drive_values=drive_values,
     )
 
 
@@ -72,12 +80,12 @@ def _compliance(punch: int) -> dict[str, int | str]:
     return {"margin_cw": 1, "margin_ccw": 1, "slope_ccw": "gain", "punch": punch}
 
 
-RX = _family("RX-64", unbound=_compliance(32), gain=_GAIN, **_COMPLIANCE)
-EX = _family("EX-106+", unbound=_compliance(0), gain=_GAIN, drive_mode=_DUAL, **_COMPLIANCE)
+RX = _family("RX-64", drive_values=_compliance(32), gain=_GAIN, **_COMPLIANCE)
+EX = _family("EX-106+", drive_values=_compliance(0), gain=_GAIN, drive_mode=_DUAL, **_COMPLIANCE)
 _FREE = {"acceleration_cap": 0}
-MX = _family("MX-28, MX-64", unbound=_FREE, gain=_GAIN, acceleration_cap=_ACCELERATION)
+MX = _family("MX-28, MX-64", drive_values=_FREE, gain=_GAIN, acceleration_cap=_ACCELERATION)
 MX_DUAL = _family(
-    "MX-106", unbound=_FREE, gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION
+    "MX-106", drive_values=_FREE, gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION
 )
 
 MODELS = (
@@ -97,7 +105,7 @@ MODELS = (
         voltage=(12.0, 18.5),
         temperature=80,
         shutdown=36,
-        mechanics=scaled(8.7),
+        mechanics=estimated_mechanics(8.7),
     ),
     ServoModel(
         name="RX-64",
@@ -115,7 +123,7 @@ MODELS = (
         voltage=(12.0, 18.5),
         temperature=80,
         shutdown=36,
-        mechanics=scaled(4.2),
+        mechanics=estimated_mechanics(4.2),
     ),
     ServoModel(
         name="MX-28",
@@ -133,7 +141,7 @@ MODELS = (
         voltage=(10.0, 14.8),
         temperature=80,
         shutdown=36,
-        mechanics=scaled(2.5),
+        mechanics=estimated_mechanics(2.5),
     ),
     ServoModel(
         name="MX-64",

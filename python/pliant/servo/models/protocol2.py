@@ -2,14 +2,22 @@
 
 Control tables and data: ROBOTIS e-Manual. Duty per radian: K_P = P/128 PWM counts per position
 count, 885 counts being 100 %; the XL330's has been measured at 0.00246 (Rhoban/bam), which stays
-open. A current-limited servo in mode 5 follows `pliant.servo.units` instead.
+open. A current-limited servo in mode 5 follows `pliant.servo.spec` instead.
 """
 
 from __future__ import annotations
 
 from math import pi
 
-from pliant.servo.models.row import Block, Family, Mechanics, Register, ServoModel, scaled, windows
+from pliant.servo.models.base import (
+    Block,
+    Family,
+    Mechanics,
+    Register,
+    ServoModel,
+    estimated_mechanics,
+    nested_blocks,
+)
 
 _COMMON = {
     "model": Register(0, 2),
@@ -45,7 +53,7 @@ _COMMON = {
 }
 
 #: Of both kinds, whose control tables have no gap here.
-READ = windows(Block(126, 10), Block(104, 43))
+READ = nested_blocks(Block(126, 10), Block(104, 43))
 
 CURRENT = Family(
     name="X, current-limited",
@@ -66,7 +74,7 @@ CURRENT = Family(
     speed_max=32767,
     ceiling="current_limit",
     multi_turn=True,
-    unbound={"pwm_goal": "pwm_limit"},
+    drive_values={"pwm_goal": "pwm_limit"},
 )
 DUTY = Family(
     name="X, duty-limited",
@@ -85,7 +93,7 @@ DUTY = Family(
     full_load=1000,
     speed_max=32767,
     ceiling="pwm_limit",
-    unbound={"acceleration_cap": 0},
+    drive_values={"acceleration_cap": 0},
 )
 
 DUTY_PER_RADIAN = 4096 / (2 * pi) / 128 / 885
@@ -126,7 +134,7 @@ def _current(  # noqa: PLR0917
         voltage=voltage,
         temperature=temperature,
         shutdown=shutdown,
-        mechanics=mechanics or scaled(rated[1]),
+        mechanics=mechanics or estimated_mechanics(rated[1]),
     )
 
 
@@ -157,7 +165,7 @@ def _duty(  # noqa: PLR0917
         voltage=voltage,
         temperature=temperature,
         shutdown=52,
-        mechanics=scaled(rated[1]),
+        mechanics=estimated_mechanics(rated[1]),
     )
 
 

@@ -1,22 +1,21 @@
 //! Steps of many arms at once, in chunks on all cores.
 
-mod abreast;
-mod input;
+mod soa;
 mod state;
 
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::controller::kept::{Kept, width};
-use crate::controller::memory::Memory;
+use crate::controller::state::Memory;
+use crate::controller::state_vector::{Kept, width};
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
-use crate::law::feedforward::SPEED_BOUND;
+use crate::kinematics::velocity_filter::SPEED_BOUND;
+use crate::math::thread_pool::on_every_core;
 use crate::pose::Pose;
-use crate::threads::on_every_core;
 
-use abreast::Abreast;
+use soa::Abreast;
 
 pub use state::BatchState;
 
@@ -279,6 +278,14 @@ impl Row<'_> {
 }
 
 impl<'a> BatchInput<'a> {
+    /// Creates the input from measured joint positions `q` (`N` × n, row by row) [rad] and targets, without optional
+    /// values.
+    ///
+    /// The step checks the lengths.
+    pub fn new(q: &'a [f64], targets: Targets<'a>) -> Self {
+        Self { q, targets, dt: None, dq: None, invalid: Invalid::default() }
+    }
+
     /// Reads and checks the input of arm `row`.
     fn row(&self, controller: &Controller, row: usize) -> Result<Row<'a>> {
         let n = controller.model().n();

@@ -1,9 +1,9 @@
 //! State of many arms between batch steps.
 
-use crate::controller::kept::{Kept, width};
+use crate::controller::state_vector::{Kept, width};
 use crate::error::{Error, Result};
+use crate::params::Settings;
 use crate::pose::COORDINATE_BOUND;
-use crate::settings::Settings;
 use crate::{Controller, MAX_JOINTS};
 
 /// State of many arms for [`Controller::step_batch`]: `8 (52 + 7 n)` bytes each.

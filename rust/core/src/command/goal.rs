@@ -1,47 +1,7 @@
 //! Goals: scaling of parts, joints at their position limits, slew.
 
 use crate::MAX_AXES;
-use crate::number::{Arithmetic, Lanes, Scalar};
-
-/// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
-///
-/// The parts are reduced in order: the second is scaled only if dropping the first is not enough.
-#[inline(always)]
-pub(crate) fn scale_to_fit<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
-    // Fast path without a branch per joint: nearly always everything fits.
-    let mut all = base;
-    for part in parts {
-        all = all + part;
-    }
-    if bound.any_less(J::abs(all)) { shrink(base, parts, bound) } else { [J::One::splat(1.0); P] }
-}
-
-#[inline(always)]
-fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
-    let (zero, one) = (J::splat(0.0), J::splat(1.0));
-    // Ignore a part that moves a joint by no more than rounding error: scaling it does not help. Ignore as well an
-    // excess of the sum that is only rounding error after the previous part was scaled to the bound.
-    let rounding = bound * J::splat(1e-9);
-    let mut factors = [J::One::splat(1.0); P];
-    for p in 0..P {
-        let mut others = base;
-        for o in 0..P {
-            if o != p {
-                others = J::fma(J::spread(factors[o]), parts[o], others);
-            }
-        }
-        let (part, all) = (parts[p], others + parts[p]);
-        let most = bound + rounding;
-        if !most.any_less(J::abs(all)) {
-            break;
-        }
-        let room = (J::copy_sign(bound, all) - others) / part;
-        let missing = one - J::at_most(J::at_least(room, zero), one);
-        let missing = J::if_less(rounding, J::abs(part), missing, zero);
-        factors[p] = J::One::splat(1.0) - J::if_less(most, J::abs(all), missing, zero).largest();
-    }
-    factors
-}
+use crate::math::simd::{Arithmetic, Lanes, Scalar};
 
 /// Distance beyond a position limit [rad] over which an outward lead fades to zero, if the delay allows that slope.
 const STOP_WIDTH: f64 = 0.02;
@@ -57,47 +17,6 @@ pub(crate) fn fade_beyond<J: Lanes>(lead: J, q: J, lower: J, upper: J, slope: f6
     let size = J::abs(lead);
     let faded = J::fnma(J::at_most(size / J::splat(STOP_WIDTH), J::splat(slope)), beyond, size);
     J::copy_sign(J::at_least(faded, zero), lead)
-}
-
-/// Joints that have reached a position limit.
-#[derive(Clone, Copy)]
-pub(crate) struct Locks<J> {
-    /// 1 for locked joints, 0 for the others.
-    pub(crate) locked: J,
-    /// Lead that brings each locked joint to its limit [rad].
-    pub(crate) lead: J,
-}
-
-impl<J: Lanes> Locks<J> {
-    /// No locked joints.
-    #[inline(always)]
-    pub(crate) fn none() -> Self {
-        Self { locked: J::splat(0.0), lead: J::splat(0.0) }
-    }
-
-    /// Adds the joints whose `goal` exceeds a limit; returns true if there were any.
-    ///
-    /// A locked joint keeps the lead to its limit, and the others make the missing motion, so that the rest of the task
-    /// stays correct. It is not unlocked within a step.
-    #[inline(always)]
-    pub(crate) fn add(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
-        let (zero, one) = (J::splat(0.0), J::splat(1.0));
-        let beyond = J::if_less(upper, goal, one, J::if_less(goal, lower, one, zero));
-        let new = beyond * (one - self.locked);
-        if !zero.any_less(new) {
-            return false;
-        }
-        let lead = J::at_least(J::at_most(goal, upper), lower) - without_lead;
-        self.lead = J::if_less(zero, new, lead, self.lead);
-        self.locked = self.locked + new;
-        true
-    }
-
-    /// Selects `value` for locked joints, `other` for the rest.
-    #[inline(always)]
-    pub(crate) fn either(&self, value: J, other: J) -> J {
-        J::if_less(J::splat(0.0), self.locked, value, other)
-    }
 }
 
 /// Goals of the servos, and their part that carries gravity [rad].
@@ -151,7 +70,7 @@ pub(crate) fn register_speed<J: Lanes>(world: &[J; MAX_AXES], tool: [f64; 2], sl
 mod tests {
     use super::*;
     use crate::MAX_JOINTS;
-    use crate::number::{Arithmetic, EveryJoint};
+    use crate::math::simd::{Arithmetic, EveryJoint};
 
     fn vector(values: &[f64]) -> EveryJoint {
         let mut out = [0.0; MAX_JOINTS];
@@ -161,30 +80,6 @@ mod tests {
 
     fn first(values: EveryJoint) -> f64 {
         values.array()[0]
-    }
-
-    #[test]
-    fn the_first_part_gives_way_first() {
-        let base = vector(&[1.0, 0.0]);
-        let (soft, stiff, bound) = (vector(&[4.0, 1.0]), vector(&[6.0, 1.0]), vector(&[9.0, 9.0]));
-        let factors = |bound: EveryJoint| scale_to_fit(base, [soft, stiff], bound).map(f64::to_bits);
-        assert_eq!(factors(bound), [0.5, 1.0].map(f64::to_bits));
-        let bound = vector(&[4.0, 9.0]);
-        assert_eq!(factors(bound), [0.0, 0.5].map(f64::to_bits));
-        let bound = vector(&[20.0, 9.0]);
-        assert_eq!(factors(bound), [1.0, 1.0].map(f64::to_bits));
-    }
-
-    #[test]
-    fn a_rounding_error_at_the_bound_takes_nothing_away() {
-        let base = vector(&[-4.1, 0.0]);
-        for bound in [10.3, 10.7, 9.9, 6.4] {
-            for soft in [17.3, 21.9, 30.1] {
-                let parts = [vector(&[soft, 0.0]), vector(&[1e-17, 3.0])];
-                let factors = scale_to_fit(base, parts, vector(&[bound, 9.0]));
-                assert!((factors[1] - 1.0).abs() < 1e-9, "{factors:?}");
-            }
-        }
     }
 
     /// Returns goals and gravity parts after a slew by at most `step`.
@@ -248,25 +143,5 @@ mod tests {
         ] {
             assert!((at(tool, slew, joint) - expected).abs() < 1e-12, "{tool:?} {slew} {joint}");
         }
-    }
-
-    #[test]
-    fn a_base_beyond_the_bound_leaves_nothing() {
-        let factors = scale_to_fit(vector(&[5.0]), [vector(&[1.0]), vector(&[1.0])], vector(&[2.0]));
-        assert_eq!(factors.map(f64::to_bits), [0, 0]);
-    }
-
-    #[test]
-    fn a_goal_beyond_the_limit_keeps_the_lead_that_is_left() {
-        let (without, one) = (vector(&[0.7, 0.2, -0.7]), EveryJoint::splat(1.0));
-        let mut locks = Locks::none();
-        assert!(locks.add(vector(&[1.2, 0.3, 0.5]), without, -one, one));
-        assert!(!locks.add(vector(&[1.3, 0.3, 0.5]), without, -one, one), "locked already");
-        assert!(locks.add(vector(&[1.0, 0.3, -1.5]), without, -one, one), "another joint");
-        let lead = locks.lead.array();
-        assert_eq!(locks.locked.array()[..3].iter().map(|l| *l > 0.0).collect::<Vec<_>>(), [true, false, true]);
-        assert!((lead[0] - 0.3).abs() < 1e-15 && lead[1].abs() < 1e-15 && (lead[2] + 0.3).abs() < 1e-15);
-        let either = locks.either(vector(&[5.0; 3]), vector(&[7.0; 3])).array();
-        assert_eq!(either[..3].iter().map(|l| *l > 6.0).collect::<Vec<_>>(), [false, true, false]);
     }
 }

@@ -1,10 +1,10 @@
 //! Force on a hand after a loss of the host: the servos keep their last goals and limits.
 
-use crate::command::statics::yield_forces;
+use crate::kinematics::statics::yield_forces;
 use crate::kinematics::{Frames, Masses};
+use crate::math::simd::{Arithmetic, Plain};
 use crate::model::Chain;
-use crate::number::{Arithmetic, Plain};
-use crate::plan::Plan;
+use crate::params::Plan;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Distance over which a hand is simulated [m, rad], and its speed [m/s, rad/s].
@@ -26,6 +26,9 @@ const SETTLED: f64 = 1e-4;
 
 /// Maximum number of Newton steps to the force between rest and yielding; two or three are usual.
 const MOST_NEWTON: usize = 20;
+
+/// Bisection steps for the share of the limits that is removed.
+const HALVINGS: u32 = 6;
 
 /// An arm whose goals and limits stay constant.
 #[derive(Debug, Clone, Copy)]
@@ -187,7 +190,7 @@ impl HostLoss<'_> {
         let (frames, [holding, pull]) = self.torques(q);
         let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
         self.chain.jacobian(&frames, &mut world);
-        let lever = crate::task::rows(&world, &self.base_from_task, &[self.plan.rows[row].axis])[0];
+        let lever = crate::kinematics::task_rows(&world, &self.base_from_task, &[self.plan.rows[row].axis])[0];
         Place { lever: lever.map(|a| sign * a), holding, pull }
     }
 
@@ -214,4 +217,55 @@ impl HostLoss<'_> {
         }
         next
     }
+
+    /// Returns the largest force on a hand along any translation of the task [N], without position limits and a
+    /// stretched arm, its row and its side. Stops early above `enough`.
+    pub(crate) fn worst(&self, enough: f64) -> (f64, usize, f64) {
+        let (rest, mut worst) = (self.settled(), (f64::NEG_INFINITY, 0, 1.0));
+        for row in (0..self.plan.k).filter(|&row| self.plan.rows[row].axis < 3) {
+            for sign in [-1.0, 1.0] {
+                let force = self.largest(&rest, row, sign).force;
+                if force > worst.0 {
+                    worst = (force, row, sign);
+                }
+                if force > enough {
+                    return worst;
+                }
+            }
+        }
+        worst
+    }
+
+    /// Returns the limits with which the force on a hand is at most `most` [N]: first removes part of the `margin`,
+    /// then part of the excess over `base`, the gravity torques [N·m]. Returns `base` if that is not enough.
+    pub(crate) fn spared(&self, most: f64, base: &JointVec, margin: &JointVec) -> JointVec {
+        let keeps = |limit: &JointVec| HostLoss { limit, ..*self }.worst(most).0 <= most;
+        if keeps(self.limit) {
+            return *self.limit;
+        }
+        let least = each(|i| base[i].min(self.limit[i]));
+        let bare = each(|i| (self.limit[i] - margin[i]).max(least[i]));
+        let [from, to] = if keeps(&bare) {
+            [bare, *self.limit]
+        } else if keeps(&least) {
+            [least, bare]
+        } else {
+            return least;
+        };
+        let between = |share: f64| each(|i| from[i] + share * (to[i] - from[i]));
+        let (mut low, mut high) = (0.0, 1.0);
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (low + high);
+            if keeps(&between(middle)) { low = middle } else { high = middle }
+        }
+        between(low)
+    }
+}
+
+fn each(of: impl Fn(usize) -> f64) -> JointVec {
+    let mut out = [0.0; MAX_JOINTS];
+    for (i, slot) in out.iter_mut().enumerate() {
+        *slot = of(i);
+    }
+    out
 }

@@ -2,8 +2,5 @@
 
 pub(crate) mod goal;
 pub(crate) mod host_loss;
-pub(crate) mod integral;
-pub(crate) mod limits;
-pub(crate) mod spare;
-pub(crate) mod statics;
-pub(crate) mod thermal;
+pub(crate) mod integrator;
+pub(crate) mod torque_limit;

@@ -12,8 +12,8 @@ mod wrench;
 
 use crate::controller::Controller;
 use crate::error::{Error, Result};
-use crate::law::feedforward::VelocityFilter;
-use crate::task::axes::AXIS_NAMES;
+use crate::kinematics::velocity_filter::VelocityFilter;
+use crate::params::AXIS_NAMES;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
 pub use options::ContactOptions;

@@ -1,7 +1,7 @@
 //! Options of the contact estimator, including the accuracy of the arm's model.
 
 use crate::error::{Error, Result};
-use crate::task::axes::AXIS_NAMES;
+use crate::params::AXIS_NAMES;
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Upper bound for filter and minimum event time [s].

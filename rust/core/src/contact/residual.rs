@@ -1,8 +1,8 @@
 //! Residual torques of the joints and their error bounds.
 
 use crate::error::Result;
-use crate::kinematics::JointMatrix;
-use crate::servos::{ServoArrays, Servos};
+use crate::math::rows::JointMatrix;
+use crate::params::{ServoArrays, Servos};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Smallest uncertainty of a joint's torque, as a share of the usable torque.

@@ -7,11 +7,11 @@ use crate::controller::Controller;
 use crate::controller::input::period;
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
-use crate::law::feedforward::{Filtered, SPEED_BOUND, VelocityFilter};
-use crate::number::{EveryJoint, Lanes};
+use crate::kinematics::velocity_filter::{Filtered, SPEED_BOUND, VelocityFilter};
+use crate::math::simd::{EveryJoint, Lanes};
+use crate::params::{AXIS_NAMES, workspace};
 use crate::pose::COORDINATE_BOUND;
-use crate::task::axes::AXIS_NAMES;
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows, survey};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Largest plausible torque or current.
 const LOAD_BOUND: f64 = 1e6;
@@ -159,10 +159,10 @@ impl ContactEstimator {
     /// Returns the median of [`ContactEstimator::uncertainty_at`] over poses in the whole joint space.
     pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
         let found: Vec<AxisVec> =
-            survey::poses(controller.model()).step_by(EVERY).map(|q| self.at_rest(controller, &q)).collect();
+            workspace::poses(controller.model()).step_by(EVERY).map(|q| self.at_rest(controller, &q)).collect();
         let mut out = [f64::INFINITY; MAX_AXES];
         for &axis in &self.axes {
-            out[axis] = survey::median(&mut found.iter().map(|bound| bound[axis]).collect::<Vec<_>>());
+            out[axis] = workspace::median(&mut found.iter().map(|bound| bound[axis]).collect::<Vec<_>>());
         }
         out
     }
@@ -295,13 +295,13 @@ impl ContactEstimator {
         chain.forward(q, &mut frames);
         chain.jacobian(&frames, &mut world);
         chain.gravity(&frames, &controller.masses, controller.gravity, &mut gravity);
-        let base_from_task = controller.plan.base_from_task::<crate::number::Plain>(&frames.tool);
+        let base_from_task = controller.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool);
         for (row, g) in world.iter().zip(controller.gravity) {
             for i in 0..self.joints.n {
                 payload[i] -= row[i] * g;
             }
         }
-        let rows = crate::task::rows(&world, &base_from_task, &self.axes);
+        let rows = crate::kinematics::task_rows(&world, &base_from_task, &self.axes);
         Seen { rows, base_from_task, gravity, payload, frames }
     }
 

@@ -1,8 +1,8 @@
 //! Wrench and error bound from residual joint torques.
 
-use crate::kinematics::JointMatrix;
-use crate::law::inverse::{factor_of, load_rows, rows_array};
-use crate::number::{EveryJoint, Lanes, Plain};
+use crate::math::ldlt6::factor_of;
+use crate::math::rows::{JointMatrix, load_rows, rows_array};
+use crate::math::simd::{EveryJoint, Lanes, Plain};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Linear estimate `F = G r` of `r = JᵀF + ε`, `|ε_i| ≤ u_i`, `|F_k| ≤ most_k`.

@@ -2,9 +2,9 @@
 
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
-use crate::law::feedforward::SPEED_BOUND;
-use crate::number::{Lanes, NEGLIGIBLE};
-use crate::plan::Plan;
+use crate::kinematics::velocity_filter::SPEED_BOUND;
+use crate::math::simd::{Lanes, NEGLIGIBLE};
+use crate::params::Plan;
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{AxisVec, JointVec, MAX_JOINTS};
 
@@ -57,7 +57,7 @@ impl Controller {
 
     /// Checks that a tool pose can be a target of this task.
     pub(crate) fn check_target(&self, what: &str, target: &Pose) -> Result<()> {
-        self.model.check_target_in(what, target, &self.plan.workspace)
+        self.model.check_target_in(what, target, &self.plan.target_region)
     }
 
     /// Reads target joint positions.

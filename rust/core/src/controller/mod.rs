@@ -1,39 +1,37 @@
 //! The controller: construction, settings and read-outs of the control step.
 
 mod capture;
-mod carried;
+mod cold_paths;
 mod command;
-mod fade;
-pub(crate) mod floors;
+pub(crate) mod diagnostics;
 pub(crate) mod input;
-pub(crate) mod kept;
-pub(crate) mod memory;
-mod rare;
-pub(crate) mod record;
+mod payload_ramp;
+mod snapshot;
 mod solve;
+pub(crate) mod stages;
+pub(crate) mod state;
+pub(crate) mod state_vector;
 mod step;
 
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::controller::fade::Fade;
+use crate::controller::payload_ramp::Fade;
 use crate::error::{Error, Result};
 use crate::kinematics::{Frames, LookScratch, Masses};
+use crate::math::simd::Instructions;
 use crate::model::{Model, Payload};
-use crate::number::Instructions;
-use crate::plan::Plan;
+use crate::params::workspace::Surveyed;
+use crate::params::{GravityUse, Law, Plan, Servos, Settings, workspace};
 use crate::pose::Pose;
-use crate::servos::Servos;
-use crate::settings::{GravityUse, Law, Settings};
-use crate::survey::{self, Surveyed};
 use crate::{JointVec, MAX_JOINTS};
 
-pub use carried::Carried;
 pub use command::Command;
-pub use record::Record;
+pub use diagnostics::Record;
+pub use snapshot::Carried;
 
-use memory::Memory;
+use state::Memory;
 
 /// Optional inputs of one step.
 #[derive(Debug, Clone, Copy, Default)]
@@ -88,7 +86,7 @@ impl Controller {
     fn check_holding(&self, known: GravityUse, masses: &Masses) -> Result<()> {
         match known {
             GravityUse::Off => Ok(()),
-            _ => survey::check_holding(&self.model, &self.plan.servos.torque, masses, self.gravity),
+            _ => workspace::check_holding(&self.model, &self.plan.servos.torque, masses, self.gravity),
         }
     }
 
@@ -263,7 +261,7 @@ impl Controller {
         if self.settings.tracking.integrate <= 0.0 {
             self.memory.integral = [0.0; MAX_JOINTS];
         }
-        self.memory.singular = crate::law::singular::SingularValues::start();
+        self.memory.singular = crate::math::singular_values::SingularValues::start();
         self.memory.cold = true;
     }
 

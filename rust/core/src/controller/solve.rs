@@ -1,20 +1,20 @@
 //! Lines 7 to 11: the law, and the redistribution of motion to the other joints at position limits.
 
-use crate::command::goal::Locks;
-use crate::controller::floors::{Given, Seen, Solution, row_damping};
 use crate::controller::input::Input;
-use crate::controller::memory::Memory;
-use crate::law::clearance::posture_share;
-use crate::law::feedforward::{Filtered, damping_squared, fade};
-use crate::law::inverse::{Factor, Square, rows_array, times, weighted_gram};
+use crate::controller::stages::{Given, Seen, Solution, row_damping};
+use crate::controller::state::Memory;
+use crate::kinematics::velocity_filter::Filtered;
 use crate::law::nullspace::fade_squared;
-use crate::law::singular::{Condition, SingularValues};
-use crate::law::takeover::{Share, Takeover};
+use crate::law::posture_fade::posture_share;
+use crate::law::redistribution::{Locks, Share, Takeover};
+use crate::law::singularity::{Condition, damping_squared, fade};
 use crate::law::{Pacing, motion, weighted_manipulability};
-use crate::number::Joints;
-use crate::plan::Plan;
-use crate::settings::Settings;
-use crate::task::wish::Wish;
+use crate::math::ldlt6::Factor;
+use crate::math::rows::{Square, rows_array, times, weighted_gram};
+use crate::math::simd::Joints;
+use crate::math::singular_values::SingularValues;
+use crate::params::{Plan, Settings};
+use crate::task::demand::Wish;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Iterations for the extreme singular vectors: from scratch, and per step when tracked.

@@ -1,30 +1,29 @@
 //! One control step, from reading to command.
 
 use crate::command::goal::{Goals, register_speed, slew};
-use crate::command::integral::Addition;
-use crate::command::limits::finish;
-use crate::controller::floors::Seen;
+use crate::command::integrator::Addition;
+use crate::command::torque_limit::finish;
+use crate::controller::cold_paths::{Asked, Waiting, limit_deviation, strain};
+use crate::controller::diagnostics::Record;
 use crate::controller::input::{Input, readable, without_negligible};
-use crate::controller::memory::Memory;
-use crate::controller::rare::{Asked, Waiting, limit_deviation, strain};
-use crate::controller::record::Record;
 use crate::controller::solve::{Solved, solve, without_locked};
+use crate::controller::stages::Seen;
+use crate::controller::state::Memory;
 use crate::controller::{Command, Controller, StepInput};
 use crate::error::{Error, Result};
+use crate::kinematics::velocity_filter::Filtered;
 use crate::kinematics::{Frames, LookScratch, Masses};
 use crate::law::Pacing;
-use crate::law::feedforward::Filtered;
-use crate::law::inverse::{axes, rows_array, times, wide};
-use crate::law::singular::SingularValues;
+use crate::math::rows::{axes, rows_array, times, wide};
+use crate::math::simd::{Arithmetic, Axes, EveryJoint, Joints, Kernel, LANES, Machine};
+use crate::math::singular_values::SingularValues;
 use crate::model::Chain;
-use crate::number::{Arithmetic, Axes, EveryJoint, Joints, Kernel, LANES, Machine};
-use crate::plan::Plan;
+use crate::params::{LimitRule, Plan, Settings};
 use crate::pose::Pose;
-use crate::settings::{LimitRule, Settings};
-use crate::task::deviation::pose_error_by;
+use crate::task::demand::Wish;
 use crate::task::deviation_limit::Pushed;
-use crate::task::governor::Governor;
-use crate::task::wish::Wish;
+use crate::task::pose_error_by;
+use crate::task::reference_governor::Governor;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Longest time [s] by which one step advances a slew or the integrating goal: after a stall of the host the arm must
@@ -144,7 +143,7 @@ impl Cycle<'_> {
         let dt = self.input.dt.min(LONGEST_SLEW);
 
         let measured = without_negligible(J::read(self.q));
-        if !readable(plan, measured) || self.target.is_refused::<J::One>(&plan.workspace) {
+        if !readable(plan, measured) || self.target.is_refused::<J::One>(&plan.target_region) {
             return false;
         }
         let filtered = self.filter(measured);

@@ -5,12 +5,12 @@ use rayon::prelude::*;
 use super::jacobian::turn_to_tool;
 use super::{Frames, Masses, Reference};
 use crate::error::{Error, Result};
-use crate::model::{Chain, Model};
-use crate::number::{
+use crate::math::simd::{
     Arithmetic, Instructions, Kernel, LANES, Machine, Many, PAST_THE_CACHES, Packed, Stream, streaming,
 };
+use crate::math::thread_pool::on_every_core;
+use crate::model::{Chain, Model};
 use crate::pose::COORDINATE_BOUND;
-use crate::threads::on_every_core;
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Configurations per chunk; a smaller batch runs on the caller's thread.

@@ -1,8 +1,8 @@
 //! Forward kinematics: joint positions → frames of all joints and of the tool.
 
-use super::spatial::{Mat3, Vec3, multiply, splat, splat_matrix};
+use crate::math::simd::{Arithmetic, Joints, Plain, Real, Three, Triple, sin_cos};
+use crate::math::spatial::{Mat3, Vec3, multiply, splat, splat_matrix};
 use crate::model::Chain;
-use crate::number::{Arithmetic, Joints, Plain, Real, Three, Triple, sin_cos};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
 

@@ -1,9 +1,9 @@
 //! Gravity torques of the arm.
 
 use super::forward::Frames;
-use super::spatial::{Vec3, add, cross, dot, place, scale, splat, sub};
+use crate::math::simd::{Arithmetic, Plain};
+use crate::math::spatial::{Vec3, add, cross, dot, place, scale, splat, sub};
 use crate::model::{Chain, Payload};
-use crate::number::{Arithmetic, Plain};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Mass [kg] and first moment (mass times centre of mass [kg·m]) of the rigid group of links that each joint carries.

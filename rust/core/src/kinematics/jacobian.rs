@@ -1,9 +1,10 @@
 //! Geometric Jacobian from frames.
 
 use super::forward::{Frames, Visitor};
-use super::spatial::{Mat3, Vec3, cross, rotate_back, sub};
+use crate::math::rows::{load_rows, rows_array};
+use crate::math::simd::{Arithmetic, EveryJoint, Lanes, Plain, Scalar, Three, Triple};
+use crate::math::spatial::{Mat3, Vec3, cross, rotate_back, sub};
 use crate::model::Chain;
-use crate::number::{Arithmetic, Plain, Three, Triple};
 use crate::pose::Pose;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
@@ -101,4 +102,30 @@ pub(super) fn turn_to_tool<A: Arithmetic>(
             (rows[i][k], rows[i + 3][k]) = (linear[i], angular[i]);
         }
     }
+}
+
+/// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; zeros after them.
+pub(crate) fn task_rows(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> Rows {
+    rows_array(&rotated_rows::<EveryJoint>(&load_rows(world), base_from_task, axes))
+}
+
+/// [`task_rows`] in registers.
+#[inline(always)]
+pub(crate) fn rotated_rows<J: Lanes>(
+    world: &[J; MAX_AXES],
+    base_from_task: &Mat3<Scalar<J>>,
+    axes: &[usize],
+) -> [J; MAX_AXES] {
+    let mut out = [J::splat(0.0); MAX_AXES];
+    for r in 0..axes.len().min(MAX_AXES) {
+        let axis = axes[r];
+        let (block, column) = if axis < 3 { (0, axis) } else { (3, (axis - 3) % 3) };
+        let [x, y, z] = [
+            J::spread(base_from_task[0][column]),
+            J::spread(base_from_task[1][column]),
+            J::spread(base_from_task[2][column]),
+        ];
+        out[r] = J::fma(z, world[block + 2], J::fma(y, world[block + 1], x * world[block]));
+    }
+    out
 }

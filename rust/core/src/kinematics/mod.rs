@@ -3,27 +3,30 @@
 use nalgebra::{DVector, Matrix6xX};
 
 use crate::error::{Error, Result};
+use crate::math::simd::{Instructions, Kernel, LANES, Machine, Three, Wide};
 use crate::model::{Chain, Model};
-use crate::number::{Instructions, Kernel, LANES, Machine, Three, Wide};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 pub(crate) mod batch;
 mod forward;
+mod fused;
 mod gravity;
-mod inertia;
-mod inverse;
+mod ik;
 mod jacobian;
-mod look;
+mod mass_matrix;
 mod points;
-pub(crate) mod spatial;
+pub(crate) mod statics;
+mod targets;
+pub(crate) mod velocity_filter;
 
 pub use forward::Frames;
+pub(crate) use fused::{LookScratch, View};
 pub use gravity::Masses;
-pub(crate) use inertia::JointMatrix;
-pub use inverse::{IkOptions, IkReason, IkResult};
-pub(crate) use look::{LookScratch, View};
+pub use ik::{IkOptions, IkReason, IkResult};
+pub(crate) use jacobian::{rotated_rows, task_rows};
 pub use points::{ArmGeometry, ArmPoints, MAX_POINTS};
+pub(crate) use targets::{joint_targets, target_region};
 
 /// Axes of a Jacobian's rows; the reference point is the tool in both cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

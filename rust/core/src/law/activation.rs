@@ -2,9 +2,8 @@
 
 use nalgebra::DMatrix;
 
-use crate::law::inverse::{load_rows, transpose_times};
-use crate::law::nullspace::JointSquare;
-use crate::number::{Arithmetic, Axes, EveryJoint, Lanes};
+use crate::math::rows::{JointMatrix, load_rows, transpose_times};
+use crate::math::simd::{Arithmetic, Axes, EveryJoint, Lanes};
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 /// Smallest sum that shares are divided by. Its inverse times any strength is finite. An axis whose joints move the
@@ -112,13 +111,13 @@ pub(crate) trait RowLengths<J> {
     fn row_lengths(&self) -> J;
 }
 
-impl RowLengths<EveryJoint> for JointSquare {
+impl RowLengths<EveryJoint> for JointMatrix {
     fn row_lengths(&self) -> EveryJoint {
         EveryJoint::load(&self.map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt()))
     }
 }
 
 /// `M v` of an n × n matrix.
-pub(crate) fn product(m: &JointSquare, v: &JointVec) -> JointVec {
+pub(crate) fn product(m: &JointMatrix, v: &JointVec) -> JointVec {
     m.map(|row| row.iter().zip(v).map(|(a, b)| a * b).sum())
 }

@@ -1,10 +1,11 @@
 //! Law `cap`: each task axis pushes back with at most a given force. Lines 7 and 8 of the control step.
 
-use crate::law::inverse::{Factor, Square, axes, damped, diagonal, weighted_gram, wide};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
-use crate::number::{Axes, AxisScalar, Lanes};
-use crate::settings::Follow;
+use crate::math::ldlt6::Factor;
+use crate::math::rows::{Square, axes, damped, diagonal, weighted_gram, wide};
+use crate::math::simd::{Axes, AxisScalar, Lanes};
+use crate::params::Follow;
 
 /// Input of the law for one step, with the rows of the task's axes.
 #[derive(Debug, Clone, Copy)]
@@ -95,7 +96,7 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::number::{Arithmetic, EveryJoint};
+    use crate::math::simd::{Arithmetic, EveryJoint};
     use crate::{AxisVec, MAX_AXES};
 
     type Axes = <EveryJoint as Lanes>::Axes;

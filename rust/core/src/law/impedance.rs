@@ -1,62 +1,12 @@
 //! Law `impedance`: a spring and a damper on each task axis, no solve. Replaces lines 6 to 8 of the control step.
 
-use crate::law::inverse::{axes, diagonal, load_rows, times, weighted_gram, wide};
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
-use crate::number::{Arithmetic, Axes, AxisScalar, EveryJoint, Lanes, Scalar, Spread};
-use crate::plan::Plan;
+use crate::math::rows::{diagonal, load_rows, times, weighted_gram, wide};
+use crate::math::simd::{Arithmetic, EveryJoint, Lanes, Scalar, Spread};
+use crate::math::spectral::rho;
+use crate::params::Plan;
 use crate::{MAX_AXES, Rows};
-
-/// Squarings that isolate the largest eigenvalue: power 2⁶ = 64.
-const SQUARINGS: usize = 6;
-
-/// `ρ = (Σ λ_i⁶⁴)^(1/64)` over the eigenvalues of `K_p⁻¹ Jᵀ K J`: stiffness of the axes relative to the servos.
-///
-/// At least the largest eigenvalue and at most 3 % above it (six equal eigenvalues); smooth where two eigenvalues
-/// cross; memoryless. `compliance` holds 1/k_p.
-#[inline(always)]
-pub(crate) fn rho<J: Lanes>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> Scalar<J> {
-    // √K C √K has the same eigenvalues, and is symmetric.
-    let (root, c) = (J::Axes::sqrt(stiffness), weighted_gram(rows, compliance));
-    let roots = axes(root);
-    let mut m = [root; MAX_AXES];
-    for r in 0..MAX_AXES {
-        m[r] = wide::<J::Axes>(&c[r]) * root * J::Axes::spread(roots[r]);
-    }
-    // Divide by the trace before each squaring, to prevent overflow.
-    let mut traces = [J::One::splat(0.0); SQUARINGS];
-    for trace in &mut traces {
-        *trace = trace_of(&m);
-        m = squared(&m, J::One::splat(1.0) / J::One::at_least(*trace, J::One::splat(f64::MIN_POSITIVE)));
-    }
-    let mut power = trace_of(&m);
-    for trace in traces.iter().rev() {
-        power = *trace * J::One::sqrt(power);
-    }
-    power
-}
-
-#[inline(always)]
-fn trace_of<W: Axes>(m: &[W; MAX_AXES]) -> AxisScalar<W> {
-    let mut sum = W::One::splat(0.0);
-    for r in 0..MAX_AXES {
-        sum = sum + axes(m[r])[r];
-    }
-    sum
-}
-
-/// `(f M)²` of a symmetric matrix.
-#[inline(always)]
-fn squared<W: Axes>(m: &[W; MAX_AXES], factor: AxisScalar<W>) -> [W; MAX_AXES] {
-    let (factor, mut out) = (W::spread(factor), [W::splat(0.0); MAX_AXES]);
-    for r in 0..MAX_AXES {
-        let row = axes(m[r] * factor * factor);
-        for c in 0..MAX_AXES {
-            out[r] = W::fma(W::spread(row[c]), m[c], out[r]);
-        }
-    }
-    out
-}
 
 /// Returns the factor ≤ 1 that reduces `ρ` of these gains to `bound`.
 #[inline(always)]
@@ -112,32 +62,4 @@ pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
         None => tick.null_motion(),
     };
     Motion { gain_factor, ..tick.exert(wrench, null, tick.resistance(ahead)) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{JointVec, MAX_JOINTS};
-
-    #[test]
-    fn rho_is_just_above_the_largest_eigenvalue() {
-        let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
-        for (r, row) in rows.iter_mut().enumerate() {
-            for (i, value) in row.iter_mut().enumerate().take(7) {
-                *value = ((3 * r + 5 * i) as f64).sin();
-            }
-        }
-        let mut compliance: JointVec = [1.0; MAX_JOINTS];
-        compliance[..7].copy_from_slice(&[1.0 / 150.0, 1.0 / 150.0, 1e-2, 1e-2, 1.0 / 60.0, 1.0 / 60.0, 1.0 / 60.0]);
-        let of =
-            |stiffness: &[f64; 6]| rho::<EveryJoint>(&load_rows(&rows), EveryJoint::load(&compliance), wide(stiffness));
-        for stiffness in [[800.0_f64, 800.0, 800.0, 20.0, 20.0, 20.0], [0.0, 1e9, 1e-3, 5.0, 0.0, 0.0], [1.0; 6]] {
-            let j = nalgebra::DMatrix::from_fn(6, 7, |r, i| rows[r][i] * stiffness[r].sqrt());
-            let c = nalgebra::DVector::from_column_slice(&compliance[..7]);
-            let largest = (&j * nalgebra::DMatrix::from_diagonal(&c) * j.transpose()).symmetric_eigenvalues().max();
-            let got = of(&stiffness);
-            assert!(got >= largest * (1.0 - 1e-12) && got <= 1.0285 * largest, "{got} {largest}");
-        }
-        assert!(of(&[0.0; 6]) < f64::MIN_POSITIVE);
-    }
 }

@@ -2,26 +2,25 @@
 
 pub(crate) mod activation;
 pub(crate) mod cap;
-pub(crate) mod clearance;
-pub(crate) mod feedforward;
+pub(crate) mod friction;
 pub(crate) mod impedance;
-pub(crate) mod inverse;
 pub(crate) mod nullspace;
 pub(crate) mod paper;
-pub(crate) mod singular;
-pub(crate) mod svd;
-pub(crate) mod takeover;
+pub(crate) mod posture_fade;
+pub(crate) mod redistribution;
+pub(crate) mod scaling;
+pub(crate) mod singularity;
 pub(crate) mod wrench;
 
-use crate::law::feedforward::{Fed, Resistance};
-use crate::law::inverse::{axes, transpose_times};
+use crate::law::friction::{Fed, Resistance};
 use crate::law::nullspace::{NullSpace, manipulability_gradient};
-use crate::law::singular::Condition;
+use crate::law::singularity::Condition;
 use crate::law::wrench::Wrench;
-use crate::number::{Arithmetic, Axes, Lanes, Scalar};
-use crate::plan::Plan;
-use crate::settings::{Law, Projector};
-use crate::task::wish::Wish;
+use crate::math::ldlt6::pseudo_inverse;
+use crate::math::rows::{axes, transpose_times};
+use crate::math::simd::{Arithmetic, Axes, Lanes, Scalar};
+use crate::params::{Law, Plan, Projector};
+use crate::task::demand::Wish;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Input of every law: one step at the predicted positions, with the rows of the task's axes.
@@ -158,7 +157,7 @@ pub(crate) fn weighted_manipulability(
     base_from_task: &[[f64; 3]; 3],
     mu_squared: f64,
 ) -> JointVec {
-    let pinv = inverse::pseudo_inverse(scaled_rows, &[1.0; MAX_JOINTS], &[mu_squared; MAX_AXES]);
+    let pinv = pseudo_inverse(scaled_rows, &[1.0; MAX_JOINTS], &[mu_squared; MAX_AXES]);
     let mut p = [[0.0; MAX_JOINTS]; MAX_AXES];
     for (r, &axis) in plan.axes.iter().enumerate().take(MAX_AXES) {
         let (block, column) = if axis < 3 { (0, axis) } else { (3, axis - 3) };
@@ -169,6 +168,6 @@ pub(crate) fn weighted_manipulability(
             }
         }
     }
-    let turning = matches!(plan.frame, crate::task::axes::Frame::Tool);
+    let turning = matches!(plan.frame, crate::params::Frame::Tool);
     manipulability_gradient(world, &p, turning, plan.n).map(|g| plan.cost.manipulability * g)
 }

@@ -1,12 +1,11 @@
 //! Redundancy: the projector of (4) and the null-space cost of line 9.
 
 use crate::law::activation::RowLengths;
-use crate::law::inverse::{Factor, factor_of, load_rows, times, transpose_times};
-use crate::number::{Arithmetic, EveryJoint, Lanes, Scalar};
+use crate::math::ldlt6::{Factor, factor_of};
+use crate::math::rows::{JointMatrix, load_rows, times, transpose_times};
+use crate::math::simd::{Arithmetic, EveryJoint, Lanes, Scalar};
+use crate::params::NullSpaceCost;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
-
-/// An n × n matrix over the joints.
-pub(crate) type JointSquare = [[f64; MAX_JOINTS]; MAX_JOINTS];
 
 /// The projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix.
 ///
@@ -81,7 +80,7 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
 }
 
 /// Rows of the identity. A static, because loading a row just after storing a single element of it stalls.
-static IDENTITY: JointSquare = {
+static IDENTITY: JointMatrix = {
     let mut rows = [[0.0; MAX_JOINTS]; MAX_JOINTS];
     let mut i = 0;
     while i < MAX_JOINTS {
@@ -128,7 +127,7 @@ pub(crate) fn projector(
     weight: &JointVec,
     added: &AxisVec,
     (task, joints): (usize, usize),
-) -> JointSquare {
+) -> JointMatrix {
     let rows = load_rows::<EveryJoint>(rows);
     let space = NullSpace::new(&rows, EveryJoint::load(weight), added, (task, joints));
     let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
@@ -142,20 +141,7 @@ pub(crate) fn projector(
     out
 }
 
-/// Parts of the null-space cost that depend on the arm alone.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Cost {
-    /// Weight of each joint in `½ Σ w (q − q_rest)²`.
-    pub(crate) posture: JointVec,
-    /// Middle of each joint's range [rad].
-    pub(crate) middle: JointVec,
-    /// `weight / (half range)²`; 0 for continuous joints.
-    pub(crate) limits: JointVec,
-    /// Weight of `−ln √det(JJᵀ)`.
-    pub(crate) manipulability: f64,
-}
-
-impl Cost {
+impl NullSpaceCost {
     /// Returns the gradient of `share` times the posture cost plus the joint-limit cost at `q`.
     #[inline(always)]
     pub(crate) fn gradient<J: Lanes>(&self, q: J, rest: J, share: f64) -> J {

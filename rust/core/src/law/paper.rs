@@ -1,15 +1,15 @@
 //! Law `paper`: velocity-based task-space control with torque budgets, equations (3)–(11).
 
-use crate::command::goal::scale_to_fit;
 use crate::law::activation::{Activation, null_column};
 use crate::law::cap::Demand;
-use crate::law::inverse::{Factor, axes, damped, diagonal, transpose_times, weighted_gram, wide};
 use crate::law::nullspace::NullSpace;
+use crate::law::scaling::scale_to_fit;
 use crate::law::wrench::Wrench;
 use crate::law::{Motion, Tick};
-use crate::number::{Arithmetic, Axes, Lanes};
-use crate::plan::Plan;
-use crate::settings::{Follow, Law, Projector};
+use crate::math::ldlt6::Factor;
+use crate::math::rows::{axes, damped, diagonal, transpose_times, weighted_gram, wide};
+use crate::math::simd::{Arithmetic, Axes, Lanes};
+use crate::params::{Follow, Law, Plan, Projector};
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Clamps the task step to the budgets: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.

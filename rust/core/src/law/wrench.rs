@@ -1,11 +1,11 @@
 //! Lead of the goals for a wrench, within torque ceilings and joint speeds: shared by the laws that are defined by
 //! forces.
 
-use crate::command::goal::scale_to_fit;
-use crate::law::feedforward::Resistance;
-use crate::law::inverse::transpose_times;
+use crate::law::friction::Resistance;
+use crate::law::scaling::scale_to_fit;
 use crate::law::{Motion, Tick};
-use crate::number::{Arithmetic, Axes, Lanes, Spread};
+use crate::math::rows::transpose_times;
+use crate::math::simd::{Arithmetic, Axes, Lanes, Spread};
 
 /// Wrench on the target [N, N·m], in two parts that are scaled separately at a limit.
 #[derive(Debug, Clone, Copy)]

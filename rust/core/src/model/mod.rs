@@ -13,7 +13,6 @@ mod names;
 mod options;
 mod parts;
 mod roles;
-mod targets;
 mod text;
 mod tree;
 mod urdf;
@@ -23,13 +22,10 @@ pub use chain::Chain;
 pub use options::{ModelOptions, Payload};
 pub use parts::{Inertial, Joint, JointKind, Link, Mimic};
 
-use crate::MAX_JOINTS;
 use crate::error::{Error, Position, Result};
-use crate::kinematics::Frames;
 use names::some;
 pub(crate) use options::finite_vector;
 use options::{need_limits, override_limits};
-pub(crate) use targets::{Workspace, joint_targets};
 use text::Source;
 use tree::Tree;
 
@@ -232,13 +228,6 @@ impl Model {
     /// prismatic joints [m].
     pub const fn reach(&self) -> f64 {
         self.reach
-    }
-
-    /// Reference point of [`Model::reach`]: the first joint's origin at q = 0, in the base [m].
-    pub fn reach_from(&self) -> [f64; 3] {
-        let mut frames = Frames::default();
-        self.chain.forward(&[0.0; MAX_JOINTS], &mut frames);
-        frames.origin[0]
     }
 
     /// Independent joints that move a rigid group without mass: their gravity torque is unknown.

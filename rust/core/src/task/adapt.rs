@@ -1,9 +1,10 @@
 //! Target adaptation, equation (12), and the blend between the strengths of the two sides of an axis.
 
-use crate::number::{Arithmetic, Plain};
+use crate::math::rotation::rotation_matrix;
+use crate::math::simd::{Arithmetic, Plain};
 use crate::pose::Pose;
 use crate::task::compliance::unit;
-use crate::task::deviation::{pose_error, rotation_matrix};
+use crate::task::pose_error;
 
 /// Weight of the strengths "pushed toward +", 0…1, for the deviation `e`; `slope` is 1 / (2 `band`).
 ///

@@ -1,7 +1,7 @@
 //! Compliance (8) and holding torque (9).
 
-use crate::number::{Arithmetic, Plain};
-use crate::task::axes::Profile;
+use crate::math::simd::{Arithmetic, Plain};
+use crate::params::Profile;
 
 /// Compliance c ∈ [0, 1] of (8) for a deviation of any sign: 1 below `soft_until`, 0 above `firm_from`, linear between.
 ///

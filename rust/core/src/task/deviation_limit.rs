@@ -3,24 +3,15 @@
 //! The limiter moves the reference instead of clipping the deviation. The reference has a bounded speed and a state, so
 //! that after a release the tool moves at its own speed and does not jump.
 
-use crate::number::Plain;
+use crate::math::rotation::{into_frame, out_of_frame, rotation_matrix, rotation_vector};
+use crate::math::simd::Plain;
+use crate::params::{DeviationLimit, OnDeviationLimit};
 use crate::pose::Pose;
-use crate::task::axes::OnDeviationLimit;
-use crate::task::deviation::{into_frame, out_of_frame, pose_error, rotation_matrix, rotation_vector};
+use crate::task::pose_error;
 use crate::{AxisVec, MAX_AXES};
 
 /// Change of a deviation [m or rad] that counts as no change: rounding must not release a stopped target.
 const STILL: f64 = 1e-9;
-
-/// Deviation limit of one axis.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct DeviationLimit {
-    /// Index among x, y, z, roll, pitch, yaw.
-    pub(crate) axis: usize,
-    /// Largest deviation [m or rad] when pushed toward (−, +); ∞ for a side that yields.
-    pub(crate) most: [f64; 2],
-    pub(crate) reaction: OnDeviationLimit,
-}
 
 impl DeviationLimit {
     /// Clamps the deviation `e` to the limit: e > 0 if the axis is pushed toward −.

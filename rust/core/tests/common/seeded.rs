@@ -4,7 +4,6 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use pliant_core::task::deviation::rotation_matrix;
 use pliant_core::{Model, ModelOptions, Pose, Servos};
 
 /// SplitMix64.
@@ -55,7 +54,7 @@ impl Random {
 
     pub(crate) fn rotation(&mut self) -> [[f64; 3]; 3] {
         let v = self.vector(3, 2.5);
-        rotation_matrix([v[0], v[1], v[2]])
+        Pose::from_rotation_vector([0.0; 3], [v[0], v[1], v[2]]).unwrap().rotation
     }
 
     /// Positions inside the limits (±π where there are none), `share` of the range around its middle.
@@ -72,7 +71,7 @@ impl Random {
     pub(crate) fn target(&mut self, model: &Model, q: &[f64], metres: f64, radians: f64) -> Pose {
         let mut pose = model.forward_kinematics(q).unwrap();
         let (p, v) = (self.vector(3, metres), self.vector(3, radians));
-        let turn = rotation_matrix([v[0], v[1], v[2]]);
+        let turn = Pose::from_rotation_vector([0.0; 3], [v[0], v[1], v[2]]).unwrap().rotation;
         let before = pose.rotation;
         for i in 0..3 {
             pose.position[i] += p[i];

@@ -3,11 +3,10 @@
 
 use std::sync::Arc;
 
-use pliant_core::settings::{
-    Damping, Follow, Gain, GravityUse, Law, LimitRule, NullSpace, PaperOptions, Projector, Settings, TorqueLimits,
-    Tracking,
+use pliant_core::params::{
+    Axis, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Profile,
+    Projector, Settings, Task, TorqueLimits, Tracking, Yields,
 };
-use pliant_core::task::axes::{Axis, Frame, OnDeviationLimit, Profile, Task, Yields};
 use pliant_core::{Controller, Model, Servos};
 
 use crate::seeded::Random;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use pliant_core::Pose;
-use pliant_core::task::axes::{OnDeviationLimit, Yields};
+use pliant_core::params::{OnDeviationLimit, Yields};
 
 use super::{Oracle, Vector};
 

@@ -1,6 +1,6 @@
 //! Lines 7 to 9 and law `paper`, with matrices inverted as they are printed.
 
-use pliant_core::settings::Follow;
+use pliant_core::params::Follow;
 
 use super::shares::Shares;
 use super::{Matrix, Oracle, Vector};
@@ -305,14 +305,14 @@ impl Want<'_> {
             ..*self
         };
         let mut wrench = none.clone();
-        let mut more = if settings.law == pliant_core::settings::Law::Paper && !free {
+        let mut more = if settings.law == pliant_core::params::Law::Paper && !free {
             rest.shares().pseudo_inverse() * &lost
         } else {
             wrench = rest.stiff(&lost);
             (rows.transpose() * &wrench).component_div(&kp)
         };
         let mut factor = 1.0;
-        if settings.law == pliant_core::settings::Law::Paper {
+        if settings.law == pliant_core::params::Law::Paper {
             wrench.fill(0.0);
         } else {
             let base = of(false, &(self.in_goal + &all.feed_forward + kp.component_mul(&(&whole + &all.force))));
@@ -340,8 +340,8 @@ impl Want<'_> {
     fn row_scale(&self) -> Vector {
         let oracle = self.oracle;
         let axes = oracle.axes();
-        let printed = matches!(oracle.settings.tracking.damping, pliant_core::settings::Damping::Fixed(_))
-            && self.k() <= self.n();
+        let printed =
+            matches!(oracle.settings.tracking.damping, pliant_core::params::Damping::Fixed(_)) && self.k() <= self.n();
         Vector::from_fn(self.k(), |r, _| if axes[r] < 3 && !printed { oracle.length().powi(2) } else { 1.0 })
     }
 
@@ -358,7 +358,7 @@ impl Want<'_> {
 
 /// α as K_x, where it is not given.
 pub(super) fn largest(settings: &pliant_core::Settings) -> f64 {
-    use pliant_core::settings::Gain;
+    use pliant_core::params::Gain;
     match &settings.tracking.gain {
         Gain::Scalar(k) => *k,
         Gain::Diagonal(d) => d.iter().copied().fold(0.0, f64::max),

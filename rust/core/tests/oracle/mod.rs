@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector, Vector3};
-use pliant_core::settings::{Damping, Law, LimitRule, Settings};
+use pliant_core::params::{Damping, Law, LimitRule, Settings};
 use pliant_core::{Model, Pose, Servos, StepInput};
 
 mod deviation_limit;
@@ -166,15 +166,15 @@ impl Oracle {
             on * (dry + settings.compensation.damping * resistance[i] * velocity[i])
         });
         let loaded = Vector::from_fn(n, |i, _| on * (per_load[i] + fading(i) * per_load_at_rest[i]) * way(i));
-        let in_goal = if settings.gravity_use() == pliant_core::settings::GravityUse::Both
-            || settings.gravity_use() == pliant_core::settings::GravityUse::Goal
+        let in_goal = if settings.gravity_use() == pliant_core::params::GravityUse::Both
+            || settings.gravity_use() == pliant_core::params::GravityUse::Goal
         {
             gravity.clone()
         } else {
             Vector::zeros(n)
         };
-        let in_limit = if settings.gravity_use() == pliant_core::settings::GravityUse::Both
-            || settings.gravity_use() == pliant_core::settings::GravityUse::Limits
+        let in_limit = if settings.gravity_use() == pliant_core::params::GravityUse::Both
+            || settings.gravity_use() == pliant_core::params::GravityUse::Limits
         {
             gravity.clone()
         } else {

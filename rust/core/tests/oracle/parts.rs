@@ -1,8 +1,7 @@
 //! What a step asks of arm, servos and axes before it solves anything.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use pliant_core::settings::{Gain, Law};
-use pliant_core::task::axes::{Frame, Profile, Yields};
+use pliant_core::params::{Frame, Gain, Law, Profile, Yields};
 use pliant_core::{LimitType, Pose, Reference, Servos, StepInput};
 
 use super::{Matrix, Oracle, Row, Vector};

@@ -1,6 +1,6 @@
 //! Lines 10 and 11: which joint answers for which axis, and the limits that follow.
 
-use pliant_core::settings::Projector;
+use pliant_core::params::Projector;
 
 use super::law::{diagonal, inverse, largest};
 use super::{Matrix, Oracle, Vector};

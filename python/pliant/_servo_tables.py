@@ -1,0 +1,84 @@
+"""Selection, broadcasting and concatenation of servo tables, for all fields."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant._core import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from pliant._core import Servos
+
+#: Fields of a servo table with one number per joint.
+COLUMNS = (
+    "kp",
+    "max_torque",
+    "friction",
+    "load_friction",
+    "stribeck",
+    "load_stribeck",
+    "stribeck_speed",
+    "damping",
+    "kv",
+    "armature",
+    "encoder_step",
+)
+#: No-load speed that stands for an unlimited one [rad/s].
+UNREACHABLE = 1e6
+
+
+def take(table: Servos, n: int, places: ArrayLike) -> Servos:
+    """Return a servo table with the entries at some indices of a table for n joints.
+
+    Raises:
+        ConfigError: The table has another number of joints.
+    """
+    return table.replace(**_columns(table, n, np.asarray(places, dtype=int)))
+
+
+def spread(table: Servos, n: int) -> Servos:
+    """Return a table with n entries in every field.
+
+    Raises:
+        ConfigError: The table has another number of joints.
+    """
+    return take(table, n, np.arange(n))
+
+
+def join(first: Servos, rest: Sequence[Servos]) -> Servos:
+    """Concatenate servo tables; limit type and `stiffness_known` are those of the first.
+
+    If the first is of limit type `pwm`, servos of another type get an unreachable no-load speed,
+    that is, no back-EMF.
+    """
+    tables = [first, *rest]
+    sizes = [np.size(table.kp) for table in tables]
+
+    def column(name: str) -> NDArray[np.float64]:
+        values = [getattr(table, name) for table in tables]
+        values = [UNREACHABLE if value is None else value for value in values]
+        rows = zip(values, sizes, strict=True)
+        return np.concatenate([np.broadcast_to(value, size) for value, size in rows])
+
+    joined: dict[str, Any] = {name: column(name) for name in COLUMNS}
+    if first.no_load_speed is not None:
+        joined["no_load_speed"] = column("no_load_speed")
+    return first.replace(**joined)
+
+
+def _columns(table: Servos, n: int, places: NDArray[np.int_]) -> dict[str, Any]:
+    """Return the entries at some indices, for every field with one number per joint."""
+    names = [*COLUMNS, *(["no_load_speed"] if table.no_load_speed is not None else [])]
+    out = {}
+    for name in names:
+        value = np.asarray(getattr(table, name), dtype=np.float64)
+        if value.shape not in {(), (1,), (n,)}:
+            raise ConfigError(f"servos.{name} has {value.size} entries for {n} joints")
+        out[name] = np.broadcast_to(value, n)[places]
+    return out

@@ -1,0 +1,112 @@
+"""Checks of function arguments; errors show the value and the allowed values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from pliant._core import ConfigError, Model, OutOfRangeError, Servos, ShapeError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+T = TypeVar("T")
+
+#: Task axes in their order: translations [m], then rotations [rad].
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+#: How to create an argument of each type.
+HINTS: dict[type, str] = {
+    Model: "as pliant.robots.arm7(), .so101(), .koch() or Model.from_urdf(path) make one",
+    Servos: "e.g. Servos.of(['sts3215'] * model.n)",
+}
+
+
+def format_value(value: Any) -> str:
+    """Format a value with its type for an error message."""
+    text = repr(value)
+    return f"{text if len(text) <= 80 else text[:77] + '...'} ({type(value).__name__})"
+
+
+def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
+    """Return `value` if it is an instance of `kind`.
+
+    Raises:
+        TypeError: It is not; the message describes what is needed.
+    """
+    if not isinstance(value, kind):
+        hint = hint or HINTS.get(kind, "")
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        wanted = f"{name} must be {article} {kind.__name__}" + (f", {hint}" if hint else "")
+        raise TypeError(f"{wanted}, got {format_value(value)}")
+    return value
+
+
+def mapping(value: Any, name: str, hint: str) -> Mapping[Any, Any]:
+    """Return `value` if it is a mapping; errors as in `instance`."""
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{name} must be a mapping, {hint}, got {format_value(value)}")
+    return value
+
+
+def real(value: Any, name: str) -> float:
+    """Return a number, finite or not.
+
+    Raises:
+        ConfigError: Not a number.
+    """
+    if isinstance(value, (bool, str, bytes)) or np.ndim(value) != 0:
+        raise ConfigError(f"{name} must be a number, got {format_value(value)}")
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{name} must be a number, got {format_value(value)}") from None
+
+
+def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = "") -> float:
+    """Return a finite number in [low, high].
+
+    Raises:
+        ConfigError: Not a number.
+        OutOfRangeError: NaN, infinite or out of range.
+    """
+    out = real(value, name)
+    if not (low <= out <= high and np.isfinite(out)):
+        end = "∞)" if np.isinf(high) else f"{high:g}]"
+        of = f" [{unit}]" if unit else ""
+        raise OutOfRangeError(f"{name}{of} must be in [{low:g}, {end}, got {out:g}")
+    return out
+
+
+def positive(value: Any, name: str, unit: str = "") -> float:
+    """Return a finite number above zero; errors as in `number`."""
+    out = number(value, name, 0.0, unit=unit)
+    if out == 0.0:
+        of = f" [{unit}]" if unit else ""
+        raise OutOfRangeError(f"{name}{of} must be above 0, got 0")
+    return out
+
+
+def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> NDArray[np.float64]:
+    """Return a new array (n,) of finite numbers.
+
+    Raises:
+        ShapeError: Wrong shape, not an array of numbers, or not finite.
+    """
+    of = f" [{unit}]" if unit else ""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.shape != (n,) or not np.isfinite(array).all():
+        raise ShapeError(f"{name} must be {n} finite numbers{of}, got {format_value(value)}")
+    return array
+
+
+def rounded_up(value: float) -> str:
+    """Format a lower bound with three digits, rounded up so that the shown value is accepted."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return f"{math.ceil(value / digit) * digit:.3g}"

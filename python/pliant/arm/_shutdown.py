@@ -1,0 +1,294 @@
+"""Exits of an arm: the descent, holding the present pose, and the messages meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant._core import ServoError
+from pliant.arm._messages import MESSAGES
+from pliant.arm._signals import name_of, signal_of
+from pliant.arm.lowering import SUPPORT, Lowering, margin
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from pliant.arm._io import ArmIO
+    from pliant.arm._messages import Message
+    from pliant.arm._points import Points
+
+    Array = NDArray[np.float64]
+
+
+#: Time between two progress messages [s].
+PROGRESS = 1.0
+#: Lowest torque at which a joint counts as loaded [N·m].
+MIN_LOAD = 1e-3
+#: Largest length of a reason in a message [characters].
+MAX_REASON = 160
+#: Text for each phase of a descent.
+PHASES = {"rest": "to its rest pose", "down": "down", "ramp": "at rest, giving up its weight"}
+#: Remedy for an arm that was left with torque on.
+RECOVER = (
+    "`pliant run ARM`, or your program started again, takes it over and lowers it at its end; or "
+    "support the arm and cut the supply"
+)
+
+
+class ExitMessages:
+    """Messages of one exit of an arm.
+
+    A planned exit is logged as INFO, or as DEBUG for an arm in simulated time; any other as
+    WARNING.
+
+    Args:
+        name: Name of the arm.
+        io: Cycle of the arm.
+        cause: Reason for the exit; None: planned.
+    """
+
+    def __init__(self, name: str, io: ArmIO, cause: str | None) -> None:
+        """Store the start time; no message is sent yet."""
+        self._name, self._io, self._cause = name, io, cause
+        is_real = bool(getattr(io.clock, "real_time", False))
+        planned = logging.INFO if is_real else logging.DEBUG
+        self._level = planned if cause is None else logging.WARNING
+        self._detail = logging.INFO if is_real else logging.DEBUG
+        self._start_time, self._last_progress = io.clock.now(), time.monotonic()
+        self._start_height: float | None = None
+
+    def begin(self, *, interrupted: bool = False) -> Message:
+        """Announce that the arm is being lowered, and what Ctrl-C does meanwhile.
+
+        Args:
+            interrupted: Whether a Ctrl-C is the reason.
+        """
+        why = "" if self._cause is None else f" ({self._cause})"
+        again = "Ctrl-C again leaves" if interrupted else "Ctrl-C twice leaves"
+        return MESSAGES.post(
+            f"{self._name} is being lowered{why}. {again} at once, torque ON", self._level
+        )
+
+    def progress(self, lowering: Lowering) -> None:
+        """Report progress, at most once a second."""
+        now = time.monotonic()
+        if self._start_height is None:
+            self._start_height = self._height()
+        if now - self._last_progress < PROGRESS:
+            return
+        self._last_progress = now
+        # An error in a message must not end the descent.
+        with contextlib.suppress(Exception):
+            where = PHASES.get(lowering.phase, lowering.phase)
+            MESSAGES.post(
+                f"{self._name}: {where}, {self._height_change()}, {self._elapsed():.0f} s",
+                self._detail,
+                progress=True,
+            )
+
+    def lowered(self, *, has_signal: bool = False) -> str:
+        """Report that the arm rests and torque is off.
+
+        Args:
+            has_signal: Whether a signal came during the descent; the message is then a WARNING.
+        """
+        return self._post(
+            f"{self._name} was lowered: torque OFF, {self._height_change()}, "
+            f"{self._elapsed():.1f} s",
+            logging.WARNING if has_signal else self._level,
+        )
+
+    def left_enabled(self, *, stopped: bool = False) -> str:
+        """Report that torque stays on, which joints carry the arm, and the remedy.
+
+        Args:
+            stopped: Whether a descent was aborted.
+        """
+        return self._post(
+            f"{self._name} stays where it is, torque ON: {self._loaded_joints()}. {RECOVER}",
+            logging.WARNING if stopped else self._level,
+        )
+
+    def failed(self, error: BaseException, on: list[str] | None) -> str:
+        """Report the error that ended a descent, and the torque state.
+
+        Args:
+            error: The reason.
+            on: Joints whose torque is on; None: unknown, the servos do not answer.
+        """
+        if on is None:
+            return self._post(
+                f"{self._name} was not lowered, the bus is gone: servos that have power keep their "
+                "last goal and limit, torque ON. Mend the connection and start again, which takes "
+                "the arm over; or support the arm and cut the supply",
+                logging.WARNING,
+            )
+        state = f"torque is ON in {', '.join(on)}. {RECOVER}" if on else "torque is OFF"
+        return self._post(
+            f"{self._name} was not lowered ({brief(error)}): {state}", logging.WARNING
+        )
+
+    def _post(self, text: str, level: int) -> str:
+        MESSAGES.post(text, level)
+        return text
+
+    def _loaded_joints(self) -> str:
+        """Name the joints with a gravity torque above their friction, largest first."""
+        with contextlib.suppress(Exception):
+            io = self._io
+            load = np.abs(io.gravity())
+            friction = np.broadcast_to(np.asarray(io.servos.friction), load.shape)
+            names = [
+                io.model.joint_names[joint]
+                for joint in np.argsort(-load)
+                if load[joint] > max(float(friction[joint]), MIN_LOAD)
+            ]
+            if names:
+                verb = "carry" if len(names) > 1 else "carries"
+                return f"{', '.join(names)} {verb} it"
+        return "no joint carries much"
+
+    def _elapsed(self) -> float:
+        """Return the time since the exit began [s], on the arm's clock."""
+        return self._io.clock.now() - self._start_time
+
+    def _height(self) -> float:
+        """Return the height of the tool [m], against gravity; NaN if unknown."""
+        with contextlib.suppress(Exception):
+            model = self._io.model
+            gravity = np.asarray(model.gravity_vector)
+            up = -gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+            return float(np.asarray(model.forward_kinematics(self._io.q))[:3, 3] @ up)
+        return float("nan")
+
+    def _height_change(self) -> str:
+        height = self._height()
+        drop = 100.0 * ((height if self._start_height is None else self._start_height) - height)
+        if not np.isfinite(drop):
+            return "height not known"
+        direction = "higher" if drop < -0.5 else "lower"
+        return f"tool {abs(drop):.0f} cm {direction}"
+
+
+def exit_cause(error: BaseException | None) -> str | None:
+    """Return the reason for an exit after an exception; None: no exception, or a planned end."""
+    if error is None or isinstance(error, GeneratorExit):
+        return None
+    number = signal_of(error)
+    if number is not None:
+        return name_of(number)
+    if isinstance(error, SystemExit):
+        return None
+    return brief(error)
+
+
+def brief(error: BaseException) -> str:
+    """Return the first line of an error, cut at `MAX_REASON` characters."""
+    lines = str(error).strip().splitlines()
+    text = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+    return text if len(text) <= MAX_REASON else f"{text[: MAX_REASON - 3]}..."
+
+
+#: Factors by which servos may be stiffer or softer than assumed for a lead to be kept.
+STIFFER, SOFTER = 2.5, 2.0
+#: Silence of the bus after which a descent is given up [s].
+MAX_SILENCE = 2.0
+#: Largest number of restarts of a descent after refused goals.
+MAX_RESTARTS = 2
+
+
+def descend(
+    io: ArmIO,
+    points: Points,
+    rest: Array | None,
+    rate: float,
+    is_aborted: Callable[[], bool],
+    *,
+    on_tick: Callable[[Lowering], None] | None = None,
+) -> bool:
+    """Lower the arm until its limits are zero, so that torque can be switched off.
+
+    Joints off the chain keep their orders until everything rests. Single bus errors do not end the
+    descent. A bus that fails for 2 s does; the servos then keep their last goal and limit.
+
+    Args:
+        io: The arm.
+        points: The arm's points.
+        rest: Rest pose to move to first (n,) [rad]; None: straight down.
+        rate: Rate of this loop [Hz].
+        is_aborted: Returns True to abort the descent, with torque as it is.
+        on_tick: Called once per tick.
+
+    Returns:
+        True if the limits are zero; False if the descent was aborted.
+
+    Raises:
+        ServoError: The bus is gone, or servos refuse goals; torque stays on.
+    """
+    clock, model = io.clock, io.model
+    # Disable the watchdog: a servo that it stopped would refuse the goals of the descent.
+    with contextlib.suppress(ServoError):
+        io.set_watchdog(0.0)
+    refused = 0
+    lowering = Lowering(
+        model,
+        io.servos,
+        io.q,
+        goal=io.goal,
+        limit=io.limit,
+        rest=rest,
+        points=points,
+    )
+    before = deadline = heard = clock.now()
+    while not is_aborted():
+        now = clock.now()
+        ok = np.zeros(model.n, dtype=bool)
+        try:
+            ok = io.sample()
+            heard = now
+        except ServoError as error:
+            if now - heard > MAX_SILENCE:
+                raise ServoError(
+                    "the bus is gone while the arm was being lowered: servos that have power keep "
+                    "their last goal and limit; support the arm before you cut the supply"
+                ) from error
+        order = lowering.step(io.q, now - before, ok, io.delay(now))
+        if order is None and not io.is_refused():
+            return True
+        if order is None:
+            refused += 1
+            if refused > MAX_RESTARTS:
+                raise ServoError(
+                    "servos do not take the goals that lower the arm, and torque stays on: support "
+                    "the arm, then cut the supply"
+                )
+            lowering = Lowering(model, io.servos, io.q, rest=rest, points=points)
+            continue
+        if on_tick is not None:
+            on_tick(lowering)
+        with contextlib.suppress(ServoError):
+            io.send(*order, lowering.velocity)
+        before, deadline = now, max(deadline + 1.0 / rate, now)
+        clock.wait_until(deadline)
+    return False
+
+
+def hold_position(io: ArmIO) -> None:
+    """Send goals and limits that hold the present pose, and disable the watchdog."""
+    kp, gravity = np.asarray(io.servos.kp), io.gravity()
+    push, need = margin(io.servos, gravity), gravity / kp
+    # Servos stiffer or softer than assumed need a smaller or larger lead for the weight.
+    ends = np.sort((need / STIFFER, need * SOFTER), axis=0)
+    lead = np.clip(io.goal - io.q, ends[0] - push / kp, ends[1] + push / kp)
+    limit = SUPPORT * np.abs(gravity) + push
+    # A servo that carries the weight at its limit would move if the limit rose.
+    full = (kp * np.abs(lead) > io.limit) & (io.limit >= np.abs(gravity))
+    held = np.where(full, np.minimum(io.limit, limit), limit)
+    io.send(io.q + lead, held)
+    io.set_watchdog(0.0)

@@ -1,0 +1,271 @@
+"""Signal handling while arms have torque: one registry per process.
+
+- While no arm is being lowered, SIGINT raises `KeyboardInterrupt`, and SIGTERM, SIGHUP and SIGQUIT
+  raise `SystemExit`; these exceptions lower the arms. A repetition of the same signal within
+  `REPEAT_TIME` is ignored.
+- While an arm is being lowered, a handler raises nothing. The exception follows once the arm is
+  down.
+- Only SIGINT aborts a descent. This takes a second SIGINT, at least `REPEAT_TIME` after the one
+  before, and after the message that announces the effect.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+from typing import TYPE_CHECKING, Any
+
+from pliant.arm._messages import MESSAGES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+    from pliant.arm._messages import Message
+
+#: Handled signals, as far as this system has them.
+HANDLED = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if hasattr(signal, name)
+)
+#: A signal this soon after the same one is a key repeat [s]: keyboards begin to repeat a key that
+#: is held down after 0.25 to 0.66 s.
+REPEAT_TIME = 0.75
+#: A descent still running this long after it was aborted hangs [s]; a third Ctrl-C then leaves it.
+HANG_TIMEOUT = 1.0
+
+
+class Signals:
+    """Registration of one arm for signals.
+
+    Args:
+        stop: Aborts the arm's descent, torque on; called in a signal handler.
+
+    Attributes:
+        leaving: Whether the arm is being lowered.
+        stopped: Whether a second Ctrl-C has aborted its descent.
+    """
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        """Store the callback; no signal is handled yet."""
+        self.stop = stop
+        self.leaving = self.stopped = False
+
+    @property
+    def installed(self) -> bool:
+        """Return True if this arm is registered."""
+        return self in _REGISTRY.arms
+
+    @property
+    def has_pending(self) -> bool:
+        """Return True if a signal is pending until the arms are down."""
+        return _REGISTRY.pending is not None
+
+    def install(self) -> None:
+        """Handle signals from now on; outside the main thread, warn that this is not possible."""
+        self.stopped = False
+        if self.installed:
+            return
+        if threading.current_thread() is not threading.main_thread():
+            warnings.warn(
+                "torque goes on outside the main thread, where signals cannot be caught: Ctrl-C "
+                "and SIGTERM will not lower this arm; enable it in the main thread",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+            return
+        self.leaving = False
+        _REGISTRY.add(self)
+
+    def restore(self) -> None:
+        """Unregister; with the last arm, restore the former handlers."""
+        _REGISTRY.remove(self)
+        self.leaving = False
+
+    def begin(self, announcement: Message) -> None:
+        """Mark the start of a descent; `announcement` is the message that announces it."""
+        if self.installed:
+            _REGISTRY.begin(self, announcement)
+
+    def deliver(self) -> None:
+        """Raise the exception for a signal that came during the descent.
+
+        Raises:
+            KeyboardInterrupt, SystemExit: In the main thread. Another thread sends the process the
+                signal instead.
+        """
+        _REGISTRY.deliver(self)
+
+
+class Registry:
+    """Registry of all arms with torque, with the installed and the former signal handlers.
+
+    Attributes:
+        arms: In order of registration.
+        pending: Signal that came during a descent and was not delivered yet.
+    """
+
+    def __init__(self) -> None:
+        """Start without arms and handlers."""
+        self.arms: list[Signals] = []
+        self._before: dict[int, Any] = {}
+        self._process = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        """Reset the state of earlier signals."""
+        self._last: tuple[int, float] = (0, -REPEAT_TIME)
+        self.pending: int | None = None
+        self._announced: Message | None = None
+        self._stopped_at: float | None = None
+
+    def add(self, arm: Signals) -> None:
+        """Register an arm and install the handlers."""
+        if self._process != os.getpid():
+            # After a fork: the arms of the parent process do not belong to this process.
+            self.arms.clear()
+            self._forget()
+        self._process = os.getpid()
+        self._last = (0, -REPEAT_TIME)
+        self.arms.append(arm)
+        for number in HANDLED:
+            handler = signal.getsignal(number)
+            if handler not in (self._catch, signal.SIG_IGN):
+                self._before[number] = handler
+                signal.signal(number, self._catch)
+
+    def remove(self, arm: Signals) -> None:
+        """Unregister an arm; with the last one, restore the former handlers."""
+        if arm not in self.arms:
+            return
+        self.arms.remove(arm)
+        if not any(other.leaving for other in self.arms):
+            self._announced = self._stopped_at = None
+        if self.arms:
+            return
+        # Python sets handlers in the main thread only; elsewhere, `_catch` calls the former ones.
+        with contextlib.suppress(ValueError):
+            for number, handler in self._before.items():
+                if signal.getsignal(number) == self._catch:
+                    # None: the handler was not set from Python. The default is the nearest
+                    # substitute.
+                    signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def begin(self, arm: Signals, announcement: Message) -> None:
+        """Suppress exceptions from signals until the arm is removed."""
+        arm.leaving = True
+        if self._announced is None and is_interrupted(sys.exception()):
+            self._announced = announcement
+
+    def deliver(self, arm: Signals) -> None:
+        """Raise the exception for a pending signal once no arm is being lowered."""
+        if any(other.leaving for other in self.arms):
+            return
+        pending, self.pending = self.pending, None
+        stopped, arm.stopped = arm.stopped, False
+        # An exception in flight ends the program already, unless it is only Ctrl-C.
+        number = _stronger(signal_of(sys.exception()), pending)
+        if stopped:
+            raised: BaseException = SystemExit(128 + (number or signal.SIGINT))
+        elif pending is None or number != pending:
+            return
+        else:
+            raised = exception(pending)
+        if threading.current_thread() is threading.main_thread():
+            raise raised
+        os.kill(os.getpid(), number or signal.SIGINT)
+
+    def _catch(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal."""
+        if self._process != os.getpid() or not self.arms:
+            self._pass_on(number, frame)
+            return
+        now = time.monotonic()
+        is_repeated = self._last[0] == number and now - self._last[1] < REPEAT_TIME
+        self._last = (number, now)
+        if not any(arm.leaving for arm in self.arms):
+            if not is_repeated:
+                raise exception(number)
+        elif number != signal.SIGINT:
+            if self.pending in (None, signal.SIGINT):
+                self.pending = number
+                MESSAGES.post(
+                    f"{name_of(number)}: the arm is being lowered; the program ends once it is "
+                    "down",
+                    logging.WARNING,
+                )
+        else:
+            self._interrupt(now, is_repeated=is_repeated)
+
+    def _interrupt(self, now: float, *, is_repeated: bool) -> None:
+        """Handle Ctrl-C while an arm is being lowered."""
+        if self._stopped_at is not None:
+            if now - self._stopped_at > HANG_TIMEOUT and not is_repeated:
+                raise SystemExit(128 + signal.SIGINT)
+        elif self._announced is None:
+            self.pending = self.pending or signal.SIGINT
+            self._announced = MESSAGES.post(
+                "Ctrl-C: the arm is being lowered, and the program ends once it is down; once more "
+                "leaves at once, torque ON",
+                logging.WARNING,
+            )
+        elif self._announced.is_written and not is_repeated:
+            self._stopped_at = now
+            for arm in self.arms:
+                if arm.leaving:
+                    arm.stopped = True
+                    arm.stop()
+
+    def _pass_on(self, number: int, frame: FrameType | None) -> None:
+        """Call the former handler, or its default action."""
+        former = self._before.get(number)
+        if callable(former):
+            former(number, frame)
+        elif former != signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+
+
+_REGISTRY = Registry()
+
+
+def exception(number: int) -> BaseException:
+    """Return the exception that corresponds to a signal."""
+    return KeyboardInterrupt() if number == signal.SIGINT else SystemExit(128 + number)
+
+
+def _stronger(first: int | None, second: int | None) -> int | None:
+    """Return the signal that ends the program; SIGINT has lower priority, it is often caught."""
+    if first is None or (first == signal.SIGINT and second is not None):
+        return second
+    return first
+
+
+def name_of(number: int) -> str:
+    """Return the name of a signal as users know it."""
+    return "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+
+
+def signal_of(error: BaseException | None) -> int | None:
+    """Return the signal for which an exception, or one in its context chain, was raised."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return int(signal.SIGINT)
+        if isinstance(error, SystemExit) and isinstance(error.code, int):
+            number = error.code - 128
+            if number in HANDLED:
+                return number
+        error = error.__context__
+    return None
+
+
+def is_interrupted(error: BaseException | None) -> bool:
+    """Return True if an exception was caused by Ctrl-C."""
+    return signal_of(error) == signal.SIGINT

@@ -1,0 +1,166 @@
+"""Lock of an arm, and a watchdog thread that lowers it when the program stalls."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from pliant._core import ServoError, ServoTimeoutError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+#: Thread switch interval of Python while the arm is lowered by the watchdog thread [s]. The default
+#: of 5 ms would cost half a period per bus call while another thread computes.
+SWITCH_INTERVAL = 1e-4
+
+
+class Supervisor:
+    """Lock of an arm, and a thread that lowers the arm when the program makes no more calls.
+
+    Every call of the program is a `with supervisor`. The thread exists only inside
+    `supervised`. An arm with torque on belongs to one process. A forked process shares its port but
+    must not use it.
+
+    Attributes:
+        owner: Id of the process that switched torque on; None while torque is off.
+        lock: Held by the thread that uses the drive.
+        reason: Reason for which the watchdog thread took the arm over; None: it did not.
+        abort: Set to abort a running descent, in any thread.
+    """
+
+    def __init__(self, leave: Callable[[], None]) -> None:
+        """Store the function that leaves the arm; it is called with the lock held."""
+        self.lock = threading.RLock()
+        self.abort = threading.Event()
+        self.reason: str | None = None
+        self.owner: int | None = None
+        self._leave, self._last_call = leave, 0.0
+        self._done = threading.Event()
+
+    def __enter__(self) -> None:
+        """Enter one call of the program.
+
+        Raises:
+            ServoError: As `check`.
+        """
+        self.check()
+        self.lock.acquire()
+        if self.reason is not None:
+            self.lock.release()
+            self.check()
+
+    def __exit__(self, *_: object) -> None:
+        self._last_call = time.perf_counter()
+        self.lock.release()
+
+    @property
+    def is_owned_elsewhere(self) -> bool:
+        """Return True if torque is on and the arm belongs to another process."""
+        return self.owner is not None and self.owner != os.getpid()
+
+    def check(self) -> None:
+        """Raise if the arm was taken over or belongs to another process.
+
+        Raises:
+            ServoTimeoutError: The watchdog thread has taken the arm over; raised at once, also
+                while the arm is being lowered.
+            ServoError: Another process switched its torque on.
+        """
+        if self.is_owned_elsewhere:
+            raise ServoError(
+                f"this arm belongs to process {self.owner}, which switched its torque on; this is "
+                f"process {os.getpid()}, forked from it: read and write there, and pass on what "
+                "this one needs"
+            )
+        if self.reason is not None:
+            raise ServoTimeoutError(f"{self.reason}; arm.enable() starts anew")
+
+    @contextlib.contextmanager
+    def exclusive(self, *, at_once: bool = False) -> Iterator[None]:
+        """Hold the lock while the arm is left.
+
+        Wait until a descent in another thread ends. With `at_once`, or if an exception comes during
+        the wait, that descent is aborted where it is, torque on.
+
+        Raises:
+            ServoError: Another process switched torque on.
+        """
+        if self.is_owned_elsewhere:
+            self.check()
+        if at_once:
+            self.abort.set()
+        try:
+            self.lock.acquire()
+        except BaseException:
+            self.abort.set()
+            if self.lock.acquire(timeout=1.0):
+                self.lock.release()
+            raise
+        try:
+            self.abort.clear()
+            yield
+        finally:
+            # The thread waited for the lock meanwhile; do not count this time as a silence.
+            self._last_call = time.perf_counter()
+            self.lock.release()
+
+    @contextlib.contextmanager
+    def supervised(self, timeout: float | None) -> Iterator[Callable[[], None]]:
+        """Take the arm over after `timeout` [s] without a call; None: never. Yields `check`.
+
+        An exception does not end the watch, because the program may block before it leaves the arm.
+        `end_supervision`, the next watch or a takeover ends it.
+        """
+        if timeout is None:
+            yield self.check
+            return
+        self.end_supervision()
+        done = self._done = threading.Event()
+        self._last_call = time.perf_counter()
+        thread = threading.Thread(
+            target=self._run, args=(timeout, done), name="pliant-supervisor", daemon=True
+        )
+        thread.start()
+        try:
+            yield self.check
+        except GeneratorExit:
+            done.set()
+            raise
+        done.set()
+
+    def end_supervision(self) -> None:
+        """End the watch."""
+        self._done.set()
+
+    def _run(self, timeout: float, done: threading.Event) -> None:
+        """Sleep until the next possible timeout and check; repeat."""
+        longest = threading.TIMEOUT_MAX
+        while not done.wait(
+            min(max(self._last_call + timeout - time.perf_counter(), 1e-3), longest)
+        ):
+            if time.perf_counter() - self._last_call < timeout:
+                continue
+            with self.lock:
+                # The thread that held the lock until now was not stalled: measure again.
+                silent = time.perf_counter() - self._last_call
+                if silent >= timeout and not done.is_set() and self.reason is None:
+                    self._take_over(silent)
+                    return
+
+    def _take_over(self, silent: float) -> None:
+        """Leave the arm on behalf of the stalled program."""
+        self.reason = f"the program did not come back for {silent:.2f} s: the arm was taken over"
+        self.abort.clear()
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(min(interval, SWITCH_INTERVAL))
+        try:
+            self._leave()
+        except BaseException as error:
+            self.reason += f"; while it was being lowered: {error}"
+        finally:
+            sys.setswitchinterval(interval)

@@ -1,0 +1,502 @@
+"""Construction of an arm and its drive from a configuration; `connect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+
+import numpy as np
+
+from pliant._core import ConfigError, OutOfRangeError, ServoError, ShapeError
+from pliant._validation import real
+from pliant.arm import Arm, Budget, GripperConfig
+from pliant.arm._checks import posture, vector
+from pliant.arm._points import Points
+from pliant.config._messages import suggest
+from pliant.config.loader import load
+from pliant.config.schema import (
+    Config,
+    calibrations,
+    chain_servos,
+    extra_servos,
+    servos,
+    spec,
+    zeros,
+)
+from pliant.servo import ServoBus, ServoSpec, find, serial_ports
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import ArrayLike
+
+    from pliant._core import Model, Servos
+    from pliant.config.schema import Servo
+    from pliant.drive import Drive
+    from pliant.emulator import Mount
+    from pliant.emulator.arm import ArmEmulator
+    from pliant.servo.calibration import Calibration
+    from pliant.sim import Fixture, Friction, Hand, Overload, Plant, Tabletop
+
+
+class ArmOptions(TypedDict, total=False):
+    """Options of `pliant.Arm`; they override the configuration."""
+
+    rest_q: ArrayLike | None
+    on_exit: Literal["lower", "leave_enabled"]
+    rate: float
+    comm_timeout: float
+    budget: Budget | None
+    grippers: Mapping[str, GripperConfig] | None
+    watchdog: float
+    signals: bool
+    table: float | bool | None
+
+
+class ConnectOptions(ArmOptions, total=False):
+    """Options of `connect`: of the arm, and with ``backend="sim"`` of `pliant.sim.Plant`."""
+
+    servos: Servos | None
+    extra_servos: Mapping[str, Servos] | None
+    dt: float
+    delay: tuple[int, int]
+    count: ArrayLike
+    flicker: int
+    noise: ArrayLike
+    deadband: ArrayLike
+    backlash: ArrayLike
+    read_loss: float
+    write_loss: float
+    silent: tuple[float, float] | None
+    kp_scale: ArrayLike
+    friction_scale: ArrayLike
+    damping_scale: ArrayLike
+    payload: tuple[float, Sequence[float]] | None
+    speed_limit: ArrayLike | None
+    limit_type: Literal["current", "pwm"] | None
+    overload: Overload | None
+    friction: Literal["coulomb"] | Friction
+    creep: float
+    off_chain: Literal["held", "welded"]
+    scene: Iterable[Hand | Fixture]
+    seed: int
+
+
+ARM_OPTIONS = frozenset(ArmOptions.__annotations__)
+PLANT_OPTIONS = frozenset(ConnectOptions.__annotations__) - ARM_OPTIONS
+#: Keywords of `connect` that override keys of a configuration file.
+FILE_OPTIONS = frozenset(("backend", "port", "urdf", "calibration"))
+ALL_OPTIONS = ARM_OPTIONS | PLANT_OPTIONS | FILE_OPTIONS | {"q", "real_time"}
+
+
+def connect(
+    config: str | Path | Config,
+    *,
+    backend: Literal["bus", "emulator", "sim"] | None = None,
+    port: str | None = None,
+    urdf: str | Path | None = None,
+    calibration: str | Path | None = None,
+    q: ArrayLike | None = None,
+    real_time: bool = False,
+    **options: Unpack[ConnectOptions],
+) -> Arm:
+    """Create the arm of a configuration. `with` enables it, and lowers it at the end.
+
+    Nothing is opened or moved before `with`. To use your own drive, or a model without a
+    configuration, construct `pliant.Arm(model, drive)`.
+
+    Args:
+        config: Name of a ready arm (`pliant.config.names()`), path of a TOML file, or a `Config`.
+        backend: `"bus"`: real servos; `"emulator"`: emulated servos on a virtual serial port;
+            `"sim"`: the simulator without a bus; None: as in the file.
+        port: Serial device, overrides the file; or `"auto"`.
+        urdf: URDF file, overrides the file.
+        calibration: LeRobot calibration file, overrides the file.
+        q: Initial joint positions (n,) [rad] of a simulated or emulated arm; None: near zero,
+            clear of the table.
+        real_time: Run the simulator in real time; otherwise as fast as it can.
+        **options: Options of `pliant.Arm`, which override the file; with ``backend="sim"`` also of
+            `pliant.sim.Plant` (``scene=[...]``). `table` is the height of the table [m], or False
+            for none.
+
+    Returns:
+        The arm, with torque unchanged.
+
+    Raises:
+        ConfigError: Unknown name or option, with the nearest known one; invalid file; conflicting
+            options.
+        ServoError: The port is `auto`, and there is no serial port or more than one.
+
+    Example:
+        >>> with pliant.connect("so101", backend="sim") as arm:
+        ...     state = arm.read()
+    """
+    check_options(options, ALL_OPTIONS)
+    if isinstance(config, str | Path):
+        config = load(config, port=port, backend=backend, urdf=urdf, calibration=calibration)
+    elif not isinstance(config, Config):
+        raise ConfigError(
+            f"cannot connect to {config!r}: give the name of a ready arm, the path of a "
+            "configuration file or a Config; with a model and a drive use pliant.Arm(model, drive)"
+        )
+    else:
+        given = {"backend": backend, "port": port, "urdf": urdf, "calibration": calibration}
+        for name, value in given.items():
+            if value is not None:
+                raise ConfigError(
+                    f"{name}= replaces a word of a file, and this is a Config: give it to "
+                    f"pliant.config.load(..., {name}=...)"
+                )
+    start: dict[str, Any] = {} if q is None else {"q": q}
+    if real_time:
+        start["real_time"] = True
+    return make_arm(config, **start, **options)
+
+
+def check_options(options: Iterable[str], known: Iterable[str]) -> None:
+    """Check option names before anything is opened.
+
+    Raises:
+        ConfigError: Unknown option; the message lists the nearest and all known ones.
+    """
+    names = frozenset(known)
+    for key in options:
+        if key not in names:
+            raise ConfigError(f"an arm has no option {key!r} here; {suggest(key, names)}")
+
+
+#: Largest depth in the table at which a simulated arm may start [m].
+INSIDE = 0.001
+
+
+def make_arm(config: Config, **options: Any) -> Arm:
+    """Create the arm of a configuration; nothing moves before it is enabled.
+
+    Args:
+        config: The configuration.
+        **options: Options of `pliant.Arm`, which override the file. On the simulator and the
+            emulator also `q` (n,) [rad], the initial joint positions; `table`, the height of its
+            table [m], or False for none; on the simulator also `real_time` and the options of
+            `pliant.sim.Plant`.
+
+    Raises:
+        ConfigError, UrdfError: Unknown option; URDF, calibration and file do not match; or the rest
+            pose is not valid.
+        ServoError: The port is `auto`, and there is no serial port or more than one.
+    """
+    if "table" in options:
+        config = _on_table(config, options.pop("table"))
+    beside = _backend_options(config, options)
+    model = config.model()
+    _check_rest(config, model)
+    given = {
+        "rest_q": config.life.rest_q,
+        "on_exit": config.life.on_exit,
+        "rate": config.loop.rate,
+        "comm_timeout": config.loop.comm_timeout,
+        "table": config.robot.table,
+        # The simulator without a bus has no currents.
+        "budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
+        "grippers": gripper_configs(config),
+        **{key: value for key, value in options.items() if key not in beside},
+    }
+    if config.backend == "sim":
+        beside.setdefault("rate", given["rate"])
+    made = make_drive(config, model, **beside)
+    if config.backend == "sim" and "grippers" not in options:
+        given["grippers"] = _fixed(model, made) | given["grippers"]
+    return Arm(model, made, **given)
+
+
+def _fixed(model: Model, made: Drive) -> dict[str, GripperConfig]:
+    """Return joints off the chain whose travel the model does not give; they are held in place."""
+    known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
+    places = zip(made.names, made.read().position.tolist(), strict=True)
+    return {
+        name: GripperConfig(opened=place, closed=place)
+        for name, place in places
+        if name not in known and name not in model.joint_names
+    }
+
+
+def _has_ends(*ends: float | None) -> bool:
+    return all(end is not None and np.isfinite(end) for end in ends)
+
+
+def _on_table(config: Config, height: float | bool | None) -> Config:
+    """Return the configuration with another table height [m], or without a table (False, None)."""
+    if height is True:
+        raise ConfigError("table is a height [m], or False for none; got True")
+    there = None if height is None or height is False else real(height, "table [m]")
+    robot = config.robot.model_copy(update={"table": there})
+    return config.model_copy(update={"robot": robot})
+
+
+def _backend_options(config: Config, options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options for the simulator or the emulator, which are not options of the arm.
+
+    Raises:
+        ConfigError: Unknown option on this backend.
+    """
+    of_the_sim = {"q", "real_time", *PLANT_OPTIONS} - ARM_OPTIONS
+    known = {"bus": set(), "emulator": {"q"}, "sim": of_the_sim}[config.backend]
+    for key in options:
+        if key in of_the_sim - known:
+            raise ConfigError(
+                f"{key!r} is an option of a simulated arm, and this one has backend "
+                f'{config.backend!r}: connect(..., backend="sim")'
+            )
+    check_options(options, ARM_OPTIONS | known)
+    return {key: value for key, value in options.items() if key in known}
+
+
+def _check_rest(config: Config, model: Model) -> None:
+    """Check that the file's rest pose is a pose of this arm."""
+    if config.life.rest_q is None:
+        return
+    try:
+        posture(model, config.life.rest_q, "life.rest_q")
+    except (OutOfRangeError, ShapeError) as error:
+        raise ConfigError(f"{config.source}: {error}") from error
+
+
+def make_drive(
+    config: Config,
+    model: Model,
+    *,
+    q: ArrayLike | None = None,
+    real_time: bool = False,
+    **plant: Any,
+) -> Drive:
+    """Create the drive: the bus, its emulation, or the simulator alone.
+
+    Args:
+        config: The configuration.
+        model: Its model.
+        q: Initial joint positions of a simulated or emulated arm (n,) [rad].
+        real_time: Whether simulated time runs in real time.
+        **plant: Options of `pliant.sim.Plant`, which override the file.
+    """
+    if config.backend == "sim":
+        return make_simulated(config, model, q=q, real_time=real_time, **plant)
+    if config.backend == "emulator":
+        return EmulatedBus(config, model, q=q)
+    return make_bus(config, port_paths(config))
+
+
+def make_simulated(
+    config: Config, model: Model, *, q: ArrayLike | None, real_time: bool, **plant: Any
+) -> Drive:
+    """Create the simulated arm with the file's servos, on its table."""
+    from pliant.sim import Plant, SimDrive
+
+    options: dict[str, Any] = {"rate": config.loop.rate}
+    if config.servo:
+        options |= {
+            "extra_servos": extra_servos(config, model),
+            "count": chain_servos(config, model).encoder_step,
+        }
+    options |= plant
+    options["scene"] = [*table_fixtures(config), *options.get("scene", ())]
+    made = Plant(model, **options)
+    made.reset(start_pose(config, model) if q is None else vector(model, q, "q"))
+    check_above_table(made)
+    # The arm assumes the file's servos, even if the caller gives the plant other ones.
+    return SimDrive(made, servos=model.servos if config.servo else None, real_time=real_time)
+
+
+def table_fixtures(config: Config) -> list[Tabletop]:
+    """Return the table of the file's arm as scene objects; empty without a table."""
+    if config.robot.table is None:
+        return []
+    from pliant.sim import Tabletop
+
+    return [Tabletop(height=config.robot.table)]
+
+
+def check_above_table(plant: Plant) -> None:
+    """Check that a simulated arm starts above its table.
+
+    Raises:
+        ConfigError: It starts inside the table.
+    """
+    from pliant.sim import Tabletop
+
+    for fixture in plant.fixtures:
+        if isinstance(fixture, Tabletop) and fixture.clearance() < -INSIDE:
+            raise ConfigError(
+                f"the arm would start {-fixture.clearance():.3f} m inside its table: give another "
+                "q, or table=False"
+            )
+
+
+def make_bus(config: Config, ports: dict[str, str]) -> ServoBus:
+    """Create the servo bus; `ports` maps port names of the file to paths."""
+    bauds = {ports[port.name]: port.baud for port in config.port}
+    loop = config.loop
+    return ServoBus(
+        servo_specs(config, ports), baudrate=bauds, rate=loop.rate, patience=loop.patience
+    )
+
+
+def servo_specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
+    """Return the servo of each joint."""
+    files = calibrations(config)
+    return [
+        spec(joint, servo, port=ports[servo.port], calibration=files.get(joint))
+        for joint, servo in servos(config).items()
+    ]
+
+
+def port_paths(config: Config) -> dict[str, str]:
+    """Return the path of every port of the file; `auto` stands for the only serial port.
+
+    Raises:
+        ServoError: There is no serial port, or more than one.
+    """
+    out: dict[str, str] = {}
+    for port in config.port:
+        out[port.name] = _single_port(port.name) if port.path == "auto" else port.path
+    return out
+
+
+def _single_port(name: str) -> str:
+    found = serial_ports()
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise ServoError(
+            f"port {name!r} is 'auto' and there are {len(found)}: {', '.join(found)}. "
+            "Write the path into the file, or give --port"
+        )
+    raise ServoError(
+        f"port {name!r} is 'auto' and there is no serial port on this machine: plug the adapter in "
+        "(Linux: it appears as /dev/ttyUSB0 or /dev/ttyACM0), or try backend 'emulator' or 'sim'"
+    )
+
+
+def gripper_configs(config: Config) -> dict[str, GripperConfig]:
+    """Return the gripper configuration of the file by joint; empty without a gripper."""
+    gripper = config.gripper
+    if gripper is None:
+        return {}
+    jaw = GripperConfig(
+        opened=gripper.opened, closed=gripper.closed, limit=gripper.limit, lever=gripper.lever
+    )
+    return {gripper.joint: jaw}
+
+
+def start_pose(config: Config, model: Model) -> Any:
+    """Return the initial positions (n,) [rad] of a simulated or emulated arm: near zero.
+
+    If that pose is inside the table and there is a rest pose, return the rest pose.
+    """
+    zero = np.clip(np.zeros(model.n), model.lower, model.upper)
+    table, rest = config.robot.table, config.life.rest_q
+    if rest is None or len(rest) != model.n:
+        return zero
+    if table is None or Points(model)(zero).position[:, 2].min() >= table:
+        return zero
+    return np.array(rest)
+
+
+#: Minimum reply timeout [s]: the emulator runs on the same machine as the program.
+PATIENCE = 0.05
+#: Emulator names of calibration registers, if they differ from pliant's; second: Protocol 1.0.
+REGISTERS = {"position_min": "min_position_limit", "position_max": "max_position_limit"}
+REGISTERS_P1 = {"position_min": "cw_angle_limit", "position_max": "ccw_angle_limit"}
+
+
+class EmulatedBus(ServoBus):
+    """Servo bus of a configuration on an emulator in a separate process.
+
+    Attributes:
+        emulator: The emulator; `emulator.call("faults.inject", …)` calls its functions.
+    """
+
+    def __init__(self, config: Config, model: Model, *, q: ArrayLike | None = None) -> None:
+        """Start the emulator with the arm at q (n,) [rad], by default near zero."""
+        from pliant.emulator.process import Remote
+
+        at = None if q is None else vector(model, q, "q").tolist()
+        self.emulator = Remote(make_emulator, config, q=at)
+        bauds = {self.emulator.ports[port.name]: port.baud for port in config.port}
+        super().__init__(
+            servo_specs(config, self.emulator.ports),
+            baudrate=bauds,
+            rate=config.loop.rate,
+            patience=max(PATIENCE, config.loop.patience),
+        )
+
+    def close(self) -> None:
+        """Close the ports and end the emulator."""
+        super().close()
+        self.emulator.stop()
+
+
+def make_emulator(config: Config, *, q: ArrayLike | None = None, **options: Any) -> ArmEmulator:
+    """Return the emulator of a configuration's arm, in real time, not started yet.
+
+    The arm stands on the configuration's table, and is held until torque comes on. The supply has
+    the configuration's voltage.
+
+    Args:
+        config: The configuration.
+        q: Initial joint positions (n,) [rad]; None: as in `start`.
+        **options: Options of `pliant.emulator.emulate`: `timing`, `faults`, `clock`, `plant`, ...
+    """
+    from pliant.emulator import emulate
+
+    model = config.model()
+    plant = dict(options.pop("plant", None) or {})
+    plant["scene"] = [*table_fixtures(config), *plant.get("scene", ())]
+    at = start_pose(config, model) if q is None else q
+    bus = emulate(model, make_mounts(config), at, plant=plant, held=True, **options)
+    check_above_table(bus.plant)
+    if config.supply.voltage is not None:
+        bus.supply(config.supply.voltage)
+    return bus
+
+
+def make_mounts(config: Config) -> list[Mount]:
+    """Return the mounting of each emulated servo."""
+    from pliant.emulator import Mount
+
+    places, files = zeros(config), calibrations(config)
+    out = []
+    for joint, servo in servos(config).items():
+        zero = places[joint]
+        out.append(
+            Mount(
+                joint=joint,
+                model=servo.model,
+                id=servo.id,
+                sign=servo.sign,
+                zero=None if zero is None else round(zero),
+                gear=servo.gear,
+                secondary=None
+                if servo.secondary is None
+                else (servo.secondary.id, servo.secondary.sign),
+                port=servo.port,
+                registers=_as_set_up(servo) | _calibrated(files.get(joint), servo),
+            )
+        )
+    return out
+
+
+def _as_set_up(servo: Servo) -> dict[str, int]:
+    """Return EEPROM as after `pliant servos setup`: no return delay, current-based position."""
+    row = find(servo.model)
+    mode = {"operating_mode": 5} if row.kind == "current" else {}
+    gain = {} if servo.gain is None else {"p_coefficient": servo.gain}
+    return {"return_delay_time": 0, **mode, **gain}
+
+
+def _calibrated(file: Calibration | None, servo: Servo) -> dict[str, int]:
+    """Return EEPROM as after LeRobot's calibration of the arm."""
+    if file is None:
+        return {}
+    family = find(servo.model).family
+    names = REGISTERS_P1 if family.status == "p1" else REGISTERS
+    written = file.registers(family.registers)
+    return {names.get(name, name): value for name, value in written.items()}

@@ -1,0 +1,329 @@
+"""Torque on and off: sequences that keep the arm in place, also if a step fails."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from typing import TYPE_CHECKING, NamedTuple
+
+from pliant._core import ServoError, ServoFaultError
+from pliant.servo._handshake import RegisterImage, read_image
+from pliant.servo._status import refusal
+from pliant.servo.transport import BusError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pliant.servo._device import Device
+    from pliant.servo._port import Port
+
+    Array = NDArray[np.float64]
+    Ports = Mapping[int, Port]
+
+#: A joint that moves farther than this during torque on is switched off again [rad].
+MAX_MOTION = 0.05
+#: Largest distance between measured and expected position before torque on [rad].
+MAX_START_ERROR = 0.15
+#: Tries to send goals until they read back; and drift of a joint without torque from its goal after
+#: which it gets a new one [rad].
+MAX_SENDS, MAX_DRIFT = 5, 0.01
+#: Longest restart of a servo [s].
+REBOOT = 2.0
+#: Registers that are checked before torque on.
+_CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
+#: Number of torque-off packets sent if no answer comes, and number of tries.
+OFF_PACKETS, OFF_TRIES = 3, 30
+MAY_BE_ON = "torque may still be on: "
+
+
+def enable(
+    devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, speed_cap: Array
+) -> None:
+    """Limit, goal = present position, read-back, torque on, verify; see `ServoBus.enable`."""
+    before = {}
+    for device in devices:
+        before[id(device)] = _check_state(device, ports, goal)
+    switched = [d for d in devices if not before[id(d)]["torque_enable"]]
+    is_sent = False
+    try:
+        for device in devices:
+            if _has_tripped(device, before):
+                _set(device, ports, "watchdog", 0)
+            _write_limits(device, ports, device.limit_register(float(limit[device.joint])))
+        # Read all positions now: an arm without torque may be sinking.
+        start = {id(d): _image(d, ports, "position", "speed") for d in devices}
+        commands: dict[int, FirstCommand] = {}
+        packets: dict[Port, list[tuple[Device, int, int, int]]] = {}
+        for device in devices:
+            angle, speed = float(goal[device.joint]), float(speed_cap[device.joint])
+            register = (
+                start[id(device)]["position"] if device in switched else device.goal_counts(angle)
+            )
+            command = FirstCommand(register, device.limit, device.units.speed_register(speed))
+            commands[id(device)] = command
+            packets.setdefault(ports[id(device)], []).append((device, *command))
+        # On some servos a goal switches torque on.
+        is_sent = True
+        for port, group in packets.items():
+            port.write(group)
+        for device in devices:
+            start[id(device)] = _send_first_command(
+                device, ports, commands[id(device)], start[id(device)]
+            )
+            if device in switched:
+                _set(device, ports, "torque_enable", 1)
+        for device in devices:
+            _check_still(device, ports, start[id(device)])
+    except BaseException as error:
+        left = [why for device in switched if (why := _try_off(device, ports))]
+        if left and is_sent and isinstance(error, ServoError):
+            raise ServoError(
+                f"{error}\n{MAY_BE_ON}{'; '.join(left)}\nsupport the arm and cut the supply"
+            ) from error
+        raise
+    for device in devices:
+        device.enabled = device.torque_on = True
+
+
+class FirstCommand(NamedTuple):
+    """Registers that are written together.
+
+    Attributes:
+        goal, limit, speed: Goal, limit and speed cap.
+    """
+
+    goal: int
+    limit: int
+    speed: int
+
+
+def _write_limits(device: Device, ports: Ports, limit: int) -> None:
+    """Write the limit and other registers that bound torque and motion, and read them back.
+
+    Raises:
+        ServoError: A register did not read back as written.
+    """
+    wanted = {"limit": limit, **device.drive_values}
+    for name, value in wanted.items():
+        _set(device, ports, name, value)
+    device.limit = limit
+    image = _image(device, ports, *wanted)
+    for name, value in wanted.items():
+        if image[name] != value:
+            what = "the torque limit" if name == "limit" else name
+            raise ServoError(
+                f"{device.name} did not take {what}: it reads {image[name]}, written was {value}; "
+                "nothing was switched on"
+            )
+
+
+def _send_first_command(
+    device: Device, ports: Ports, command: FirstCommand, start: RegisterImage
+) -> RegisterImage:
+    """Check that goal, limit and speed cap have arrived, and send them again if not.
+
+    Until torque is on, a joint that has moved since its position was read gets a new goal.
+
+    Returns:
+        Position and speed from which the goal was made.
+
+    Raises:
+        ServoError: The registers still differ from the values written.
+    """
+    wanted = command._asdict()
+    wanted["speed_cap"] = wanted.pop("speed")
+    found = start
+    for _ in range(MAX_SENDS):
+        found = _image(device, ports, *wanted, "torque_enable", "position", "speed")
+        off = not found["torque_enable"]
+        apart = abs(found["position"] - wanted["goal"]) * device.units.count
+        wrong = [name for name, value in wanted.items() if found[name] != value]
+        if not wrong and not (off and apart > MAX_DRIFT):
+            return start
+        if off:
+            wanted["goal"], start = found["position"], found
+        for names in device.family.write:
+            data = device.packet(names, wanted["goal"], command.limit, command.speed)
+            _send(device, ports, names[0], data)
+        device.record_sent(wanted["goal"], command.limit)
+    raise ServoError(
+        f"{device.name} did not take its {' and '.join(wrong) or 'goal'}: "
+        + ", ".join(f"{n} reads {found[n]}, written was {wanted[n]}" for n in wrong or ["goal"])
+        + "; nothing stays switched on"
+    )
+
+
+def _check_state(device: Device, ports: Ports, goal: Array) -> RegisterImage:
+    """Return the servo's state before anything is sent; raise if torque must not be switched on."""
+    names = [name for name in _CHECKED if name in device.family.registers]
+    image = _image(device, ports, *names)
+    if device.hardware:
+        raise ServoFaultError(
+            "\n".join(device.faults) + f"\nreboot({device.spec.name!r}) clears it"
+        )
+    if device.position is None:
+        raise ServoError(f"{device.name} has not been read yet")
+    start = device.angle(device.position)
+    expected = float(goal[device.joint])
+    if abs(start - expected) > MAX_START_ERROR and not image["torque_enable"]:
+        raise ServoError(
+            f"{device.name} is at {start:.2f} rad and not at {expected:.2f}: enable it with the "
+            "goal where it is, and move it afterwards"
+        )
+    raw = round(device.position)
+    if not device.multi_turn and not device.low <= raw <= device.high:
+        raise ServoError(
+            f"{device.name} is at count {raw}, outside of {device.low} to {device.high} where its "
+            "goals may be, and would jump there: move it by hand"
+        )
+    return image
+
+
+def _has_tripped(device: Device, before: Mapping[int, RegisterImage]) -> bool:
+    image = before[id(device)]
+    return "watchdog" in image and image["watchdog"] == 255
+
+
+def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
+    """Check after torque on: torque is on, and the joint has not moved, or its fall was stopped."""
+    image = _image(device, ports, "torque_enable", "position")
+    if not image["torque_enable"]:
+        raise ServoError(f"{device.name} did not switch its torque on; all are off again")
+    moved = abs(image["position"] - before["position"]) * device.units.count
+    passed = image.time - before.time
+    fall = 2.0 * abs(device.units.velocity(before["speed"])) * passed
+    # A servo exerts torque only at a distance from its goal: at most limit / k_p.
+    kp = device.spec.kp or device.units.stiffness(device.gain)
+    sag = device.units.torque(device.limit) / kp
+    if moved > MAX_MOTION + fall + sag:
+        raise ServoError(
+            f"{device.name} moved by {moved:.2f} rad as its torque came on; all are off again. "
+            "A limit below what carries its weight lets it sink, a wrong Homing Offset lets it jump"
+        )
+
+
+def disable(devices: Sequence[Device], ports: Ports) -> None:
+    """Switch torque off for every servo, then restore the RAM registers that were written."""
+    failed = {}
+    for device in devices:
+        problem = _try_off(device, ports)
+        if problem:
+            failed[id(device)] = (device, problem)
+    for device, _ in failed.values():
+        _send_off_blindly(device, ports)
+    if failed:
+        problems = (problem for _, problem in failed.values())
+        raise ServoError(MAY_BE_ON + "; ".join(problems))
+
+
+def reboot(devices: Sequence[Device], ports: Ports) -> None:
+    """Restart servos and wait until they answer."""
+    for device in devices:
+        if device.family.status != "p2":
+            raise ServoError(
+                f"{device.name}: a {device.row.name} has no reboot over the bus; take its load "
+                "off, let it cool down, or switch its supply off and on"
+            )
+        guard = ports[id(device)].guard
+        device.enabled = device.torque_on = False
+        guard.start_cycle()
+        guard.reboot(device.id)
+        end = time.monotonic() + REBOOT
+        while not guard.ping(device.id):
+            if time.monotonic() > end:
+                raise ServoError(f"{device.name} did not come back within {REBOOT:g} s of a reboot")
+        device.hardware = device.conditions = ()
+        _image(device, ports, "hardware_error", "torque_enable")
+
+
+def _try_off(device: Device, ports: Ports) -> str | None:
+    """Switch torque off and restore registers; return the error, or None if torque is off."""
+    device.enabled = False
+    device.accept_any_position()
+    for key in ("torque", "limit", "goal"):
+        device.other_faults.pop(key, None)
+    try:
+        _set(device, ports, "torque_enable", 0)
+    except BusError as error:
+        return str(error)
+    except ServoError as error:
+        return f"{error}{_send_off_blindly(device, ports)}"
+    device.torque_on = False
+    try:
+        _restore_registers(device, ports)
+    except ServoError as error:
+        warnings.warn(
+            f"torque is off, but {device.name} keeps limits of ours until its power is cut: "
+            f"{error}",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    return None
+
+
+def _send_off_blindly(device: Device, ports: Ports) -> str:
+    """Send torque off without waiting for an answer; return a text with the number of packets."""
+    register = device.family.registers["torque_enable"]
+    guard, sent = ports[id(device)].guard, 0
+    for _ in range(OFF_TRIES):
+        try:
+            guard.sync_write([device.id], register.address, [register.encode(0)])
+        except BusError as error:
+            if error.reason == "gone":
+                break
+            continue  # noise: the transport did not find a gap to send in
+        sent += 1
+        if sent == OFF_PACKETS:
+            break
+    return f" (sent {sent} times more, without an answer)"
+
+
+def _restore_registers(device: Device, ports: Ports) -> None:
+    """Restore RAM registers to their values at open, because other programs do not set them."""
+    if not device.initial_values:
+        return
+    image = _image(device, ports, *device.initial_values)
+    for name, value in device.initial_values.items():
+        if image[name] != value:
+            _set(device, ports, name, value)
+    device.limit = device.initial_values["limit"]
+
+
+def _image(device: Device, ports: Ports, *names: str) -> RegisterImage:
+    """Read registers of a servo now."""
+    guard = ports[id(device)].guard
+    guard.start_cycle()
+    image = read_image(guard, device, *names)
+    for reply in image.replies:
+        device.note(reply)
+    return image
+
+
+def _set(device: Device, ports: Ports, name: str, value: int) -> None:
+    """Write one register and wait for the acknowledgement."""
+    register = device.family.registers[name]
+    _send(device, ports, name, register.encode(value), f"{name} = {value}")
+
+
+def _send(device: Device, ports: Ports, first: str, data: bytes, what: str = "its goal") -> None:
+    """Write bytes from a register on and wait for the acknowledgement.
+
+    Raises:
+        BusError: The port is gone.
+        ServoError: The servo did not confirm, or rejected the packet.
+    """
+    guard = ports[id(device)].guard
+    guard.start_cycle()
+    try:
+        status = guard.write(device.id, device.family.registers[first].address, data)
+    except BusError as error:
+        if error.reason == "gone":
+            raise
+        raise ServoError(f"{device.name} did not confirm {what}: {error}") from error
+    why = refusal(device.family, status)
+    if why is not None:
+        guard.counters.refused += 1
+        raise ServoError(f"{device.name} refused {what}: {why}")

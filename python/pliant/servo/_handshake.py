@@ -1,0 +1,417 @@
+"""Identification and checks of every servo at open, before anything is sent that could move it.
+
+This module only reads. Errors contain the remedy. Only `pliant servos setup` writes EEPROM.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from pliant._core import ServoError
+from pliant.servo import _status as status
+from pliant.servo._device import TRIPPED
+from pliant.servo._transactions import RESPONSE_DELAY
+from pliant.servo.models import by_number
+from pliant.servo.transport import BusError
+
+if TYPE_CHECKING:
+    from pliant.servo._device import Device
+    from pliant.servo._port import Port
+    from pliant.servo._transactions import Reply, TransactionGuard
+
+#: Number of low ids that are tried if one is missing, to name the servos that are present.
+NEARBY = 20
+OVERLOAD_BIT = 5
+#: Shortest reply delay that means that the adapter holds replies back [s].
+MIN_HOLD_BACK = 0.008
+SPEED_UNIT_BIT = 2  # of Feetech's Phase: set for 1 step/s
+
+
+#: Remedy for a file that does not fit.
+CALIBRATION_REMEDY = (
+    "the file is of another arm, or older than its last calibration: name the file of this arm, or "
+    "run lerobot-calibrate, which writes file and servos alike"
+)
+#: Register names in LeRobot's file.
+LEROBOT_NAMES = {
+    "homing_offset": "homing_offset",
+    "position_min": "range_min",
+    "position_max": "range_max",
+    "drive_mode": "drive_mode",
+}
+
+
+@dataclass(frozen=True)
+class ServoInfo:
+    """Identification of one servo.
+
+    Attributes:
+        joint: Joint name.
+        id: Id on the bus.
+        model: Model name in the servo table.
+        firmware: Firmware number; Feetech's as major + 256 · minor.
+        voltage: Supply voltage [V].
+        temperature: [°C].
+        return_delay: Return delay [s].
+        torque_on: Whether its torque was on at open.
+        notes: Remarks that are not errors, with the remedy.
+    """
+
+    joint: str
+    id: int
+    model: str
+    firmware: int
+    voltage: float
+    temperature: float
+    return_delay: float
+    torque_on: bool
+    notes: tuple[str, ...] = ()
+
+
+class RegisterImage:
+    """Registers of one servo, read at one time.
+
+    Attributes:
+        replies: Replies that contain them.
+    """
+
+    def __init__(self, device: Device, *replies: Reply) -> None:
+        """Store the replies."""
+        self._family, self.replies = device.family, replies
+
+    @property
+    def time(self) -> float:
+        """Time of the first request [s]."""
+        return self.replies[0].time
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._family.registers
+
+    def __getitem__(self, name: str) -> int:
+        """Value of a field by name."""
+        address = self._family.registers[name].address
+        for reply in self.replies:
+            if reply.block.address <= address < reply.block.address + reply.block.size:
+                return self._family.decode(reply.block, reply.data, name)
+        raise KeyError(name)
+
+
+def read_image(guard: TransactionGuard, device: Device, *names: str) -> RegisterImage:
+    """Read registers of a servo by name, all by default.
+
+    Raises:
+        BusError: It did not answer.
+    """
+    blocks = device.family.blocks(*names)
+    return RegisterImage(device, *(guard.read(device.id, block) for block in blocks))
+
+
+def identify(port: Port) -> tuple[ServoInfo, ...]:
+    """Read and check every servo of a port, and store the values of its registers.
+
+    Raises:
+        ServoError: A servo is missing or is another model, its settings do not allow control, or
+            its supply does not fit. The message lists all errors.
+    """
+    port.guard.start_cycle()
+    port.guard.find_unused_id({device.id for device in port.devices}, port.highest)
+    images: list[tuple[Device, RegisterImage]] = []
+    missing: list[Device] = []
+    broken: list[tuple[Device, BusError]] = []
+    for device in port.devices:
+        try:
+            image = read_image(port.guard, device)
+        except BusError as error:
+            if error.reason == "gone":
+                raise
+            if error.reason == "noisy":
+                raise ServoError(f"{port.path}: {error}") from error
+            if error.reason == "timeout":
+                missing.append(device)
+            else:
+                broken.append((device, error))
+            continue
+        images.append((device, image))
+    errors = _broken(port, broken, all_of_them=not images and not missing)
+    if missing:
+        errors.insert(0, _missing(port, missing))
+    found = []
+    faulty: dict[str, list[str]] = {}
+    for device, image in images:
+        faults = _check(device, image)
+        for text in faults:
+            faulty.setdefault(text, []).append(f"{device.spec.name} (id {device.id})")
+        if not faults:
+            try:
+                found.append(_store_registers(device, image))
+            except ServoError as error:
+                errors.append(str(error))
+    errors += [f"{', '.join(names)} on {port.path}: {text}" for text, names in faulty.items()]
+    if errors:
+        raise ServoError("\n".join(errors))
+    port.guard.response_delay = RESPONSE_DELAY + max(info.return_delay for info in found)
+    if note := _adapter_note(port):
+        found = [replace(info, notes=(*info.notes, note)) for info in found]
+    return tuple(found)
+
+
+def _adapter_note(port: Port) -> str:
+    """Describe an adapter that holds replies back, as its driver reports or as measured."""
+    guard = port.guard
+    if guard.held_back > MIN_HOLD_BACK and guard.held_back > (port.latency or 0.0):
+        port.latency = guard.latency = round(guard.held_back, 3)
+        return (
+            f"every answer on {port.path} comes {guard.held_back * 1e3:.0f} ms later than the wire "
+            "takes: an adapter that holds short answers back (16 ms is FTDI's default), which cuts "
+            "the rate of the loop: set its latency timer to 1 ms (docs/troubleshooting.md)"
+        )
+    if port.latency is not None and port.latency > 0.001:
+        return (
+            f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which every answer "
+            "waits for: set it to 1 ms (docs/troubleshooting.md)"
+        )
+    return ""
+
+
+def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: bool) -> list[str]:
+    """Describe corrupt replies: two servos with one id or, if all are corrupt, the line."""
+    if all_of_them and len(broken) > 1:
+        return [
+            f"{port.path}: every answer is broken ({broken[0][1]}). An adapter that hears its own "
+            "requests (switch its echo off) or adds bytes when it turns the line round, another "
+            "baud rate, or noise (cable, ground, termination)"
+        ]
+    return [
+        f"{device.name}: {error}. Two servos on one id look like this: connect them one by one and "
+        f"give each its own id (`pliant servos setup ARM --set-id OLD:NEW`); or the cable is bad"
+        for device, error in broken
+    ]
+
+
+def _missing(port: Port, missing: list[Device]) -> str:
+    """Name the servos that do not answer, and the ids that do."""
+    expected = {device.id for device in port.devices}
+    gone = {device.id for device in missing}
+    nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
+    names = ", ".join(f"{device.spec.name} (id {device.id})" for device in missing)
+    answering = sorted(expected - gone | set(nearby))
+    if not answering:
+        return (
+            f"no servo answers on {port.path}: is the servos' power on, is it the right port, and "
+            "is the baud rate theirs? `pliant servos scan` tries all of them"
+        )
+    return (
+        f"no answer on {port.path} from {names}; ids that answer: "
+        f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; an id "
+        "that should not be there is set by `pliant servos setup ARM --set-id OLD:NEW`"
+    )
+
+
+def _check(device: Device, image: RegisterImage) -> list[str]:
+    """Return all errors of one servo that do not allow control."""
+    row = device.row
+    number = image["model"]
+    if number != row.number:
+        known = by_number(number)
+        present = " or ".join(r.name for r in known)
+        present = (
+            present
+            or f"no {row.name} (it reads as model number {number}; `pliant servos scan` names it)"
+        )
+        return [f"it is {present}, the configuration says {row.name} ({row.number})"]
+    errors = [*_check_mode(device, image), *_calibration_differences(device, image)]
+    if image["return_level"] < (1 if device.family.status == "feetech" else 2):
+        errors.append(
+            "it does not acknowledge writes: `pliant servos setup` sets its Status Return Level"
+        )
+    volts = image["voltage"] / 10.0
+    low, high = _supply(device, image)
+    if not low <= volts <= high:
+        errors.append(
+            f"its supply is {volts:.1f} V and {row.name} takes {low:g} to {high:g} V: wrong "
+            "supply (take the power off), or another variant than the configuration says (name it "
+            "there)"
+        )
+    return errors
+
+
+def _store_initial_values(device: Device, image: RegisterImage) -> None:
+    """Record the registers to restore after torque off, and those to set while driven.
+
+    If torque is on, or a limit is 0, the registers come from an ended program or an overload. Such
+    a servo gets the values that a power-up would set.
+    """
+    family = device.family
+    device.drive_values = {
+        name: value if isinstance(value, int) else image[value]
+        for name, value in family.drive_values.items()
+    }
+    device.initial_values = {name: image[name] for name in family.restored_registers}
+    if device.torque_on or device.initial_values["limit"] == 0:
+        device.initial_values |= {"limit": image[family.ceiling], "speed_cap": 0}
+    if device.initial_values.get("watchdog") == TRIPPED:
+        device.initial_values["watchdog"] = 0
+
+
+def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
+    """Return lowest and highest supply [V]: the servo's limits, at most 0.5 V past the maker's."""
+    lowest, highest = device.row.voltage
+    low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
+    return max(low, lowest - 0.5), min(high, highest + 0.5)
+
+
+def _check_mode(device: Device, image: RegisterImage) -> list[str]:
+    """Return errors of operating mode and drive mode."""
+    errors = []
+    family = device.family
+    if family.status == "p2":
+        modes = (5,) if device.row.kind == "current" else (3, 4)
+        if image["mode"] not in modes:
+            errors.append(
+                f"operating mode {image['mode']}, needed is {' or '.join(map(str, modes))}: "
+                "`pliant servos setup` changes it"
+            )
+        for bit, text in (
+            (1, "follows another servo"),
+            (2, "has a time-based profile"),
+            (3, "switches its torque on by a goal"),
+        ):
+            if image["drive_mode"] & 1 << bit:
+                errors.append(
+                    f"its Drive Mode {text} (bit {bit}): clear it with `pliant servos setup`"
+                )
+        shadow = image["shadow_id"]
+        if shadow <= 252:
+            errors.append(
+                f"it obeys id {shadow} as well (Secondary ID): clear that with `pliant servos "
+                "setup` and name it as the joint's secondary"
+            )
+    elif family.status == "feetech":
+        if image["mode"] != 0:
+            errors.append(
+                f"operating mode {image['mode']}, needed is 0: `pliant servos setup` changes it"
+            )
+    else:
+        if image["position_min"] == image["position_max"]:
+            errors.append(
+                "its angle limits are equal, which is wheel or multi-turn mode: `pliant servos "
+                "setup` sets them"
+            )
+        if "drive_mode" in image and image["drive_mode"] & 2:
+            errors.append(
+                "it is the slave of a dual joint: `pliant servos setup` ends that; name it as the "
+                "joint's secondary"
+            )
+    return errors
+
+
+def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
+    """Store ceilings, limits and gain; return the identification with notes."""
+    row, family = device.row, device.family
+    device.ceiling = min(image[family.ceiling], device.units.full)
+    if row.kind == "current" and image["pwm_limit"] < family.full_duty:
+        # The PWM limit bounds the torque too, in proportion at stall.
+        torque = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
+        device.ceiling = min(device.ceiling, device.units.register(torque))
+    device.gain = image["gain"]
+    device.torque_on = bool(image["torque_enable"])
+    device.stored_command = (image["goal"], image["limit"]) if device.torque_on else None
+    _store_initial_values(device, image)
+    device.min_voltage, _ = _supply(device, image)
+    device.set_voltage(image["voltage"] / 10.0, image.time)
+    device.temperature = float(image["temperature"])
+    device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
+    low, high = image["position_min"], image["position_max"]
+    own = not device.multi_turn and low < high
+    device.low, device.high = (low, high) if own else (0, row.counts)
+    device.set_range()
+    if "overload_torque" in image:
+        device.overload = image["overload_torque"] / 100.0
+    if "hardware_error" in image:
+        device.hardware = status.hardware(image["hardware_error"])
+    notes = _calibration_notes(device)
+    if device.torque_on:
+        notes.append(
+            "its torque is on already: another program may be using the arm, or has left it up. "
+            "Enabling takes it over without switching it off; `pliant servos setup` wants it off"
+        )
+    if family.status != "feetech" and image["shutdown"] & 1 << OVERLOAD_BIT:
+        notes.append(
+            "it shuts off on overload, and a compliant arm sits at its limit by design: "
+            "`pliant servos setup` offers to clear bit 5 of Shutdown"
+        )
+    if "phase" in image and not image["phase"] & 1 << SPEED_UNIT_BIT:
+        notes.append("its speed registers count in 50 steps/s (Phase, bit 2): speed caps are void")
+    delay = image["return_delay"] * 2e-6
+    if delay > 20e-6 and family.status != "feetech":
+        notes.append(
+            f"it waits {delay * 1e6:.0f} µs before each answer; `pliant servos setup` sets 0"
+        )
+    if device.ceiling < device.units.full and family.status != "p2":
+        share = device.ceiling / device.units.full
+        notes.append(f"its Max Torque is set to {share:.0%}, which is the ceiling of its limits")
+    if "pwm_limit" in image and image["pwm_limit"] < family.full_duty:
+        share = image["pwm_limit"] / family.full_duty
+        notes.append(
+            f"its PWM Limit is set to {share:.0%}, which bounds torque and speed: "
+            f"{device.units.usable(device.ceiling):.3g} N·m are left"
+        )
+    return ServoInfo(
+        device.spec.name,
+        device.id,
+        row.name,
+        image["firmware"],
+        device.voltage or 0.0,
+        device.temperature,
+        delay,
+        device.torque_on,
+        tuple(notes),
+    )
+
+
+def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
+    """Describe the registers in which a servo differs from its joint's calibration file.
+
+    Each sentence has the value of the file and of the servo, and the resulting error of the joint's
+    zero. A second servo of the joint is not in the file.
+    """
+    file = device.spec.calibration
+    if file is None or device.id != device.spec.id:
+        return []
+    known = device.family.registers
+    said = []
+    for name, wanted in file.registers(known).items():
+        have = image[name] & 1 if name == "drive_mode" else image[name]
+        if have == (wanted & 1 if name == "drive_mode" else wanted):
+            continue
+        if name == "homing_offset":
+            effect = f"its zero would be off by {_degrees(device, wanted - have):.3g}°"
+        elif name == "drive_mode":
+            effect = "it counts the other way round"
+        else:
+            middle = (image["position_min"] + image["position_max"]) / 2.0
+            effect = f"its zero would be off by {_degrees(device, file.middle - middle):.3g}°"
+        said.append(
+            f"the calibration file says {LEROBOT_NAMES[name]} {wanted}, the servo {have}: "
+            f"{effect}; {CALIBRATION_REMEDY}"
+        )
+    return said
+
+
+def _calibration_notes(device: Device) -> list[str]:
+    """Return notes about a file that fits."""
+    file = device.spec.calibration
+    if file is None or device.id != device.spec.id or not file.drive_mode:
+        return []
+    if "drive_mode" in device.family.registers:
+        return []
+    return [
+        "the calibration file has drive_mode 1: LeRobot turns this joint's values round, pliant "
+        "counts as its `sign` says; compare with `pliant servos doctor ARM --watch`"
+    ]
+
+
+def _degrees(device: Device, counts: float) -> float:
+    """Return the joint angle of a number of counts [°]."""
+    return abs(counts) * device.units.count * 57.29577951308232

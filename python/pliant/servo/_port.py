@@ -1,0 +1,457 @@
+"""All servos on one serial port: readings, write packets, and polling of status registers."""
+
+from __future__ import annotations
+
+import time
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pliant.drive import ServoStatus
+from pliant.servo._transactions import TransactionGuard, wire_time
+from pliant.servo.transport import BusError, RustypotTransport
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from pliant.servo._device import Device
+    from pliant.servo._transactions import Reply
+    from pliant.servo.models import Family
+    from pliant.servo.models.base import Block
+    from pliant.servo.models.base import Protocol as Wire
+    from pliant.servo.transport import Transport
+
+
+#: A servo that is silent for this many cycles is skipped for `PROBE_CYCLES` cycles, so that a dead
+#: servo does not cost a timeout in every cycle.
+MAX_MISSES, PROBE_CYCLES = 3, 8
+#: Silence after which a servo may have restarted, with its torque off: [s], and cycles.
+RESTART, RESTART_CYCLES = 0.1, 3.0
+#: Largest share of a cycle for one more request to all servos.
+TORQUE_READ_SHARE = 0.2
+#: Unit of the bus watchdog [s], its largest value, and number of tries to set it.
+WATCHDOG_UNIT, MAX_WATCHDOG, WATCHDOG_TRIES = 0.02, 127, 4
+
+
+class Port:
+    """One open serial port and its servos.
+
+    Args:
+        path: Serial port.
+        devices: The servos on it.
+        baudrate: Bits per second.
+        cycle: Control period [s].
+        patience: Minimum reply timeout [s].
+        open_transport: ``(path, baudrate, protocol) -> Transport``.
+        clock: Clock of the readings.
+
+    Attributes:
+        guard: TransactionGuard of all transactions.
+        watchdog: Bus watchdog of the servos that have one [units of 20 ms]; 0: off.
+        latency: The adapter's latency timer [s]; None: no such timer.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        devices: Sequence[Device],
+        *,
+        baudrate: int,
+        cycle: float,
+        patience: float,
+        open_transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        """Open the port.
+
+        Raises:
+            ServoError: It cannot be opened.
+            ImportError: The extra `servo` is missing.
+        """
+        self.path, self.devices = path, tuple(devices)
+        protocol = self.devices[0].family.protocol
+        self.highest = 253 if protocol == "p1" else 252
+        self.latency = latency_timer(path)
+        self._io = open_transport(path, baudrate, protocol)
+        ids = {device.id for device in self.devices}
+        self.guard = TransactionGuard(
+            self._io,
+            protocol,
+            baudrate=baudrate,
+            latency=self.latency or 0.001,
+            cycle=cycle,
+            patience=patience,
+            unused_id=max(set(range(self.highest + 1)) - ids),
+            sample_clock=clock,
+        )
+        self._baudrate, self._cycle = baudrate, cycle
+        self._restart = max(RESTART, RESTART_CYCLES * cycle)
+        self.watchdog = 0
+        self._is_armed = False
+        self._misses: dict[int, int] = {}
+        self._silent: dict[int, int] = {}
+
+    @property
+    def responsive(self) -> list[Device]:
+        """Servos that are not skipped for their silence."""
+        return [device for device in self.devices if device.id not in self._silent]
+
+    def can_read_all(self) -> bool:
+        """Return True if one request reads a byte of all servos within a fifth of a cycle."""
+        family = self.devices[0].family
+        if not family.sync_read or family.status != "p2" or self.guard.is_gone:
+            return False
+        wire = wire_time(
+            "p2",
+            "sync_read",
+            len(self.devices),
+            1,
+            baudrate=self._baudrate,
+            response_delay=self.guard.response_delay,
+        )
+        return wire + (self.latency or 0.0) < TORQUE_READ_SHARE * self._cycle
+
+    def close(self) -> None:
+        """Close the port; the servos hold their last goal and limit."""
+        self._io.close()
+
+    def read(self, budget: float) -> set[int]:
+        """Read all servos with one request; if it fails, read them one by one.
+
+        Args:
+            budget: Time after which there are no retries [s].
+
+        Returns:
+            Ids of the servos with an accepted reading.
+
+        Raises:
+            BusError: The port is gone.
+        """
+        self.guard.start_cycle(budget)
+        replies: dict[int, Reply] = {}
+        for group in _groups(self.responsive, lambda d: (d.family.sync_read, d.family.read)):
+            replies |= (
+                self._read_group(group) if group[0].family.sync_read else self._read_each(group)
+            )
+        replies |= self._probe()
+        accepted = set()
+        for device in self.devices:
+            reply = replies.get(device.id)
+            if reply is None:
+                continue
+            self._misses.pop(device.id, None)
+            silent = reply.time - device.time > self._restart
+            if device.enabled and silent and not self._check_restart(device):
+                continue
+            if device.accept(reply):
+                accepted.add(device.id)
+            else:
+                self.guard.counters.stale += 1
+        return accepted
+
+    def _check_restart(self, device: Device) -> bool:
+        """Read after a silence whether a servo's torque is on; return False without an answer.
+
+        A servo that has restarted gets no goals any more, because on some models they would switch
+        torque on. A servo with a tripped watchdog rejects goals until the watchdog is cleared.
+        """
+        try:
+            device.note(self.guard.read(device.id, device.family.block("torque_enable")))
+            if self._is_armed and "watchdog" in device.family.registers:
+                device.note(self.guard.read(device.id, device.family.block("watchdog")))
+        except BusError as error:
+            _raise_if_gone(error)
+            return False
+        self.clear_watchdogs([device])
+        return True
+
+    def clear_watchdogs(self, devices: Iterable[Device]) -> None:
+        """Clear tripped watchdogs and arm them again; a failed write is retried in the next cycle.
+
+        Raises:
+            BusError: The port is gone.
+        """
+        for device in devices:
+            if not device.tripped:
+                continue
+            address = device.family.registers["watchdog"].address
+            try:
+                for units in dict.fromkeys((0, self.watchdog)):
+                    self.guard.write(device.id, address, bytes([units]))
+            except BusError as error:
+                _raise_if_gone(error)
+            else:
+                device.tripped = False
+
+    def set_watchdog(self, seconds: float, budget: float) -> list[str]:
+        """Set the bus watchdog of all servos that have one, tripped or not.
+
+        The packets need no reply, so a temporarily silent line costs little time. The value is then
+        read back.
+
+        Args:
+            seconds: Silence after which servos stop [s]; 0: never.
+            budget: Time for each of `WATCHDOG_TRIES` tries [s].
+
+        Returns:
+            Names of the servos that did not confirm.
+
+        Raises:
+            BusError: The port is gone.
+        """
+        self.watchdog = min(MAX_WATCHDOG, ceil(seconds / WATCHDOG_UNIT)) if seconds > 0.0 else 0
+        pending = [d for d in self.devices if "watchdog" in d.family.registers]
+        self._is_armed = self._is_armed or bool(pending and self.watchdog)
+        for _ in range(WATCHDOG_TRIES):
+            if not pending:
+                break
+            self.guard.start_cycle(budget)
+            ids, block = [d.id for d in pending], pending[0].family.block("watchdog")
+            try:
+                for units in dict.fromkeys((0, self.watchdog)):
+                    self.guard.sync_write(ids, block.address, [bytes([units])] * len(ids))
+            except BusError as error:
+                _raise_if_gone(error)
+            answered = [device for device in pending if self._read_block(device, block)]
+            pending = [d for d in pending if d not in answered or d.watchdog != self.watchdog]
+            if not answered:
+                break
+        if not pending and not self.watchdog:
+            self._is_armed = False
+        return [device.name for device in pending]
+
+    def write(self, packets: Sequence[tuple[Device, int, int, int]]) -> None:
+        """Send goal, limit and speed cap registers with sync writes, one per kind of servo.
+
+        Args:
+            packets: Servo, goal, limit and speed cap.
+
+        Raises:
+            BusError: The port is gone, or rejected the packet.
+        """
+        for group in _groups(packets, lambda p: p[0].family.write):
+            family = group[0][0].family
+            ids = [device.id for device, *_ in group]
+            for names in family.write:
+                data = [device.packet(names, *values) for device, *values in group]
+                self.guard.sync_write(ids, family.registers[names[0]].address, data)
+            for device, goal, limit, _ in group:
+                device.record_sent(goal, limit)
+
+    def _read_block(self, device: Device, block: Block) -> bool:
+        """Read and store a block; return False without an answer."""
+        try:
+            device.note(self.guard.read(device.id, block, again=False))
+        except BusError as error:
+            _raise_if_gone(error)
+            return False
+        return True
+
+    def _read_group(self, group: Sequence[Device]) -> dict[int, Reply]:
+        """Read all servos with one request; on failure one by one, the failed one last."""
+        try:
+            return self.guard.sync_read([device.id for device in group], *group[0].family.read)
+        except BusError as error:
+            _raise_if_gone(error)
+            culprit = error.id
+        return self._read_each(group, last=culprit, again=False)
+
+    def _read_each(
+        self, group: Sequence[Device], *, last: int | None = None, again: bool = True
+    ) -> dict[int, Reply]:
+        """Read each servo by itself; a silent one is skipped for some cycles.
+
+        The servo with the oldest reading comes first, so that no servo misses every cycle that runs
+        out of time.
+        """
+        replies = {}
+        missed = []
+        for device in sorted(group, key=lambda device: (device.id == last, device.time)):
+            self.guard.counters.retries += not again
+            try:
+                reply = self.guard.read(device.id, *device.family.read, again=again)
+            except BusError as error:
+                _raise_if_gone(error)
+                if error.reason == "timeout":
+                    missed.append(device.id)
+            else:
+                replies[device.id] = reply
+        # If the whole line is silent, do not count it against single servos.
+        for number in missed if replies else ():
+            self._misses[number] = self._misses.get(number, 0) + 1
+            if self._misses[number] >= MAX_MISSES:
+                self._silent[number] = PROBE_CYCLES
+        return replies
+
+    def _probe(self) -> dict[int, Reply]:
+        """Read one of the silent servos, in turn."""
+        for number in self._silent:
+            self._silent[number] -= 1
+        due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]
+        for device in due[:1]:
+            self._silent[device.id] = PROBE_CYCLES
+            try:
+                reply = self.guard.read(device.id, *device.family.read, again=False)
+            except BusError as error:
+                _raise_if_gone(error)
+            else:
+                del self._silent[device.id]
+                return {device.id: reply}
+        return {}
+
+
+def latency_timer(path: str) -> float | None:
+    """Return the latency timer of an FTDI adapter [s]; None for other adapters (Linux).
+
+    The driver holds short replies back for this time: 16 ms by default, 1 ms if configured.
+    """
+    name = Path(path).resolve().name
+    file = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
+    try:
+        return int(file.read_text(encoding="ascii")) / 1000.0
+    except (OSError, ValueError):
+        return None
+
+
+def _groups(items: Iterable, key: Callable) -> list[list]:  # type: ignore[type-arg]
+    """Group items by key, in order of first appearance."""
+    found: dict[object, list] = {}  # type: ignore[type-arg]
+    for item in items:
+        found.setdefault(key(item), []).append(item)
+    return list(found.values())
+
+
+def _raise_if_gone(error: BusError) -> None:
+    """Raise an error that also affects all other servos."""
+    if error.reason == "gone":
+        raise error
+
+
+def status_blocks(family: Family) -> tuple[Block, ...]:
+    """Return the slow blocks of a servo, one per step, latched faults first."""
+    if family.status == "p2":
+        single = ("hardware_error", "torque_enable", "watchdog")
+        return (
+            *(family.block(name) for name in single),
+            *stored_command_blocks(family),
+            family.block("voltage", "temperature"),
+        )
+    # Voltage and temperature come with every reading.
+    return (family.block("torque_enable", "limit", "goal"),)
+
+
+def stored_command_blocks(family: Family) -> tuple[Block, ...]:
+    """Return blocks with the goal and limit stored in a servo, as many as there are packets."""
+    return tuple(
+        family.block(*(name for name in names if name in {"goal", "limit"}))
+        for names in family.write
+    )
+
+
+#: Faults that are reported at once, before the joint's turn.
+URGENT_FAULTS = frozenset({"torque", "jump", "port"})
+#: Number of steps between two requests for the torque state of all servos.
+TORQUE_PERIOD = 3
+
+
+class StatusPoller:
+    """Cyclic schedule of slow reads over all servos, one block per step; alarms come first.
+
+    Args:
+        joints: Servos of each joint.
+    """
+
+    def __init__(self, joints: Sequence[Sequence[Device]]) -> None:
+        """Start with the first servo."""
+        self._joints = joints
+        devices = [device for joint in joints for device in joint]
+        self._steps = [(d, block) for d in devices for block in status_blocks(d.family)]
+        self._next = 0
+        self._reported: set[int] = set()
+        self._is_repeat = False
+        self._block_index = self._count = 0
+
+    def step(self, ports: Mapping[int, Port]) -> ServoStatus | None:
+        """Read one block; return the slow data of its joint.
+
+        Three kinds of servos are read first: those with a new alert, with an urgent fault, and with
+        a goal or limit that read back wrong, because only a second reading distinguishes a lost
+        packet from a servo that rejects it.
+
+        Raises:
+            BusError: The port is gone.
+        """
+        self._count += 1
+        if self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
+            return None
+        device, block = self._choose()
+        guard = ports[id(device)].guard
+        if guard.is_gone:
+            return self._status(device.joint)
+        try:
+            device.note(guard.read(device.id, block))
+        except BusError as error:
+            if error.reason == "gone":
+                raise
+            return None
+        return self._status(device.joint)
+
+    def _check_torque(self, ports: Mapping[int, Port]) -> bool:
+        """Read with one request whether torque is on, for all servos of the next port.
+
+        This is done only if such a request exists and takes little of a cycle. A loss of torque is
+        then detected within a few ticks.
+        """
+        candidates = [port for port in dict.fromkeys(ports.values()) if port.can_read_all()]
+        if not candidates:
+            return False
+        port = candidates[self._count // TORQUE_PERIOD % len(candidates)]
+        enabled = [d for d in port.responsive if d.enabled]
+        if not enabled:
+            return False
+        try:
+            block = enabled[0].family.block("torque_enable")
+            replies = port.guard.sync_read([d.id for d in enabled], block)
+        except BusError as error:
+            if error.reason == "gone":
+                raise
+            return True
+        for device in enabled:
+            device.note(replies[device.id])
+        # A servo that lost its torque raises an alarm: it is read next, in this step.
+        return all(d.enabled for d in enabled)
+
+    def _choose(self) -> tuple[Device, Block]:
+        for joint in self._joints:
+            for device in joint:
+                if device.has_suspect_register and not self._is_repeat:
+                    self._is_repeat = True
+                    blocks = stored_command_blocks(device.family)
+                    self._block_index += 1
+                    return device, blocks[self._block_index % len(blocks)]
+                is_urgent = bool(device.conditions) or not URGENT_FAULTS.isdisjoint(
+                    device.other_faults
+                )
+                if is_urgent and id(device) not in self._reported:
+                    self._reported.add(id(device))
+                    return device, status_blocks(device.family)[0]
+                if not is_urgent:
+                    self._reported.discard(id(device))
+        self._is_repeat = False
+        step = self._steps[self._next]
+        self._next = (self._next + 1) % len(self._steps)
+        return step
+
+    def _status(self, joint: int) -> ServoStatus:
+        devices = self._joints[joint]
+        volts = [d.voltage for d in devices if d.voltage is not None]
+        temperatures = [d.temperature for d in devices if d.temperature is not None]
+        first = devices[0]
+        limit = None if first.limit_read is None else first.units.torque(first.limit_read)
+        return ServoStatus(
+            first.spec.name,
+            min(volts) if volts else None,
+            max(temperatures) if temperatures else None,
+            tuple(text for d in devices for text in d.faults),
+            limit,
+        )

@@ -1,0 +1,254 @@
+"""Setup of a servo's EEPROM: find the registers to change, write them, and restore them.
+
+This is the only module that writes EEPROM. Torque is off meanwhile, every register is read back,
+and the former values are returned so that they can be restored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pliant._core import ServoError
+from pliant.servo.models import by_number
+from pliant.servo.transport import BusError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from pliant.servo._transactions import TransactionGuard
+    from pliant.servo.models import Family, ServoModel
+
+#: Registers that a setup writes.
+SETUP_REGISTERS = (
+    "return_level", "return_delay", "shutdown", "mode", "drive_mode", "shadow_id",
+    "position_min", "position_max",
+)  # fmt: skip
+OVERLOAD_BIT = 5
+#: Operating modes: current-based position, position.
+CURRENT_POSITION, POSITION = 5, 3
+#: Secondary ID that disables it.
+NO_SECONDARY = 255
+#: Unwanted bits of the Drive Mode: follower, time-based profile, torque on by goal.
+UNWANTED_BITS = 0b1110
+#: Slave bit of the Drive Mode of Protocol 1.0.
+SLAVE = 0b10
+
+
+@dataclass(frozen=True)
+class RegisterChange:
+    """Change of one register.
+
+    Attributes:
+        joint: Joint name.
+        id: Servo id.
+        register: Field name.
+        old, new: Present value, and value to write.
+        why: Reason, one sentence.
+        model: Servo model; empty if unknown.
+    """
+
+    joint: str
+    id: int
+    register: str
+    old: int
+    new: int
+    why: str
+    model: str = ""
+
+
+def plan_setup(
+    io: TransactionGuard, joint: str, id: int, row: ServoModel, *, overload: bool = True
+) -> list[RegisterChange]:
+    """Return the changes that a setup needs on one servo.
+
+    Args:
+        io: Transactions of the open port.
+        joint: Joint name, for messages.
+        id: Servo id.
+        row: Servo model.
+        overload: Whether to clear the overload bit of Shutdown.
+
+    Raises:
+        ServoError: No answer, or another model.
+    """
+    _check_model(io, joint, id, row)
+    required = _required_values(io, id, row, overload)
+    return _differences(io, joint, id, row, required)
+
+
+def plan_restore(
+    io: TransactionGuard, joint: str, id: int, row: ServoModel, former: Iterable[RegisterChange]
+) -> list[RegisterChange]:
+    """Return the changes that restore one servo to its former values.
+
+    Args:
+        io: Transactions of the open port.
+        joint: Its joint.
+        id: Its id.
+        row: Its model.
+        former: Changes that were made, also on other servos.
+
+    Raises:
+        ServoError: No answer, or another model.
+    """
+    own = [change for change in former if (change.joint, change.id) == (joint, id)]
+    if not own:
+        return []
+    _check_model(io, joint, id, row)
+    required = {change.register: (change.old, "is as it was before") for change in own}
+    return _differences(io, joint, id, row, required)
+
+
+def _check_model(io: TransactionGuard, joint: str, id: int, row: ServoModel) -> None:
+    """Check that a servo is of the configured model."""
+    number = read(io, id, row.family, "model")
+    if number != row.number:
+        known = " or ".join(r.name for r in by_number(number)) or f"model number {number}"
+        raise ServoError(f"{joint} (id {id}) is {known}, the configuration says {row.name}")
+
+
+def _differences(
+    io: TransactionGuard,
+    joint: str,
+    id: int,
+    row: ServoModel,
+    required: Mapping[str, tuple[int, str]],
+) -> list[RegisterChange]:
+    """Return a change for each register that differs from its wanted value."""
+    out = []
+    for register, (new, why) in required.items():
+        old = read(io, id, row.family, register)
+        if old != new:
+            out.append(RegisterChange(joint, id, register, old, new, why, row.name))
+    return out
+
+
+def _required_values(
+    io: TransactionGuard, id: int, row: ServoModel, overload: bool
+) -> dict[str, tuple[int, str]]:
+    """Return wanted values and reasons by register."""
+    family = row.family
+    out: dict[str, tuple[int, str]] = {}
+    # First, so that the following writes are acknowledged.
+    out["return_level"] = (1 if family.status == "feetech" else 2, "acknowledges writes")
+    if family.status != "feetech":
+        out["return_delay"] = (0, "answers at once: the loop is up to four times as fast")
+        if overload:
+            mask = read(io, id, family, "shutdown") & ~(1 << OVERLOAD_BIT)
+            why = "a compliant arm sits at its limit; with this bit the servo drops the arm for it"
+            out["shutdown"] = (mask, why)
+    if family.status == "p2":
+        mode = CURRENT_POSITION if row.kind == "current" else POSITION
+        out["mode"] = (mode, "position control whose torque the limit bounds")
+        drive = read(io, id, family, "drive_mode") & ~UNWANTED_BITS
+        out["drive_mode"] = (drive, "follows goals of its own, at once, with torque as told")
+        out["shadow_id"] = (NO_SECONDARY, "obeys its own id only")
+    elif family.status == "feetech":
+        out["mode"] = (0, "position control")
+    else:
+        if read(io, id, family, "position_min") == read(io, id, family, "position_max"):
+            why = "position control, and not a wheel or several turns"
+            out["position_min"], out["position_max"] = (0, why), (row.counts, why)
+        if "drive_mode" in family.registers:
+            drive = read(io, id, family, "drive_mode") & ~SLAVE
+            out["drive_mode"] = (drive, "follows goals of its own")
+    return out
+
+
+def write_changes(io: TransactionGuard, family: Family, required: Sequence[RegisterChange]) -> None:
+    """Write the changes of one servo: torque off, write, read back.
+
+    Raises:
+        ServoError: Torque is on, or a register did not take its value; earlier ones were written.
+    """
+    if not required:
+        return
+    first = required[0]
+    if read(io, first.id, family, "torque_enable"):
+        raise ServoError(
+            f"the torque of {first.joint} (id {first.id}) is on: EEPROM is locked, and the arm may "
+            "be holding itself up. Lower it first (`pliant run … ` and Ctrl-C), then try again"
+        )
+    _lock(io, first.id, family, locked=False)
+    try:
+        for change in required:
+            _write(io, change.id, family, change.register, change.new)
+            if (found := read(io, change.id, family, change.register)) != change.new:
+                raise ServoError(
+                    f"{change.joint} (id {change.id}): {change.register} reads {found} after "
+                    f"{change.new} was written"
+                )
+    finally:
+        _lock(io, first.id, family, locked=True)
+
+
+def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
+    """Change the id of the only servo that answers to `old`.
+
+    Args:
+        io: Transactions of the open port.
+        joint: Joint of the new id, for messages.
+        row: Servo model.
+        old: Present id.
+        new: New id.
+
+    Raises:
+        ServoError: No answer, another model, torque is on, the new id is taken, or the servo did
+            not accept it.
+    """
+    check_set_id(io, joint, row, old, new)
+    family = row.family
+    _lock(io, old, family, locked=False)
+    _write(io, old, family, "id", new)
+    try:
+        _check_model(io, joint, new, row)
+    except ServoError as error:
+        raise ServoError(f"id {old} did not become id {new}: {error}") from error
+    _lock(io, new, family, locked=True)
+
+
+def check_set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
+    """Check the conditions of `set_id`; nothing is written.
+
+    Raises:
+        ServoError: As `set_id`.
+    """
+    _check_model(io, joint, old, row)
+    if read(io, old, row.family, "torque_enable"):
+        raise ServoError(f"the torque of id {old} is on: switch it off first")
+    if io.ping(new):
+        raise ServoError(
+            f"a servo on this port answers to id {new} already: connect only the one that is to "
+            "get it"
+        )
+
+
+def read(io: TransactionGuard, id: int, family: Family, name: str) -> int:
+    """Return the value of a register.
+
+    Raises:
+        ServoError: No answer.
+    """
+    register = family.registers[name]
+    try:
+        reply = io.read(id, family.block(name))
+    except BusError as error:
+        raise ServoError(f"{error}: is it powered, is its id as configured?") from error
+    return register.decode(reply.data)
+
+
+def _write(io: TransactionGuard, id: int, family: Family, name: str, value: int) -> None:
+    """Write a register and read it back, because not every write is answered."""
+    register = family.registers[name]
+    try:
+        io.write(id, register.address, register.encode(value))
+    except BusError as error:
+        if error.reason == "gone":
+            raise
+
+
+def _lock(io: TransactionGuard, id: int, family: Family, *, locked: bool) -> None:
+    """Lock or unlock EEPROM: Feetech by a register; on Dynamixel, torque locks it."""
+    if "lock" in family.registers:
+        _write(io, id, family, "lock", int(locked))

@@ -1,0 +1,13 @@
+//! What an arm can do with its settings, in one pose or on a path; not for the control step, but fast enough to run
+//! beside the loop.
+
+mod axis_strength;
+mod check;
+mod display;
+mod findings;
+mod push_path;
+mod report;
+mod tracking;
+
+pub use check::{FeasibilityReport, Issue};
+pub use report::PoseReport;

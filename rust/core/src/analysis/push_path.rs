@@ -1,0 +1,165 @@
+//! Path of the arm under a push: the first position limit on it, the friction of the remaining joints there, and the
+//! singular poses that it passes.
+
+use nalgebra::DMatrix;
+
+use crate::command::host_loss::TRAVEL;
+use crate::kinematics::Frames;
+use crate::math::ldlt6::{Factor, pseudo_inverse};
+use crate::math::rows::{load_rows, rows_array, transpose_times, weighted_gram};
+use crate::math::simd::{EveryJoint, Lanes, Plain};
+use crate::math::svd::singular_values;
+use crate::model::Model;
+use crate::params::Plan;
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
+
+/// Number of steps on the path.
+const STEPS: u8 = 15;
+
+/// Damping on the path, as a share of the largest entry of `J K_p⁻¹ Jᵀ`: bounds the motion near singular poses.
+const DAMPING: f64 = 1e-7;
+
+/// Growth of the friction above which the adjacent steps are subdivided, and the number of parts.
+const CLOSELY: f64 = 1.5;
+const PARTS: u8 = 8;
+
+/// Damping of the friction, as a share of the largest singular value: at a singular pose the friction is large, not ∞.
+const BLUNT: f64 = 1e-3;
+
+/// Ratio of smallest to largest singular value below which the remaining joints cannot move an axis alone.
+const SINGULAR: f64 = 1e-3;
+
+/// The first position limit on the path along one axis.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Stop {
+    /// Displacement at which it is met [m, rad].
+    pub(super) distance: f64,
+    /// The joint that meets it.
+    pub(super) joint: usize,
+    /// Its distance to the limit now [rad or m].
+    pub(super) room: f64,
+    /// `Σ_i |J⁺_ij| τ_f,i` of the remaining joints at the limit [N, N·m]; ∞ if they cannot move the axis alone.
+    pub(super) friction: f64,
+}
+
+/// The path along one axis, 0.15 m or 0.4 rad, or up to the first stop.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Push {
+    pub(super) stop: Option<Stop>,
+    /// Largest `Σ_i |J⁺_ij| τ_f,i` on the path [N, N·m].
+    pub(super) friction: f64,
+    /// σ_min at that point.
+    pub(super) sigma: f64,
+    /// Displacement at that point [m, rad].
+    pub(super) at: f64,
+}
+
+/// Simulation of a push on an arm whose other axes keep their place.
+pub(super) struct Way<'a> {
+    pub(super) model: &'a Model,
+    pub(super) plan: &'a Plan,
+    pub(super) base_from_task: [[f64; 3]; 3],
+    pub(super) q: &'a JointVec,
+    /// Dry friction at rest [N·m].
+    pub(super) friction: &'a JointVec,
+}
+
+impl Way<'_> {
+    /// Simulates a push along one task axis, toward `sign`.
+    ///
+    /// The arm moves so that the servos' springs are stretched least, `dq = K_p⁻¹ Jᵀ C⁻¹ d`, as under line 8.
+    pub(super) fn follow(&self, row: usize, sign: f64) -> Push {
+        let (plan, n, k) = (self.plan, self.plan.n, self.plan.k);
+        let travel = TRAVEL[usize::from(plan.rows[row].axis >= 3)];
+        let (mut q, mut gone, mut stop) = (*self.q, 0.0, None);
+        let mut trail = vec![(q, gone)];
+        let compliance = EveryJoint::load(&plan.servos.compliance);
+        let mut along = [0.0; MAX_AXES];
+        along[row] = sign;
+        for _ in 0..STEPS {
+            let rows = load_rows(&self.rows(&q));
+            let mut c = weighted_gram(&rows, compliance);
+            let largest = (0..k).fold(0.0_f64, |most, r| most.max(c[r][r]));
+            (0..k).for_each(|r| c[r][r] += DAMPING * largest);
+            let way = transpose_times(&rows, &Factor::new::<Plain>(&c).solve::<Plain>(&along));
+            let way = (way * compliance).array();
+            let (mut step, mut met) = (travel / f64::from(STEPS), None);
+            for i in 0..n {
+                let room = if way[i] > 0.0 { plan.upper[i] - q[i] } else { q[i] - plan.lower[i] };
+                if room.max(0.0) < step * way[i].abs() {
+                    (step, met) = (room.max(0.0) / way[i].abs(), Some(i));
+                }
+            }
+            (0..n).for_each(|i| q[i] += step * way[i]);
+            gone += step;
+            trail.push((q, gone));
+            if let Some(joint) = met {
+                let room = (q[joint] - self.q[joint]).abs();
+                stop = Some(Stop { distance: gone, joint, room, friction: self.friction_without(&q, joint, row) });
+                break;
+            }
+        }
+        self.rubbed_most(row, &trail, stop)
+    }
+
+    /// Returns the point with the largest friction on a path of postures and displacements.
+    fn rubbed_most(&self, row: usize, trail: &[(JointVec, f64)], stop: Option<Stop>) -> Push {
+        let seen = |q: &JointVec, at: f64| {
+            let rows = self.scaled(q);
+            (self.rubs(&rows, row), at, rows)
+        };
+        let all: Vec<_> = trail.iter().map(|(q, at)| seen(q, *at)).collect();
+        let index = (0..all.len()).fold(0, |best, i| if all[i].0 > all[best].0 { i } else { best });
+        let mut worst = all[index];
+        // A step may pass over a singular pose: subdivide the adjacent steps.
+        if worst.0 > CLOSELY * all[0].0 {
+            for pair in trail[index.saturating_sub(1)..(index + 2).min(trail.len())].windows(2) {
+                let ((from, near), (to, far)) = (pair[0], pair[1]);
+                for part in 1..PARTS {
+                    let share = f64::from(part) / f64::from(PARTS);
+                    let between = std::array::from_fn(|i| from[i] + share * (to[i] - from[i]));
+                    let here = seen(&between, near + share * (far - near));
+                    worst = if here.0 > worst.0 { here } else { worst };
+                }
+            }
+        }
+        let (friction, at, rows) = worst;
+        Push { stop, friction, sigma: self.sigma(&rows)[0], at }
+    }
+
+    fn rows(&self, q: &JointVec) -> Rows {
+        let (chain, mut frames) = (self.model.chain(), Frames::default());
+        let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
+        chain.forward(q, &mut frames);
+        chain.jacobian(&frames, &mut world);
+        crate::kinematics::task_rows(&world, &self.base_from_task, &self.plan.axes)
+    }
+
+    fn scaled(&self, q: &JointVec) -> Rows {
+        rows_array(&self.plan.scale_rows(&load_rows::<EveryJoint>(&self.rows(q))))
+    }
+
+    /// Returns the friction along `row` of all joints but one.
+    fn friction_without(&self, q: &JointVec, joint: usize, row: usize) -> f64 {
+        let (plan, mut scaled) = (self.plan, self.scaled(q));
+        for r in &mut scaled {
+            r[joint] = 0.0;
+        }
+        let [smallest, largest] = self.sigma(&scaled);
+        if plan.k > plan.n || smallest <= SINGULAR * largest { f64::INFINITY } else { self.rubs(&scaled, row) }
+    }
+
+    /// `Σ_i |J⁺_ij| τ_f,i` of scaled rows [N, N·m].
+    fn rubs(&self, scaled: &Rows, row: usize) -> f64 {
+        let (plan, n, k) = (self.plan, self.plan.n, self.plan.k);
+        let size = scaled[..k].iter().flatten().map(|x| x * x).sum::<f64>();
+        let inverse = pseudo_inverse(scaled, &[1.0; MAX_JOINTS], &[BLUNT * BLUNT * size; MAX_AXES]);
+        (0..n).map(|i| inverse[row][i].abs() * self.friction[i]).sum::<f64>() * plan.row_scale[row]
+    }
+
+    /// Returns the smallest and the largest singular value of scaled rows.
+    fn sigma(&self, scaled: &Rows) -> [f64; 2] {
+        let all = singular_values(&DMatrix::from_fn(self.plan.k, self.plan.n, |r, i| scaled[r][i]));
+        [all.min(), all.max()]
+    }
+}

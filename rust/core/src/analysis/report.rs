@@ -1,0 +1,280 @@
+//! Report on the capabilities of the present pose and settings, in numbers and in sentences.
+//!
+//! Not for the control step, but fast enough to run beside the loop. Sides are named by the push: the first number of a
+//! pair is for a push toward −, the second for a push toward +.
+
+use crate::command::host_loss::HostLoss;
+use crate::controller::{Controller, StepInput};
+use crate::error::{Error, Result};
+use crate::kinematics::Frames;
+use crate::kinematics::statics::static_force;
+use crate::params::{AXIS_NAMES, Law, OnDeviationLimit};
+use crate::pose::COORDINATE_BOUND;
+use crate::{JointVec, MAX_JOINTS};
+
+use crate::analysis::axis_strength::Pose;
+use crate::analysis::push_path::Way;
+
+/// Capabilities of one pose with the current settings; one entry per task axis or per joint.
+///
+/// Forces in N, for rotations N·m; all torques in N·m.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseReport {
+    /// Names of the task's axes.
+    pub axes: Vec<&'static str>,
+    /// Names of the joints.
+    pub joints: Vec<String>,
+    /// Control law.
+    pub law: Law,
+    /// Joint positions of the report [rad].
+    pub q: Vec<f64>,
+    /// Torque limits in this pose [N·m].
+    pub torque_limit: Vec<f64>,
+    /// The largest static force that these limits hold: `min_i (L_i + s_i g_i) / |a_i|`, `a = Jᵀd`. Negative if the arm
+    /// cannot hold itself.
+    pub static_force: Vec<[f64; 2]>,
+    /// The largest static force at the servos' full torque.
+    pub capacity: Vec<[f64; 2]>,
+    /// Force at which the axis yields under the law, without friction: at a small and at a large deviation, d⁻/(1 − η)
+    /// and d⁺/(1 − η), at most 0.15 m or 0.4 rad.
+    pub gives_way: Vec<[[f64; 2]; 2]>,
+    /// Compliance of the axis toward (−, +).
+    pub yields: Vec<[bool; 2]>,
+    /// Dry friction of the joints along the axis, `Σ_i |J⁺_ij| τ_f,i`: added to the force of a push from rest.
+    pub friction: Vec<f64>,
+    /// Friction that the feed-forward leaves in steady motion. An axis with a smaller strength cannot keep moving.
+    pub friction_left: Vec<f64>,
+    /// Strength of the axis if its own were 0, caused by the torque limits that the other axes require of the same
+    /// joints.
+    pub coupling: Vec<[f64; 2]>,
+    /// The other axis with the largest share of it.
+    pub coupled_to: Vec<[Option<&'static str>; 2]>,
+    /// Deviations d⁻/(1 − η), d⁺/(1 − η) between which the strength changes [m, rad].
+    pub thresholds: Vec<[f64; 2]>,
+    /// Torque limit beyond gravity, for a joint pushed toward (−, +): `L − g`, `L + g` [N·m].
+    pub gravity_margin: Vec<[f64; 2]>,
+    /// Smallest singular value of the task rows, with translations divided by the arm's length.
+    pub sigma_min: f64,
+    /// Condition number: largest over smallest singular value.
+    pub condition: f64,
+    /// σ₀ of the damping: poses with a much smaller σ_min are near singular.
+    pub sigma_0: f64,
+    /// Joints whose limit is at the servo's ceiling.
+    pub saturated: Vec<bool>,
+    /// Joints at a position limit, removed from the inverse kinematics.
+    pub locked: Vec<bool>,
+    /// The largest force on a hand that pushes along the axis by 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s if the
+    /// host dies now, beginning at the arm's equilibrium, gear friction and damping included; ∞ if the arm cannot be
+    /// moved so far because it is stretched out or at stops.
+    pub host_loss_force: Vec<[f64; 2]>,
+    /// Allowed value of `host_loss_force` [N].
+    pub max_host_loss_force: Option<f64>,
+    /// Factor ≤ 1 on K_x, under law `impedance` on the stiffness, required by delay and pose.
+    pub gain_factor: f64,
+    /// Factor ≤ 1 on the damping of law `impedance`.
+    pub damping_factor: f64,
+    /// Strength of an axis that does not yield; and the default if soft or firm raised it.
+    pub hold: Vec<(f64, Option<f64>)>,
+    /// Distance that the axis can be pushed, the others fixed, until a joint meets its position limit [m, rad]; ∞ if no
+    /// joint does within 0.15 m or 0.4 rad. Up to this distance the stop carries no part of a push.
+    pub stop_distance: Vec<[f64; 2]>,
+    /// The joint that meets its limit.
+    pub stop_joint: Vec<[Option<usize>; 2]>,
+    /// Distance of that joint to its limit now [rad or m]; ∞ if no joint stops.
+    pub stop_room: Vec<[f64; 2]>,
+    /// Friction of the other joints along the axis at the stop, instead of `friction`; ∞ if they cannot move the axis
+    /// alone, so that the stop carries everything above the cap. 0 if no joint stops.
+    pub stop_friction: Vec<[f64; 2]>,
+    /// Largest friction of the joints along the axis on the path of a push, 0.15 m or 0.4 rad or up to a stop [N, N·m];
+    /// many times `friction` if the path passes a singular pose.
+    pub way_friction: Vec<[f64; 2]>,
+    /// σ_min at that point.
+    pub way_sigma: Vec<[f64; 2]>,
+    /// Displacement of the axis at that point [m, rad].
+    pub way_distance: Vec<[f64; 2]>,
+    /// Deviation [m, rad] beyond which the target stops or follows the tool; ∞ without such a limit and toward sides
+    /// that yield.
+    pub deviation_limit: Vec<[f64; 2]>,
+    /// Behaviour of the target beyond the deviation limit.
+    pub on_deviation_limit: Vec<OnDeviationLimit>,
+    /// Prismatic joints: their units are metres.
+    pub prismatic: Vec<bool>,
+}
+
+impl Controller {
+    /// Reports on the pose and the limits of the last step.
+    ///
+    /// # Errors
+    /// [`Error::Config`] before the first step.
+    pub fn report(&self) -> Result<PoseReport> {
+        if self.memory.limit.is_none() {
+            return Err(Error::config("report", "no step has been made yet: make one, or report on a given q"));
+        }
+        Ok(self.compose())
+    }
+
+    /// Reports on the arm at rest on its target in `q` (n) [rad]. Does not change the controller.
+    ///
+    /// # Errors
+    /// As [`Controller::step`].
+    ///
+    /// ```
+    /// # use pliant_core::{Controller, Model, ModelOptions, Servos, Settings};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+    /// # let servos = Servos::new(vec![150.0], vec![10.7]);
+    /// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
+    /// let report = controller.report_at(&[-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17])?; // [rad]
+    /// assert_eq!(report.axes[1], "y");
+    /// assert!(report.capacity[1][0] > 0.0); // [N], all that the servos can answer to a push toward −y
+    /// assert!(report.to_string().contains("gives way"));
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn report_at(&self, q: &[f64]) -> Result<PoseReport> {
+        Ok(self.at_rest(q)?.compose())
+    }
+
+    /// Returns a copy of this controller after its first step, on its target in `q`.
+    pub(super) fn at_rest(&self, q: &[f64]) -> Result<Self> {
+        let at = self.joints("q", q, COORDINATE_BOUND)?;
+        let mut copy = self.clone();
+        // At rest the goals have reached their final values.
+        copy.settings.tracking.goal_slew = f64::INFINITY;
+        copy.reset(q)?;
+        let mut frames = Frames::default();
+        copy.model().chain().forward(&at, &mut frames);
+        copy.step(q, &frames.tool, &StepInput::default())?;
+        Ok(copy)
+    }
+
+    fn compose(&self) -> PoseReport {
+        let (plan, record) = (&self.plan, &self.record());
+        let (k, n) = (plan.k, plan.n);
+        let limit = self.limits_in_force();
+        let pose = Pose::new(plan, self.settings(), record);
+        let singular = record.singular_values(plan);
+        let sigma_min = singular.iter().copied().fold(f64::INFINITY, f64::min);
+        let friction = pose.friction();
+        let mut report = PoseReport {
+            axes: plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
+            joints: self.model().joint_names().to_vec(),
+            law: plan.law,
+            q: record.q[..n].to_vec(),
+            torque_limit: limit[..n].to_vec(),
+            static_force: Vec::with_capacity(k),
+            capacity: Vec::with_capacity(k),
+            gives_way: Vec::with_capacity(k),
+            yields: plan.rows[..k].iter().map(|row| row.yields.map(|w| w > 0.0)).collect(),
+            friction: friction[..k].to_vec(),
+            friction_left: friction[..k].iter().map(|f| f * pose.friction_share_left()).collect(),
+            coupling: Vec::with_capacity(k),
+            coupled_to: Vec::with_capacity(k),
+            thresholds: plan.rows[..k]
+                .iter()
+                .map(|row| [row.soft_until, row.firm_from].map(|d| d / (1.0 - row.eta)))
+                .collect(),
+            gravity_margin: (0..n).map(|i| [limit[i] - record.gravity[i], limit[i] + record.gravity[i]]).collect(),
+            sigma_min,
+            condition: singular.max() / sigma_min,
+            sigma_0: plan.damping.sigma_0,
+            saturated: record.saturated[..n].to_vec(),
+            locked: record.locked[..n].to_vec(),
+            host_loss_force: Vec::with_capacity(k),
+            max_host_loss_force: plan.max_host_loss_force,
+            gain_factor: self.gain_factor(),
+            damping_factor: self.damping_factor(),
+            hold: plan.rows[..k].iter().map(|row| (row.hold, row.raised_from)).collect(),
+            stop_distance: Vec::with_capacity(k),
+            stop_joint: Vec::with_capacity(k),
+            stop_room: Vec::with_capacity(k),
+            stop_friction: Vec::with_capacity(k),
+            way_friction: Vec::with_capacity(k),
+            way_sigma: Vec::with_capacity(k),
+            way_distance: Vec::with_capacity(k),
+            deviation_limit: vec![[f64::INFINITY; 2]; k],
+            on_deviation_limit: plan.axes.iter().map(|&axis| self.settings().axes[axis].on_deviation_limit).collect(),
+            prismatic: self.model().prismatic().to_vec(),
+        };
+        for limit in &plan.deviation_limits {
+            for (slot, _) in report.deviation_limit.iter_mut().zip(&plan.axes).filter(|(_, axis)| **axis == limit.axis)
+            {
+                *slot = limit.most;
+            }
+        }
+        let mut rubs = [0.0; MAX_JOINTS];
+        (0..n).for_each(|i| rubs[i] = plan.servos.friction_at_rest(i, record.gravity[i]));
+        let mut frames = Frames::default();
+        self.model().chain().forward(&record.q, &mut frames);
+        let way = self.way(&frames, &rubs);
+        let goal = spread(self.command.goal());
+        let dead = self.dead(&frames, &goal, &limit, &rubs);
+        let rest = dead.settled();
+        for row in 0..k {
+            let hold = |limit: &JointVec| {
+                [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n))
+            };
+            report.static_force.push(hold(&limit));
+            report.capacity.push(hold(&plan.servos.torque));
+            report.gives_way.push([0, 1].map(|side| pose.gives_way(row, side)));
+            let coupling = [0, 1].map(|side| pose.coupling(row, side));
+            report.coupling.push(coupling.map(|(force, _)| force));
+            report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
+            report.host_loss_force.push([-1.0, 1.0].map(|sign| {
+                let met = dead.largest(&rest, row, sign);
+                if met.walled { f64::INFINITY } else { met.force }
+            }));
+            let pushes = [-1.0, 1.0].map(|sign| way.follow(row, sign));
+            let stops = pushes.map(|push| push.stop);
+            report.way_friction.push(pushes.map(|push| push.friction));
+            report.way_sigma.push(pushes.map(|push| push.sigma));
+            report.way_distance.push(pushes.map(|push| push.at));
+            report.stop_distance.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.distance)));
+            report.stop_joint.push(stops.map(|stop| stop.map(|stop| stop.joint)));
+            report.stop_room.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.room)));
+            report.stop_friction.push(stops.map(|stop| stop.map_or(0.0, |stop| stop.friction)));
+        }
+        report
+    }
+
+    /// Returns the push paths from the last step's pose; `friction` at rest [N·m].
+    pub(super) fn way<'a>(&'a self, frames: &Frames, friction: &'a JointVec) -> Way<'a> {
+        let base_from_task = self.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool);
+        Way { model: self.model(), plan: &self.plan, base_from_task, q: &self.record.q, friction }
+    }
+
+    /// Returns the arm with its last command, for a host loss now.
+    pub(super) fn dead<'a>(
+        &'a self,
+        frames: &Frames,
+        goal: &'a JointVec,
+        limit: &'a JointVec,
+        friction: &'a JointVec,
+    ) -> HostLoss<'a> {
+        HostLoss {
+            chain: self.model().chain(),
+            plan: &self.plan,
+            masses: &self.masses,
+            gravity: self.gravity,
+            base_from_task: self.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool),
+            q: &self.record.q,
+            goal,
+            limit,
+            friction,
+        }
+    }
+
+    /// Returns the limits of the last command.
+    pub(super) fn limits_in_force(&self) -> JointVec {
+        spread(self.command.torque_limit())
+    }
+}
+
+pub(super) fn spread(values: &[f64]) -> JointVec {
+    let mut out = [0.0; MAX_JOINTS];
+    for (slot, value) in out.iter_mut().zip(values) {
+        *slot = *value;
+    }
+    out
+}

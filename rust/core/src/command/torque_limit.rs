@@ -1,0 +1,81 @@
+//! Joint torque limits.
+
+use crate::math::simd::{Joints, Lanes};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+
+/// Terms of the torque limits; all in N·m, one per joint.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Load<J> {
+    /// Gravity torques.
+    pub(crate) gravity: J,
+    /// Feed-forward of friction and damping.
+    pub(crate) feed_forward: J,
+    /// Torque of the task, `JᵀW′`.
+    pub(crate) task: J,
+    /// Torque of all other parts of the goal: `K_p (null + q̂ − q)`.
+    pub(crate) offset: J,
+    /// Factor s_g on gravity.
+    pub(crate) gravity_scale: f64,
+    /// Margin m.
+    pub(crate) margin: J,
+}
+
+impl<J: Lanes> Load<J> {
+    /// Line 12: torque that the law demands in this step, at least gravity, plus a margin.
+    #[inline(always)]
+    pub(crate) fn demand(&self) -> J {
+        let wanted = self.gravity + self.task + self.feed_forward + self.offset;
+        J::at_least(J::abs(wanted), J::splat(self.gravity_scale) * J::abs(self.gravity)) + self.margin
+    }
+
+    /// (11) with gravity: the budgets of law `paper` plus the gravity torques.
+    #[inline(always)]
+    pub(crate) fn budget(&self, budget: J) -> J {
+        J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), budget)
+    }
+}
+
+impl<J: Joints> Load<J> {
+    /// Sum over all axes of their largest demands: `s_g |g| + Σ_j |J_ji| most_j + null_i + |ff|`.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn sum(&self, rows: &Rows, most: &AxisVec, null: &JointVec) -> JointVec {
+        let mut out = J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), J::abs(self.feed_forward)).array();
+        for i in 0..MAX_JOINTS {
+            out[i] += null[i];
+            for r in 0..MAX_AXES {
+                out[i] += rows[r][i].abs() * most[r];
+            }
+        }
+        out
+    }
+}
+
+/// Applies minimum, ceiling and slew: limits fall at once and rise within the stiffening time.
+#[inline(always)]
+pub(crate) fn finish<J: Lanes>(wanted: J, before: Option<J>, floor: J, ceiling: J, rise: J) -> J {
+    let mut limit = J::at_most(wanted, ceiling);
+    if let Some(before) = before {
+        limit = J::at_most(limit, before + rise);
+    }
+    // Apply the minimum last: a raised minimum takes effect at once.
+    J::at_most(J::at_least(limit, floor), ceiling)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::simd::{Arithmetic, EveryJoint};
+
+    #[test]
+    fn limits_fall_at_once_and_rise_slowly() {
+        let at = |wanted, before| {
+            let [wanted, before, floor, ceiling, rise] = [wanted, before, 0.2, 10.0, 0.5].map(EveryJoint::splat);
+            finish(wanted, Some(before), floor, ceiling, rise).array()[0]
+        };
+        assert!((at(3.0, 8.0) - 3.0).abs() < 1e-15);
+        assert!((at(8.0, 3.0) - 3.5).abs() < 1e-15);
+        assert!((at(0.0, 3.0) - 0.2).abs() < 1e-15);
+        assert!((at(80.0, 9.9) - 10.0).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,301 @@
+//! The paper's equations as functions, for use with other kinematics.
+//!
+//! Equation numbers are the paper's. Matrices are nalgebra's: `J` is k × n with at most six rows, one per task axis,
+//! and at most sixteen columns, one per joint; `J⁺` is n × k. The functions are stateless and independent of a robot.
+//!
+//! ```
+//! use pliant_core::nalgebra::DMatrix;
+//! use pliant_core::{Projector, damped_pseudo_inverse, null_space_projector};
+//!
+//! # fn main() -> pliant_core::Result<()> {
+//! let jacobian = DMatrix::from_row_slice(1, 2, &[3.0, 4.0]); // one axis, two joints
+//! let inverse = damped_pseudo_inverse(&jacobian, 0.0)?;
+//! let projector = null_space_projector(&jacobian, 0.0, Projector::Exact)?;
+//! assert!(((&jacobian * inverse)[(0, 0)] - 1.0).abs() < 1e-12);
+//! assert!((&jacobian * projector).norm() < 1e-12, "no motion of the null space moves the axis");
+//! # Ok(())
+//! # }
+//! ```
+
+mod arrays;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::error::{Error, Result};
+use crate::law::activation::Activation;
+use crate::law::nullspace::fade_squared;
+use crate::law::{activation, nullspace};
+use crate::math::ldlt6::pseudo_inverse;
+use crate::math::rows::{load_rows, wide};
+use crate::math::simd::{Arithmetic, EveryJoint, Lanes};
+use crate::math::svd::Svd;
+use crate::params::Projector;
+use crate::pose::Pose;
+use crate::task::{self, adapt, compliance as task_compliance};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+
+use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows};
+
+/// λ² as a share of tr(JJᵀ) below which rounding removes λ from JJᵀ + λ²I.
+const LOST_DAMPING: f64 = 1e-9;
+
+/// Damped pseudo-inverse of (3), `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k.
+///
+/// `damping` is λ, not squared. 0 gives the Moore–Penrose inverse, also of rank-deficient matrices.
+///
+/// # Errors
+/// [`Error::Shape`] above six rows or sixteen columns, [`Error::OutOfRange`] for an entry that is not finite or λ < 0.
+pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DMatrix<f64>> {
+    let (rows, k, n) = task_rows("J", jacobian)?;
+    check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
+    let squared = damping * damping;
+    if squared > LOST_DAMPING * jacobian.norm_squared() {
+        let transposed = pseudo_inverse(&rows, &[1.0; MAX_JOINTS], &[squared; MAX_AXES]);
+        return Ok(DMatrix::from_fn(n, k, |i, r| transposed[r][i]));
+    }
+    let svd = svd(jacobian)?;
+    let cutoff = f64::EPSILON * k.max(n) as f64 * svd.sigma.max();
+    let gains = svd.sigma.map(|s| if s > cutoff { s / (s * s + squared) } else { 0.0 });
+    let scaled = DMatrix::from_fn(n, gains.len(), |i, s| svd.v[(i, s)] * gains[s]);
+    Ok(product(&scaled, &svd.u.transpose()))
+}
+
+/// Null-space projector of `J`, n × n.
+///
+/// `Exact` is the orthogonal projector `I − Jᵀ (J Jᵀ + μ²I)⁻¹ J`, with μ = 0 except near singular `J`, where it is
+/// faded; `damping` is not used. `Paper` is the published `I − J⁺J` with J⁺ damped by λ = `damping`.
+///
+/// # Errors
+/// As [`damped_pseudo_inverse`].
+pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Projector) -> Result<DMatrix<f64>> {
+    let (rows, k, n) = task_rows("J", jacobian)?;
+    match kind {
+        Projector::Paper => Ok(DMatrix::identity(n, n) - product(&damped_pseudo_inverse(jacobian, damping)?, jacobian)),
+        Projector::Exact => {
+            check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
+            let sigma = svd(jacobian)?.sigma;
+            let added = [fade_squared(sigma.min(), sigma.max()); MAX_AXES];
+            let matrix = nullspace::projector(&rows, &[1.0; MAX_JOINTS], &added, (k, n));
+            Ok(DMatrix::from_fn(n, n, |i, j| matrix[i][j]))
+        }
+    }
+}
+
+/// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|`, and `|α N∇g|` as the last column.
+///
+/// # Errors
+/// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite.
+pub fn responsibility(
+    pseudo_inverse: &DMatrix<f64>,
+    dx: &[f64],
+    projector: &DMatrix<f64>,
+    gradient: &[f64],
+    alpha: f64,
+) -> Result<DMatrix<f64>> {
+    let (transposed, k, n) = inverse_rows(pseudo_inverse)?;
+    let dx: AxisVec = array("dx", dx, k)?;
+    let projector = square("N", projector, n)?;
+    let gradient: JointVec = array("gradient", gradient, n)?;
+    check("alpha", alpha, alpha.is_finite(), "finite")?;
+    let motion = activation::product(&projector, &gradient);
+    Ok(activation::responsibility(&transposed, &dx, &motion, alpha, (k, n)))
+}
+
+/// Activation matrix A of (10), n × (k + 1): the columns of `|J⁺|` divided by their sums, the null-space column last.
+///
+/// The size of Δx cancels out of (6) and (10). The last column is `|N∇g|`, normalised in the same way, blended into the
+/// row norms of `N` if it vanishes or no gradient is given, and zero without redundancy.
+///
+/// # Errors
+/// As [`responsibility`].
+pub fn activation(
+    pseudo_inverse: &DMatrix<f64>,
+    projector: &DMatrix<f64>,
+    gradient: Option<&[f64]>,
+) -> Result<DMatrix<f64>> {
+    let (transposed, k, n) = inverse_rows(pseudo_inverse)?;
+    let projector = square("N", projector, n)?;
+    let gradient: JointVec = gradient.map_or(Ok([0.0; MAX_JOINTS]), |gradient| array("gradient", gradient, n))?;
+    // With as many axes as joints N is only rounding error, so the column is zero.
+    let null = if k < n {
+        let motion = EveryJoint::load(&activation::product(&projector, &gradient));
+        activation::null_column(motion, &projector)
+    } else {
+        EveryJoint::splat(0.0)
+    };
+    Ok(Activation::new(&load_rows(&transposed), null).matrix(k, n))
+}
+
+/// Compliance c of (8), one entry per axis: 1 below `soft_until`, 0 above `firm_from`, linear between.
+///
+/// Deviations [m or rad] of any sign: uses their absolute values.
+///
+/// # Errors
+/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] unless `0 ≤ soft_until < firm_from`, all
+/// finite.
+pub fn compliance(deviation: &[f64], soft_until: &[f64], firm_from: &[f64]) -> Result<Vec<f64>> {
+    same_length("soft_until", soft_until.len(), deviation.len())?;
+    same_length("firm_from", firm_from.len(), deviation.len())?;
+    let triples = deviation.iter().zip(soft_until).zip(firm_from).enumerate();
+    triples
+        .map(|(i, ((&d, &low), &high))| {
+            check(format!("deviation[{i}]"), d, d.is_finite(), "finite")?;
+            check(format!("firm_from[{i}]"), high, high > 0.0 && high.is_finite(), "(soft_until, ∞)")?;
+            check(format!("soft_until[{i}]"), low, low >= 0.0 && low < high, &format!("[0, firm_from = {high})"))?;
+            Ok(task_compliance::compliance(d, low, high))
+        })
+        .collect()
+}
+
+/// Holding torque τ^x of (9), one entry per axis: `c soft + (1 − c) firm` if the axis is compliant, else `hold`.
+///
+/// Does not require soft ≤ firm ≤ hold: that is a rule of the settings, not of the equation.
+///
+/// # Errors
+/// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] for c outside [0, 1] or a strength not
+/// finite.
+pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compliant: &[bool]) -> Result<Vec<f64>> {
+    let lengths = [("soft", soft.len()), ("firm", firm.len()), ("hold", hold.len()), ("compliant", compliant.len())];
+    for (name, length) in lengths {
+        same_length(name, length, c.len())?;
+    }
+    (0..c.len())
+        .map(|i| {
+            check(format!("c[{i}]"), c[i], (0.0..=1.0).contains(&c[i]), "[0, 1]")?;
+            for (name, value) in [("soft", soft[i]), ("firm", firm[i]), ("hold", hold[i])] {
+                check(format!("{name}[{i}]"), value, value.is_finite(), "finite")?;
+            }
+            Ok(task_compliance::holding_torque(c[i], soft[i], firm[i], hold[i], compliant[i]))
+        })
+        .collect()
+}
+
+/// Joint torque limits of (11), `τ^q = A τ^x` [N·m]: one strength per column of A, that of the null space last.
+///
+/// # Errors
+/// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite.
+pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Result<DVector<f64>> {
+    let (n, columns) = activation.shape();
+    if columns == 0 || columns > MAX_AXES + 1 || n == 0 || n > MAX_JOINTS {
+        let expected = format!("(1 to {MAX_JOINTS} joints, 1 to {} columns)", MAX_AXES + 1);
+        return Err(Error::Shape { what: "A".into(), got: format!("({n}, {columns})"), expected });
+    }
+    finite("A", activation)?;
+    let k = columns - 1;
+    let all: [f64; MAX_AXES + 1] = array("strength", strength, columns)?;
+    let (mut task, mut null) = ([[0.0; MAX_JOINTS]; MAX_AXES], [0.0; MAX_JOINTS]);
+    let mut budgets = [0.0; MAX_AXES];
+    budgets[..k].copy_from_slice(&all[..k]);
+    for i in 0..n {
+        (0..k).for_each(|r| task[r][i] = activation[(i, r)]);
+        null[i] = activation[(i, k)];
+    }
+    let torque = Activation::of(&task, &null).distribute(wide(&budgets), all[k]);
+    Ok(DVector::from_column_slice(&torque.array()[..n]))
+}
+
+/// The intermediate target of (12): `x_d + η (x − x_d)` on the compliant axes (x y z roll pitch yaw of the base).
+///
+/// # Errors
+/// As [`Pose::validate`]; [`Error::OutOfRange`] for η outside [0, 1].
+pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; MAX_AXES]) -> Result<Pose> {
+    actual.validate()?;
+    target.validate()?;
+    check("eta", eta, (0.0..=1.0).contains(&eta), "[0, 1]")?;
+    Ok(adapt::adapt_target(actual, target, eta, compliant))
+}
+
+/// Deviation `e = x_d − x` in base axes [m, rad]: difference of positions, rotation vector of `R_d Rᵀ`.
+///
+/// # Errors
+/// As [`Pose::validate`].
+pub fn pose_error(actual: &Pose, target: &Pose) -> Result<AxisVec> {
+    actual.validate()?;
+    target.validate()?;
+    Ok(task::pose_error(actual, target))
+}
+
+fn svd(m: &DMatrix<f64>) -> Result<Svd> {
+    Svd::new(m).ok_or_else(|| Error::config("J", "its singular values could not be found"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn jacobian(k: usize, n: usize) -> DMatrix<f64> {
+        DMatrix::from_fn(k, n, |r, i| (((r * n + i) as f64).powi(2) * 0.7).sin())
+    }
+
+    #[test]
+    fn without_damping_it_is_moore_and_penrose_of_every_shape_and_rank() {
+        let mut deficient = jacobian(6, 7);
+        let copy = deficient.row(1).into_owned() * 2.0;
+        deficient.set_row(4, &copy);
+        for j in [jacobian(6, 7), jacobian(3, 7), jacobian(6, 5), jacobian(6, 16), deficient, DMatrix::zeros(6, 7)] {
+            let p = damped_pseudo_inverse(&j, 0.0).unwrap();
+            let (jp, pj) = (&j * &p, &p * &j);
+            for (a, b) in [(&jp * &j, j.clone()), (&p * &jp, p.clone()), (jp.transpose(), jp), (pj.transpose(), pj)] {
+                assert!((a - b).amax() < 1e-10);
+            }
+        }
+    }
+
+    #[test]
+    fn damping_has_one_value_on_both_ways() {
+        let j = jacobian(6, 7);
+        let lambda = (LOST_DAMPING * j.norm_squared()).sqrt();
+        let (kernel, svd) = (damped_pseudo_inverse(&j, lambda * 1.0001), damped_pseudo_inverse(&j, lambda * 0.9999));
+        let scale = kernel.as_ref().unwrap().amax();
+        assert!((kernel.unwrap() - svd.unwrap()).amax() < 1e-3 * scale);
+        assert!(damped_pseudo_inverse(&DMatrix::zeros(6, 7), 0.1).unwrap().amax() < f64::MIN_POSITIVE);
+    }
+
+    #[test]
+    fn the_exact_projector_annihilates_the_task_and_is_idempotent() {
+        let j = jacobian(4, 7);
+        let n = null_space_projector(&j, 0.1, Projector::Exact).unwrap();
+        assert!((&j * &n).amax() < 1e-12 && (&n * &n - &n).amax() < 1e-12);
+        let damped = null_space_projector(&j, 0.1, Projector::Paper).unwrap();
+        assert!((&j * damped).amax() > 1e-4);
+    }
+
+    #[test]
+    fn columns_of_the_activation_sum_to_one() {
+        let j = jacobian(4, 7);
+        let p = damped_pseudo_inverse(&j, 0.02).unwrap();
+        let n = null_space_projector(&j, 0.0, Projector::Exact).unwrap();
+        for gradient in [None, Some(&[1.0; 7][..]), Some(&[0.0; 7][..])] {
+            let a = activation(&p, &n, gradient).unwrap();
+            assert!(a.column_iter().all(|column| (column.sum() - 1.0).abs() < 1e-12));
+        }
+        let r = responsibility(&p, &[0.1; 4], &n, &[1.0; 7], 0.5).unwrap();
+        let a = activation(&p, &n, Some(&[1.0; 7])).unwrap();
+        let limits = joint_torque_limits(&a, &[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        assert!((limits.sum() - 15.0).abs() < 1e-12);
+        assert!((r.column(0) / r.column(0).sum() - a.column(0)).amax() < 1e-12);
+    }
+
+    #[test]
+    fn without_redundancy_the_null_column_is_zero() {
+        let j = jacobian(4, 4);
+        let n = null_space_projector(&j, 0.0, Projector::Exact).unwrap();
+        let a = activation(&damped_pseudo_inverse(&j, 0.0).unwrap(), &n, Some(&[1.0; 4])).unwrap();
+        assert!(a.column(4).amax() < f64::MIN_POSITIVE && (a.column(0).sum() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        let message = |result: Result<DMatrix<f64>>| result.unwrap_err().to_string();
+        assert_eq!(
+            message(damped_pseudo_inverse(&jacobian(7, 7), 0.1)),
+            "J has shape (7, 7), expected (1 to 6 axes, 1 to 16 joints)"
+        );
+        let mut j = jacobian(6, 7);
+        j[(2, 3)] = f64::NAN;
+        assert_eq!(message(damped_pseudo_inverse(&j, 0.0)), "J[2, 3] = NaN is outside finite");
+        assert_eq!(message(damped_pseudo_inverse(&jacobian(6, 7), -0.1)), "damping = -0.1 is outside [0, ∞)");
+        assert!(compliance(&[0.0], &[0.1], &[0.1]).unwrap_err().to_string().starts_with("soft_until[0] = 0.1"));
+        assert!(holding_torque(&[0.5], &[1.0], &[2.0], &[], &[true]).is_err());
+    }
+}

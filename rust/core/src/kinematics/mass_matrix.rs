@@ -1,0 +1,146 @@
+//! Mass matrix of the arm, with rigid groups as point masses.
+
+use super::forward::Frames;
+use super::gravity::Masses;
+use crate::MAX_JOINTS;
+use crate::math::rows::JointMatrix;
+use crate::math::simd::Plain;
+use crate::math::spatial::{Mat3, Vec3, add, cross, dot, rotate, sub};
+use crate::model::Chain;
+
+/// Masses beyond a joint, in base axes and about the base's origin.
+#[derive(Clone, Copy)]
+struct Beyond {
+    /// Σ m [kg].
+    mass: f64,
+    /// Σ m c [kg·m].
+    first: Vec3,
+    /// Σ m c cᵀ [kg·m²].
+    second: Mat3,
+}
+
+impl Beyond {
+    const NOTHING: Self = Self { mass: 0.0, first: [0.0; 3], second: [[0.0; 3]; 3] };
+
+    #[inline]
+    fn add(&mut self, other: &Self) {
+        self.mass += other.mass;
+        self.first = add::<Plain>(&self.first, &other.first);
+        for (row, more) in self.second.iter_mut().zip(&other.second) {
+            *row = add::<Plain>(row, more);
+        }
+    }
+
+    /// Momentum and angular momentum about the base's origin for a rotation of all masses about an axis through `o` at
+    /// 1 rad/s.
+    #[inline]
+    fn turning(&self, axis: &Vec3, o: &Vec3) -> (Vec3, Vec3) {
+        // Σ m z × (c − o), and Σ m c × (z × (c − o)) with c × (z × c) = (c·c) z − c (c·z).
+        let momentum = cross::<Plain>(axis, &sub::<Plain>(&self.first, &o.map(|x| self.mass * x)));
+        let trace = self.second[0][0] + self.second[1][1] + self.second[2][2];
+        let own = sub::<Plain>(&axis.map(|z| trace * z), &rotate::<Plain>(&self.second, axis));
+        (momentum, sub::<Plain>(&own, &cross::<Plain>(&self.first, &cross::<Plain>(axis, o))))
+    }
+
+    /// Momentum and angular momentum for a translation of all masses along an axis at 1 m/s.
+    #[inline]
+    fn sliding(&self, axis: &Vec3) -> (Vec3, Vec3) {
+        (axis.map(|z| self.mass * z), cross::<Plain>(&self.first, axis))
+    }
+}
+
+impl Chain {
+    /// Computes the mass matrix [kg·m²; kg for prismatic joints] `Σ_k m_k J_kᵀ J_k`, with each rigid group as a point
+    /// mass at its centre of mass.
+    ///
+    /// Without the groups' own moments of inertia, which [`Masses`] does not contain, and without the rotors. Groups
+    /// beside the path count as fixed to the path.
+    pub(crate) fn mass_matrix(&self, frames: &Frames, masses: &Masses, out: &mut JointMatrix) {
+        *out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+        let (path, total) = (self.path.min(MAX_JOINTS), self.total.min(MAX_JOINTS));
+        let mut groups = [Beyond::NOTHING; MAX_JOINTS];
+        for k in 0..total {
+            let (mass, origin) = (masses.mass[k], frames.origin[k]);
+            let moment = rotate::<Plain>(&frames.rotation[k], &masses.moment[k]);
+            let first = add::<Plain>(&moment, &origin.map(|o| mass * o));
+            if mass > 0.0 {
+                let second = [0, 1, 2].map(|r| first.map(|c| first[r] * c / mass));
+                groups[k] = Beyond { mass, first, second };
+            }
+        }
+        for k in (path..total).rev() {
+            let (parent, own) = (self.parent[k], groups[k]);
+            if let Some(group) = groups.get_mut(parent) {
+                group.add(&own);
+            }
+        }
+        let mut beyond = Beyond::NOTHING;
+        for j in (0..path).rev() {
+            beyond.add(&groups[j]);
+            let (turn, slide) = (self.angle_per_q[j], self.slide_per_q[j]);
+            let (axis, origin) = (&frames.axis[j], &frames.origin[j]);
+            let (spun, pushed) = (beyond.turning(axis, origin), beyond.sliding(axis));
+            let momentum = add::<Plain>(&spun.0.map(|x| turn * x), &pushed.0.map(|x| slide * x));
+            let moment = add::<Plain>(&spun.1.map(|x| turn * x), &pushed.1.map(|x| slide * x));
+            let column = self.driver[j] & (MAX_JOINTS - 1);
+            for i in 0..=j {
+                let (axis, origin) = (&frames.axis[i], &frames.origin[i]);
+                let torque = dot::<Plain>(axis, &sub::<Plain>(&moment, &cross::<Plain>(origin, &momentum)));
+                let entry = self.angle_per_q[i] * torque + self.slide_per_q[i] * dot::<Plain>(axis, &momentum);
+                let row = self.driver[i] & (MAX_JOINTS - 1);
+                out[row][column] += entry;
+                if i != j {
+                    out[column][row] += entry;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::JointVec;
+    use crate::model::{Model, ModelOptions};
+
+    /// Reference: `M = Σ m J_cᵀ J_c` with Jacobians of the centres of mass by finite differences.
+    #[test]
+    fn the_matrix_is_what_moving_centres_of_mass_say() {
+        let urdf = include_str!("../../robots/arm7.urdf");
+        let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+        let model = Model::from_urdf_str(urdf, &options).unwrap();
+        let (chain, masses) = (model.chain(), model.chain().masses(None));
+        let centres = |q: &JointVec| {
+            let mut frames = Frames::default();
+            chain.forward(q, &mut frames);
+            std::array::from_fn::<Vec3, 7, _>(|k| {
+                let moment = rotate::<Plain>(&frames.rotation[k], &masses.moment[k]);
+                add::<Plain>(
+                    &frames.origin[k],
+                    &moment.map(|x| if masses.mass[k] > 0.0 { x / masses.mass[k] } else { 0.0 }),
+                )
+            })
+        };
+        let mut q = [0.0; MAX_JOINTS];
+        q[..7].copy_from_slice(&[-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]);
+        let step = 1e-6;
+        let columns: Vec<[Vec3; 7]> = (0..7)
+            .map(|i| {
+                let (mut low, mut high) = (q, q);
+                (low[i], high[i]) = (q[i] - step, q[i] + step);
+                let (a, b) = (centres(&low), centres(&high));
+                std::array::from_fn(|k| sub::<Plain>(&b[k], &a[k]).map(|x| x / (2.0 * step)))
+            })
+            .collect();
+        let (mut frames, mut found) = (Frames::default(), [[0.0; MAX_JOINTS]; MAX_JOINTS]);
+        chain.forward(&q, &mut frames);
+        chain.mass_matrix(&frames, &masses, &mut found);
+        for i in 0..7 {
+            for j in 0..7 {
+                let expected: f64 = (0..7).map(|k| masses.mass[k] * dot::<Plain>(&columns[i][k], &columns[j][k])).sum();
+                assert!((found[i][j] - expected).abs() < 1e-8, "{i} {j}: {} {expected}", found[i][j]);
+            }
+        }
+        assert!(found[0][0] > 0.05, "the arm has a mass");
+    }
+}

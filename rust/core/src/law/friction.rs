@@ -1,0 +1,46 @@
+//! Friction and damping feed-forward: line 10.
+
+use crate::math::simd::{Lanes, Scalar, tanh};
+use crate::params::ServoArrays;
+
+/// Factors of the friction feed-forward.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Fed<S> {
+    /// γ b_f and γ b_d.
+    pub(crate) friction: S,
+    pub(crate) damping: S,
+    /// v₀ [rad/s].
+    pub(crate) speed: f64,
+}
+
+/// Friction torque of the joints, times the feed-forward factors.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Resistance<J> {
+    /// Part independent of the load [N·m].
+    idle: J,
+    /// Additional part per N·m of load.
+    loaded: J,
+}
+
+impl<J: Lanes> Resistance<J> {
+    /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x =
+    /// |v|/v_s`: the excess of static friction fades with the speed. `toward` replaces v in `tanh(v/v₀)`, because the
+    /// velocity of a joint that sticks gives no direction.
+    #[inline(always)]
+    pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, fed: Fed<Scalar<J>>) -> Self {
+        let one = J::splat(1.0);
+        let x = J::abs(v) * J::load(&servos.stribeck_slowness);
+        let at_rest = one / J::fma(x, x, one + x);
+        let way = tanh::<J>(toward * J::splat(1.0 / fed.speed)) * J::spread(fed.friction);
+        let dry = J::fma(at_rest, J::load(&servos.stribeck), J::load(&servos.friction));
+        let per_load = J::fma(at_rest, J::load(&servos.load_stribeck), J::load(&servos.load_friction));
+        let damping = J::load(&servos.damping) * v * J::spread(fed.damping);
+        Self { idle: J::fma(dry, way, damping), loaded: per_load * way }
+    }
+
+    /// Returns the friction torque of joints that carry `torque` [N·m].
+    #[inline(always)]
+    pub(crate) fn under(&self, torque: J) -> J {
+        J::fma(self.loaded, J::abs(torque), self.idle)
+    }
+}

@@ -1,0 +1,86 @@
+//! Scaling of the parts of a motion so that their sum satisfies a bound.
+
+use crate::math::simd::{Arithmetic, Lanes, Scalar};
+
+/// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
+///
+/// The parts are reduced in order: the second is scaled only if dropping the first is not enough.
+#[inline(always)]
+pub(crate) fn scale_to_fit<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
+    // Fast path without a branch per joint: nearly always everything fits.
+    let mut all = base;
+    for part in parts {
+        all = all + part;
+    }
+    if bound.any_less(J::abs(all)) { shrink(base, parts, bound) } else { [J::One::splat(1.0); P] }
+}
+
+#[inline(always)]
+fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
+    let (zero, one) = (J::splat(0.0), J::splat(1.0));
+    // Ignore a part that moves a joint by no more than rounding error: scaling it does not help. Ignore as well an
+    // excess of the sum that is only rounding error after the previous part was scaled to the bound.
+    let rounding = bound * J::splat(1e-9);
+    let mut factors = [J::One::splat(1.0); P];
+    for p in 0..P {
+        let mut others = base;
+        for o in 0..P {
+            if o != p {
+                others = J::fma(J::spread(factors[o]), parts[o], others);
+            }
+        }
+        let (part, all) = (parts[p], others + parts[p]);
+        let most = bound + rounding;
+        if !most.any_less(J::abs(all)) {
+            break;
+        }
+        let room = (J::copy_sign(bound, all) - others) / part;
+        let missing = one - J::at_most(J::at_least(room, zero), one);
+        let missing = J::if_less(rounding, J::abs(part), missing, zero);
+        factors[p] = J::One::splat(1.0) - J::if_less(most, J::abs(all), missing, zero).largest();
+    }
+    factors
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::MAX_JOINTS;
+    use crate::math::simd::EveryJoint;
+
+    fn vector(values: &[f64]) -> EveryJoint {
+        let mut out = [0.0; MAX_JOINTS];
+        out[..values.len()].copy_from_slice(values);
+        EveryJoint::load(&out)
+    }
+
+    #[test]
+    fn the_first_part_gives_way_first() {
+        let base = vector(&[1.0, 0.0]);
+        let (soft, stiff, bound) = (vector(&[4.0, 1.0]), vector(&[6.0, 1.0]), vector(&[9.0, 9.0]));
+        let factors = |bound: EveryJoint| scale_to_fit(base, [soft, stiff], bound).map(f64::to_bits);
+        assert_eq!(factors(bound), [0.5, 1.0].map(f64::to_bits));
+        let bound = vector(&[4.0, 9.0]);
+        assert_eq!(factors(bound), [0.0, 0.5].map(f64::to_bits));
+        let bound = vector(&[20.0, 9.0]);
+        assert_eq!(factors(bound), [1.0, 1.0].map(f64::to_bits));
+    }
+
+    #[test]
+    fn a_rounding_error_at_the_bound_takes_nothing_away() {
+        let base = vector(&[-4.1, 0.0]);
+        for bound in [10.3, 10.7, 9.9, 6.4] {
+            for soft in [17.3, 21.9, 30.1] {
+                let parts = [vector(&[soft, 0.0]), vector(&[1e-17, 3.0])];
+                let factors = scale_to_fit(base, parts, vector(&[bound, 9.0]));
+                assert!((factors[1] - 1.0).abs() < 1e-9, "{factors:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_base_beyond_the_bound_leaves_nothing() {
+        let factors = scale_to_fit(vector(&[5.0]), [vector(&[1.0]), vector(&[1.0])], vector(&[2.0]));
+        assert_eq!(factors.map(f64::to_bits), [0, 0]);
+    }
+}

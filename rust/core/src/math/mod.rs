@@ -1,0 +1,38 @@
+//! Linear algebra and numerics, without knowledge of robots: SIMD number types, rows over the joints, factorizations,
+//! singular values, rotations, sampling, threads.
+
+/// Repeats the body for each index: triangular loops within it then have constant bounds and stay in registers.
+macro_rules! unrolled {
+    ($i:ident in $($index:literal)* => $body:block) => {
+        $({
+            let $i: usize = $index;
+            $body
+        })*
+    };
+}
+
+/// Defines a formula over [`Lanes`](simd::Lanes): inlined, or a call if the type is `CALLED`.
+macro_rules! perhaps_called {
+    ($(#[$about:meta])* fn $name:ident<$j:ident>($($argument:ident: $type:ty),*) -> $output:ty as $body:ident) => {
+        $(#[$about])*
+        #[inline(always)]
+        pub(crate) fn $name<$j: Lanes>($($argument: $type),*) -> $output {
+            #[inline(never)]
+            fn called<$j: Lanes>($($argument: $type),*) -> $output {
+                $body($($argument),*)
+            }
+            if $j::CALLED { called($($argument),*) } else { $body($($argument),*) }
+        }
+    };
+}
+
+pub(crate) mod halton;
+pub(crate) mod ldlt6;
+pub(crate) mod rotation;
+pub(crate) mod rows;
+pub(crate) mod simd;
+pub(crate) mod singular_values;
+pub(crate) mod spatial;
+pub(crate) mod spectral;
+pub(crate) mod svd;
+pub(crate) mod thread_pool;

@@ -1,0 +1,341 @@
+//! Numbers of the control step: formulas are written once, for one configuration or several, and compiled per
+//! instruction set.
+//!
+//! [`Arithmetic`] defines the operations: with one `f64` or with several lanes, with or without fused multiply-add.
+//! Rust never fuses by itself, and `mul_add` without the instruction is a slow call, so the type decides. [`Machine`]
+//! is the set of number types of one instruction set, and [`Instructions`] the instruction sets of the processor.
+//!
+//! In the control step the lanes of a register hold the joints or the task axes of one configuration ([`Wide`],
+//! [`EveryJoint`]). In batches they hold several configurations ([`Many`]), with one register per joint or axis
+//! ([`Columns`]). Laws are written over [`Lanes`], which covers both. Rare code uses [`EveryJoint`] and is compiled
+//! once.
+//!
+//! Everything between an entry of [`Instructions::run`] and its last formula is `#[inline(always)]`: a function that is
+//! not inlined would be compiled for the baseline instruction set. Formulas over [`Arithmetic`] use loops, not
+//! closures, for the same reason.
+
+use std::fmt::Debug;
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+mod array;
+mod dispatch;
+mod elementary;
+mod joint_vec16;
+mod nontemporal;
+mod scalar;
+mod soa;
+mod vec3;
+mod vectors;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+#[cfg(not(target_arch = "x86_64"))]
+pub(crate) use array::Array;
+pub use dispatch::Instructions;
+pub(crate) use dispatch::{Kernel, Machine};
+pub(crate) use elementary::{is_narrow, narrow_angle_per, quadrant_angle, tanh};
+pub(crate) use joint_vec16::EveryJoint;
+pub(crate) use nontemporal::{PAST_THE_CACHES, Stream, streaming};
+#[cfg(target_arch = "x86_64")]
+pub(crate) use scalar::Fused;
+pub(crate) use scalar::Plain;
+pub(crate) use soa::Columns;
+pub(crate) use vec3::{Cell, Kept, Real, Three, Triple};
+pub(crate) use vectors::{Axes, AxisScalar, Joints, Lanes, Scalar};
+#[cfg(target_arch = "x86_64")]
+pub(crate) use x86::sse2::{Sse2, Two};
+#[cfg(target_arch = "x86_64")]
+// Private: their methods are safe functions with instructions that only `Instructions` has checked for.
+use x86::{
+    avx2::{Avx2, Four},
+    avx512::Avx512,
+};
+
+/// Positions [rad, m] and velocities below this are flushed to 0: a decaying filter would reach denormal numbers and
+/// stay there, and some processors need a hundred cycles for each product with them.
+pub(crate) const NEGLIGIBLE: f64 = 1e-30;
+
+/// Maximum number of lanes in vector layouts.
+pub(crate) const LANES: usize = 8;
+
+/// Maximum number of joints of interleaved arms: each joint has its own register, used or not.
+pub(crate) const ABREAST: usize = 7;
+
+/// Types with `+ − * /` and negation.
+pub(crate) trait Number:
+    Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+{
+}
+
+impl<T> Number for T where
+    T: Copy
+        + Debug
+        + Add<Output = Self>
+        + Sub<Output = Self>
+        + Mul<Output = Self>
+        + Div<Output = Self>
+        + Neg<Output = Self>
+{
+}
+
+/// Arithmetic of real numbers: one value (`Real = f64`) or several at once.
+pub(crate) trait Arithmetic: Copy + Debug + 'static {
+    /// The number type: one value per configuration.
+    type Real: Number;
+
+    /// True if a number holds several values, of joints, axes or configurations.
+    const WIDE: bool;
+
+    /// Copies a value to every lane.
+    fn splat(value: f64) -> Self::Real;
+
+    /// `a b + c`, fused if the instruction set can.
+    fn fma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
+
+    /// `c − a b`, fused if the instruction set can.
+    fn fnma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
+
+    /// `√value`.
+    fn sqrt(value: Self::Real) -> Self::Real;
+
+    /// `|value|`.
+    fn abs(value: Self::Real) -> Self::Real;
+
+    /// The larger of two numbers; NaN if `value` is NaN.
+    fn at_least(value: Self::Real, bound: Self::Real) -> Self::Real;
+
+    /// The smaller of two numbers; NaN if `value` is NaN.
+    fn at_most(value: Self::Real, bound: Self::Real) -> Self::Real;
+
+    /// Clamps `value` to ± `most`; NaN if `value` is NaN, no panic if `most` is NaN.
+    #[inline(always)]
+    fn clip(value: Self::Real, most: Self::Real) -> Self::Real {
+        Self::at_most(Self::at_least(value, -most), most)
+    }
+
+    /// `size` with the sign of `sign`.
+    fn copy_sign(size: Self::Real, sign: Self::Real) -> Self::Real;
+
+    /// Selects `then` if `a < b`, else `otherwise`, per lane.
+    fn if_less(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
+
+    /// Returns true if `a < b` in any lane.
+    fn less_anywhere(a: Self::Real, b: Self::Real) -> bool;
+
+    /// Two to the power of the integer in the last bits of `sum`.
+    fn power_of_two(sum: Self::Real) -> Self::Real;
+
+    /// Rotates `(s, c)` by as many quarter turns as the integer in the last bits of `turns`.
+    fn turn(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
+}
+
+/// Broadcast of one `R` to all joints or task axes; identity for `R` itself.
+pub(crate) trait Spread<R>: Arithmetic {
+    /// Copies the value to all elements.
+    fn spread(value: R) -> Self::Real;
+}
+
+/// SIMD vector in registers.
+pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
+    /// Number of elements, at most [`LANES`].
+    const COUNT: usize;
+
+    /// Loads the first [`Packed::COUNT`] numbers.
+    fn of(values: &[f64; LANES]) -> Self;
+
+    /// Loads as many numbers as there are, zeros after them.
+    fn part(values: &[f64]) -> Self;
+
+    /// Stores into the first [`Packed::COUNT`] numbers.
+    fn put(self, values: &mut [f64; LANES]);
+
+    /// Returns an array, zeros after the last element.
+    #[inline(always)]
+    fn numbers(self) -> [f64; LANES] {
+        let mut out = [0.0; LANES];
+        self.put(&mut out);
+        out
+    }
+}
+
+/// One value of each of several configurations: as many as one register holds.
+pub(crate) trait Many: Packed + Spread<Self> {
+    /// Loads eight numbers of each configuration, from rows that begin `stride` apart; 0 for a row that is incomplete.
+    fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES];
+
+    /// Stores eight numbers of each configuration into rows that begin `stride` apart, the first row first; skips a row
+    /// that does not fit.
+    fn into_rows(numbers: &[Self; LANES], rows: &mut [f64], stride: usize);
+}
+
+/// Returns the eight numbers from index `at` on.
+#[inline(always)]
+fn eight(values: &[f64], at: usize) -> &[f64; LANES] {
+    match values.get(at..) {
+        Some(rest) => rest.first_chunk().unwrap_or(&[0.0; LANES]),
+        None => &[0.0; LANES],
+    }
+}
+
+/// Returns the eight numbers from index `at` on, for writing.
+#[inline(always)]
+fn eight_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
+    values.get_mut(at..)?.first_chunk_mut()
+}
+
+/// Eight values of one configuration: one per joint or per task axis.
+pub(crate) trait Wide: Packed + Spread<f64> {
+    /// Scalar of the same instruction set.
+    type One: Arithmetic<Real = f64> + Spread<f64>;
+
+    /// 3-vector of the same instruction set.
+    type Triple: Kept<One = Self::One>;
+
+    /// Returns the sum of each vector.
+    fn four_sums(numbers: [Self; 4]) -> [f64; 4];
+
+    /// Returns the dot product of each pair.
+    fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4];
+
+    /// The three components of the vectors in the first [`LANES`] cells.
+    fn components(cells: &[Cell; LANES]) -> [Self; 3];
+}
+
+/// π/2 in three parts. The first two have 33 bits, so that their products with an integer below 2²⁰ are exact.
+const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
+
+/// Adding and subtracting 1.5·2⁵² rounds to the nearest integer, whose last bits are then the last bits of the sum.
+const ROUND: f64 = 6_755_399_441_055_744.0;
+
+/// Sine and cosine of `angle` [rad] to 2.3e-16 for |angle| up to [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND).
+///
+/// Without branches, tables and calls, so that a loop over joints can be vectorized; identical on every system.
+/// Reduction to |r| ≤ π/4 after Cody and Waite, then the Taylor series: the first omitted term is below 5e-17.
+#[inline(always)]
+pub(crate) fn sin_cos<A: Arithmetic>(angle: A::Real) -> (A::Real, A::Real) {
+    let c = A::splat;
+    let sum = A::fma(angle, c(std::f64::consts::FRAC_2_PI), c(ROUND));
+    let turns = sum - c(ROUND);
+    let r = A::fnma(turns, c(HALF_PI[1]), A::fnma(turns, c(HALF_PI[0]), angle));
+    let r = A::fnma(turns, c(HALF_PI[2]), r);
+    let r2 = r * r;
+    let r4 = r2 * r2;
+    let r8 = r4 * r4;
+    // Pairs of terms, so that the additions of one series run in parallel.
+    let low = A::fma(r2, c(1.0 / 120.0), c(-1.0 / 6.0));
+    let low = A::fma(r4, A::fma(r2, c(1.0 / 362_880.0), c(-1.0 / 5_040.0)), low);
+    let high = A::fma(r2, c(1.0 / 6_227_020_800.0), c(-1.0 / 39_916_800.0));
+    let high = A::fnma(r4, c(1.0 / 1_307_674_368_000.0), high);
+    let sine = A::fma(r * r2, A::fma(r8, high, low), r);
+    let low = A::fnma(r2, c(1.0 / 720.0), c(1.0 / 24.0));
+    let low = A::fma(r4, A::fnma(r2, c(1.0 / 3_628_800.0), c(1.0 / 40_320.0)), low);
+    let high = A::fnma(r2, c(1.0 / 87_178_291_200.0), c(1.0 / 479_001_600.0));
+    let high = A::fma(r4, c(1.0 / 20_922_789_888_000.0), high);
+    let cosine = A::fma(r4, A::fma(r8, high, low), A::fnma(c(0.5), r2, c(1.0)));
+    A::turn(sum, sine, cosine)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sines and cosines of eight angles.
+    struct Sines<'a>(&'a [f64; LANES]);
+
+    impl Kernel for Sines<'_> {
+        type Output = [[(f64, f64); LANES]; 2];
+
+        fn run<M: Machine>(self) -> Self::Output {
+            let one = self.0.map(sin_cos::<M::One>);
+            let (s, c) = sin_cos::<M::Eight>(M::Eight::of(self.0));
+            let (s, c) = (s.numbers(), c.numbers());
+            [one, std::array::from_fn(|i| (s[i], c[i]))]
+        }
+    }
+
+    /// Largest difference from the system's functions over a dense sequence with irrational step.
+    fn worst(instructions: Instructions, largest: f64) -> f64 {
+        let mut off: f64 = 0.0;
+        for i in 0..20_000 {
+            let at =
+                |lane: usize| ((i * LANES + lane) as f64 * 0.618_033_988_749_895).fract() * 2.0 * largest - largest;
+            let angles = std::array::from_fn(at);
+            for all in instructions.run(Sines(&angles)) {
+                for ((sine, cosine), angle) in all.iter().zip(angles) {
+                    off = off.max((sine - angle.sin()).abs()).max((cosine - angle.cos()).abs());
+                }
+            }
+        }
+        off
+    }
+
+    #[test]
+    fn sines_are_right_to_rounding() {
+        for instructions in Instructions::available() {
+            for largest in [1e-9, 0.8, 3.2, 100.0, 1e4, 1e6] {
+                let off = worst(instructions, largest);
+                assert!(off <= 2.3e-16, "{instructions}, within ±{largest}: {off:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn sines_at_multiples_of_a_quarter_turn() {
+        for instructions in Instructions::available() {
+            for i in -1000..1000_i32 {
+                let angle = f64::from(i) * std::f64::consts::FRAC_PI_2;
+                for all in instructions.run(Sines(&[angle; LANES])) {
+                    let (sine, cosine) = all[i.unsigned_abs() as usize % LANES];
+                    assert!((sine - angle.sin()).abs() <= 1.2e-16 && (cosine - angle.cos()).abs() <= 1.2e-16, "{i}");
+                }
+            }
+            let [(sine, cosine), ..] = instructions.run(Sines(&[0.0; LANES]))[1];
+            assert_eq!([sine.to_bits(), cosine.to_bits()], [0.0_f64.to_bits(), 1.0_f64.to_bits()]);
+        }
+    }
+
+    /// Loads eight numbers of each configuration from rows of `stride`, and stores them again.
+    struct Turned<'a>(&'a [f64], usize);
+
+    impl Kernel for Turned<'_> {
+        type Output = (usize, [[f64; LANES]; LANES], Vec<f64>);
+
+        fn run<M: Machine>(self) -> Self::Output {
+            let columns = M::Many::from_rows(self.0, self.1);
+            let mut rows = vec![-1.0; self.0.len()];
+            M::Many::into_rows(&columns, &mut rows, self.1);
+            (M::Many::COUNT, columns.map(M::Many::numbers), rows)
+        }
+    }
+
+    #[test]
+    fn rows_become_columns_and_rows_again() {
+        for instructions in Instructions::available() {
+            for stride in [LANES, 11, 42] {
+                let table: Vec<f64> = (0..LANES * stride).map(|i| i as f64).collect();
+                let (count, columns, rows) = instructions.run(Turned(&table, stride));
+                for (at, row) in rows.iter().enumerate() {
+                    let (r, c) = (at / stride, at % stride);
+                    let inside = r < count && c < LANES;
+                    assert_eq!(
+                        row.to_bits(),
+                        if inside { at as f64 } else { -1.0 }.to_bits(),
+                        "{instructions} {r} {c}"
+                    );
+                    if inside {
+                        assert_eq!(columns[c][r].to_bits(), (at as f64).to_bits(), "{instructions} {r} {c}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_row_that_is_not_all_there_is_left_alone() {
+        for instructions in Instructions::available() {
+            let (_, columns, rows) = instructions.run(Turned(&[1.0; LANES + 3], LANES));
+            assert!(rows[LANES..].iter().all(|&value| value < 0.0), "{instructions}");
+            assert!(columns.iter().all(|column| column[0] > 0.0 && column[1].abs() < 1.0), "{instructions}");
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! Registers of four numbers, with fused multiply-add.
+
+// SAFETY of every `unsafe` below: see the module above.
+
+use std::arch::x86_64::{
+    __m256d as Register, _CMP_LT_OQ, _mm256_add_epi64, _mm256_add_pd as add, _mm256_and_pd as and,
+    _mm256_andnot_pd as andnot, _mm256_blendv_pd, _mm256_castpd_si256, _mm256_castsi256_pd, _mm256_cmp_pd,
+    _mm256_div_pd as div, _mm256_fmadd_pd as fmadd, _mm256_fnmadd_pd as fnmadd, _mm256_loadu_pd as loadu,
+    _mm256_loadu_si256, _mm256_maskload_pd, _mm256_max_pd as max, _mm256_min_pd as min, _mm256_movemask_pd,
+    _mm256_mul_pd as mul, _mm256_or_pd as or, _mm256_set1_epi64x, _mm256_set1_pd as set1, _mm256_slli_epi64,
+    _mm256_sqrt_pd as sqrt, _mm256_storeu_pd as storeu, _mm256_sub_pd as sub, _mm256_xor_pd as xor,
+};
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use super::{sums_of_four as sums, transpose_four};
+use crate::math::simd::vec3::Short;
+use crate::math::simd::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide, eight, eight_mut};
+
+numbers! {
+    /// Eight numbers in two registers, with fused multiply-add.
+    Avx2, 8 in registers of 4: 0 1
+}
+
+wide! { Avx2 beside Fused and Four }
+
+numbers! {
+    /// Four numbers in one register, with fused multiply-add.
+    Four, 4 in registers of 4: 0
+}
+
+many! { Four, each row an Avx2: 0 1 2 3 }
+
+short! { Four beside Fused, registers of 4: 0 }
+
+/// Loads the first of `count` numbers, zeros after the last.
+#[inline(always)]
+unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
+    const MASKS: [i64; 8] = [-1, -1, -1, -1, 0, 0, 0, 0];
+    // SAFETY: as above; `numbers` has `count`, and the mask is set for no more.
+    unsafe { _mm256_maskload_pd(numbers, _mm256_loadu_si256(MASKS.as_ptr().add(4 - count.min(4)).cast())) }
+}
+
+#[inline(always)]
+unsafe fn less(a: Register, b: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { _mm256_cmp_pd::<_CMP_LT_OQ>(a, b) }
+}
+
+#[inline(always)]
+unsafe fn choose(mask: Register, then: Register, otherwise: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { _mm256_blendv_pd(otherwise, then, mask) }
+}
+
+#[inline(always)]
+unsafe fn any(mask: Register) -> bool {
+    // SAFETY: as above.
+    unsafe { _mm256_movemask_pd(mask) != 0 }
+}
+
+#[inline(always)]
+unsafe fn power_of_two(sum: Register) -> Register {
+    // SAFETY: as above.
+    unsafe {
+        let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(sum));
+        _mm256_castsi256_pd(_mm256_add_epi64(exponent, _mm256_set1_epi64x(1023 << 52)))
+    }
+}
+
+#[inline(always)]
+unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+    // SAFETY: as above.
+    unsafe {
+        let quadrant = _mm256_castpd_si256(turns);
+        let odd = _mm256_castsi256_pd(_mm256_slli_epi64::<63>(quadrant));
+        let sine_sign = and(_mm256_castsi256_pd(_mm256_slli_epi64::<62>(quadrant)), set1(-0.0));
+        (xor(choose(odd, c, s), sine_sign), xor(choose(odd, s, c), xor(sine_sign, odd)))
+    }
+}
+
+#[inline(always)]
+fn folded(n: [Register; 2]) -> Register {
+    // SAFETY: as above.
+    unsafe { add(n[0], n[1]) }
+}
+
+/// Products with the upper half added to the lower.
+#[inline(always)]
+fn dotted(a: [Register; 2], b: [Register; 2]) -> Register {
+    // SAFETY: as above.
+    unsafe { fmadd(a[0], b[0], mul(a[1], b[1])) }
+}
+
+#[inline(always)]
+fn turned(n: [Register; LANES]) -> [[Register; 2]; 4] {
+    let [a, b, c, d] = transpose_four([n[0], n[1], n[2], n[3]]);
+    let [e, f, g, h] = transpose_four([n[4], n[5], n[6], n[7]]);
+    [[a, e], [b, f], [c, g], [d, h]]
+}
+
+#[inline(always)]
+fn columns([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Register; LANES] {
+    let ([a, b, c, d], [e, f, g, h]) = (transpose_four([a, b, c, d]), transpose_four([e, f, g, h]));
+    [a, b, c, d, e, f, g, h]
+}
+
+/// Returns the components of the four vectors from `first` on.
+#[inline(always)]
+fn components_of_four(cells: &[Cell; LANES], first: usize) -> [Register; 3] {
+    // SAFETY: as above; a cell has four.
+    let rows = unsafe {
+        [
+            loadu(cells[first].as_ptr()),
+            loadu(cells[first + 1].as_ptr()),
+            loadu(cells[first + 2].as_ptr()),
+            loadu(cells[first + 3].as_ptr()),
+        ]
+    };
+    let [x, y, z, _] = transpose_four(rows);
+    [x, y, z]
+}
+
+#[inline(always)]
+fn components(cells: &[Cell; LANES]) -> [[Register; 2]; 3] {
+    let ([a, b, c], [d, e, f]) = (components_of_four(cells, 0), components_of_four(cells, 4));
+    [[a, d], [b, e], [c, f]]
+}

@@ -1,0 +1,106 @@
+//! Registers of eight numbers, with masks.
+
+// SAFETY of every `unsafe` below: see the module above.
+
+use std::arch::x86_64::{
+    __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm512_add_epi64, _mm512_add_pd as add, _mm512_and_pd as and,
+    _mm512_andnot_pd as andnot, _mm512_castpd_si512, _mm512_castsi512_pd, _mm512_cmp_pd_mask, _mm512_div_pd as div,
+    _mm512_fmadd_pd as fmadd, _mm512_fnmadd_pd as fnmadd, _mm512_loadu_pd as loadu, _mm512_mask_blend_pd,
+    _mm512_maskz_loadu_pd, _mm512_max_pd as max, _mm512_min_pd as min, _mm512_mul_pd as mul, _mm512_or_pd as or,
+    _mm512_set1_epi64, _mm512_set1_pd as set1, _mm512_shuffle_f64x2 as shuffle, _mm512_slli_epi64,
+    _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub, _mm512_test_epi64_mask,
+    _mm512_unpackhi_pd as high, _mm512_unpacklo_pd as low, _mm512_xor_pd as xor,
+};
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use crate::math::simd::{Arithmetic, LANES, Many, Packed, Spread, eight, eight_mut};
+
+numbers! {
+    /// Eight numbers in one register.
+    Avx512, 8 in registers of 8: 0
+}
+
+many! { Avx512, each row an Avx512: 0 1 2 3 4 5 6 7 }
+
+/// Loads the first of `count` numbers, zeros after the last.
+#[inline(always)]
+unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
+    // Separate case: a shift by the full width of the mask overflows.
+    let mask = if count == 0 { 0 } else { Mask::MAX >> (LANES - count.min(LANES)) };
+    // SAFETY: as above; `numbers` has `count`, and the mask is set for no more.
+    unsafe { _mm512_maskz_loadu_pd(mask, numbers) }
+}
+
+#[inline(always)]
+unsafe fn less(a: Register, b: Register) -> Mask {
+    // SAFETY: as above.
+    unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b) }
+}
+
+#[inline(always)]
+unsafe fn choose(mask: Mask, then: Register, otherwise: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { _mm512_mask_blend_pd(mask, otherwise, then) }
+}
+
+#[inline(always)]
+unsafe fn any(mask: Mask) -> bool {
+    mask != 0
+}
+
+#[inline(always)]
+unsafe fn power_of_two(sum: Register) -> Register {
+    // SAFETY: as above.
+    unsafe {
+        let exponent = _mm512_slli_epi64::<52>(_mm512_castpd_si512(sum));
+        _mm512_castsi512_pd(_mm512_add_epi64(exponent, _mm512_set1_epi64(1023 << 52)))
+    }
+}
+
+#[inline(always)]
+unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+    // SAFETY: as above.
+    unsafe {
+        let quadrant = _mm512_castpd_si512(turns);
+        let odd = _mm512_test_epi64_mask(quadrant, _mm512_set1_epi64(1));
+        let sine_sign = and(_mm512_castsi512_pd(_mm512_slli_epi64::<62>(quadrant)), set1(-0.0));
+        let cosine_sign = xor(sine_sign, _mm512_castsi512_pd(_mm512_slli_epi64::<63>(quadrant)));
+        (xor(choose(odd, c, s), sine_sign), xor(choose(odd, s, c), cosine_sign))
+    }
+}
+
+/// Transposes an 8 × 8 block.
+#[inline(always)]
+fn turned_eight(n: [Register; LANES]) -> [Register; LANES] {
+    // SAFETY: as above.
+    unsafe {
+        // First pairs (numbers 0, 2, 4, 6, or 1, 3, 5, 7), then quarters of these.
+        let even = [low(n[0], n[1]), low(n[2], n[3]), low(n[4], n[5]), low(n[6], n[7])];
+        let odd = [high(n[0], n[1]), high(n[2], n[3]), high(n[4], n[5]), high(n[6], n[7])];
+        let ([a, c, e, g], [b, d, f, h]) = (quarters(even), quarters(odd));
+        [a, b, c, d, e, f, g, h]
+    }
+}
+
+/// Transposes a 4 × 4 block of quarters.
+#[inline(always)]
+unsafe fn quarters(n: [Register; 4]) -> [Register; 4] {
+    // SAFETY: as above.
+    unsafe {
+        let (a, b) = (shuffle::<0x88>(n[0], n[1]), shuffle::<0xdd>(n[0], n[1]));
+        let (c, d) = (shuffle::<0x88>(n[2], n[3]), shuffle::<0xdd>(n[2], n[3]));
+        [shuffle::<0x88>(a, c), shuffle::<0x88>(b, d), shuffle::<0xdd>(a, c), shuffle::<0xdd>(b, d)]
+    }
+}
+
+#[inline(always)]
+fn turned(n: [Register; LANES]) -> [[Register; 1]; LANES] {
+    let n = turned_eight(n);
+    [[n[0]], [n[1]], [n[2]], [n[3]], [n[4]], [n[5]], [n[6]], [n[7]]]
+}
+
+#[inline(always)]
+fn columns([[a], [b], [c], [d], [e], [f], [g], [h]]: [[Register; 1]; LANES]) -> [Register; LANES] {
+    turned_eight([a, b, c, d, e, f, g, h])
+}

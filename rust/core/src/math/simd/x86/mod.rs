@@ -1,0 +1,273 @@
+//! Eight numbers in the vector registers of x86-64: four of two, two of four or one of eight.
+#![expect(unsafe_code, reason = "vector instructions; they are entered only through `Instructions::run`")]
+
+use std::arch::x86_64::__m256d;
+
+// SAFETY of every `unsafe` below: values of these types are created only in code entered through `Instructions::run`,
+// that is on a processor with the instructions; memory is accessed only through references of the right size.
+
+/// Defines a SIMD type over registers, from the instructions that the enclosing module imports under common names.
+macro_rules! numbers {
+    ($(#[$doc:meta])* $name:ident, $count:literal in registers of $width:literal: $($i:literal)*) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy)]
+        pub(crate) struct $name([Register; $count / $width]);
+
+        numbers!(@operators $name ($($i)*) Add add, Sub sub, Mul mul, Div div);
+
+        impl Neg for $name {
+            type Output = Self;
+
+            #[inline(always)]
+            fn neg(self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(xor(self.0[$i], set1(-0.0))),*] })
+            }
+        }
+
+        impl Arithmetic for $name {
+            type Real = Self;
+
+            const WIDE: bool = true;
+
+            #[inline(always)]
+            fn splat(value: f64) -> Self {
+                // SAFETY: as above.
+                Self([unsafe { set1(value) }; $count / $width])
+            }
+
+            #[inline(always)]
+            fn fma(a: Self, b: Self, c: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(fmadd(a.0[$i], b.0[$i], c.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn fnma(a: Self, b: Self, c: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(fnmadd(a.0[$i], b.0[$i], c.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn sqrt(value: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(sqrt(value.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn abs(value: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(andnot(set1(-0.0), value.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn at_least(value: Self, bound: Self) -> Self {
+                // SAFETY: as above. Of two numbers of which one is none, these instructions give the second.
+                Self(unsafe { [$(max(bound.0[$i], value.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn at_most(value: Self, bound: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(min(bound.0[$i], value.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn copy_sign(size: Self, sign: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(or(andnot(set1(-0.0), size.0[$i]), and(set1(-0.0), sign.0[$i]))),*] })
+            }
+
+            #[inline(always)]
+            fn if_less(a: Self, b: Self, then: Self, otherwise: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(choose(less(a.0[$i], b.0[$i]), then.0[$i], otherwise.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn less_anywhere(a: Self, b: Self) -> bool {
+                // SAFETY: as above.
+                unsafe { false $(| any(less(a.0[$i], b.0[$i])))* }
+            }
+
+            #[inline(always)]
+            fn power_of_two(sum: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$(power_of_two(sum.0[$i])),*] })
+            }
+
+            #[inline(always)]
+            fn turn(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+                // SAFETY: as above.
+                $((s.0[$i], c.0[$i]) = unsafe { turn(turns.0[$i], s.0[$i], c.0[$i]) };)*
+                (s, c)
+            }
+        }
+
+        impl Packed for $name {
+            const COUNT: usize = $count;
+
+            #[inline(always)]
+            fn of(values: &[f64; LANES]) -> Self {
+                // SAFETY: as above; there are eight values.
+                Self(unsafe { [$(loadu(values.as_ptr().add($i * $width))),*] })
+            }
+
+            #[inline(always)]
+            fn part(values: &[f64]) -> Self {
+                // SAFETY: as above; each register reads only the numbers that the previous registers left.
+                Self(unsafe { [$({
+                    let rest = values.get($i * $width..).unwrap_or_default();
+                    first_of(rest.as_ptr(), rest.len())
+                }),*] })
+            }
+
+            #[inline(always)]
+            fn put(self, values: &mut [f64; LANES]) {
+                // SAFETY: as above; there is room for eight values.
+                unsafe { $(storeu(values.as_mut_ptr().add($i * $width), self.0[$i]);)* }
+            }
+        }
+    };
+    (@operators $name:ident $indices:tt $($trait:ident $method:ident),*) => {
+        $(numbers!(@operator $name $indices $trait $method);)*
+    };
+    (@operator $name:ident ($($i:literal)*) $trait:ident $method:ident) => {
+        impl $trait for $name {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                // SAFETY: as above.
+                Self(unsafe { [$($method(self.0[$i], other.0[$i])),*] })
+            }
+        }
+    };
+}
+
+/// Eight numbers of one configuration.
+macro_rules! wide {
+    ($name:ident beside $one:ident and $short:ident) => {
+        impl Wide for $name {
+            type One = crate::math::simd::$one;
+            type Triple = $short;
+
+            #[inline(always)]
+            fn four_sums(n: [Self; 4]) -> [f64; 4] {
+                sums([folded(n[0].0), folded(n[1].0), folded(n[2].0), folded(n[3].0)])
+            }
+
+            #[inline(always)]
+            fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
+                sums([dotted(a[0].0, b[0].0), dotted(a[1].0, b[1].0), dotted(a[2].0, b[2].0), dotted(a[3].0, b[3].0)])
+            }
+
+            #[inline(always)]
+            fn components(cells: &[Cell; LANES]) -> [Self; 3] {
+                let [x, y, z] = components(cells);
+                [Self(x), Self(y), Self(z)]
+            }
+        }
+
+        impl Spread<f64> for $name {
+            #[inline(always)]
+            fn spread(value: f64) -> Self {
+                Self::splat(value)
+            }
+        }
+    };
+}
+
+/// Defines the registers of a 3-vector.
+macro_rules! short {
+    ($name:ident beside $one:ident, registers of $width:literal: $($i:literal)*) => {
+        impl Short for $name {
+            type One = crate::math::simd::$one;
+
+            #[inline(always)]
+            fn get(cell: &Cell) -> Self {
+                // SAFETY: as above; there are four values.
+                Self(unsafe { [$(loadu(cell.as_ptr().add($i * $width))),*] })
+            }
+
+            #[inline(always)]
+            fn set(self, cell: &mut Cell) {
+                // SAFETY: as above; there is room for four values.
+                unsafe { $(storeu(cell.as_mut_ptr().add($i * $width), self.0[$i]);)* }
+            }
+        }
+    };
+}
+
+/// Defines a register with one value of each of several configurations.
+macro_rules! many {
+    ($name:ident, each row an $row:ident: $($i:literal)*) => {
+        impl Many for $name {
+            #[inline(always)]
+            fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES] {
+                let n = columns([$($row::of(eight(rows, $i * stride)).0),*]);
+                [
+                    Self([n[0]]),
+                    Self([n[1]]),
+                    Self([n[2]]),
+                    Self([n[3]]),
+                    Self([n[4]]),
+                    Self([n[5]]),
+                    Self([n[6]]),
+                    Self([n[7]]),
+                ]
+            }
+
+            #[inline(always)]
+            fn into_rows(n: &[Self; LANES], rows: &mut [f64], stride: usize) {
+                let n = [n[0].0[0], n[1].0[0], n[2].0[0], n[3].0[0], n[4].0[0], n[5].0[0], n[6].0[0], n[7].0[0]];
+                let turned = turned(n);
+                $(if let Some(row) = eight_mut(rows, $i * stride) {
+                    $row(turned[$i]).put(row);
+                })*
+            }
+        }
+
+        impl Spread<Self> for $name {
+            #[inline(always)]
+            fn spread(value: Self) -> Self {
+                value
+            }
+        }
+    };
+}
+
+pub(super) mod avx2;
+pub(super) mod avx512;
+pub(super) mod sse2;
+
+/// Returns the sum of each of four registers.
+#[inline(always)]
+fn sums_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
+    use std::arch::x86_64::{_mm256_add_pd, _mm256_hadd_pd, _mm256_permute2f128_pd, _mm256_storeu_pd};
+    let mut out = [0.0; 4];
+    // SAFETY: as above.
+    unsafe {
+        let (ab, cd) = (_mm256_hadd_pd(a, b), _mm256_hadd_pd(c, d));
+        let (low, high) = (_mm256_permute2f128_pd::<0x20>(ab, cd), _mm256_permute2f128_pd::<0x31>(ab, cd));
+        _mm256_storeu_pd(out.as_mut_ptr(), _mm256_add_pd(low, high));
+    }
+    out
+}
+
+/// Transposes a 4 × 4 block.
+#[inline(always)]
+fn transpose_four(r: [__m256d; 4]) -> [__m256d; 4] {
+    use std::arch::x86_64::{_mm256_permute2f128_pd, _mm256_unpackhi_pd, _mm256_unpacklo_pd};
+    // SAFETY: as above.
+    unsafe {
+        let (a, b) = (_mm256_unpacklo_pd(r[0], r[1]), _mm256_unpackhi_pd(r[0], r[1]));
+        let (c, d) = (_mm256_unpacklo_pd(r[2], r[3]), _mm256_unpackhi_pd(r[2], r[3]));
+        [
+            _mm256_permute2f128_pd::<0x20>(a, c),
+            _mm256_permute2f128_pd::<0x20>(b, d),
+            _mm256_permute2f128_pd::<0x31>(a, c),
+            _mm256_permute2f128_pd::<0x31>(b, d),
+        ]
+    }
+}

@@ -1,0 +1,166 @@
+//! Registers of two numbers, available on every x86-64 processor.
+
+// SAFETY of every `unsafe` below: see the module above.
+
+use std::arch::x86_64::{
+    __m128d as Register, _mm_add_epi64, _mm_add_pd as add, _mm_and_pd as and, _mm_and_si128, _mm_andnot_pd as andnot,
+    _mm_castpd_si128, _mm_castsi128_pd, _mm_cmplt_pd as less, _mm_div_pd as div, _mm_load_sd, _mm_loadu_pd as loadu,
+    _mm_max_pd as max, _mm_min_pd as min, _mm_movemask_pd, _mm_mul_pd as mul, _mm_or_pd as or, _mm_set1_epi64x,
+    _mm_set1_pd as set1, _mm_slli_epi64, _mm_sqrt_pd as sqrt, _mm_storeu_pd as storeu, _mm_sub_epi64,
+    _mm_sub_pd as sub, _mm_unpackhi_pd as high, _mm_unpacklo_pd as low, _mm_xor_pd as xor, _mm_xor_si128,
+};
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use crate::math::simd::vec3::Short;
+use crate::math::simd::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide, eight, eight_mut};
+
+numbers! {
+    /// Eight numbers in four registers; there is no fused multiply-add.
+    Sse2, 8 in registers of 2: 0 1 2 3
+}
+
+wide! { Sse2 beside Plain and Pair }
+
+numbers! {
+    /// Two numbers in one register; there is no fused multiply-add.
+    Two, 2 in registers of 2: 0
+}
+
+many! { Two, each row an Sse2: 0 1 }
+
+numbers! {
+    /// Four numbers in two registers; there is no fused multiply-add.
+    Pair, 4 in registers of 2: 0 1
+}
+
+short! { Pair beside Plain, registers of 2: 0 1 }
+
+/// Loads the first of `count` numbers, zeros after the last.
+#[inline(always)]
+unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
+    // SAFETY: as above; `numbers` has `count`, and no more are read.
+    unsafe {
+        match count {
+            0 => set1(0.0),
+            1 => _mm_load_sd(numbers),
+            _ => loadu(numbers),
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn fmadd(a: Register, b: Register, c: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { add(mul(a, b), c) }
+}
+
+#[inline(always)]
+unsafe fn fnmadd(a: Register, b: Register, c: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { sub(c, mul(a, b)) }
+}
+
+#[inline(always)]
+unsafe fn choose(mask: Register, then: Register, otherwise: Register) -> Register {
+    // SAFETY: as above.
+    unsafe { or(and(mask, then), andnot(mask, otherwise)) }
+}
+
+#[inline(always)]
+unsafe fn any(mask: Register) -> bool {
+    // SAFETY: as above.
+    unsafe { _mm_movemask_pd(mask) != 0 }
+}
+
+#[inline(always)]
+unsafe fn power_of_two(sum: Register) -> Register {
+    // SAFETY: as above.
+    unsafe {
+        let exponent = _mm_slli_epi64::<52>(_mm_castpd_si128(sum));
+        _mm_castsi128_pd(_mm_add_epi64(exponent, _mm_set1_epi64x(1023 << 52)))
+    }
+}
+
+#[inline(always)]
+unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+    // SAFETY: as above.
+    unsafe {
+        let quadrant = _mm_castpd_si128(turns);
+        let one = _mm_set1_epi64x(1);
+        // 0 − 1 has all bits set.
+        let odd = _mm_castsi128_pd(_mm_sub_epi64(_mm_set1_epi64x(0), _mm_and_si128(quadrant, one)));
+        let top = _mm_set1_epi64x(i64::MIN);
+        let sine_sign = _mm_and_si128(_mm_slli_epi64::<62>(quadrant), top);
+        let cosine_sign = _mm_xor_si128(sine_sign, _mm_slli_epi64::<63>(quadrant));
+        (xor(choose(odd, c, s), _mm_castsi128_pd(sine_sign)), xor(choose(odd, s, c), _mm_castsi128_pd(cosine_sign)))
+    }
+}
+
+#[inline(always)]
+fn folded(n: [Register; 4]) -> Register {
+    // SAFETY: as above.
+    unsafe { add(add(n[0], n[2]), add(n[1], n[3])) }
+}
+
+/// Products with the upper half added to the lower.
+#[inline(always)]
+fn dotted(a: [Register; 4], b: [Register; 4]) -> Register {
+    // SAFETY: as above.
+    folded(unsafe { [mul(a[0], b[0]), mul(a[1], b[1]), mul(a[2], b[2]), mul(a[3], b[3])] })
+}
+
+#[inline(always)]
+fn sums([a, b, c, d]: [Register; 4]) -> [f64; 4] {
+    let mut out = [0.0; 4];
+    // SAFETY: as above.
+    unsafe {
+        storeu(out.as_mut_ptr(), add(low(a, b), high(a, b)));
+        storeu(out.as_mut_ptr().add(2), add(low(c, d), high(c, d)));
+    }
+    out
+}
+
+#[inline(always)]
+fn turned(n: [Register; LANES]) -> [[Register; 4]; 2] {
+    // SAFETY: as above.
+    unsafe {
+        [
+            [low(n[0], n[1]), low(n[2], n[3]), low(n[4], n[5]), low(n[6], n[7])],
+            [high(n[0], n[1]), high(n[2], n[3]), high(n[4], n[5]), high(n[6], n[7])],
+        ]
+    }
+}
+
+#[inline(always)]
+fn columns([a, b]: [[Register; 4]; 2]) -> [Register; LANES] {
+    // SAFETY: as above.
+    unsafe {
+        [
+            low(a[0], b[0]),
+            high(a[0], b[0]),
+            low(a[1], b[1]),
+            high(a[1], b[1]),
+            low(a[2], b[2]),
+            high(a[2], b[2]),
+            low(a[3], b[3]),
+            high(a[3], b[3]),
+        ]
+    }
+}
+
+#[inline(always)]
+fn components(cells: &[Cell; LANES]) -> [[Register; 4]; 3] {
+    // SAFETY: as above.
+    let mut out = unsafe { [[set1(0.0); 4]; 3] };
+    for pair in 0..4 {
+        let (a, b) = (&cells[2 * pair], &cells[2 * pair + 1]);
+        // SAFETY: as above; a cell has four.
+        unsafe {
+            let (xy, more) = (loadu(a.as_ptr()), loadu(b.as_ptr()));
+            (out[0][pair], out[1][pair]) = (low(xy, more), high(xy, more));
+            out[2][pair] = low(loadu(a.as_ptr().add(2)), loadu(b.as_ptr().add(2)));
+        }
+    }
+    out
+}

@@ -1,0 +1,253 @@
+//! Smallest and largest singular value, tracked from step to step.
+
+use crate::math::ldlt6::Factor;
+use crate::math::rows::Square;
+use crate::math::simd::{Arithmetic, Spread};
+use crate::{AxisVec, MAX_AXES};
+
+/// Estimates of the largest and the smallest singular value of scaled task rows, with the vectors to start from.
+///
+/// Two vectors track the small end. Where the two smallest values cross, a single vector stays with the wrong value for
+/// many steps (an arm with planar joints crosses without mixing).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SingularValues {
+    pub(crate) weak: [AxisVec; 2],
+    pub(crate) strong: AxisVec,
+    /// Smallest singular value.
+    pub(crate) smallest: f64,
+    /// Largest singular value.
+    pub(crate) largest: f64,
+}
+
+impl SingularValues {
+    pub(crate) fn start() -> Self {
+        // No component is zero and no two are equal, so no eigenvector of a usual arm is orthogonal to both.
+        let weak = [[0.5, 0.46, 0.42, 0.38, 0.34, 0.3], [0.34, -0.5, 0.46, -0.42, 0.3, -0.38]];
+        Self { weak, strong: weak[0], smallest: 0.0, largest: 0.0 }
+    }
+
+    /// Sets the components after the first `k` axes to zero; they stay zero.
+    pub(crate) fn restrict(&mut self, k: usize) {
+        for vector in self.weak.iter_mut().chain([&mut self.strong]) {
+            vector.iter_mut().skip(k).for_each(|value| *value = 0.0);
+        }
+    }
+
+    /// Improves the estimates by `iterations` steps of inverse and power iteration on `gram`.
+    ///
+    /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` with fewer joints than axes; `factor` is its factor. With a warm start,
+    /// one iteration a step tracks a moving arm to about one percent.
+    #[inline(always)]
+    pub(crate) fn update<A: Arithmetic<Real = f64> + Spread<f64>>(
+        &mut self,
+        gram: &Square,
+        factor: &Factor,
+        k: usize,
+        iterations: usize,
+    ) {
+        for _ in 0..iterations {
+            let before = self.weak;
+            let [first, second] = before;
+            let solved = [factor.solve::<A>(&first), factor.solve::<A>(&second)];
+            (self.weak, self.smallest) = match in_plane(&solved, &before) {
+                Some(found) => found,
+                None => from_lengths(gram, &solved, &before, k),
+            };
+            let strong = apply(gram, &self.strong);
+            let size = norm(&strong);
+            if size > 0.0 {
+                let inverse = 1.0 / size;
+                for i in 0..MAX_AXES {
+                    self.strong[i] = strong[i] * inverse;
+                }
+            }
+            self.largest = size.sqrt();
+        }
+    }
+}
+
+/// Rayleigh–Ritz in the plane of `a = M⁻¹ w` and `b = M⁻¹ z`: unit vectors, that of the smaller value first, and the
+/// square root of that value. `None` if a and b are too large, or too nearly parallel for one orthogonalization.
+///
+/// The value needs products only, to shorten the latency: the step depends on it, and on the vectors only the next
+/// step.
+#[inline(always)]
+fn in_plane([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
+    let (aa, ab, bb) = (dot(a, a), dot(a, b), dot(b, b));
+    // Written as `!(a < b)` so that NaN takes the fallback.
+    if !(ab * ab < 0.5 * aa * bb && aa < LARGE && bb < LARGE) {
+        return None;
+    }
+    let (wa, za, zb) = (dot(w, a), dot(z, a), dot(z, b));
+    // M in the axes û along a and v̂ along c = b − t a; a Mᵀ b equals both w b and a z.
+    let per_aa = 1.0 / aa;
+    let t = ab * per_aa;
+    let per_cc = 1.0 / (bb - t * ab);
+    let mixed = za - t * wa;
+    let (u, v) = (wa * per_aa, (zb - t * (za + mixed)) * per_cc);
+    let squared = mixed * mixed * (per_aa * per_cc);
+    let half = 0.5 * (u - v);
+    let root = (half * half + squared).sqrt();
+    let value = (u * v - squared) / (0.5 * (u + v) + root);
+    let (per_a, per_c) = (per_aa.sqrt(), per_cc.sqrt());
+    let (x, y) = weaker(half, root, mixed * (per_a * per_c));
+    let ([xa, ya], [xc, yc]) = ([x * per_a, y * per_a], [x * per_c, y * per_c]);
+    let mut weak = [[0.0; MAX_AXES]; 2];
+    for i in 0..MAX_AXES {
+        let c = b[i] - t * a[i];
+        (weak[0][i], weak[1][i]) = (xa * a[i] + yc * c, xc * c - ya * a[i]);
+    }
+    Some((weak, value.max(0.0).sqrt()))
+}
+
+/// Bound on squared lengths below which a product of four lengths is finite.
+const LARGE: f64 = 1e150;
+
+/// Eigenvector of `[[a, b], [b, d]]` for its smaller value, given half of a − d and `root = √(half² + b²)`.
+#[inline(always)]
+fn weaker(half: f64, root: f64, b: f64) -> (f64, f64) {
+    // In the form without cancellation.
+    let (x, y) = if half > 0.0 { (b, -(half + root)) } else { (root - half, -b) };
+    let length = (x * x + y * y).sqrt();
+    if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) }
+}
+
+/// [`in_plane`] for any two vectors, normalized by their lengths.
+#[cold]
+#[inline(never)]
+fn from_lengths(gram: &Square, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: usize) -> ([AxisVec; 2], f64) {
+    let (u, v) = (Image::new(*a, *w), Image::new(*b, *z));
+    match v.across(&u) {
+        Some(v) => weaker_first(&u, &v),
+        None => restart(gram, &u.v, k),
+    }
+}
+
+/// A unit vector `v` and `M v`, which inverse iteration gives without a matrix product.
+#[derive(Clone, Copy)]
+struct Image {
+    v: AxisVec,
+    mv: AxisVec,
+}
+
+impl Image {
+    /// `v = M⁻¹ b`, both divided by the length of `v`.
+    fn new(v: AxisVec, b: AxisVec) -> Self {
+        let size = norm(&v);
+        // A singular matrix gives lengths whose squares overflow.
+        if size > 0.0 && size.is_finite() { Self { v, mv: b }.scaled(1.0 / size) } else { Self::huge(&v, &b) }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn huge(v: &AxisVec, b: &AxisVec) -> Self {
+        let scale = v.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
+        if !(scale > 0.0 && scale.is_finite()) {
+            return Self { v: *b, mv: [0.0; MAX_AXES] };
+        }
+        let smaller = Self { v: *v, mv: *b }.scaled(1.0 / scale);
+        smaller.scaled(1.0 / norm(&smaller.v))
+    }
+
+    fn scaled(mut self, factor: f64) -> Self {
+        for i in 0..MAX_AXES {
+            self.v[i] *= factor;
+            self.mv[i] *= factor;
+        }
+        self
+    }
+
+    /// Returns the component orthogonal to the unit vector `u`, normalized; `None` if it is only rounding error.
+    fn across(mut self, u: &Self) -> Option<Self> {
+        // Twice: the first pass leaves a rounding error along `u`.
+        for _ in 0..2 {
+            let share = dot(&self.v, &u.v);
+            for i in 0..MAX_AXES {
+                self.v[i] -= share * u.v[i];
+                self.mv[i] -= share * u.mv[i];
+            }
+        }
+        let size = norm(&self.v);
+        (size > 1e-10).then(|| self.scaled(1.0 / size))
+    }
+}
+
+/// Rayleigh–Ritz for an orthonormal pair: the rotated unit vectors, that of the smaller value first, and the square
+/// root of that value.
+fn weaker_first(u: &Image, v: &Image) -> ([AxisVec; 2], f64) {
+    let (a, b, d) = (dot(&u.v, &u.mv), dot(&u.v, &v.mv), dot(&v.v, &v.mv));
+    let half = 0.5 * (a - d);
+    let (x, y) = weaker(half, (half * half + b * b).sqrt(), b);
+    let (mut weak, mut image) = ([[0.0; MAX_AXES]; 2], [0.0; MAX_AXES]);
+    for i in 0..MAX_AXES {
+        weak[0][i] = x * u.v[i] + y * v.v[i];
+        weak[1][i] = x * v.v[i] - y * u.v[i];
+        image[i] = x * u.mv[i] + y * v.mv[i];
+    }
+    (weak, dot(&weak[0], &image).max(0.0).sqrt())
+}
+
+/// Returns `u` and a unit vector orthogonal to it as start for the next step; zero with a single axis.
+#[cold]
+#[inline(never)]
+fn restart(gram: &Square, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {
+    let mut unit = Image { v: [0.0; MAX_AXES], mv: [0.0; MAX_AXES] };
+    unit.v[(0..k.min(MAX_AXES)).fold(0, |best, i| if u[i].abs() < u[best].abs() { i } else { best })] = 1.0;
+    let second = unit.across(&Image { v: *u, mv: [0.0; MAX_AXES] }).map_or([0.0; MAX_AXES], |image| image.v);
+    ([*u, second], dot(u, &apply(gram, u)).max(0.0).sqrt())
+}
+
+#[inline(always)]
+fn apply(m: &Square, v: &AxisVec) -> AxisVec {
+    let mut out = [0.0; MAX_AXES];
+    for j in 0..MAX_AXES {
+        for i in 0..MAX_AXES {
+            out[i] += m[i][j] * v[j];
+        }
+    }
+    out
+}
+
+#[inline(always)]
+fn dot(a: &AxisVec, b: &AxisVec) -> f64 {
+    // Pairwise summation: a sequential sum would be one long dependency chain.
+    (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
+}
+
+#[inline(always)]
+fn norm(v: &AxisVec) -> f64 {
+    dot(v, v).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::MAX_JOINTS;
+    use crate::math::rows::{load_rows, weighted_gram};
+    use crate::math::simd::{EveryJoint, Plain};
+
+    #[test]
+    fn singular_values_agree_with_an_svd() {
+        let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+        for (r, row) in rows.iter_mut().enumerate() {
+            for (i, value) in row.iter_mut().enumerate().take(7) {
+                *value = ((7 * r * r + 3 * i * i + r * i) as f64 * 0.7).sin();
+            }
+        }
+        let gram = weighted_gram(&load_rows(&rows), EveryJoint::splat(1.0));
+        let exact = crate::math::svd::singular_values(&nalgebra::DMatrix::from_fn(6, 7, |r, c| rows[r][c]));
+        let mut values = SingularValues::start();
+        values.update::<Plain>(&gram, &Factor::new::<Plain>(&gram), 6, 200);
+        assert!(exact.min() > 0.1, "the matrix has full rank");
+        assert!((values.largest - exact.max()).abs() < 1e-9, "{} {exact}", values.largest);
+        assert!((values.smallest - exact.min()).abs() < 1e-9, "{} {exact}", values.smallest);
+    }
+
+    #[test]
+    fn a_zero_matrix_has_a_zero_value() {
+        let mut values = SingularValues::start();
+        let zero = [[0.0; MAX_AXES]; MAX_AXES];
+        values.update::<Plain>(&zero, &Factor::new::<Plain>(&zero), 6, 2);
+        assert!(values.smallest.abs() < 1e-50);
+    }
+}

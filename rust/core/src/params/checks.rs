@@ -1,0 +1,101 @@
+//! Checks that settings, servos and model are consistent, before they are resolved.
+
+use nalgebra::DMatrix;
+
+use super::Plan;
+use crate::error::{Error, Result};
+use crate::model::Model;
+use crate::params::{Follow, Law, ServoArrays, Settings};
+
+/// More axes than joints require a length that weights them.
+pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> {
+    if k <= n || settings.task.length.is_some() {
+        return Ok(());
+    }
+    Err(Error::config(
+        "task.axes",
+        format!(
+            "{k} axes on an arm of {n} joints cannot all be met: take away at least {} (e.g. axes=\"xyz\"), \
+             or give task.length [m], the distance that counts as much as one radian",
+            k - n
+        ),
+    ))
+}
+
+/// A torque for null-space motion requires a null space.
+pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Result<()> {
+    if settings.law != Law::Paper || k < n || settings.null_space.max_torque.is_none_or(|torque| torque <= 0.0) {
+        return Ok(());
+    }
+    Err(Error::config(
+        "null_space.max_torque",
+        format!("{k} task axes leave no null space on {n} joints: leave it out, or take away an axis"),
+    ))
+}
+
+pub(super) fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
+    let symmetric = DMatrix::from_fn(plan.k, plan.k, |r, c| 0.5 * (plan.kx[r][c] + plan.kx[c][r]));
+    let shift = 1e-9 * (1.0 + symmetric.amax());
+    if (symmetric + DMatrix::identity(plan.k, plan.k) * shift).cholesky().is_none() {
+        return Err(Error::config(
+            "tracking.gain",
+            "drives some direction away from its target: K + Kᵀ has a negative eigenvalue",
+        ));
+    }
+    let (gain, bound) =
+        (plan.gain(settings.paper_options.horizon), plan.gain_bound(settings.delay, 1.0 / settings.rate));
+    if settings.law == Law::Cap && gain > bound * (1.0 + 1e-12) {
+        return Err(Error::out_of_range(
+            "tracking.gain · horizon",
+            gain,
+            format!(
+                "(0, {bound:.3}]: with a delay of {} s at {} Hz a stiffer loop oscillates; lower tracking.gain, or shorten delay and period",
+                settings.delay, settings.rate
+            ),
+        ));
+    }
+    Ok(())
+}
+
+pub(super) fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
+    let unknown = model.unknown_mass_joints();
+    if settings.gravity_use() == crate::params::GravityUse::Off
+        || unknown.is_empty()
+        || settings.torque_limits.floor.is_some()
+    {
+        return Ok(());
+    }
+    let names: Vec<&str> = unknown.iter().map(|&i| model.joint_names()[i].as_str()).collect();
+    Err(Error::config(
+        "gravity",
+        format!(
+            "no mass is known of what joints {} move, so gravity cannot be compensated there: add <inertial> to the URDF, \
+             or give torque_limits=TorqueLimits(floor=[...]) [N·m] for the limits, or gravity=False",
+            names.join(", ")
+        ),
+    ))
+}
+
+pub(super) fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model) -> Result<()> {
+    if servos.has_kp {
+        return Ok(());
+    }
+    let wants = match settings.law {
+        Law::Cap => Some("law=\"cap\""),
+        Law::Impedance => Some("law=\"impedance\""),
+        Law::Paper if settings.paper_options.budget_on_goal => Some("budget_on_goal=True"),
+        Law::Paper if settings.effective_follow() == Follow::Free => Some("follow=\"free\""),
+        Law::Paper if settings.gravity_use().in_goal() => Some("gravity in the goals"),
+        Law::Paper => None,
+    };
+    wants.map_or(Ok(()), |what| {
+        Err(Error::config(
+            "servos",
+            format!(
+                "{what} needs the stiffness k_p of joints {}: give servos=Servos(kp=[...] [N·m/rad], max_torque=[...] [N·m]), \
+                 from the servo's table or identified on the arm",
+                model.joint_names().join(", ")
+            ),
+        ))
+    })
+}

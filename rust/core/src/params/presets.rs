@@ -1,0 +1,218 @@
+//! Presets: settings for common tasks, as a starting point.
+
+use crate::error::{Error, Result};
+use crate::params::{
+    AXIS_NAMES, Axis, Law, NullSpace, PaperOptions, Profile, Settings, TorqueLimits, Tracking, Yields,
+};
+
+/// η of axes that a person or a mechanism moves.
+const ETA_SOFT: f64 = 0.9;
+
+/// η of a door: the handle leads, and the target pulls back only weakly.
+const ETA_DOOR: f64 = 0.999;
+
+/// η of a plug: with a larger value friction leads it past the hole, with a smaller one the walls push harder.
+const ETA_PLUG: f64 = 0.5;
+
+/// η of hand guiding: the largest that does not require a known `k_p`.
+const ETA_GUIDED: f64 = 0.95;
+
+/// α [1/s] if the arm is led far from its posture: a quarter of the default K_x.
+const ALPHA_LOOSE: f64 = 1.0;
+
+/// d⁻, d⁺ [m] of an axis that exerts the arm's `firm` at any deviation: no servo reaches that force within the first
+/// millimetre.
+const FIRM_FROM: [f64; 2] = [0.001, 0.002];
+
+/// d⁻, d⁺ [m] over which the strength falls when a person takes the object.
+const TAKEN: [f64; 2] = [0.01, 0.05];
+
+impl Settings {
+    /// Law `paper` as published: no gravity model and no limits beyond those of the paper.
+    ///
+    /// Strengths are budgets [N·m], soft 0.5, firm = hold = 10; no axis yields by default. The remaining limits are the
+    /// paper's per-axis step and the model's joint speed.
+    pub fn paper() -> Self {
+        Self {
+            law: Law::Paper,
+            gravity: false,
+            max_tool_speed: [f64::INFINITY; 2],
+            tracking: Tracking { goal_slew: f64::INFINITY, ..Tracking::default() },
+            torque_limits: TorqueLimits { stiffening_time: 0.0, ..TorqueLimits::default() },
+            paper_options: PaperOptions { lead_limit: Some(f64::INFINITY), ..PaperOptions::default() },
+            ..Self::default()
+        }
+    }
+
+    /// The named axes yield in both directions with the arm's default strengths and η = 0.9; the others hold.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for an invalid key.
+    pub fn soft(axes: &str) -> Result<Self> {
+        let mut settings = Self::default();
+        settings.set_axes(axes, yielding(ETA_SOFT))?;
+        Ok(settings)
+    }
+
+    /// No axis yields.
+    pub fn firm() -> Self {
+        Self::default()
+    }
+
+    /// Opens and closes doors: lateral and yaw follow the handle (η = 0.999, accepted), the others hold.
+    ///
+    /// The posture task is a quarter as strong as usual: a handle on its arc takes the arm far from its start.
+    pub fn door() -> Self {
+        let mut settings = Self { null_space: loose(), accept_high_adaptation: true, ..Self::default() };
+        (settings.axes[1], settings.axes[5]) = (yielding(ETA_DOOR), yielding(ETA_DOOR));
+        settings
+    }
+
+    /// Pulls a drawer open, or pushes it shut, along `axis`, with at most the force `pull` [N] (default: the arm's
+    /// `firm`).
+    ///
+    /// The direction of a slide is seldom known exactly: the other translations follow it (η = 0.95, the largest that
+    /// does not require a known `k_p`). Rotations hold, because a rotated drawer jams. At the end stop the force is at
+    /// most `pull`.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for an axis other than x, y, z, [`Error::OutOfRange`] for the force.
+    pub fn drawer(axis: &str, pull: Option<f64>) -> Result<Self> {
+        let along = translation("axis", axis)?;
+        let mut settings = Self { null_space: loose(), ..Self::default() };
+        settings.axes[..3].fill(yielding(ETA_GUIDED));
+        settings.axes[along] = capped("pull [N]", pull, Yields::Both)?;
+        Ok(settings)
+    }
+
+    /// Presses on a surface along its normal `axis` with the force `press` [N] (default: the arm's `soft`) while the
+    /// tool moves along it.
+    ///
+    /// Place the target behind the surface by at least `press` divided by the arm's stiffness, plus the unevenness of
+    /// the surface; the force is then `press` at any height. Rotations about the other two axes yield, so that a flat
+    /// tool stays flat on the surface.
+    ///
+    /// # Errors
+    /// As [`Settings::drawer`].
+    pub fn wipe(press: Option<f64>, axis: &str) -> Result<Self> {
+        let normal = translation("axis", axis)?;
+        let mut settings = Self::default();
+        for tilt in (3..6).filter(|&tilt| tilt != normal + 3) {
+            settings.axes[tilt] = yielding(ETA_SOFT);
+        }
+        let profile = Profile::Constant;
+        let soft = press.map(|press| strength("press [N]", press)).transpose()?;
+        settings.axes[normal] = Axis { soft, profile, yields: Some(Yields::Both), ..Axis::default() };
+        Ok(settings)
+    }
+
+    /// Presents an object and yields to a person who takes it.
+    ///
+    /// Near the target, translations resist with up to the arm's `firm`, so that the object's weight and an accidental
+    /// touch move little. Once a person has drawn the object 0.05 m away they resist with `soft`. Rotations yield. The
+    /// caller opens the gripper when the deviation shows a pull.
+    pub fn hand_over() -> Self {
+        let [near, far] = TAKEN;
+        let taken = Axis { profile: Profile::Softening, soft_until: Some(near), firm_from: Some(far), ..yielding(0.0) };
+        let turned = yielding(ETA_SOFT);
+        Self { axes: [taken, taken, taken, turned, turned, turned], ..Self::default() }
+    }
+
+    /// Inserts a plug into a hole along `axis`, with a sign (`"-z"`), pushing with at most the force `push` [N] (by
+    /// default the arm's `firm`).
+    ///
+    /// The other translations and the rotations follow the hole by half (η = 0.5). Pulling out may use all of `hold`.
+    ///
+    /// # Errors
+    /// As [`Settings::drawer`].
+    pub fn plug(axis: &str, push: Option<f64>) -> Result<Self> {
+        // The resistance to the insertion pushes the tool in the opposite direction.
+        let (name, resists) = match axis.split_at_checked(1) {
+            Some(("-", name)) => (name, Yields::Plus),
+            Some(("+", name)) => (name, Yields::Minus),
+            _ => (axis, Yields::Minus),
+        };
+        let along = translation("axis", name)?;
+        let mut settings = Self { axes: [yielding(ETA_PLUG); 6], ..Self::default() };
+        settings.axes[along] = capped("push [N]", push, resists)?;
+        Ok(settings)
+    }
+
+    /// A person leads the tool: all axes yield with η = 0.95, and the posture task is a quarter as strong as usual.
+    pub fn hand_guiding() -> Self {
+        Self { axes: [yielding(ETA_GUIDED); 6], null_space: loose(), ..Self::default() }
+    }
+}
+
+fn loose() -> NullSpace {
+    NullSpace { gain: Some(ALPHA_LOOSE), ..NullSpace::default() }
+}
+
+fn yielding(adaptation: f64) -> Axis {
+    Axis { yields: Some(Yields::Both), adaptation, ..Axis::default() }
+}
+
+/// An axis that is as stiff as its servos up to one force, and yields beyond it.
+fn capped(what: &str, most: Option<f64>, yields: Yields) -> Result<Axis> {
+    let [soft_until, firm_from] = FIRM_FROM.map(Some);
+    let axis = Axis { yields: Some(yields), soft_until, firm_from, ..Axis::default() };
+    match most {
+        Some(most) => Ok(Axis { soft: Some(strength(what, most)?), profile: Profile::Constant, ..axis }),
+        None => Ok(axis),
+    }
+}
+
+fn strength(what: &str, value: f64) -> Result<[f64; 2]> {
+    if value > 0.0 && value.is_finite() { Ok([value; 2]) } else { Err(Error::out_of_range(what, value, "(0, ∞)")) }
+}
+
+/// Returns the index of x, y or z.
+fn translation(key: &str, name: &str) -> Result<usize> {
+    AXIS_NAMES[..3].iter().position(|&known| known == name).ok_or_else(|| {
+        Error::config(
+            key,
+            format!("'{name}' is not a direction; use 'x', 'y' or 'z', of a plug with its sign, as in '-z'"),
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_are_valid() {
+        let all = vec![
+            Settings::paper(),
+            Settings::firm(),
+            Settings::door(),
+            Settings::hand_guiding(),
+            Settings::hand_over(),
+            Settings::soft("y yaw").unwrap(),
+            Settings::drawer("x", None).unwrap(),
+            Settings::drawer("y", Some(3.0)).unwrap(),
+            Settings::wipe(None, "z").unwrap(),
+            Settings::plug("-z", Some(10.0)).unwrap(),
+        ];
+        for settings in all {
+            settings.validate().unwrap();
+        }
+        assert!(Settings::soft("q").is_err());
+    }
+
+    #[test]
+    fn directions_and_forces_are_checked_by_name() {
+        let message = |settings: Result<Settings>| settings.unwrap_err().to_string();
+        assert!(message(Settings::drawer("-x", None)).starts_with("axis: '-x' is not a direction"));
+        assert!(message(Settings::plug("-yaw", None)).starts_with("axis: 'yaw' is not a direction"));
+        assert!(message(Settings::plug("ä", None)).starts_with("axis: 'ä' is not a direction"));
+        assert_eq!(message(Settings::wipe(Some(0.0), "z")), "press [N] = 0 is outside (0, ∞)");
+        assert_eq!(message(Settings::plug("-z", Some(f64::NAN))), "push [N] = NaN is outside (0, ∞)");
+    }
+
+    #[test]
+    fn a_plug_is_pushed_in_gently_and_pulled_out_with_all_there_is() {
+        let sides = |axis: &str| Settings::plug(axis, Some(10.0)).unwrap().axes[2].effective_yields();
+        assert_eq!([sides("-z"), sides("z"), sides("+z")], [Yields::Plus, Yields::Minus, Yields::Minus]);
+    }
+}

@@ -1,0 +1,400 @@
+//! Settings, servos and model resolved into the arrays that the control step reads.
+
+use nalgebra::DMatrix;
+
+use crate::error::{Error, Result};
+use crate::kinematics::{joint_targets, target_region};
+use crate::math::spatial::Mat3;
+use crate::model::Model;
+use crate::params::axis_params::{DeviationLimit, Row, deviation_limits, resolve_rows};
+use crate::params::axis_params_simd::RowLanes;
+use crate::params::checks::{check_axes, check_gain, check_gravity, check_kp, check_null_torque};
+use crate::params::pacing::Pace;
+use crate::params::scales::clearance;
+use crate::params::workspace::{self, Surveyed};
+use crate::params::{
+    AXIS_NAMES, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, Projector, ServoArrays, Servos, Settings,
+    impedance, scales,
+};
+use crate::pose::{Pose, TargetRegion};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+
+/// Reach [m] of the arm for which the damping constants were tuned; for other arms they are scaled.
+pub(super) const REFERENCE_REACH: f64 = 0.71;
+
+/// Smallest λ of the redistribution solve, if the settings have no singularity damping.
+const LEAST_TAKEOVER: f64 = 0.05;
+
+/// Largest `K_x h T_e` or `ρ T_e` [s] at which the stiff axes do not oscillate.
+pub(super) const GAIN_DELAY_BOUND: f64 = 0.03;
+
+/// λ of line 7, in the units of the scaled rows.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct DampingPlan {
+    pub(crate) lambda_0: f64,
+    pub(crate) sigma_0: f64,
+    pub(crate) lambda_max: f64,
+}
+
+/// Parts of the null-space cost that depend on the arm alone.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct NullSpaceCost {
+    /// Weight of each joint in `½ Σ w (q − q_rest)²`.
+    pub(crate) posture: JointVec,
+    /// Middle of each joint's range [rad].
+    pub(crate) middle: JointVec,
+    /// `weight / (half range)²`; 0 for continuous joints.
+    pub(crate) limits: JointVec,
+    /// Weight of `−ln √det(JJᵀ)`.
+    pub(crate) manipulability: f64,
+}
+
+/// Constants of all steps.
+#[derive(Debug, Clone)]
+pub(crate) struct Plan {
+    pub(crate) n: usize,
+    pub(crate) k: usize,
+    pub(crate) law: Law,
+    pub(crate) follow: Follow,
+    pub(crate) limits: LimitRule,
+    pub(crate) projector: Projector,
+    pub(crate) budget_on_goal: bool,
+    pub(crate) frame: Frame,
+    /// The task's axes as columns, unless they turn with the tool. Stored also for constant axes: building them in
+    /// registers and storing them would stall the following load.
+    pub(super) fixed_axes: Mat3,
+    /// Axis index of each row.
+    pub(crate) axes: Vec<usize>,
+    pub(crate) rows: [Row; MAX_AXES],
+    /// The axis parameters in vector layout.
+    pub(crate) lanes: RowLanes,
+    pub(crate) pace: Pace,
+    /// Axes with a deviation limit; empty if there are none, which skips that part of the step.
+    pub(crate) deviation_limits: Vec<DeviationLimit>,
+    /// 1 / length for translations, 1 for rotations: makes singular values of mixed rows comparable.
+    pub(crate) row_scale: AxisVec,
+    /// Factor on λ² of each row.
+    pub(crate) damping_scale: AxisVec,
+    pub(crate) kx: [[f64; MAX_AXES]; MAX_AXES],
+    /// Columns of K_q.
+    pub(crate) kq_columns: [JointVec; MAX_JOINTS],
+    /// K_q if it is a scalar.
+    pub(crate) kq_scalar: Option<f64>,
+    /// Factor ≤ 1 on K_x that keeps it within the bound of the present delay.
+    pub(crate) kx_derating: f64,
+    /// Largest ρ of stiffness and of damping [s] of law `impedance` at the present delay; ∞ if the settings accept the
+    /// risk.
+    pub(crate) impedance_bounds: [f64; 2],
+    /// Stiffness of the null-space motion [N·m/rad], instead of α.
+    pub(crate) null_stiffness: Option<f64>,
+    pub(crate) alpha: f64,
+    pub(crate) damping: DampingPlan,
+    /// Damping λ² of the redistribution solve. Uses the near-singular value: without its locked joints the arm often is
+    /// singular.
+    pub(crate) takeover_damping: AxisVec,
+    pub(crate) servos: ServoArrays,
+    pub(crate) cost: NullSpaceCost,
+    /// Rest posture; `None` for q at reset.
+    pub(crate) rest: Option<JointVec>,
+    /// True if a step depends on the singular values of its rows.
+    pub(crate) follows_sigma: bool,
+    /// True if a step uses the gravity torques.
+    pub(crate) heavy: bool,
+    pub(crate) null_torque: f64,
+    pub(crate) null_speed: f64,
+    /// 1 / w of law `paper`'s pseudo-inverse; 1 under the other laws, which weight joints by the servos' stiffness.
+    pub(crate) inverse_weight: JointVec,
+    pub(crate) joint_speed: JointVec,
+    pub(crate) lower: JointVec,
+    pub(crate) upper: JointVec,
+    /// Smallest and largest plausible position readings.
+    pub(crate) readable: [JointVec; 2],
+    /// Smallest and largest joint targets [rad or m].
+    pub(crate) joint_targets: [JointVec; 2],
+    /// Bounds on the tool's target.
+    pub(crate) target_region: TargetRegion,
+    /// Distance by which goals may exceed the position limits [rad]: the lead at the servo's full torque.
+    pub(crate) beyond: JointVec,
+    /// Largest fade of a force-exerting lead per rad that its joint is beyond the limits.
+    pub(crate) stop_slope: f64,
+    /// Distance of a joint to its limit [rad or m] below which the posture task fades; −∞ for never.
+    pub(crate) clearance: JointVec,
+    pub(crate) floor: JointVec,
+    pub(crate) margin: JointVec,
+    /// Largest force on a hand along a translation if the host dies [N].
+    pub(crate) max_host_loss_force: Option<f64>,
+    /// Largest rise of the limits per second; ∞ for no bound.
+    pub(crate) rise: JointVec,
+    /// 1/k_g of the gravity offset.
+    pub(crate) gravity_compliance: JointVec,
+}
+
+impl Plan {
+    pub(crate) fn new(
+        model: &Model,
+        settings: &Settings,
+        servos: Option<&Servos>,
+        captured: bool,
+        surveyed: &mut Surveyed,
+    ) -> Result<Self> {
+        settings.validate()?;
+        let n = model.n();
+        let axes: Vec<usize> = (0..MAX_AXES).filter(|&axis| settings.task.axes[axis]).collect();
+        let k = axes.len();
+        check_axes(settings, k, n)?;
+        let spread = servos.map(|s| s.for_joints(n)).transpose()?;
+        let arrays = ServoArrays::new(n, spread.as_ref(), model.effort_limit());
+        check_gravity(model, settings)?;
+        check_kp(settings, &arrays, model)?;
+        let known = captured || servos.is_some_and(|s| s.stiffness_known);
+        let rows = resolve_rows(model, settings, &arrays, &axes, known, surveyed)?;
+        let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
+        // λ as printed in (3) adds to rows in mixed units; with more axes than joints it must weight them.
+        let as_printed = matches!(settings.tracking.damping, Damping::Fixed(_)) && k <= n;
+        let row_scale = of_translations(&axes, 1.0 / unit);
+        let damping_scale = of_translations(&axes, if as_printed { 1.0 } else { unit * unit });
+        let redundant = k < n;
+        let damping = resolve_damping(model, settings, &axes, unit, surveyed)?;
+        check_null_torque(settings, k, n)?;
+        let kx = settings
+            .tracking
+            .gain
+            .spread("tracking.gain", if matches!(settings.tracking.gain, Gain::Scalar(_)) { MAX_AXES } else { k })?;
+        let kx = compact(&kx, k);
+        let (lower, upper) = (fill(model.lower(), f64::NEG_INFINITY), fill(model.upper(), f64::INFINITY));
+        let posture_lets_go = settings.law.by_force() && redundant;
+        let well_damped = arrays.well_damped(n);
+        let plan = Self {
+            n,
+            k,
+            law: settings.law,
+            follow: settings.effective_follow(),
+            limits: settings.paper_options.limits,
+            projector: settings.null_space.projector,
+            budget_on_goal: settings.paper_options.budget_on_goal,
+            frame: settings.task.frame,
+            fixed_axes: settings.task.frame.base_from_task(&Pose::IDENTITY.rotation),
+            lanes: RowLanes::new(&rows[..k], &damping_scale, &kx),
+            pace: Pace::new(model, settings, &arrays, &axes, surveyed),
+            rows,
+            deviation_limits: deviation_limits(settings, &axes),
+            row_scale,
+            damping_scale,
+            kx,
+            kq_columns: columns(&settings.paper_options.kq.spread("paper_options.kq", n)?),
+            kq_scalar: match settings.paper_options.kq {
+                Gain::Scalar(gain) => Some(gain),
+                _ => None,
+            },
+            kx_derating: 1.0,
+            impedance_bounds: impedance::bounds(settings, settings.delay, well_damped),
+            null_stiffness: settings.null_space.stiffness,
+            alpha: settings.null_space.gain.unwrap_or_else(|| settings.tracking.gain.largest()),
+            takeover_damping: damping_scale.map(|scale| {
+                scale * (damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2))
+            }),
+            heavy: settings.gravity_use() != GravityUse::Off
+                || settings.tracking.integrate > 0.0
+                || settings.torque_limits.max_host_loss_force.is_some(),
+            follows_sigma: scales::follows_sigma(settings, &damping),
+            damping,
+            cost: resolve_cost(model, settings)?,
+            rest: settings
+                .null_space
+                .posture
+                .as_ref()
+                .map(|posture| list("null_space.posture", Some(posture), n, 0.0))
+                .transpose()?,
+            null_torque: settings.null_space.max_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
+            null_speed: settings.null_space.max_speed,
+            inverse_weight: resolve_weight(settings, n)?,
+            joint_speed: resolve_speed(model, settings)?,
+            lower,
+            upper,
+            readable: scales::readable(model),
+            joint_targets: joint_targets(model),
+            target_region: if settings.task.axes[..3].contains(&true) {
+                target_region(model)
+            } else {
+                TargetRegion::ANY
+            },
+            beyond: joints(n, 0.0, |i| beyond(&arrays, i)),
+            stop_slope: gain_bound(well_damped, settings.delay, 1.0 / settings.rate) - 1.0,
+            clearance: if posture_lets_go { clearance(&lower, &upper) } else { [f64::NEG_INFINITY; MAX_JOINTS] },
+            floor: match &settings.torque_limits.floor {
+                Some(floor) => list("torque_limits.floor", Some(floor), n, 0.0)?,
+                None => arrays.friction,
+            },
+            margin: joints(n, 0.0, |i| margin(settings, &arrays, i)),
+            max_host_loss_force: settings.torque_limits.max_host_loss_force,
+            rise: joints(n, f64::INFINITY, |i| rise(settings, &arrays, i)),
+            gravity_compliance: arrays.compliance,
+            servos: arrays,
+            axes,
+        };
+        check_gain(settings, &plan)?;
+        if plan.law == Law::Impedance {
+            impedance::check(model, settings, &plan)?;
+        }
+        Ok(plan)
+    }
+
+    /// Returns the largest K_x h at the present delay.
+    pub(crate) fn gain_bound(&self, delay: f64, period: f64) -> f64 {
+        gain_bound(self.servos.well_damped(self.n), delay, period)
+    }
+
+    /// Returns the largest K_x h in any direction of the task: the largest singular value.
+    pub(crate) fn gain(&self, horizon: f64) -> f64 {
+        horizon * crate::math::svd::singular_values(&DMatrix::from_fn(self.k, self.k, |r, c| self.kx[r][c])).max()
+    }
+
+    /// Sets the factor on K_x that a measured delay [s] requires; law `paper` has no such bound.
+    pub(crate) fn derate(&mut self, delay: f64, settings: &Settings) {
+        let (gain, bound) = (self.gain(settings.paper_options.horizon), self.gain_bound(delay, 1.0 / settings.rate));
+        self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
+        self.impedance_bounds = impedance::bounds(settings, delay, self.servos.well_damped(self.n));
+        self.stop_slope = bound - 1.0;
+        self.pace.derate(settings, delay);
+    }
+}
+
+fn gain_bound(well_damped: bool, delay: f64, period: f64) -> f64 {
+    if well_damped { 3.0 } else { (GAIN_DELAY_BOUND / (delay + 0.5 * period)).clamp(1.0, 3.0) }
+}
+
+/// Returns the lead at a servo's full torque [rad].
+fn beyond(servos: &ServoArrays, i: usize) -> f64 {
+    if servos.has_kp { servos.torque[i] * servos.compliance[i] } else { 0.0 }
+}
+
+/// Returns the margin of a joint's limit above the law's demand [N·m].
+fn margin(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
+    let usable = servos.torque[i];
+    let share = if usable.is_finite() { settings.torque_limits.margin * usable } else { 0.0 };
+    share.max(2.0 * servos.friction[i])
+}
+
+/// Returns the largest rise of a joint's limit [N·m/s].
+fn rise(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
+    if settings.torque_limits.stiffening_time > 0.0 {
+        servos.torque[i] / settings.torque_limits.stiffening_time
+    } else {
+        f64::INFINITY
+    }
+}
+
+fn resolve_weight(settings: &Settings, n: usize) -> Result<JointVec> {
+    let weight = list("paper_options.joint_weights", settings.paper_options.joint_weights.as_deref(), n, 1.0)?;
+    Ok(if settings.law == Law::Paper { weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] })
+}
+
+/// Returns `scale` for rows of translations, 1 for the others.
+fn of_translations(axes: &[usize], scale: f64) -> AxisVec {
+    let mut out = [1.0; MAX_AXES];
+    for (slot, _) in out.iter_mut().zip(axes).filter(|(_, axis)| **axis < 3) {
+        *slot = scale;
+    }
+    out
+}
+
+/// Returns one number for each of `n` joints, then `rest` as padding.
+fn joints(n: usize, rest: f64, of: impl Fn(usize) -> f64) -> JointVec {
+    std::array::from_fn(|i| if i < n { of(i) } else { rest })
+}
+
+fn scale_length(reach: f64) -> f64 {
+    if reach > 0.0 { reach / REFERENCE_REACH } else { 1.0 }
+}
+
+fn compact(full: &[[f64; MAX_AXES]; MAX_AXES], k: usize) -> [[f64; MAX_AXES]; MAX_AXES] {
+    let mut out = [[0.0; MAX_AXES]; MAX_AXES];
+    for r in 0..k {
+        out[r][..k].copy_from_slice(&full[r][..k]);
+    }
+    out
+}
+
+/// Transposes rows of a matrix into columns.
+fn columns(rows: &[JointVec; MAX_JOINTS]) -> [JointVec; MAX_JOINTS] {
+    std::array::from_fn(|i| rows.map(|row| row[i]))
+}
+
+fn resolve_damping(
+    model: &Model,
+    settings: &Settings,
+    axes: &[usize],
+    length: f64,
+    surveyed: &mut Surveyed,
+) -> Result<DampingPlan> {
+    Ok(match settings.tracking.damping {
+        Damping::Fixed(lambda) => DampingPlan { lambda_0: lambda, sigma_0: 0.0, lambda_max: 0.0 },
+        Damping::Adaptive { lambda_0, sigma_0, lambda_max } => DampingPlan { lambda_0, sigma_0, lambda_max },
+        Damping::Auto => {
+            let sigma_0 = 2.0 * surveyed.median_sigma(model, axes, &settings.task.frame, length);
+            if sigma_0 < 1e-6 {
+                let names: Vec<&str> = axes.iter().map(|&axis| AXIS_NAMES[axis]).collect();
+                return Err(Error::config(
+                    "task.axes",
+                    format!(
+                        "this arm cannot move {} independently of each other in most of its poses: take an axis away, \
+                         or choose the damping yourself",
+                        names.join(", ")
+                    ),
+                ));
+            }
+            let sigma_0 = workspace::round_to_two_digits(sigma_0);
+            DampingPlan { lambda_0: workspace::round_to_two_digits(0.13 * sigma_0), sigma_0, lambda_max: sigma_0 }
+        }
+    })
+}
+
+fn resolve_cost(model: &Model, settings: &Settings) -> Result<NullSpaceCost> {
+    let n = model.n();
+    let (mut middle, mut limits) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+    for (i, (&lower, &upper)) in model.lower().iter().zip(model.upper()).enumerate().take(MAX_JOINTS) {
+        if lower.is_finite() && upper.is_finite() {
+            middle[i] = 0.5 * (lower + upper);
+            limits[i] = settings.null_space.limit_avoidance / (0.25 * (upper - lower) * (upper - lower));
+        }
+    }
+    if settings.paper_options.manipulability > 0.0 && model.chain().path != n {
+        return Err(Error::config(
+            "paper_options.manipulability",
+            "not available for a chain with mimic joints: use 0",
+        ));
+    }
+    Ok(NullSpaceCost {
+        posture: list("paper_options.posture_weights", settings.paper_options.posture_weights.as_deref(), n, 1.0)?,
+        middle,
+        limits,
+        manipulability: settings.paper_options.manipulability,
+    })
+}
+
+fn resolve_speed(model: &Model, settings: &Settings) -> Result<JointVec> {
+    if settings.tracking.joint_speed.is_some() {
+        return list("tracking.joint_speed", settings.tracking.joint_speed.as_deref(), model.n(), f64::INFINITY);
+    }
+    let mut out = [f64::INFINITY; MAX_JOINTS];
+    for (slot, speed) in out.iter_mut().zip(model.velocity_limit()) {
+        *slot = speed.unwrap_or(f64::INFINITY);
+    }
+    Ok(out)
+}
+
+fn list(key: &str, values: Option<&[f64]>, n: usize, default: f64) -> Result<JointVec> {
+    match values {
+        None => Ok([default; MAX_JOINTS]),
+        Some(values) if values.len() == n => Ok(fill(values, default)),
+        Some(values) => Err(Error::length(key, values.len(), n)),
+    }
+}
+
+fn fill(values: &[f64], rest: f64) -> JointVec {
+    let mut out = [rest; MAX_JOINTS];
+    for (slot, value) in out.iter_mut().zip(values) {
+        *slot = *value;
+    }
+    out
+}

@@ -1,0 +1,229 @@
+//! Settings of the controller, validated once.
+
+use crate::MAX_AXES;
+use crate::error::{Error, Result};
+use crate::params::{Axis, Compensation, NullSpace, PaperOptions, Task, TorqueLimits, Tracking, parse_axes};
+
+/// Control law.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Law {
+    /// The paper's equations (3)–(12): torque budgets per task axis.
+    Paper,
+    /// Force caps per task axis; the default.
+    #[default]
+    Cap,
+    /// A spring and a damper per task axis, with force caps.
+    Impedance,
+}
+
+impl Law {
+    /// Returns true if strengths are forces at the tool, which requires `k_p`.
+    pub(crate) fn by_force(self) -> bool {
+        self != Self::Paper
+    }
+}
+
+/// Coupling of yielding axes with the inverse kinematics of the stiff ones.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Follow {
+    /// Yielding axes leave the solve and exert exactly their force; the default of law `cap`.
+    Free,
+    /// All axes stay in one solve; the default of law `paper`.
+    Hold,
+}
+
+/// Rule of the laws `cap` and `impedance` for the joint torque limits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LimitRule {
+    /// The law's demand in this step, plus a margin.
+    #[default]
+    Demand,
+    /// The sum over all axes of their largest demands.
+    Sum,
+}
+
+/// Null-space projector.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Projector {
+    /// `I − Jᵀ(JJᵀ + μ²I)⁻¹J` with μ = 0 away from singular poses.
+    #[default]
+    Exact,
+    /// `I − J⁺J` with the damped J⁺, as printed in (4).
+    Paper,
+}
+
+/// Places in which the gravity model is used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum GravityUse {
+    /// In goals and limits.
+    #[default]
+    Both,
+    /// Only as offset of the goals.
+    Goal,
+    /// Only in the limits.
+    Limits,
+    /// Not used, as in the paper.
+    Off,
+}
+
+impl GravityUse {
+    pub(crate) fn in_goal(self) -> bool {
+        matches!(self, Self::Both | Self::Goal)
+    }
+
+    pub(crate) fn in_limits(self) -> bool {
+        matches!(self, Self::Both | Self::Limits)
+    }
+}
+
+/// Damping λ of the inverse.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Damping {
+    /// Derived from the arm: σ₀ = 2 × its median over 512 poses, λ_max = σ₀, λ₀ = 0.13 σ₀; rounded to two digits.
+    #[default]
+    Auto,
+    /// Constant λ.
+    Fixed(f64),
+    /// λ² = λ₀² + (1 − (σ/σ₀)²) λ_max² if σ < σ₀.
+    Adaptive {
+        /// λ away from singular poses.
+        lambda_0: f64,
+        /// σ below which damping grows.
+        sigma_0: f64,
+        /// Increase (in squares) at σ = 0.
+        lambda_max: f64,
+    },
+}
+
+/// Gain K_x [1/s] or K_q: a scalar, one value per axis or joint, or a matrix (row-major).
+#[derive(Debug, Clone, PartialEq)]
+pub enum Gain {
+    /// One value for all.
+    Scalar(f64),
+    /// A diagonal matrix.
+    Diagonal(Vec<f64>),
+    /// A full matrix, one inner vector per row.
+    Matrix(Vec<Vec<f64>>),
+}
+
+impl Gain {
+    /// Expands the gain to an `n × n` matrix in arrays of capacity `N`.
+    pub(crate) fn spread<const N: usize>(&self, key: &str, n: usize) -> Result<[[f64; N]; N]> {
+        let mut out = [[0.0; N]; N];
+        let wrong =
+            |got: String| Error::Shape { what: key.into(), got, expected: format!("a number, ({n},) or ({n}, {n})") };
+        match self {
+            Self::Scalar(k) => (0..n.min(N)).for_each(|i| out[i][i] = *k),
+            Self::Diagonal(d) if d.len() == n => d.iter().enumerate().for_each(|(i, k)| out[i][i] = *k),
+            Self::Diagonal(d) => return Err(wrong(format!("({},)", d.len()))),
+            Self::Matrix(m) if m.len() == n && m.iter().all(|row| row.len() == n) => {
+                for (to, from) in out.iter_mut().zip(m) {
+                    to[..n].copy_from_slice(from);
+                }
+            }
+            Self::Matrix(m) => return Err(wrong(format!("({}, {})", m.len(), m.first().map_or(0, Vec::len)))),
+        }
+        Ok(out)
+    }
+
+    /// Returns all entries.
+    pub(crate) fn values(&self) -> Vec<f64> {
+        match self {
+            Self::Scalar(k) => vec![*k],
+            Self::Diagonal(d) => d.clone(),
+            Self::Matrix(m) => m.iter().flatten().copied().collect(),
+        }
+    }
+
+    /// Returns the largest entry, the default gain of the null-space motion.
+    pub(crate) fn largest(&self) -> f64 {
+        self.values().into_iter().fold(0.0, f64::max)
+    }
+}
+
+/// All settings of a controller. Create them with [`Settings::default`] or a preset and change fields.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// Controlled axes and their frame.
+    pub task: Task,
+    /// Settings of x, y, z, roll, pitch, yaw.
+    pub axes: [Axis; MAX_AXES],
+    /// Control law.
+    pub law: Law,
+    /// Nominal control rate [Hz]: the default `dt` of a step.
+    pub rate: f64,
+    /// Delay T_d [s] from reading to arrival of the goal.
+    pub delay: f64,
+    /// Uses the gravity model in goals and limits.
+    pub gravity: bool,
+    /// Speed limit of the target that the law tracks [m/s, rad/s]; ∞ for no limit. The tool may be faster for a short
+    /// time after it was stuck by friction.
+    pub max_tool_speed: [f64; 2],
+    /// Acceleration of the tool's target [m/s², rad/s²].
+    pub max_tool_acceleration: [f64; 2],
+    /// Accepts an adaptation η above the bound for unknown stiffness.
+    pub accept_high_adaptation: bool,
+    /// Law `impedance`: accepts springs and dampers above the bounds from rate and delay.
+    pub accept_high_stiffness: bool,
+    /// Tracking of the target by the stiff axes.
+    pub tracking: Tracking,
+    /// Motion of the joints that leaves the task unchanged.
+    pub null_space: NullSpace,
+    /// Feed-forward of friction and damping, and prediction over the delay.
+    pub compensation: Compensation,
+    /// Joint torque limits sent to the servos.
+    pub torque_limits: TorqueLimits,
+    /// Options for studies of the law.
+    #[doc(hidden)]
+    pub paper_options: PaperOptions,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            task: Task::default(),
+            axes: [Axis::default(); MAX_AXES],
+            law: Law::Cap,
+            rate: 100.0,
+            delay: 0.0,
+            gravity: true,
+            max_tool_speed: [0.25, 1.0],
+            max_tool_acceleration: [1.0, 4.0],
+            accept_high_adaptation: false,
+            accept_high_stiffness: false,
+            tracking: Tracking::default(),
+            null_space: NullSpace::default(),
+            compensation: Compensation::default(),
+            torque_limits: TorqueLimits::default(),
+            paper_options: PaperOptions::default(),
+        }
+    }
+}
+
+impl Settings {
+    /// Sets the axes that `key` names (see [`parse_axes`]).
+    ///
+    /// # Errors
+    /// [`Error::Config`] for an invalid key.
+    pub fn set_axes(&mut self, key: &str, axis: Axis) -> Result<()> {
+        for (slot, on) in self.axes.iter_mut().zip(parse_axes("axes", key)?) {
+            if on {
+                *slot = axis;
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the coupling of yielding axes, default filled in.
+    pub fn effective_follow(&self) -> Follow {
+        self.paper_options.follow.unwrap_or(match self.law {
+            Law::Cap | Law::Impedance => Follow::Free,
+            Law::Paper => Follow::Hold,
+        })
+    }
+
+    /// Returns the places in which the gravity model is used.
+    pub fn gravity_use(&self) -> GravityUse {
+        if self.gravity { self.paper_options.gravity_use } else { GravityUse::Off }
+    }
+}

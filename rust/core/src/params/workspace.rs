@@ -1,0 +1,249 @@
+//! Medians over the arm's joint space: scales for the defaults.
+
+use nalgebra::DMatrix;
+
+use crate::error::{Error, Result};
+use crate::kinematics::{Frames, Masses};
+use crate::math::halton;
+use crate::math::rows::JointMatrix;
+use crate::math::svd::singular_values;
+use crate::model::Model;
+use crate::params::{Frame, ServoArrays};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
+
+/// Number of poses.
+const POSES: u32 = 512;
+
+/// Number of poses for the time constants of the axes.
+const PERIOD_POSES: usize = 64;
+
+/// Results of a survey of one arm with one set of servos.
+///
+/// A survey takes milliseconds, longer than a step may. The controller caches it, so that a change of settings that
+/// needs the same results costs nothing.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Surveyed {
+    sigma: Option<(Vec<usize>, Frame, f64, f64)>,
+    capacity: Option<(JointVec, [f64; 2])>,
+    periods: Option<(Vec<usize>, Frame, [JointVec; 2], AxisVec)>,
+}
+
+impl Surveyed {
+    /// Returns [`median_sigma`], cached for these axes, frame and length.
+    pub(crate) fn median_sigma(&mut self, model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
+        if let Some((of, within, unit, sigma)) = &self.sigma
+            && of == axes
+            && within == frame
+            && unit.to_bits() == length.to_bits()
+        {
+            return *sigma;
+        }
+        let sigma = median_sigma(model, axes, frame, length);
+        self.sigma = Some((axes.to_vec(), *frame, length, sigma));
+        sigma
+    }
+
+    /// Returns [`squared_periods`], cached for these axes, frame and servos.
+    pub(crate) fn squared_periods(
+        &mut self,
+        model: &Model,
+        servos: &ServoArrays,
+        axes: &[usize],
+        frame: &Frame,
+    ) -> AxisVec {
+        let joints = [servos.kp, servos.armature];
+        if let Some((of, within, with, periods)) = &self.periods
+            && of == axes
+            && within == frame
+            && with.map(|v| v.map(f64::to_bits)) == joints.map(|v| v.map(f64::to_bits))
+        {
+            return *periods;
+        }
+        let periods = squared_periods(model, servos, axes, frame);
+        self.periods = Some((axes.to_vec(), *frame, joints, periods));
+        periods
+    }
+
+    /// Returns [`static_capacity`] with the model's own payload and gravity, cached for these torques.
+    pub(crate) fn static_capacity(&mut self, model: &Model, usable: &JointVec) -> [f64; 2] {
+        if let Some((of, capacity)) = &self.capacity
+            && of.map(f64::to_bits) == usable.map(f64::to_bits)
+        {
+            return *capacity;
+        }
+        let masses = model.chain().masses(model.payload());
+        let capacity = static_capacity(model, usable, &masses, model.gravity_vector());
+        self.capacity = Some((*usable, capacity));
+        capacity
+    }
+}
+
+/// Median over a few poses of `C_jj Λ_jj` [s²] of each task row, with `C = J K_p⁻¹ Jᵀ` and `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`:
+/// the squared time constant of the axis on the servos' springs. Zero if the masses are unknown.
+fn squared_periods(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame) -> AxisVec {
+    let (n, chain) = (model.n(), model.chain());
+    let masses = chain.masses(model.payload());
+    let (mut frames, mut world) = (Frames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
+    let mut inertia: JointMatrix = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+    let mut found: [Vec<f64>; MAX_AXES] = std::array::from_fn(|_| Vec::new());
+    for q in poses(model).take(PERIOD_POSES) {
+        chain.forward(&q, &mut frames);
+        chain.jacobian(&frames, &mut world);
+        chain.mass_matrix(&frames, &masses, &mut inertia);
+        let rows = crate::kinematics::task_rows(&world, &frame.base_from_task(&frames.tool.rotation), axes);
+        let matrix = DMatrix::from_fn(n, n, |i, j| inertia[i][j] + if i == j { servos.armature[i] } else { 0.0 });
+        let Some(factor) = matrix.cholesky() else { continue };
+        for (row, found) in rows.iter().zip(&mut found).take(axes.len()) {
+            let along = DMatrix::from_fn(n, 1, |i, _| row[i]);
+            let mobility = along.dot(&factor.solve(&along));
+            let compliance: f64 = (0..n).map(|i| row[i] * row[i] * servos.compliance[i]).sum();
+            if mobility > 0.0 && (compliance / mobility).is_finite() {
+                found.push(compliance / mobility);
+            }
+        }
+    }
+    found.map(|mut values| median(&mut values))
+}
+
+/// The first 512 Halton points inside the position limits (±π for continuous joints).
+pub(crate) fn poses(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
+    (1..=POSES).map(|index| halton::joints(model.lower(), model.upper(), index))
+}
+
+/// Median over the poses of the smallest singular value of the task rows, with translations divided by `length`.
+///
+/// Uses base axes also for a task in the tool's axes: rows of a full translation or rotation differ by a rotation only,
+/// which does not change the singular values.
+fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
+    let n = model.n();
+    median_over_rows(model, axes, frame, |rows| {
+        let matrix = DMatrix::from_fn(axes.len(), n, |r, i| if axes[r] < 3 { rows[r][i] / length } else { rows[r][i] });
+        singular_values(&matrix).min()
+    })
+}
+
+/// Median over the poses of a function of the task rows.
+pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of: impl Fn(&Rows) -> f64) -> f64 {
+    let mut frames = Frames::default();
+    let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
+    let mut values: Vec<f64> = poses(model)
+        .map(|q| {
+            model.chain().forward(&q, &mut frames);
+            model.chain().jacobian(&frames, &mut world);
+            of(&crate::kinematics::task_rows(&world, &frame.base_from_task(&frames.tool.rotation), axes))
+        })
+        .collect();
+    median(&mut values)
+}
+
+/// Median static capacity of the arm: the force [N] and the torque [N·m] that its joint torques can hold, over the
+/// poses, the three base axes and both signs: `min_i (usable_i + s_i g_i) / |J_ji|`.
+fn static_capacity(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> [f64; 2] {
+    let mut frames = Frames::default();
+    let mut world: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+    let mut holding = [0.0; MAX_JOINTS];
+    let (mut forces, mut moments) = (Vec::new(), Vec::new());
+    for q in poses(model) {
+        model.chain().forward(&q, &mut frames);
+        model.chain().jacobian(&frames, &mut world);
+        model.chain().gravity(&frames, masses, gravity, &mut holding);
+        for (axis, row) in world.iter().enumerate() {
+            for sign in [-1.0, 1.0] {
+                let capacity = least_capacity(row, sign, usable, &holding, model.n());
+                if capacity.is_finite() {
+                    (if axis < 3 { &mut forces } else { &mut moments }).push(capacity);
+                }
+            }
+        }
+    }
+    [median(&mut forces), median(&mut moments)]
+}
+
+/// Refuses an arm that its servos cannot hold in any of the poses: a mass in grams, or wrong servo data.
+pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> Result<()> {
+    let (mut frames, mut holding) = (Frames::default(), [0.0; MAX_JOINTS]);
+    // Pose with the smallest maximum of torque / usable torque, and the joint with this maximum.
+    let mut best = (f64::INFINITY, 0, 0.0);
+    for q in poses(model) {
+        model.chain().forward(&q, &mut frames);
+        model.chain().gravity(&frames, masses, gravity, &mut holding);
+        let mut worst = (0.0, 0, 0.0);
+        for i in 0..model.n() {
+            let share = holding[i].abs() / usable[i];
+            if share > worst.0 {
+                worst = (share, i, holding[i].abs());
+            }
+        }
+        if worst.0 < best.0 {
+            best = worst;
+        }
+        if best.0 <= 1.0 {
+            return Ok(());
+        }
+    }
+    let (share, joint, torque) = best;
+    let name = model.joint_names().get(joint).map_or("", String::as_str);
+    Err(Error::out_of_range(
+        format!("torque that holds the arm at joint {name} [N·m]"),
+        torque,
+        format!(
+            "±{} even in the best of {POSES} poses ({share:.1} times too much): check masses [kg], payload [kg] and the \
+             servos' torque [N·m]",
+            usable[joint]
+        ),
+    ))
+}
+
+fn least_capacity(row: &JointVec, sign: f64, usable: &JointVec, holding: &JointVec, n: usize) -> f64 {
+    let largest = row.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
+    let mut least = f64::INFINITY;
+    for i in 0..n.min(MAX_JOINTS) {
+        let a = row[i] * sign;
+        if a.abs() > 1e-9 * largest {
+            least = least.min((usable[i] + a.signum() * holding[i]) / a.abs());
+        }
+    }
+    least
+}
+
+/// A value rounded to two significant digits: 0.1465 → 0.15.
+pub(crate) fn round_to_two_digits(value: f64) -> f64 {
+    if !(value > 0.0 && value.is_finite()) {
+        return 0.0;
+    }
+    let step = 10.0_f64.powf(value.log10().floor() - 1.0);
+    (value / step).round() * step
+}
+
+/// A value rounded to halves of its leading decade: 4.03 → 4, 15.1 → 15, 0.948 → 0.95.
+pub(crate) fn round_to_halves(value: f64) -> f64 {
+    if !(value > 0.0 && value.is_finite()) {
+        return 0.0;
+    }
+    let step = 0.5 * 10.0_f64.powf(value.log10().floor());
+    (value / step).round() * step
+}
+
+pub(crate) fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len() {
+        0 => 0.0,
+        len if len % 2 == 1 => values[len / 2],
+        len => 0.5 * (values[len / 2 - 1] + values[len / 2]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounding() {
+        for (value, rounded) in [(4.03, 4.0), (15.1, 15.0), (0.948, 0.95), (40.3, 40.0), (3.555, 3.5), (0.0, 0.0)] {
+            assert!((round_to_halves(value) - rounded).abs() < 1e-12);
+        }
+        for (value, rounded) in [(0.1465, 0.15), (0.0195, 0.02), (12.3, 12.0), (0.0, 0.0)] {
+            assert!((round_to_two_digits(value) - rounded).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,377 @@
+//! Reference governor: bounds speed and acceleration of the tool's target.
+
+use crate::math::rotation::{rotation_matrix, rotation_matrix_by};
+use crate::math::simd::Arithmetic;
+use crate::pose::Pose;
+use crate::task::{pose_error, pose_error_by};
+
+/// Distance to the reference [m, rad] above which a target counts as a jump.
+const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
+
+/// Deceleration with which a reference stops to wait [m/s², rad/s²]. An abrupt stop would shake the arm.
+const BRAKE: [f64; 2] = [3.0, 12.0];
+
+/// Trace of a rotation by the second value of `LEFT_BEHIND`, 1 + 2 cos.
+const TRACE_LEFT_BEHIND: f64 = 2.960_133_155_682_483;
+
+/// Reference pose between the start and the target, with its velocity; bounded in speed and acceleration.
+///
+/// Small enough to be copied without a call to memcpy.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Governor {
+    pub(crate) pose: Pose,
+    /// Linear [m/s] and angular [rad/s], base axes; zero if no speed limit is set.
+    pub(crate) velocity: [f64; 6],
+    /// Target of the last step and its speed [m/s, rad/s].
+    pub(crate) target: Pose,
+    pub(crate) target_speed: [f64; 2],
+}
+
+impl Governor {
+    /// Creates a reference at rest in `pose`.
+    pub(crate) fn new(pose: Pose) -> Self {
+        Self { pose, velocity: [0.0; 6], target: pose, target_speed: [0.0; 2] }
+    }
+
+    /// The reference.
+    pub(crate) fn pose(&self) -> Pose {
+        self.pose
+    }
+
+    /// Sets the reference and its velocity (6,), base axes.
+    pub(crate) fn put(&mut self, pose: Pose, velocity: [f64; 6]) {
+        (self.pose, self.velocity) = (pose, velocity);
+    }
+
+    /// Returns whether the reference is at the target of the last step: position, rotation.
+    #[inline(always)]
+    pub(crate) fn arrived(&self) -> [bool; 2] {
+        let (mut position, mut rotation) = (0, 0);
+        for i in 0..3 {
+            position |= self.pose.position[i].to_bits() ^ self.target.position[i].to_bits();
+            for j in 0..3 {
+                rotation |= self.pose.rotation[i][j].to_bits() ^ self.target.rotation[i][j].to_bits();
+            }
+        }
+        [position == 0, rotation == 0]
+    }
+
+    /// Returns whether the target is farther than [`LEFT_BEHIND`] from the reference: position, rotation. False if
+    /// `speed` is infinite, since the reference then equals the target.
+    #[inline(always)]
+    pub(crate) fn behind(&self, speed: [f64; 2]) -> [bool; 2] {
+        let (mut squared, mut trace) = (0.0, 0.0);
+        for i in 0..3 {
+            squared += (self.target.position[i] - self.pose.position[i]).powi(2);
+            for j in 0..3 {
+                trace += self.target.rotation[i][j] * self.pose.rotation[i][j];
+            }
+        }
+        [squared > LEFT_BEHIND[0].powi(2) && speed[0].is_finite(), trace < TRACE_LEFT_BEHIND && speed[1].is_finite()]
+    }
+
+    /// Takes back `share` of the motion along the deviation `lag` (6,), base axes, that the last step, from `before`,
+    /// made. Decelerates with at most [`BRAKE`], plus the `acceleration` that the step may have applied.
+    ///
+    /// Motion sideways and backward is unchanged: an arm that is pressed against an object slides along it, and an arm
+    /// that lags is not pulled further. Nothing is taken back while the target is near: an arm whose target lies
+    /// slightly inside an object shall press on it.
+    pub(crate) fn wait(
+        &mut self,
+        before: &Pose,
+        lag: &[f64; 6],
+        share: f64,
+        [speed, acceleration]: [[f64; 2]; 2],
+        dt: f64,
+    ) {
+        let (mut moved, behind) = (pose_error(before, &self.pose), self.behind(speed));
+        for b in 0..2 {
+            let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
+            let (d, m) = (part(lag), part(&moved));
+            let gained = d[0] * m[0] + d[1] * m[1] + d[2] * m[2];
+            let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+            // A lag whose square underflows counts as zero; dividing by it is not possible.
+            if !behind[b] || gained <= 0.0 || squared < f64::MIN_POSITIVE {
+                continue;
+            }
+            let most = (share * gained / squared).min((BRAKE[b] + acceleration[b]) * dt * dt / squared.sqrt());
+            for i in 0..3 {
+                moved[3 * b + i] -= most * d[i];
+                self.velocity[3 * b + i] -= most * d[i] / dt;
+            }
+            if b == 0 {
+                self.pose.position = along(&before.position, 1.0, &part(&moved));
+            } else {
+                self.pose.rotation = orthonormal(&multiply(&rotation_matrix(part(&moved)), &before.rotation));
+            }
+        }
+    }
+
+    /// Velocity of the reference itself (6,), base axes.
+    pub(crate) fn own_velocity(&self) -> [f64; 6] {
+        self.velocity
+    }
+
+    /// Velocity of the reference (6,), base axes: the target's `twist` once the reference has reached it, within
+    /// `speed`.
+    pub(crate) fn velocity(&self, twist: &[f64; 6], speed: [f64; 2]) -> [f64; 6] {
+        let mut out = self.velocity;
+        for (block, (&arrived, &most)) in self.arrived().iter().zip(&speed).enumerate() {
+            if arrived {
+                let from = 3 * block;
+                let bounded = within([twist[from], twist[from + 1], twist[from + 2]], most);
+                out[from..from + 3].copy_from_slice(&bounded);
+            }
+        }
+        out
+    }
+
+    /// Moves the reference toward `target` for `dt` [s] and returns it.
+    ///
+    /// A target that moves within the bounds is passed through unchanged. Otherwise translation and rotation each
+    /// follow it and brake so that they can stop at it, v ≤ √(2 a d). An infinite speed passes every target through.
+    #[inline(always)]
+    pub(crate) fn follow<A: Arithmetic<Real = f64>>(
+        &mut self,
+        target: &Pose,
+        speed: [f64; 2],
+        acceleration: [f64; 2],
+        dt: f64,
+    ) -> Pose {
+        if speed.iter().all(|most| most.is_infinite()) {
+            *self = Self::new(*target);
+            return *target;
+        }
+        let moved = pose_error_by::<A>(&self.target, target);
+        let e = if self.arrived() == [true; 2] { moved } else { pose_error_by::<A>(&self.pose, target) };
+        let mut blocks = [([0.0; 3], true); 2];
+        for (b, block) in blocks.iter_mut().enumerate() {
+            let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
+            let (own, fast) = target_velocity(part(&moved), speed[b], dt);
+            // The reference may brake as hard as its target does, so that it does not overshoot.
+            let braked = (self.target_speed[b] - fast).max(0.0);
+            self.target_speed[b] = fast;
+            *block = approach(part(&e), part(&self.velocity), own, speed[b], [acceleration[b], braked], dt);
+        }
+        let [(linear, at_position), (angular, at_rotation)] = blocks;
+        self.target = *target;
+        if at_position {
+            self.pose.position = target.position;
+        } else {
+            for i in 0..3 {
+                self.pose.position[i] += linear[i] * dt;
+            }
+        }
+        if at_rotation {
+            self.pose.rotation = target.rotation;
+        } else {
+            let turn = rotation_matrix_by::<A>([angular[0] * dt, angular[1] * dt, angular[2] * dt]);
+            self.pose.rotation = orthonormal(&multiply(&turn, &self.pose.rotation));
+        }
+        self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];
+        self.pose
+    }
+}
+
+/// Velocity of a target that moved by `moved` in `dt`, and its norm; zero for a jump, which is faster than `speed`.
+#[inline(always)]
+fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
+    let velocity = along(&[0.0; 3], 1.0 / dt, &moved);
+    let size = norm(velocity);
+    if size <= speed { (velocity, size) } else { ([0.0; 3], 0.0) }
+}
+
+/// Velocity of the next period toward a point at distance `d` that moves with `own`, and whether it is reached in this
+/// period.
+///
+/// `most` holds the acceleration and an additional change of velocity allowed in this period.
+#[inline(always)]
+fn approach(d: [f64; 3], v: [f64; 3], own: [f64; 3], speed: f64, most: [f64; 2], dt: f64) -> ([f64; 3], bool) {
+    if !speed.is_finite() {
+        return ([0.0; 3], true);
+    }
+    // A speed limit that is lowered during motion takes effect at once.
+    let v = within(v, speed);
+    let behind = along(&d, -dt, &own);
+    let distance = norm(behind);
+    // Speed from which `periods` of braking end exactly at the point: the discrete √(2 a d). Clamp ∞ to f64::MAX: 0 · ∞
+    // would be NaN.
+    let step = (most[0] * dt).min(f64::MAX);
+    let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
+    let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);
+    let closing = if distance > 0.0 { braking / distance } else { 0.0 };
+    let wanted = within(along(&own, closing, &behind), speed);
+    let change = within(along(&wanted, -1.0, &v), step + most[1]);
+    let next = along(&v, 1.0, &change);
+    let miss = along(&d, -dt, &next);
+    (next, norm(miss) <= 1e-12 + 1e-9 * norm(d))
+}
+
+/// Scales `v` to a norm of at most `most`.
+#[inline(always)]
+fn within(v: [f64; 3], most: f64) -> [f64; 3] {
+    // Compute the root only if the vector is too long.
+    let squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+    if squared > most * most { along(&[0.0; 3], most / squared.sqrt(), &v) } else { v }
+}
+
+/// `a + s b`.
+#[inline(always)]
+fn along(a: &[f64; 3], s: f64, b: &[f64; 3]) -> [f64; 3] {
+    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
+}
+
+#[inline(always)]
+fn norm(v: [f64; 3]) -> f64 {
+    (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt()
+}
+
+fn multiply(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    let mut out = [[0.0; 3]; 3];
+    for i in 0..3 {
+        for j in 0..3 {
+            out[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j];
+        }
+    }
+    out
+}
+
+/// One step of the iteration `R (3 I − RᵀR) / 2`, which keeps a product of many rotations orthonormal.
+fn orthonormal(r: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    let mut correction = [[0.0; 3]; 3];
+    for i in 0..3 {
+        for j in 0..3 {
+            let dot = r[0][i] * r[0][j] + r[1][i] * r[1][j] + r[2][i] * r[2][j];
+            correction[i][j] = if i == j { 1.5 - 0.5 * dot } else { -0.5 * dot };
+        }
+    }
+    multiply(r, &correction)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::simd::Plain;
+
+    #[test]
+    fn speed_and_acceleration_stay_bounded_and_the_target_is_reached_exactly() {
+        let target = Pose { position: [0.3, -0.2, 0.1], rotation: rotation_matrix([0.3, 1.0, -0.4]) };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        let mut before = [0.0; 6];
+        for tick in 0..400 {
+            let pose = governor.follow::<Plain>(&target, [0.25, 1.0], [1.0, 4.0], 0.01);
+            let v = governor.velocity;
+            let linear = norm([v[0], v[1], v[2]]);
+            let angular = norm([v[3], v[4], v[5]]);
+            assert!(linear <= 0.25 + 1e-12 && angular <= 1.0 + 1e-12, "tick {tick}: {linear} {angular}");
+            let change = norm([v[0] - before[0], v[1] - before[1], v[2] - before[2]]);
+            assert!(change <= 0.01 + 1e-12, "tick {tick}: {change} m/s in one tick");
+            before = v;
+            if tick == 399 {
+                assert_eq!(pose, target);
+                assert!(linear < 1e-9 && angular < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn a_lowered_speed_holds_at_once_and_a_caught_target_has_its_own_velocity() {
+        let far = Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        for _ in 0..100 {
+            governor.follow::<Plain>(&far, [1.0, 1.0], [2.0, 4.0], 0.01);
+        }
+        let before = governor.pose.position[0];
+        let after = governor.follow::<Plain>(&far, [0.1, 1.0], [2.0, 4.0], 0.01).position[0];
+        assert!(after - before <= 0.1 * 0.01 + 1e-15);
+        let twist = [0.3, 0.4, 0.0, 0.1, 0.0, 0.0];
+        let velocity = governor.velocity(&twist, [0.1, 1.0]);
+        assert!((velocity[0] - 0.1).abs() < 1e-12 && velocity[1].abs() < 1e-12 && (velocity[3] - 0.1).abs() < 1e-15);
+        assert_eq!(Governor::new(far).velocity(&twist, [0.25, 1.0])[..2], [0.15, 0.2]);
+    }
+
+    #[test]
+    fn a_slow_target_is_passed_on_as_it_is_and_not_run_past() {
+        let at = |t: f64| Pose { position: [0.1 * t.min(1.0), 0.0, 0.0], ..Pose::IDENTITY };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        for tick in 1..200 {
+            let target = at(f64::from(tick) * 0.01);
+            let x = governor.follow::<Plain>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
+            assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
+            // From rest the reference needs 0.1 s to reach the target's speed, and more time to catch up.
+            assert!(tick < 40 || (x - target.position[0]).abs() < 1e-9, "tick {tick}: {x}");
+        }
+    }
+
+    #[test]
+    fn a_reference_waits_for_an_arm_that_lags_but_not_sideways_nor_back() {
+        let far = |x: f64, y: f64| Pose { position: [x, y, 0.0], rotation: rotation_matrix([0.0, 0.0, 0.2 * x]) };
+        let (speed, lag) = ([0.25, 1.0], [0.02, 0.0, 0.0, 0.0, 0.0, 0.1]);
+        let bounds = [speed, [1.0, 4.0]];
+        let gone = |target: &Pose, share: f64| {
+            let mut governor = Governor::new(Pose::IDENTITY);
+            for _ in 0..50 {
+                let before = governor.pose;
+                governor.follow::<Plain>(target, speed, [1.0, 4.0], 0.01);
+                governor.wait(&before, &lag, share, bounds, 0.01);
+            }
+            governor
+        };
+        let waiting = gone(&far(5.0, 0.0), 1.0);
+        assert!(norm(waiting.pose.position) < 1e-12 && pose_error(&Pose::IDENTITY, &waiting.pose)[5].abs() < 1e-12);
+        assert!(waiting.velocity.iter().all(|v| v.abs() < 1e-9) && waiting.arrived() == [false; 2]);
+        let sideways = gone(&far(0.0, 5.0), 1.0).pose.position;
+        assert!(sideways[1] > 0.08 && sideways[0].abs() < 1e-12);
+        let (free, back) = (gone(&far(-5.0, 0.0), 0.0), gone(&far(-5.0, 0.0), 1.0));
+        assert_eq!((free.pose, free.velocity), (back.pose, back.velocity));
+        let half = gone(&far(5.0, 0.0), 0.5).pose.position[0];
+        assert!(half > 1e-4 && half < 0.5 * -free.pose.position[0]);
+    }
+
+    #[test]
+    fn a_reference_that_begins_to_wait_brakes_within_its_bound_until_it_stands() {
+        let (far, lag) = (Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY }, [0.02, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        for acceleration in [0.05, 1.0, 20.0] {
+            let bounds = [[0.25, 1.0], [acceleration, 4.0]];
+            let mut governor = Governor::new(Pose::IDENTITY);
+            for _ in 0..600 {
+                governor.follow::<Plain>(&far, bounds[0], bounds[1], 0.01);
+            }
+            let (from, mut speed) = (governor.pose.position[0], governor.velocity[0]);
+            assert!((speed - 0.25).abs() < 1e-12);
+            for tick in 0..12 {
+                let before = governor.pose;
+                governor.follow::<Plain>(&far, bounds[0], bounds[1], 0.01);
+                governor.wait(&before, &lag, 1.0, bounds, 0.01);
+                let now = governor.velocity[0];
+                let most = (BRAKE[0] + acceleration) * 0.01 + 1e-12;
+                assert!((-1e-12..=most).contains(&(speed - now)), "tick {tick}: {speed} {now}");
+                assert!((governor.pose.position[0] - before.position[0] - now * 0.01).abs() < 1e-12);
+                speed = now;
+            }
+            let way = governor.pose.position[0] - from;
+            assert!(
+                speed.abs() < 1e-12 && way < 0.25 * 0.25 / (2.0 * BRAKE[0]) + 0.0025,
+                "{acceleration}: {speed} {way}"
+            );
+        }
+    }
+
+    #[test]
+    fn an_infinite_acceleration_is_at_the_speed_at_once_and_stops_at_the_target() {
+        let target = Pose { position: [0.1, 0.0, 0.0], ..Pose::IDENTITY };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        for tick in 1..60 {
+            let x = governor.follow::<Plain>(&target, [0.25, 1.0], [f64::INFINITY; 2], 0.01).position[0];
+            let expected = (0.0025 * f64::from(tick)).min(0.1);
+            assert!((x - expected).abs() < 1e-12, "tick {tick}: {x} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn an_infinite_speed_hands_the_target_through() {
+        let target = Pose { position: [3.0, 0.0, 0.0], ..Pose::IDENTITY };
+        let mut governor = Governor::new(Pose::IDENTITY);
+        assert_eq!(governor.follow::<Plain>(&target, [f64::INFINITY; 2], [1.0, 4.0], 0.01), target);
+    }
+}

@@ -1,0 +1,135 @@
+"""Programs that do not come back: a thread brings the arm down in their place."""
+
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from bare_arm import bare_arm
+
+import pliant
+from pliant.arm._messages import MESSAGES
+from pliant.arm._supervisor import Supervisor
+
+
+def until(condition):
+    """Compute without pause until a condition holds: a program that has lost itself."""
+    rounds = 0
+    while not condition():
+        rounds += 1
+    return rounds
+
+
+def test_silence_is_noticed_once_and_told_at_the_next_call():
+    left = []
+    supervisor = Supervisor(lambda: left.append(sys.getswitchinterval()))
+    usual = sys.getswitchinterval()
+    with supervisor.supervised(0.05) as check:
+        for _ in range(5):
+            with supervisor:
+                assert not left
+        until(lambda: left)
+        with supervisor.exclusive():
+            pass
+        with pytest.raises(pliant.ServoTimeoutError, match="did not come back"):
+            check()
+        with pytest.raises(pliant.ServoTimeoutError, match=r"enable\(\) starts anew"), supervisor:
+            pass
+    assert len(left) == 1
+    assert left[0] <= 1e-4 < usual == sys.getswitchinterval()
+
+
+def test_nobody_is_watched_outside_a_loop_or_in_simulated_time(make, grasp):
+    MESSAGES.start()
+    before = threading.active_count()
+    with make() as arm:
+        for tick in pliant.Loop(arm, duration=0.05):
+            tick.skip()
+            assert threading.active_count() == before
+    supervisor = Supervisor(lambda: None)
+    with supervisor.supervised(10.0):
+        assert threading.active_count() == before + 1
+    assert supervisor.reason is None
+
+
+def test_errors_of_the_bus_are_kept_for_the_program():
+    def leave():
+        raise pliant.ServoError("unplugged")
+
+    supervisor = Supervisor(leave)
+    with supervisor.supervised(0.02):
+        until(lambda: supervisor.reason is not None and "unplugged" in supervisor.reason)
+    with pytest.raises(pliant.ServoTimeoutError, match="unplugged"), supervisor:
+        pass
+
+
+def test_any_exception_is_kept_for_the_program():
+    def leave():
+        raise ZeroDivisionError("a bug")
+
+    supervisor = Supervisor(leave)
+    with supervisor.supervised(0.02):
+        until(lambda: supervisor.reason is not None and "a bug" in supervisor.reason)
+    with pytest.raises(pliant.ServoTimeoutError, match="a bug"), supervisor:
+        pass
+
+
+def test_an_exception_does_not_end_the_watch_and_dismissal_does():
+    left = []
+    supervisor = Supervisor(lambda: left.append(1))
+    with pytest.raises(KeyError), supervisor.supervised(0.02):
+        raise KeyError("policy")
+    until(lambda: left)
+    supervisor.reason = None
+    with pytest.raises(KeyError), supervisor.supervised(0.05):
+        raise KeyError("policy")
+    supervisor.end_supervision()
+    time.sleep(0.2)
+    assert left == [1]
+
+
+def test_an_exit_waits_for_a_descent_and_limp_ends_it():
+    order = []
+
+    def leave():
+        order.append("begins")
+        supervisor.abort.wait(10.0)
+        order.append("ends")
+
+    supervisor = Supervisor(leave)
+    with supervisor.supervised(0.02):
+        until(lambda: order)
+        with supervisor.exclusive(at_once=True):
+            order.append("exit")
+    assert order == ["begins", "ends", "exit"]
+
+
+@pytest.mark.parametrize("busy", [True, pytest.param(False, marks=pytest.mark.full)])
+def test_an_arm_in_real_time_comes_down_without_its_program(busy):
+    arm = bare_arm("koch", real_time=True, comm_timeout=0.1, dt=0.005, signals=False)
+    plant, speeds = arm.drive.plant, []
+    arm.open()
+    plant.reset(np.array([0.0, 0.3, -0.3, 0.3, 0.0]))
+    height = plant.tool[2, 3]
+
+    def run():
+        with arm:
+            for tick in pliant.Loop(arm):
+                tick.skip()
+                if tick.index == 5:
+                    arm.clock.on_tick = lambda: speeds.append(
+                        np.linalg.norm(plant.truth.frame("tool").twist()[:3])
+                    )
+                    if busy:
+                        until(lambda: not arm.enabled)
+                    else:
+                        while arm.enabled:
+                            time.sleep(0.05)
+                    arm.read()
+
+    with pytest.raises(pliant.ServoTimeoutError, match="did not come back"):
+        run()
+    assert not arm.drive.enabled.any()
+    assert plant.tool[2, 3] < height - 0.02
+    assert max(speeds) < 0.18
