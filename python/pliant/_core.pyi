@@ -2608,6 +2608,9 @@ class Lowering:
             ShapeError: `q` or `ok` does not have n entries; nothing has changed.
         """
 
+#: Holding torque over gravity torque, wherever an arm is held without a controller.
+SUPPORT: Final[float]
+
 def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
     """Return the torque margin (n,) [N m] of joints over their gravity torque (n,) [N m]."""
 

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ServoError, ServoTimeoutError
+from pliant._core import SUPPORT, ServoError, ServoTimeoutError, torque_margin
 from pliant.arm._checks import outside
 from pliant.arm._io import EASE
-from pliant.arm.lowering import SUPPORT, margin
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -199,7 +198,7 @@ def transfer_weight(io: ArmIO, start_q: Array, taken: NDArray[np.bool_], rate: f
         # A joint that sank earlier is held by the stiffness of its servo.
         found = np.where(shrinking & (lead == 0.0) & (away > 0.5 * still), 0.0, found)
         known = np.isfinite(found) | (lead == 0.0)
-        spare = np.where(known | trusted, margin(servos, weight), 0.5 * friction)
+        spare = np.where(known | trusted, torque_margin(servos, weight), 0.5 * friction)
         firm = np.abs(weight) + spare
         firm = np.where(
             taken, first + min(passed / STAY, 1.0) * np.maximum(firm - first, 0.0), firm

@@ -94,6 +94,7 @@ mod _core {
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let py = module.py();
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        module.add("SUPPORT", pliant_core::arm::SUPPORT)?;
         crate::convert::initialise(py)?;
         crate::error::register(module)?;
         crate::pickle::register(module)?;

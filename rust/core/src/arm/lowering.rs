@@ -26,7 +26,7 @@ use crate::params::Servos;
 use crate::{JointVec, MAX_JOINTS};
 
 /// Holding torque over gravity torque.
-const SUPPORT: f64 = 1.1;
+pub const SUPPORT: f64 = 1.1;
 /// Largest speed of the arm's points during a descent [m/s].
 pub const DEFAULT_SPEED: f64 = 0.15;
 

@@ -12,7 +12,7 @@ use crate::model::Model;
 use crate::{JointVec, MAX_JOINTS};
 
 pub use hand_guiding::{HandGuiding, HandGuidingOptions, SwingResult};
-pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, torque_margin};
+pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, SUPPORT, torque_margin};
 pub use thermal::{ThermalModel, ThermalOptions};
 
 /// Copies n finite numbers.
