@@ -20,7 +20,7 @@ import numpy as np
 
 import pliant
 from pliant.arm.arm import Arm
-from pliant.identify.rig import Rig
+from pliant.identify._excitation import Excitation
 from pliant.sim import Plant
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from experiments.conditions import Conditions
     from pliant.sim.friction import Friction
 
-#: Drawn at random: only a difference from the other side is asked for.
+#: Random value: it only has to differ from the other side.
 DRAWN = float("nan")
-#: Relative difference below which two numbers are one.
+#: Relative difference below which two numbers are equal.
 SAME = 1e-6
 
 
@@ -63,13 +63,13 @@ NUMBERS = ("kp", "friction", "damping", "torque", "payload", "delay", "reach")
 
 
 def differs(plant: ArrayLike, assumed: ArrayLike) -> bool:
-    """Whether two numbers, or some entries of two arrays, are different ones."""
+    """Return True if two numbers, or some entries of two arrays, differ."""
     one, other = np.broadcast_arrays(np.asarray(plant, float), np.asarray(assumed, float))
     return not np.allclose(one, other, rtol=SAME, atol=SAME)
 
 
 def under(conditions: Conditions) -> Mismatch:
-    """Hold what is made in a block to the mismatch of these conditions; they must have one."""
+    """Hold what is made in a block to the mismatch of these conditions, which must have one."""
     delay = sum(conditions.delay) / conditions.rate
     plant = Parameters(delay=delay, gears=conditions.gears)
     share = conditions.believed
@@ -79,18 +79,18 @@ def under(conditions: Conditions) -> Mismatch:
 
 
 class Mismatch:
-    """Builds plant and assumptions apart, and holds what is made in its block to them.
+    """Builds plant and assumptions apart, and checks the objects made in its block against them.
 
     Attributes:
         plant, assumed: The two sides.
-        plants, consumers: What was made in the block: plants; controllers, arms and the rigs of
-            identification and float mode.
+        plants, consumers: Objects made in the block: plants; controllers, arms and the rigs of
+            identification and hand guiding.
     """
 
     def __init__(
         self, *, plant: Parameters, assumed: Parameters, compared: tuple[str, ...] = NUMBERS
     ) -> None:
-        """State both; `compared`: the numbers that can be read, all but behind emulated servos.
+        """State both sides; `compared`: the readable numbers, all except behind emulated servos.
 
         Raises:
             AssertionError: They are equal.
@@ -106,7 +106,7 @@ class Mismatch:
     def build(
         self, model: pliant.Model, servos: pliant.Servos | None = None, **options: Any
     ) -> Plant:
-        """Make the plant; `options` of `Plant` beside those that are stated."""
+        """Make the plant; `options` of `Plant` in addition to the stated parameters."""
         side = self.plant
         if side.payload:
             options.setdefault("payload", (side.payload, (0.0, 0.0, 0.0)))
@@ -124,7 +124,7 @@ class Mismatch:
         return made
 
     def servos(self, model: pliant.Model) -> pliant.Servos:
-        """Servo table that is assumed."""
+        """Return the assumed servo table."""
         side, table = self.assumed, model.servos
         return table.replace(
             kp=np.multiply(side.kp, table.kp),
@@ -134,23 +134,27 @@ class Mismatch:
         )
 
     def __enter__(self) -> Mismatch:
-        """Record from now on."""
-        for cls, made in ((Plant, self.plants), (Arm, self.consumers), (Rig, self.consumers)):
+        """Start to record."""
+        for cls, made in (
+            (Plant, self.plants),
+            (Arm, self.consumers),
+            (Excitation, self.consumers),
+        ):
             self._stack.enter_context(patch.object(cls, "__init__", _recorded(cls, made)))
         self._stack.enter_context(patch.object(pliant, "Controller", _recorder(self.consumers)))
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        """Compare, unless something was raised."""
+        """Compare, unless an exception was raised."""
         self._stack.close()
         if kind is None:
             self.check()
 
     def check(self, *consumers: Any) -> None:
-        """Compare plants and consumers, also those named here, with what was stated.
+        """Compare plants and consumers, also those named here, with the statement.
 
         Raises:
-            AssertionError: One is not as stated, or there is no pair.
+            AssertionError: One differs from the statement, or there is no pair.
         """
         pairs = [
             (plant, consumer)
@@ -213,20 +217,20 @@ def _of_consumer(consumer: Any, plant: Plant) -> dict[str, Any]:
 
 
 def _chain(column: ArrayLike, n: int) -> np.ndarray:
-    """Entries of the chain's joints (n,); an arm's table has those of its gripper after them."""
+    """Return the entries of the chain's joints (n,); an arm's table appends its gripper's."""
     values = np.asarray(column, dtype=float)
     return values[:n] if values.size > n else np.broadcast_to(values, n)
 
 
 def _over(one: ArrayLike, other: ArrayLike) -> np.ndarray:
-    """Ratio, 1 where both are equal, as 0 and 0 or two infinities are."""
+    """Return the ratio; 1 where both are equal, such as 0 and 0 or two infinities."""
     one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     ratio = np.ones(np.broadcast_shapes(one.shape, other.shape))
     return np.divide(one, other, out=ratio, where=(one != other) & (other != 0.0))
 
 
 def _damping(table: pliant.Servos, n: int) -> np.ndarray:
-    """Damping of gears and back-EMF (n,) [N·m·s/rad]."""
+    """Return damping of gears and back-EMF (n,) [N·m·s/rad]."""
     total = _chain(table.damping, n)
     if table.limit_type == "pwm" and table.no_load_speed is not None:
         total = total + _chain(table.max_torque, n) / _chain(table.no_load_speed, n)
@@ -234,15 +238,15 @@ def _damping(table: pliant.Servos, n: int) -> np.ndarray:
 
 
 def _mass(plant: Plant) -> float:
-    """Mass of the robot with what it carries [kg]; nothing else of the scene."""
-    model, body = plant.mj_model, plant.truth.frame("tool").body
+    """Return the mass of the robot with its load [kg], without the scene."""
+    model, body = plant.mj_model, plant.ground_truth.frame("tool").body
     while model.body_parentid[body]:
         body = model.body_parentid[body]
     return float(model.body_subtreemass[body])
 
 
 def _recorded(cls: type, made: list[Any]) -> Any:
-    """`__init__` of a class that notes what it makes."""
+    """Return an `__init__` that records the objects it makes."""
     init = cls.__init__
 
     @functools.wraps(init)
@@ -254,7 +258,7 @@ def _recorded(cls: type, made: list[Any]) -> Any:
 
 
 def _recorder(made: list[Any]) -> type:
-    """Stand in for the compiled controller class, whose `__init__` cannot be replaced."""
+    """Return a stand-in of the compiled controller class, whose `__init__` cannot be replaced."""
     compiled = pliant.Controller
 
     class Meta(type):

@@ -1,4 +1,4 @@
-"""The benches measure the same work, and the counters notice what they are there for."""
+"""The benches measure the same work, and the counters detect regressions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the experiments share: jobs for other processes, workers, and where robots are found."""
+"""Shared code of the experiments: jobs for other processes, workers, and the search for robots."""
 
 import importlib
 import runpy
@@ -60,7 +60,7 @@ class Square:
 
 
 class ListOnly(ThreadingBackend):
-    """A backend that returns a list alone, as Ray's does."""
+    """A backend that returns a list only, as Ray's does."""
 
     supports_return_generator = False
 

@@ -1,4 +1,4 @@
-"""The glossary holds every public word, and no word that does not exist."""
+"""The glossary holds every public word, and only existing words."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ TEXT = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 ROWS = [line for line in TEXT.splitlines() if line.startswith("| ")]
 #: Backticked words of the first column.
 TERMS = {word for row in ROWS for word in re.findall(r"`([^`]+)`", row.split("|")[1])}
-#: Options that speak for themselves, or are explained with their class.
+#: Self-explanatory options, or explained with their class.
 SELF_EXPLAINING = {"budget", "grippers", "rate", "signals", "table", "watchdog"}
 
 
 def words_of(*things: object) -> set[str]:
-    """Names that these classes and modules offer."""
+    """Return the public names of these classes and modules."""
     found = set()
     for thing in things:
         found |= {name for name in dir(thing) if not name.startswith("_")}

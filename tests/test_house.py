@@ -1,4 +1,4 @@
-"""Rules of the house: one version, light import, documents that run, whole wheel."""
+"""Rules of the project: one version, light import, documents that run, complete wheel."""
 
 from __future__ import annotations
 
@@ -56,19 +56,19 @@ def test_import_loads_no_extra(tmp_path):
 
 
 def python_blocks(text: str) -> list[str]:
-    """Python blocks of a Markdown text; one under `<!-- not run: reason -->` is left out."""
+    """Return Python blocks of a Markdown text, except those under `<!-- not run: reason -->`."""
     pattern = r"(<!-- not run: [^>]+ -->\n+)?^```python\n(.*?)^```"
     found = re.findall(pattern, text, flags=re.MULTILINE | re.DOTALL)
     return [block for excuse, block in found if not excuse]
 
 
 def documents() -> list[Path]:
-    """README and pages that have Python to run."""
+    """Return README and pages with Python to run."""
     files = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [p for p in files if p.exists() and python_blocks(p.read_text(encoding="utf-8"))]
 
 
-# Blocks of one document share names, as they do for a reader who types them one after the other.
+# Blocks of one document share names, as for a reader who types them one after the other.
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.stem)
 def test_python_in_documents_runs(document, tmp_path):
     blocks = python_blocks(document.read_text(encoding="utf-8"))
@@ -80,7 +80,7 @@ def test_python_in_documents_runs(document, tmp_path):
 
 @pytest.mark.parametrize("document", ["docs/rust.md", "rust/core/README.md"])
 def test_rust_in_documents_is_the_program_that_is_tested(document):
-    """Line by line the example of lib.rs, which `cargo test --doc` runs."""
+    """Compare line by line with the example of lib.rs, which `cargo test --doc` runs."""
     crate = (ROOT / "rust" / "core" / "src" / "lib.rs").read_text(encoding="utf-8").split("```")[1]
     shown = [line[4:] for line in crate.splitlines()[1:] if not line.startswith("//! #")]
     text = (ROOT / document).read_text(encoding="utf-8").split("```rust\n")[1].split("```")[0]
@@ -92,7 +92,7 @@ def test_rust_in_documents_is_the_program_that_is_tested(document):
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
-# PLIANT_SHORT=1 asks an example for the shortest run that still does everything once.
+# PLIANT_SHORT=1 requests the shortest run that still does everything once.
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(example, tmp_path):
     done = run(str(example), cwd=tmp_path, PLIANT_SHORT="1")
@@ -109,19 +109,19 @@ def test_gallery_is_of_this_example(example):
     assert said, "it prints nothing"
 
 
-#: Run again as the gallery ran them: a second or two each, nothing of the machine in their texts.
+#: Run again as for the gallery: a second or two each, output independent of the machine.
 AGAIN = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "13", "14", "15", "16")
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 def near(kept: str, now: str) -> bool:
-    """Whether two printed numbers agree: within 5 %, or within one of the last digit."""
+    """Return True if two printed numbers agree: within 5 %, or within one of the last digit."""
     x, y = (float(text.replace("−", "-")) for text in (kept, now))
     digit = 10.0 ** -len(kept.partition(".")[2].partition("e")[0])
     return abs(x - y) <= max(0.05 * abs(x), 1.01 * digit)
 
 
-# Its digest tells that an example changed; this, that the law under it did.
+# The digest detects a changed example; this, a changed law.
 @pytest.mark.parametrize("number", AGAIN)
 def test_gallery_is_of_this_law(number, tmp_path):
     (example,) = (ROOT / "examples").glob(f"{number}_*.py")
@@ -137,7 +137,7 @@ def test_gallery_is_of_this_law(number, tmp_path):
 
 
 def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
-    """Their methods are safe and need a processor that only `Instructions` has asked."""
+    """Their methods are safe, but need a processor that only `Instructions` has checked."""
     text = (ROOT / "rust" / "core" / "src" / "number" / "mod.rs").read_text(encoding="utf-8")
     shared = "".join(re.findall(r"^ *pub[^;]*;", text, re.MULTILINE))
     assert "Sse2" in shared, "every x86-64 processor has it"
@@ -154,7 +154,7 @@ def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
 
 
 def built(pattern: str) -> Path:
-    """The file that `make wheel` left."""
+    """Return the file built by `make wheel`."""
     files = sorted((ROOT / "build" / "wheels").glob(pattern))
     if not files:
         pytest.skip(f"no {pattern} in build/wheels: run `make wheel`")

@@ -1,4 +1,4 @@
-"""The program behind `make bench`: percentiles of a step, any arm, errors in a line."""
+"""The program behind `make bench`: percentiles of a step, any arm, one-line errors."""
 
 import importlib.util
 import re
@@ -18,13 +18,13 @@ ROOT = Path(__file__).resolve().parents[1]
 def latency():
     spec = importlib.util.spec_from_file_location("latency", ROOT / "benches" / "latency.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclass is looked up there
+    sys.modules[spec.name] = module  # its dataclass looks itself up there
     spec.loader.exec_module(module)
     yield module
     del sys.modules[spec.name]
 
 
-def test_bench_says_what_a_step_takes(latency, capsys):
+def test_bench_prints_the_time_of_a_step(latency, capsys):
     assert latency.main(["--robot", "koch", "--calls", "2000"]) == 0
     out = capsys.readouterr().out
     assert "koch_like: 5 joints, law cap" in out

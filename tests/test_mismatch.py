@@ -1,7 +1,7 @@
-"""Every experiment, example and documented row in which something is assumed wrongly is built so.
+"""Experiments, examples and documented rows with wrong assumptions are built with them.
 
-Each is run up to its first tick of physics; then its plant and what its controller, arm or
-identification was given are compared.
+Each runs up to its first tick of physics; then its plant is compared with the inputs of its
+controller, arm or identification.
 """
 
 import runpy
@@ -47,7 +47,7 @@ GEARS = campaign_jobs.REAL_GEARS["arm7"]
 
 
 class Built(Exception):
-    """Everything is made: physics is about to begin."""
+    """Everything is built: physics is about to begin."""
 
 
 def build(gap, run):
@@ -65,7 +65,7 @@ def plant(**differs):
 
 
 def promise(disturbance):
-    """One promise of the campaign."""
+    """Run one promise of the campaign."""
     arm = load("arm7")
     bench = campaign_bench.Bench(arm, disturbance)
     return bench.keep(0, arm.poses(1)[0], "y", 1.0, 5.0, guided=False)
@@ -87,7 +87,7 @@ def stress_gap(conditions):
 
 
 def cases():
-    """Name, what differs, and what is run."""
+    """Return name, difference and call of each case."""
     for title, options in lifecycle.CASES:
         differs = {
             name: options[key]
@@ -222,7 +222,7 @@ def test_a_drive_that_hands_out_the_plant_s_stiffness_is_noticed():
         )
 
 
-def test_a_controller_that_was_told_is_noticed():
+def test_a_controller_with_the_true_values_is_detected():
     model = pliant.robots.so101()
     told = pliant.robots.so101(payload=(0.1, (0.0, 0.0, 0.0)))
     settings = pliant.Settings(task="xyz")

@@ -35,7 +35,7 @@ MODULES = [pliant] + [
         *("emulator", "servo", "sim", "teach", "view"),
     )
 ]
-#: What texts call an object of a class.
+#: Classes of the objects that texts name.
 OBJECTS = {
     "arm": import_module("pliant.arm").Arm,
     "controller": pliant.Controller,
@@ -51,22 +51,22 @@ OBJECTS = {
     "payload": pliant.Payload,
     "tick": import_module("pliant.loop").Tick,
     "recorder": import_module("pliant.log").Recorder,
-    "found": import_module("pliant.identify").Captured,
+    "found": import_module("pliant.identify").GravityCapture,
     "array": np.ma.MaskedArray,
 }
-#: Words that follow "pliant" in a sentence and are no commands.
+#: Words that follow "pliant" in a sentence and are not commands.
 WORDS = {"arm", "counts", "does", "motion", "reads", "task", "was"}
 #: Brackets that are units or rich's markup, and words that may follow a section of a file.
 UNITS = {"m", "mm", "ms", "kg", "rad", "s", "bold", "dim", "green", "red", "yellow"}
 BESIDE_SECTION = {"a", "and", "in", "of", "the"}
-#: What stands for a value in the words of a command.
+#: Placeholders in the words of a command.
 STAND_INS = {"ARM": "so101", "OLD:NEW": "1:2"}
 #: Commands of the system that texts name.
 SYSTEM = {"lsusb", "sudo", "usermod"}
 
 
 def python_texts(path: Path) -> list[str]:
-    """Strings of a module that are sentences, docstrings aside; a placeholder is an ellipsis."""
+    """Return the sentences of a module, without docstrings; a placeholder is an ellipsis."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     docs, parts, texts = set(), set(), []
     for node in ast.walk(tree):
@@ -91,7 +91,7 @@ def python_texts(path: Path) -> list[str]:
 
 
 def is_markup(text: str) -> bool:
-    """Whether a string is HTML, CSS or JavaScript."""
+    """Return True if a string is HTML, CSS or JavaScript."""
     return (
         re.search(r"</|/>|<\w+ |\bfunction\b|\w+:has\(|rgba\(|charset=|\b(?:class|style)=", text)
         is not None
@@ -104,7 +104,7 @@ RUST = re.compile(
 
 
 def rust_texts(path: Path) -> list[str]:
-    """String literals of a file outside of its tests that are sentences."""
+    """Return string literals of a file outside of its tests that are sentences."""
     code = path.read_text(encoding="utf-8").split("#[cfg(test)]")[0]
     found = [match["text"] for match in RUST.finditer(code) if match["text"] is not None]
     joined = [re.sub(r"\\\n\s*", "", text).replace('\\"', '"') for text in found]
@@ -113,7 +113,7 @@ def rust_texts(path: Path) -> list[str]:
 
 @cache
 def texts() -> dict[str, str]:
-    """Texts of the package, by themselves, with the file they stand in."""
+    """Return texts of the package, with their files."""
     python = sorted((ROOT / "python" / "pliant").rglob("*.py"))
     rust = sorted(
         path for crate in ("core", "py") for path in (ROOT / "rust" / crate / "src").rglob("*.rs")
@@ -127,7 +127,7 @@ def texts() -> dict[str, str]:
 
 
 def wrong(find, judge) -> list[str]:
-    """Texts of which `judge` finds one of the remedies that `find` extracts not to exist."""
+    """Return texts with a remedy, extracted by `find`, that does not exist by `judge`."""
     return [
         f"{file}: {remedy!r} in {text!r}"
         for text, file in texts().items()
@@ -137,7 +137,7 @@ def wrong(find, judge) -> list[str]:
 
 
 def command_of(words: list[str]) -> tuple[str, list[str]]:
-    """The command that words begin with, empty if there is none, and the words after it."""
+    """Return the command that words begin with, empty if there is none, and the words after it."""
     for size in (2, 1):
         if " ".join(words[:size]) in COMMANDS:
             return " ".join(words[:size]), words[size:]
@@ -146,7 +146,7 @@ def command_of(words: list[str]) -> tuple[str, list[str]]:
 
 @cache
 def parser(command: str):
-    """The parser of a command."""
+    """Return the parser of a command."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         return tyro.extras.get_parser(
@@ -156,12 +156,12 @@ def parser(command: str):
 
 
 def flags(command: str) -> set[str]:
-    """Flags of a command."""
+    """Return the flags of a command."""
     return set(parser(command)._option_string_actions)
 
 
 def test_texts_are_found():
-    """The tests below look at these."""
+    """The tests below examine these."""
     assert len(texts()) > 1000
     for sure in (
         "`pliant servos setup ARM --set-id OLD:NEW`",
@@ -176,7 +176,7 @@ def commands(text: str, _file: str) -> list[str]:
 
 
 def is_command(words: str) -> bool:
-    """Whether a command has these flags and, first, this choice."""
+    """Return True if a command has these flags and, first, this choice."""
     command, rest = command_of(words.split())
     if words.split(maxsplit=1)[0] in WORDS:
         return True
@@ -200,7 +200,7 @@ def quoted_commands(text: str, _file: str) -> list[str]:
 
 
 def is_accepted(words: str) -> bool:
-    """Whether the shell takes a command as it is written, up to what it would then do."""
+    """Return True if the shell accepts a command as written, up to its action."""
     command, rest = command_of([STAND_INS.get(word, word) for word in words.split()])
     if not command:
         return False
@@ -226,7 +226,7 @@ def test_quoted_commands_are_taken_by_the_shell(capsys):
 
 
 def flags_of(text: str, file: str) -> list[tuple[str, str]]:
-    """Flags with the command whose text it is, empty where it may be any."""
+    """Return flags with the command of their text, empty where it may be any."""
     path = file.removeprefix("python/pliant/cli/").removesuffix(".py")
     own = path.replace("/", " ") if path != file.removesuffix(".py") else ""
     bare = re.sub(r"`[^`]*`|pliant [a-z]+ [^;,:.]*", "", text)
@@ -248,7 +248,7 @@ def test_flags_exist():
 
 
 def members(name: str) -> list[object]:
-    """What a bare name can be: of a module, or of a class of one."""
+    """Return the possible members behind a bare name: of a module, or of a class of one."""
     found = [getattr(module, name) for module in MODULES if hasattr(module, name)]
     classes = {
         thing for module in MODULES for thing in vars(module).values() if isinstance(thing, type)
@@ -263,7 +263,7 @@ def members(name: str) -> list[object]:
 
 
 def resolve(dotted: str) -> list[object]:
-    """What a dotted name can be."""
+    """Return the possible objects of a dotted name."""
     head, *tail = dotted.split(".")
     if head == "pliant" and tail:
         with contextlib.suppress(ImportError):
@@ -284,7 +284,7 @@ def resolve(dotted: str) -> list[object]:
 
 
 def keywords(thing: object) -> set[str]:
-    """Keywords that a callable takes."""
+    """Return the keywords that a callable takes."""
     if thing is pliant.connect:
         return {*ARM_OPTIONS, *FILE_OPTIONS, *PLANT_OPTIONS, "q", "real_time"}
     try:
@@ -297,12 +297,12 @@ CALL = re.compile(r"(?<![\w.`'&])([A-Za-z_][\w.]*)\(((?:[^()\"]|\([^()]*\)|\"[^\
 
 
 def calls(text: str, _file: str) -> list[tuple[str, str]]:
-    """Calls by name and arguments; a command is shown as one and never made by a user."""
+    """Return calls by name and arguments; a command is shown as one and never made by a user."""
     return [call for call in CALL.findall(text) if call[0] != "Command"]
 
 
 def takes(thing: object, arguments: str) -> bool:
-    """Whether a function or method takes these arguments; "..." stands for any."""
+    """Return True if a function or method takes these arguments; "..." stands for any."""
     if not callable(thing):
         return False
     flat = re.sub(r"\([^()]*\)|\[[^\[\]]*\]|\"[^\"]*\"", "0", arguments)
@@ -319,19 +319,19 @@ def takes(thing: object, arguments: str) -> bool:
     except TypeError:
         return False
     except ValueError:
-        return True  # a builtin that does not tell its arguments
+        return True  # a builtin without a signature
     return True
 
 
 def needs_object(thing: object) -> bool:
-    """Whether a function of a class gets an object of it first."""
+    """Return True if a function of a class needs an object of it first."""
     if inspect.isfunction(thing):
         return "." in thing.__qualname__
     return inspect.ismethoddescriptor(thing) and type(thing).__name__ == "method_descriptor"
 
 
 def is_callable_so(call: tuple[str, str]) -> bool:
-    """Whether something of this name takes these arguments."""
+    """Return True if something of this name takes these arguments."""
     name, arguments = call
     return any(takes(thing, arguments) for thing in resolve(name))
 
@@ -348,13 +348,13 @@ OPEN = re.compile(
 
 
 def examples(text: str, _file: str) -> list[str]:
-    """Calls with nothing left open, of anything but an object at hand."""
+    """Return complete calls of anything but an object at hand."""
     found = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
     return [call for call in found if not OPEN.search(call) and not is_method(call.split("(")[0])]
 
 
 def is_method(name: str) -> bool:
-    """Whether a name is a method of an object."""
+    """Return True if a name is a method of an object."""
     head, _, last = name.rpartition(".")
     if head in OBJECTS or (not head and not last[0].isupper() and not made_by(last)):
         return True
@@ -366,12 +366,12 @@ def is_method(name: str) -> bool:
 
 
 def made_by(name: str) -> bool:
-    """Whether a bare name is a function of the package itself, or of its robots."""
+    """Return True if a bare name is a function of the package itself, or of its robots."""
     return name in pliant.__all__ or hasattr(pliant.robots, name)
 
 
 def runs(call: str) -> bool:
-    """Whether an example runs as it stands."""
+    """Return True if an example runs unchanged."""
     names = {
         key: getattr(module, key)
         for module in reversed(MODULES)
@@ -398,7 +398,7 @@ def accepted(text: str, _file: str) -> list[str]:
 
 
 def is_risk(risk: str) -> bool:
-    """Whether a risk can be accepted by this name."""
+    """Return True if a risk can be accepted by this name."""
     controller = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
     for take in (
         lambda: pliant.Settings(**{risk: True}),
@@ -417,7 +417,7 @@ def test_risks_that_texts_name_can_be_accepted():
 
 @cache
 def every_keyword() -> set[str]:
-    """Keywords of all public callables."""
+    """Return the keywords of all public callables."""
     found = set(keywords(pliant.connect)) | {"python"}
     for module in MODULES:
         for name in {*vars(module), *getattr(module, "__all__", ())}:
@@ -439,7 +439,7 @@ def every_keyword() -> set[str]:
 
 
 def is_keyword(name: str) -> bool:
-    """Whether anything public takes this keyword."""
+    """Return True if anything public takes this keyword."""
     return name in every_keyword()
 
 
@@ -479,7 +479,7 @@ def sections(text: str, _file: str) -> list[tuple[str, str]]:
 
 
 def is_section(pair: tuple[str, str]) -> bool:
-    """Whether a configuration has this table, and the table this key."""
+    """Return True if a configuration has this table, and the table this key."""
     section, key = pair
     fields = {field.alias or name: field for name, field in Config.model_fields.items()}
     if section not in fields:

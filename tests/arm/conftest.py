@@ -1,4 +1,4 @@
-"""An arm on the simulator, and a drive that writes down what it is asked."""
+"""An arm on the simulator, and a drive that records its calls."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ GRASP = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
 
 
 class Scribe(SimDrive):
-    """A simulated arm that keeps a diary."""
+    """A simulated arm that records its calls."""
 
     def __init__(self, plant):
         super().__init__(plant)
@@ -49,7 +49,7 @@ class Scribe(SimDrive):
         self.diary.append(("watchdog", seconds, None))
 
     def verbs(self):
-        """What was asked, repetitions left out."""
+        """Return the recorded calls without repetitions."""
         found = []
         for verb, *_ in self.diary:
             if not found or found[-1] != verb:

@@ -1,4 +1,4 @@
-"""The life of an arm: order of what is sent, exits, joints off the chain, errors."""
+"""The life cycle of an arm: order of commands, exits, off-chain joints, errors."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def test_order_from_torque_on_to_torque_off(make, grasp):
     ]
     _, goal, limit = arm.drive.diary[0]
     gravity, kp = arm.model.gravity(grasp), np.asarray(arm.servos.kp)
-    # The first order carries the weight of an arm that holds itself up, and little more.
+    # The first command carries the weight of an arm that holds itself up, and little more.
     assert goal == pytest.approx(grasp + gravity / kp)
     assert limit == pytest.approx(1.1 * np.abs(gravity) + 2 * np.asarray(arm.servos.friction))
     assert not arm.enabled
@@ -111,8 +111,8 @@ def test_an_exception_lowers_and_stays_the_error(make):
     assert not arm.enabled
     plant = arm.drive.plant
     assert plant.tool[2, 3] < -0.6
-    # A joint that friction had stopped short of where it hangs may still swing there.
-    assert np.linalg.norm(plant.truth.frame("tool").twist()[:3]) < 0.03
+    # A joint that friction had stopped short of its rest may still swing there.
+    assert np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]) < 0.03
     for _ in range(100):
         plant.advance()
     assert np.abs(plant.dq).max() < 0.1
@@ -179,7 +179,7 @@ def test_joints_that_do_not_answer_are_named_before_torque_goes_on(make):
 
 
 @pytest.mark.parametrize(("way", "starts"), [(0.05, True), (-0.05, True), (0.5, False)])
-def test_a_joint_that_is_believed_outside_its_limits_gets_no_torque(make, grasp, way, starts):
+def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, way, starts):
     arm = make()
     read, model = arm.drive.read, arm.model
     low, high = model.lower[3], model.upper[3]
@@ -260,7 +260,7 @@ def test_a_gripper_holds_on_while_the_arm_comes_down(make):
     assert set(orders[-20:-1]) == {(0.2, 0.05)}
 
 
-def test_an_arm_says_what_does_not_fit(make):
+def test_an_arm_names_what_does_not_fit(make):
     model = pliant.robots.arm7()
     drive = SimDrive(Plant(pliant.robots.so101()))
     with pytest.raises(pliant.ConfigError, match="no servo is named shoulder_pitch"):
@@ -319,13 +319,13 @@ def test_degrees_are_refused_before_anything_is_sent():
         arm.disable_torque()
 
 
-def test_what_is_made_from_the_model_believes_the_arms_servos():
+def test_controllers_made_from_the_model_assume_the_arms_servos():
     model = pliant.robots.so101()
     plant = pliant.sim.Plant(model)
     arm = pliant.Arm(model, SimDrive(plant, servos=plant.table.replace(kp=[9.0] * 5)))
     assert arm.model.servos.kp.tolist() == arm.servos.kp.tolist()
     assert arm.model.servos.kp.tolist() != pliant.robots.so101().servos.kp.tolist()
-    # What is true of the simulated servos is not told to the arm.
+    # The true servo parameters of the simulation are unknown to the arm.
     with Mismatch(plant=Parameters(kp=2.0), assumed=Parameters()):
         arm = bare_arm("so101", kp_scale=2.0)
     assert arm.servos.kp.tolist()[:5] == model.servos.kp.tolist()

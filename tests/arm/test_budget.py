@@ -1,4 +1,4 @@
-"""Heat, temperature and supply: limits come down before the hardware trips."""
+"""Heat, temperature and supply: limits fall before the hardware trips."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_the_supply_is_shared_above_the_weight():
     limit = it.limit_current([10.0, -10.0], [3.0, 1.0], [10.0, 10.0])
     assert 0.2 * limit.sum() == pytest.approx(2.0, abs=0.01)
     assert np.all(limit >= [3.0, 1.0])
-    # What is not drawn is not cut.
+    # Joints that draw nothing are not cut.
     assert it.limit_current([4.0, 4.0], [0.0, 0.0], [10.0, 10.0]) == pytest.approx([10, 10])
 
 

@@ -41,7 +41,7 @@ def test_time_begins_with_the_loop(backend, tmp_path):
             arm.model, pliant.Settings.firm(task="xyz").replace(rate=50.0), arm.servos
         )
         watch = ReactionMonitor(controller, [Reaction(Force("z", above=90.0), Call(called.append))])
-        arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else before
+        arm.clock.wait_until(arm.clock.now() + 0.7)  # the program does something else first
         ticks, watched, began = [], [], []
         target = None
         recorder = Recorder(tmp_path / "run.mcap")

@@ -1,4 +1,4 @@
-"""The way down and torque on, with servos, loads, gears and encoders that are not as believed."""
+"""Descent and torque on, with servos, loads, gears and encoders unlike the assumptions."""
 
 import pytest
 
@@ -6,8 +6,8 @@ pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from experiments import descent
 
-#: Runs of `descent.jobs` that always take place, by arm; odd ones over a table. `so101` 7 pressed
-#: with 11.4 N where 5 rest, 11 with 12.1, before the press was bounded by its force.
+#: Runs of `descent.jobs` that always take place, by arm; odd ones over a table. Without a bound on
+#: the press by its force, `so101` 7 pressed with 11.4 N where 5 rest, 11 with 12.1.
 RUNS = {"arm7": (0, 1, 3), "so101": (0, 1, 2, 5, 7, 11), "koch": (0, 3, 4)}
 #: Largest force of an arm on the table [N].
 FORCE = {"so101": 10.0, "koch": 10.0}
@@ -15,7 +15,7 @@ LARGE = 15.0
 
 
 def check(job, run):
-    # The arm believes in other servos than it has: a drive that hands out the truth fails here.
+    # The arm assumes other servos than it has: a drive that passes on the true values fails here.
     assert run.apart == pytest.approx(max(max(s, 1.0 / s) for s in job.truth.stiffness))
     assert run.moved < 0.020
     assert run.jerk < 0.10
@@ -43,7 +43,7 @@ def job_of(arm, number, over):
     ("arm", "number"), [(arm, number) for arm, numbers in RUNS.items() for number in numbers]
 )
 def test_neither_way_is_a_rise_a_lunge_or_a_drop(arm, number):
-    # In turn in free air and over a table.
+    # Alternately in free air and over a table.
     job = job_of(arm, number, bool(number % 2))
     check(job, job.run())
 

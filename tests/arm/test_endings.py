@@ -1,4 +1,4 @@
-"""Endings speak, and happen whatever becomes of the reader: each in a process of its own."""
+"""Endings print messages, and complete whatever happens to the reader: each in its own process."""
 
 import contextlib
 import logging
@@ -67,7 +67,7 @@ def begin(program, stderr=subprocess.PIPE):
     try:
         yield process
     finally:
-        process.kill()  # one that never ends is what some of these tests ask about
+        process.kill()  # some of these tests examine whether it ends
         process.communicate()
 
 
@@ -79,7 +79,7 @@ def run(program, stderr=subprocess.PIPE):
 
 @contextlib.contextmanager
 def reader(kind):
-    """The write end of a standard error that is gone, full, or that nobody drains."""
+    """Return the write end of a standard error that is closed, full, or never drained."""
     if kind == "full":
         with open("/dev/full", "w", encoding="utf-8") as file:
             yield file
@@ -196,7 +196,7 @@ def test_no_signals_but_two_deliberate_interrupts_leave_torque_on(signals, code)
     assert "torque OFF" in complained
 
 
-def test_a_second_interrupt_says_what_it_leaves_and_how_to_go_on():
+def test_a_second_interrupt_reports_the_state_and_the_next_step():
     said, complained, code = run("""
         try:
             with connect():
@@ -347,7 +347,7 @@ def test_a_blocked_reader_is_waited_for_once():
     assert said == ["False"]
 
 
-def test_a_message_of_a_process_without_the_thread_counts_as_told():
+def test_a_message_of_a_process_without_the_thread_counts_as_written():
     assert MessageQueue().post("nothing is started").is_written
 
 

@@ -12,7 +12,7 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 
-# A test run in the background is told to ignore Ctrl-C, and would hand that on.
+# A test run in the background ignores Ctrl-C, and its children would inherit that.
 PROGRAM = """
 import atexit, os, signal, sys, time, pliant
 
@@ -66,13 +66,13 @@ def test_a_child_that_ends_sends_nothing_and_the_arm_goes_on(action, code):
     done = run(action)
     said = done.stdout.splitlines()
     assert done.returncode == 0, done.stderr
-    if code != -signal.SIGTERM:  # of which nobody is told
+    if code != -signal.SIGTERM:  # without a message
         assert said.pop(0) == "child 0", done.stderr
     assert said[:2] == [f"{code} True", "False False"], done.stderr
     assert said[2].startswith("parent ")
 
 
-def test_a_child_that_uses_the_arm_is_told_whose_it_is():
+def test_a_child_that_uses_the_arm_gets_an_error_with_the_owner():
     done = run("""
 uses = [arm.read, arm.gripper.open, arm.leave_enabled, arm.disable_torque, arm.enable]
 uses.append(lambda: arm.write([0.0] * 5))

@@ -1,4 +1,4 @@
-"""Any sequence of life-cycle calls and signals, with one arm or two: what a signal does, always."""
+"""Random sequences of life-cycle calls and signals, with one arm or two: effects of a signal."""
 
 import signal
 import threading
@@ -28,10 +28,10 @@ from pliant.sim import Plant, SimDrive
 
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 NUMBERS = [getattr(signal, name) for name in HANDLED if hasattr(signal, name)]
-#: Two signals this near to each other are one request, and this far two [s].
+#: Two signals this close to each other are one request, and this far apart two [s].
 REPEATED, DELIBERATE = 0.1, 2.0
 LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
-#: Turns of a descent in this test; what a real one does is asked elsewhere.
+#: Turns of a descent in this test; real descents are tested elsewhere.
 TURNS = 12
 
 
@@ -40,7 +40,7 @@ def expected(number):
 
 
 class Life(RuleBasedStateMachine):
-    """Beside the arms a model of them: who has torque, and what has come."""
+    """A model beside the arms: which have torque, and which signals came."""
 
     def __init__(self):
         super().__init__()
@@ -140,7 +140,7 @@ class Life(RuleBasedStateMachine):
         self.during = []
 
     def foresee(self, come):
-        """What signals during a descent must lead to: an exception, and whether torque stays on."""
+        """Predict the effect of signals during a descent: an exception, torque on or off."""
         time, last, interrupts, kind = self.time, self.last, 0, None
         for number, gap in come:
             time += gap
@@ -175,7 +175,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: len(getattr(self, "arms", [])) == 2)
     @rule(number=st.sampled_from(NUMBERS), swap=st.booleans())
     def with_both(self, number, swap):
-        """A signal in the body of nested `with` lowers both, whoever is inside."""
+        """A signal in the body of nested `with` lowers both, in either order."""
         first, second = self.arms[::-1] if swap else self.arms
         self.last = (0, -10.0)
 
@@ -192,7 +192,7 @@ class Life(RuleBasedStateMachine):
 
     @rule(data=st.data())
     def lower_elsewhere(self, data):
-        """Another thread lowers it; signals in the main thread are for those that are left."""
+        """Another thread lowers it; signals in the main thread are for the remaining ones."""
         index = self.which(data)
         thread = threading.Thread(target=self.arms[index].lower)
         thread.start()

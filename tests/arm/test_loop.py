@@ -1,4 +1,4 @@
-"""The loop: times, silences, commands that do not come, and no lunge after any of them."""
+"""The loop: timing, silences, missing commands, and no jump after any of them."""
 
 import threading
 import time
@@ -14,7 +14,7 @@ from pliant.loop import LatenessHistogram
 
 @pytest.fixture
 def running(make, grasp):
-    """An enabled arm in its grasp pose with a controller, and the target that is there."""
+    """Return an enabled arm in its grasp pose with a controller, and its present target."""
     arm = make(plant={"delay": (1, 1)})
     controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)
     arm.enable()
@@ -108,7 +108,7 @@ def test_a_loop_needs_torque_and_a_rate_that_fits(make):
             pliant.Loop(arm, rate=low)
 
 
-def test_a_loop_says_what_it_was_given(make):
+def test_a_loop_names_wrong_arguments(make):
     with pytest.raises(TypeError, match=r"arm must be an Arm, .*got None \(NoneType\)"):
         pliant.Loop(None, None, rate=0.0)
     for wrong, said in ((-1.0, "must be 0 s or more"), ("2", "must be a number, got '2'")):
@@ -161,7 +161,7 @@ def test_lateness_is_bounded_and_right_within_a_bin():
     assert LatenessHistogram().percentile(50.0) == 0.0
 
 
-#: What becomes of the arm, and the highest speeds before and during the descent [m/s].
+#: Reaction of the arm, and the highest speeds before and during the descent [m/s].
 EXPECTED = {
     "Ctrl-C, or any exception": ("is lowered", 0.01, 0.18),
     "the program stalls for 1 s": ("is lowered", 0.01, 0.18),
@@ -209,7 +209,7 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
     assert np.all(got.along < most), (got.along, most)
 
 
-def test_lost_readings_do_not_forgive_missing_commands():
+def test_lost_readings_do_not_excuse_missing_commands():
     with bare_arm("arm7", read_loss=0.1, seed=1, signals=False) as arm:
         loop = pliant.Loop(arm, rate=100.0, duration=5.0)
         with pytest.raises(pliant.ServoTimeoutError, match="no command could be sent"):

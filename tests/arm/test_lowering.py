@@ -1,4 +1,4 @@
-"""Bringing an arm down: bands of speed and force, and what happens when positions go missing."""
+"""Descents: bands of speed and force, and missing positions."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_hangs_without_having_been_dropped(grasp, stretched):
     assert run.after < 0.1
 
 
-def test_comes_to_rest_on_a_table_with_a_load_nobody_knows_of(grasp):
+def test_comes_to_rest_on_a_table_with_an_unknown_load(grasp):
     run = lower_unknown_load(grasp, over_table=True, ticks=1)
     assert run.speed < 0.18
     assert run.force < 15.0
@@ -37,13 +37,13 @@ def test_comes_to_rest_on_a_table_with_a_load_nobody_knows_of(grasp):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_servos_that_are_stiffer_than_believed(grasp, known):
+def test_servos_stiffer_than_assumed(grasp, known):
     with Mismatch(plant=Parameters(kp=1.25), assumed=Parameters()) as gap:
         run = lower(grasp, kp_scale=1.25, stiffness_known=known)
     assert [arm.servos.stiffness_known for arm in gap.consumers] == [known]
     assert run.speed < 0.18
     assert run.rise < 0.015
-    # With leads from the believed stiffness it hangs in the air for a minute.
+    # With leads from the assumed stiffness it hangs in the air for a minute.
     assert run.seconds < 15.0  # (14.0)
 
 
@@ -69,7 +69,7 @@ def test_goes_to_a_rest_pose_first(make):
 def test_ten_poses_over_a_table(bring, ticks):
     runs = [bring(q, over_table=True, ticks=ticks) for q in postures(10)]
     assert max(run.speed for run in runs) < (0.2 if ticks else 0.18)
-    # Where more than that rests on the table, nobody can press with less.
+    # Where a larger weight rests on the table, the force cannot be smaller.
     assert max(run.force - max(run.resting, 15.0) for run in runs) < 2.0
 
 
@@ -79,7 +79,7 @@ def model():
 
 
 def descend(model, grasp, reading, ticks=400, dt=0.01):
-    """Orders for an arm that stands still, with what is read at each tick."""
+    """Return the commands for an arm at rest, with the reading at each tick."""
     lowering = Lowering(model, model.servos, grasp)
     orders = []
     for tick in range(ticks):
@@ -115,13 +115,13 @@ def test_positions_that_come_again_are_where_the_descent_goes_on(model, grasp):
 
 
 @pytest.mark.parametrize("bring", [lower, lower_unknown_load])
-def test_an_arm_that_nobody_sees_comes_down_no_faster(grasp, bring):
+def test_a_blind_descent_is_no_faster(grasp, bring):
     run = bring(grasp, blind=True)
     assert run.speed < 0.2
     assert run.after < 0.1
 
 
-def test_every_order_is_finite_whatever_is_read(model, grasp):
+def test_every_command_is_finite_for_any_reading(model, grasp):
     rng = np.random.default_rng(0)
     hostile = np.array([np.nan, np.inf, -np.inf, 1e300, 0.0])
 
@@ -168,7 +168,7 @@ def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicke
     )
     assert lowering.phase == "done"
     assert len(orders) < 800
-    # What the servos still carry as torque goes off is less than the gears hold.
+    # The torque of the servos as it goes off is below the gears' friction.
     left = np.asarray(model.servos.kp) * (orders[-1][1] - q - count / 2)
     assert np.all(np.abs(left) < np.asarray(model.servos.friction))
 
@@ -187,7 +187,7 @@ def test_a_joint_with_a_short_lever_presses_with_no_more_force_than_the_others()
 
 
 def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
-    """What an arm leaned on goes away while its limits fall: it is caught, and goes on slowly."""
+    """A leaning arm loses its support while its limits fall: it is caught, and lowered slowly."""
     model = pliant.robots.arm7()
     q, kp, points = STRETCHED.copy(), np.asarray(model.servos.kp), ArmPoints(model)
     lowering = Lowering(model, model.servos, q)
@@ -206,7 +206,7 @@ def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
             break
         goal, limit = order.goal, order.torque_limit
         weight = np.asarray(model.gravity(q))
-        # Without inertia: gears that turn as slowly as their damping lets them.
+        # Without inertia: gears turn as slowly as their damping allows.
         torque = np.clip(kp * (goal - q), -limit, limit) - weight
         new = q + 0.01 * torque / (np.asarray(model.servos.damping) + 0.1 * kp)
         moved = np.linalg.norm(points.position(new) - points.position(q), axis=1).max()

@@ -1,4 +1,4 @@
-"""The life of an arm down to bytes: emulated servos on a serial port, a simulated arm behind."""
+"""The life cycle down to bytes: emulated servos on a serial port, a simulated arm behind."""
 
 from contextlib import contextmanager
 
@@ -27,7 +27,7 @@ MORE = {
 
 
 class Steps:
-    """The emulator's time: it passes when somebody waits."""
+    """Emulated time, which advances only during waits."""
 
     def __init__(self, bus):
         self.bus = bus
@@ -59,7 +59,7 @@ def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=
 
 
 def switches(bus, id):
-    """Torque on and off of a servo, in order."""
+    """Return torque on and off of a servo, in order."""
     return [step for step in bus.log.order(id) if step.startswith("torque")]
 
 
@@ -96,7 +96,7 @@ def test_enabled_in_order_controlled_and_held(family):
         for tick in loop:
             command = controller.step(tick.q, start, dt=tick.dt)
             tick.write(command)
-        # The speed registers have what the controller commands, rounded down, and no more.
+        # The speed registers have the controller's command, rounded down.
         bus.sync()
         register, unit = {"sts": ("goal_velocity", STEP), "x": ("profile_velocity", RPM)}[family]
         speeds = unit * np.array([bus.servo(k).get(register) for k in range(1, 6)])
@@ -126,7 +126,7 @@ def test_lowered_after_the_program_stalled(family):
 
         def watch(deadline):
             wait(deadline)
-            speeds.append(np.linalg.norm(bus.plant.truth.frame("tool").twist()[:3]))
+            speeds.append(np.linalg.norm(bus.plant.ground_truth.frame("tool").twist()[:3]))
 
         arm.clock.wait_until = watch
         arm.lower()
@@ -141,10 +141,10 @@ def test_lowered_after_the_program_stalled(family):
 
 
 def enabled_with_old_goals(family, lost=0):
-    """Enable an arm whose servos have goals of before, the lost-th request unheard.
+    """Enable an arm whose servos have earlier goals, with the lost-th request unheard.
 
     Returns:
-        How far the tool went [m], and the number of each request that carried goals.
+        Distance moved by the tool [m], and the number of each request that carried goals.
     """
     q = [0.1, 0.4, 0.2, 0.1, 0.0]
     with arm_over_bytes(family, q, plant={}, patience=0.01) as (bus, arm):
@@ -179,7 +179,7 @@ def enabled_with_old_goals(family, lost=0):
 def test_a_lost_packet_of_goals_does_not_let_an_old_goal_move_the_arm(family):
     way, goals = enabled_with_old_goals(family)
     assert way < 0.005
-    # Before, the tool went 40 mm (sts), 10 mm (x), 2 mm (mx), 33 mm (xm).
+    # Without the check the tool moved 40 mm (sts), 10 mm (x), 2 mm (mx), 33 mm (xm).
     lost, _ = enabled_with_old_goals(family, goals[0])
     assert lost < min(way + 0.0005, 0.005)
 
@@ -197,7 +197,7 @@ def test_no_lost_packet_of_enabling_lets_an_old_goal_move_the_arm(family):
 def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkeypatch):
     """The line is dead for longer than the watchdog, then the arm is lowered."""
     if not cleared:
-        # As if the watchdog could not be cleared by any means.
+        # As if the watchdog could not be cleared.
         monkeypatch.setattr("pliant.servo._port.Port.clear_watchdogs", lambda *_: None)
         monkeypatch.setattr("pliant.servo._port.Port.set_watchdog", lambda *_: [])
     with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], watchdog=0.1) as (bus, arm):
@@ -228,7 +228,7 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkey
 
 
 @pytest.mark.full
-def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
+def test_lowered_in_place_of_a_program_that_never_returns():
     with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], clock="real", comm_timeout=0.3) as (
         bus,
         arm,
@@ -252,7 +252,7 @@ def test_lowered_in_the_place_of_a_program_that_computes_for_ever():
         arm.close()
 
 
-def test_a_load_that_nobody_told_of_sinks_and_is_brought_back_slowly(monkeypatch):
+def test_an_unknown_load_sinks_and_is_brought_back_slowly(monkeypatch):
     q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
     with (
         unknown(0.2),
@@ -262,7 +262,7 @@ def test_a_load_that_nobody_told_of_sinks_and_is_brought_back_slowly(monkeypatch
 
         def watched(count):
             step(count)
-            tools.append((bus.plant.tool[2, 3], bus.plant.truth.frame("tool").twist()[2]))
+            tools.append((bus.plant.tool[2, 3], bus.plant.ground_truth.frame("tool").twist()[2]))
 
         monkeypatch.setattr(bus.world.physics, "step", watched)
         arm.enable()
@@ -277,7 +277,7 @@ def test_a_load_that_nobody_told_of_sinks_and_is_brought_back_slowly(monkeypatch
     ("family", "pose"), [("sts", 2), pytest.param("x", 5, marks=pytest.mark.full)]
 )
 def test_what_is_in_the_way_of_a_descent_feels_no_more_than_15_newtons(family, pose):
-    # Before the way down was paced by its energy these pressed with 17.8 and 19.2 N.
+    # Without pacing by energy these pressed with 17.8 and 19.2 N.
     q = bus_lower.poses(family, 6)[pose]
     with unknown(LOAD):
         run = bus_lower.lower(family, q, load=LOAD, over_table=True)

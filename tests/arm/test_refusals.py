@@ -1,4 +1,4 @@
-"""What a program may not give an arm, and what it may give but is told of."""
+"""Commands of a program that are rejected, and those that cause a warning."""
 
 from types import SimpleNamespace
 
@@ -35,7 +35,7 @@ def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, 
         weight = np.abs(arm.model.gravity(grasp))
         write_for(arm, 0.6 * weight, 0.1)
         write_for(arm, 1.1 * weight)
-        # Without gravity in its limits the arm sags, and is meant to.
+        # Without gravity in its limits the arm sags, as intended.
         controller = pliant.Controller(
             arm.model, pliant.Settings.soft("x y z", gravity=False), arm.servos
         )

@@ -12,7 +12,7 @@ pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extr
 
 import pliant
 
-# A test run in the background is told to ignore Ctrl-C, and would hand that on.
+# A test run in the background ignores Ctrl-C, and its children would inherit that.
 BEGIN = """
 import os, signal, sys, pliant
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -83,7 +83,7 @@ def test_the_end_of_the_program_lowers():
     assert done.returncode == 0
 
 
-def test_other_threads_are_told_that_signals_do_nothing():
+def test_other_threads_are_warned_that_signals_do_nothing():
     arm = pliant.connect("koch", backend="sim", table=False, rest_q=None)
     found = []
 

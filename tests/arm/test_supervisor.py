@@ -1,4 +1,4 @@
-"""Programs that do not come back: a thread brings the arm down in their place."""
+"""Programs that do not return: a thread lowers the arm in their place."""
 
 import sys
 import threading
@@ -14,14 +14,14 @@ from pliant.arm._supervisor import Supervisor
 
 
 def until(condition):
-    """Compute without pause until a condition holds: a program that has lost itself."""
+    """Compute without pause until a condition holds: a program that never returns."""
     rounds = 0
     while not condition():
         rounds += 1
     return rounds
 
 
-def test_silence_is_noticed_once_and_told_at_the_next_call():
+def test_silence_is_detected_once_and_raised_at_the_next_call():
     left = []
     supervisor = Supervisor(lambda: left.append(sys.getswitchinterval()))
     usual = sys.getswitchinterval()
@@ -40,7 +40,7 @@ def test_silence_is_noticed_once_and_told_at_the_next_call():
     assert left[0] <= 1e-4 < usual == sys.getswitchinterval()
 
 
-def test_nobody_is_watched_outside_a_loop_or_in_simulated_time(make, grasp):
+def test_no_supervision_outside_a_loop_or_in_simulated_time(make, grasp):
     MESSAGES.start()
     before = threading.active_count()
     with make() as arm:
@@ -119,7 +119,7 @@ def test_an_arm_in_real_time_comes_down_without_its_program(busy):
                 tick.skip()
                 if tick.index == 5:
                     arm.clock.on_tick = lambda: speeds.append(
-                        np.linalg.norm(plant.truth.frame("tool").twist()[:3])
+                        np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3])
                     )
                     if busy:
                         until(lambda: not arm.enabled)

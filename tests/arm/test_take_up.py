@@ -34,7 +34,7 @@ class Hidden:
 
         def watched():
             advance()
-            twist = self.plant.truth.frame("tool").twist()
+            twist = self.plant.ground_truth.frame("tool").twist()
             self.fastest = max(self.fastest, float(np.linalg.norm(twist[:3])))
             self.highest = max(self.highest, float(self.plant.tool[2, 3]))
 
@@ -47,7 +47,7 @@ def test_silent_joints_keep_their_orders_and_are_named(when, names):
     hidden = Hidden(when, np.inf, names)
     with pytest.raises(pliant.ServoTimeoutError, match=r"no position of .*elbow_flex.* for 0\.5 s"):
         hidden.arm.enable()
-    assert hidden.highest - hidden.start < 0.005  # [m] (.001; .2 when they were led on)
+    assert hidden.highest - hidden.start < 0.005  # [m] (.001; .2 if they were moved on)
     assert hidden.fastest < 0.1  # [m/s] (.03; 1.2)
     hidden.arm.disable_torque()
 

@@ -1,4 +1,4 @@
-"""The promised cap in random poses: a seeded part that always runs, the rest marked `full`."""
+"""The promised cap in random poses: a seeded part always runs, the rest is marked `full`."""
 
 import json
 

@@ -11,14 +11,14 @@ from experiments.conditions import NOMINAL, Conditions
 from pliant import Axis, Settings
 
 SOFT, FIRM = 4.0, 15.0  # [N]
-#: Dry friction of the joints that the feed-forward leaves, seen along y, and a little [N].
+#: Friction left by the feed-forward, seen along y, plus a margin [N].
 FRICTION = 1.8
 PLACES = (0.005, 0.02, 0.04, 0.055, 0.07, 0.09, 0.11, 0.13)  # [m]
 NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3))]
 
 
 def wanted(profile, deviation):
-    """What the profile promises at a deviation [m], less where the servos give less [N]."""
+    """Return the smaller of the profile's and the servos' force [N] at a deviation [m]."""
     c = float(np.clip(1.0 - (deviation - 0.01) / 0.09, 0.0, 1.0))
     strength = {
         "hardening": c * SOFT + (1.0 - c) * FIRM,
@@ -65,7 +65,7 @@ def test_a_stiff_axis_follows_a_strong_hand_beyond_its_limit(conditions):
     assert seen.held == pytest.approx(promised, abs=2.5)  # [N] (10.8)
     assert seen.force < 0.5 * free.force  # (12.5 of 36.2)
     assert seen.drift < 0.25 * free.drift  # (6 of 42 mm)
-    assert seen.end < 0.002  # [m]: it goes back to the target
+    assert seen.end < 0.002  # [m]: it returns to the target
     assert seen.fastest < 0.7 * free.fastest  # (0.95 of 1.87 rad/s): at the tool's speed
 
 

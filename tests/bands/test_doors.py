@@ -4,7 +4,7 @@ import pytest
 
 from experiments import doors, laws, resistance
 
-#: Scene and grip: least angle [deg], largest force [N], both set around the figures in brackets.
+#: Scene and grip: least angle [deg], largest force [N], set around the figures in brackets.
 CAP = {
     ("door", "rigid"): (64.0, 32.0),  # (67.7, 24.4)
     ("door", "turning"): (64.0, 25.0),  # (69.3, 9.8)
@@ -23,12 +23,12 @@ RESISTING = ("door", "fridge", "horizontal", "oven")
 
 
 def all_stiff(*, soft, null_space):
-    """`laws.all_stiff`, which has no soft axis to be told of."""
+    """Return `laws.all_stiff`, which takes no soft axis."""
     return laws.all_stiff(null_space=null_space)
 
 
 def cap_stiff(*, soft, null_space):
-    """`laws.cap` without a soft axis."""
+    """Return `laws.cap` without a soft axis."""
     return laws.cap(soft="", null_space=null_space)
 
 

@@ -1,4 +1,4 @@
-"""Gears that rub more under load: what the feed-forward gets back once it knows them."""
+"""Load-dependent friction: compensation by the feed-forward once it is known."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ KNOWN = Conditions(gears=REAL_GEARS["arm7"], gears_known=True)
 def test_a_known_load_is_fed_forward():
     drag = merits.light(laws.cap())
     with under(UNKNOWN):
-        assert drag(UNKNOWN)["force [N]"] > 14.0  # (15.0): the hand's most
+        assert drag(UNKNOWN)["force [N]"] > 14.0  # (15.0): the hand's largest force
     assert drag(KNOWN)["force [N]"] < 8.5  # (7.6)
 
 

@@ -1,4 +1,4 @@
-"""The table of goals: every row names its preset, and says whether it is met."""
+"""The table of goals: every row names its preset, and states whether it is met."""
 
 import dataclasses
 
@@ -23,7 +23,7 @@ def test_table_measures_and_judges():
     assert printed[-1].endswith("| yes |")
 
 
-def test_a_stiffer_hold_keeps_the_drift_where_friction_is_believed_too_high():
+def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
     rows = [
         row for row in goals.table("15 N hand, η 0.999") if row.preset == "cap(tracking.gain=4.8)"
     ]
@@ -38,7 +38,7 @@ def test_a_stiffer_hold_keeps_the_drift_where_friction_is_believed_too_high():
     assert default > 4.0
 
 
-def test_drag_and_door_are_tried_at_every_rate_delay_and_belief():
+def test_drag_and_door_run_at_every_rate_delay_and_assumption():
     under = rates.conditions()
     assert len(under) == 12
     assert len({(one.rate, one.delay, one.believed) for one in under}) == 12

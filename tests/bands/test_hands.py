@@ -45,7 +45,7 @@ def test_cap_comes_back_with_eta_below_one():
     assert seen.end < 0.015  # [m] after 7 s (.002)
 
 
-def test_paper_without_gravity_model_walks_off_before_the_hand_comes():
+def test_paper_without_gravity_model_drifts_before_the_hand_comes():
     seen = hands.drag(laws.paper(10), LIGHT)
     assert 0.040 <= seen.before <= 0.130  # [m] (.079)
     assert seen.moved > 0.2  # [m] (.24)
@@ -58,7 +58,7 @@ def test_paper_without_gravity_model_comes_back_with_eta_below_one():
     assert seen.drift < 0.012  # [m] (.0048)
     resting = seen.trace.moved[seen.trace.at(2.0), 1]
     back = seen.trace.moved[seen.trace.at(6.0), 1]
-    assert abs(back - resting) < 0.015  # [m], from where the hand found it
+    assert abs(back - resting) < 0.015  # [m], from the tool's position when the hand came
 
 
 def test_rec_without_adaptation():

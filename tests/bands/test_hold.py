@@ -1,4 +1,4 @@
-"""Nobody touches the arm, or pushes one of its stiff axes."""
+"""An untouched arm, and pushes on its stiff axes."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Arms whose host died in the middle of their work, against what the report said."""
+"""Arms after a host loss in mid-motion, against the report."""
 
 import pytest
 
@@ -6,11 +6,12 @@ import pliant
 from experiments.campaign_arms import load
 from experiments.host_loss import Bench
 
-#: Below the report by no more than this, as a share.
+#: Largest shortfall below the report, as a share.
 LOW = 0.3  # (0.16)
 
 
-#: In the second line a joint stands at its stop and turns back on the way, or the arm springs back.
+#: In the second line a joint is at its stop and turns back during the motion, or the arm springs
+#: back.
 POSES = [
     *(("arm7", 2), ("arm7", 11), ("so101", 6), ("koch", 2)),
     *(("so101", 12), ("koch", 28), ("koch", 30), ("koch", 25)),
@@ -26,7 +27,7 @@ def test_a_hand_meets_what_the_report_said(name, pose):
 
 
 @pytest.mark.parametrize("pose", [4, 12])
-def test_dead_host_max_is_kept_where_the_report_says_so(pose):
+def test_max_host_loss_force_holds_as_reported(pose):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=5.0, firm=10.0)})
     bench = Bench(load("arm7"), settings)
     free = bench.push(pose, "y", 1.0)

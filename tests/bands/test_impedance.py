@@ -12,7 +12,7 @@ from pliant import Axis, ConfigError, Controller, Settings, robots
 from pliant.sim import LIGHT, Plant
 from pliant.sim.postures import VERTICAL
 
-#: Springs as asked for, whatever the delay: as in the study that the figures in brackets are from.
+#: Springs without derating at any delay, as in the study of the figures in brackets.
 asked = partial(laws.impedance, accept_high_stiffness=True)
 
 NOMINAL = Conditions()
@@ -28,7 +28,7 @@ LOOPS = {
     "200 Hz, 1+1": (FAST, laws.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
     "200 Hz, 1+1, as asked": (FAST, asked, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
 }
-#: Factor on 800 N/m and 20 N·m/rad with which loops ring: ρ T_e .11, .07, .14, .14 s.
+#: Factor on 800 N/m and 20 N·m/rad at which loops ring: ρ T_e .11, .07, .14, .14 s.
 RINGING = {"100 Hz": 8.0, "100 Hz, 1+1": 1.0, "200 Hz, 1+1": 4.0, "50 Hz, 1+1": 1.0}
 CONDITIONS = {
     "100 Hz": NOMINAL,
@@ -77,7 +77,7 @@ def test_taps_ring_beyond_the_bound(loop):
 
 def test_a_slow_loop_with_a_tick_each_way_is_stable():
     seen = hands.idle(laws.impedance(), conditions=SLOW)
-    assert seen.speed < 0.002  # [rad/s] (.0005; with the springs as asked .48)
+    assert seen.speed < 0.002  # [rad/s] (.0005; with the full springs .48)
     dragged = hands.drag(laws.impedance(), LIGHT, conditions=SLOW)
     assert dragged.moved > 0.2  # [m]
     assert dragged.position < 0.015  # [m]
@@ -86,7 +86,7 @@ def test_a_slow_loop_with_a_tick_each_way_is_stable():
 def test_a_spring_answers_in_proportion():
     soft = laws.impedance(soft="", stiffness=(300.0, 20.0))
     given = hands.push_stiff(soft, "y", 6.0)
-    assert given == pytest.approx(6.0 / 300.0, abs=0.006)  # [m] friction of the gears beside it
+    assert given == pytest.approx(6.0 / 300.0, abs=0.006)  # [m] plus friction of the gears
 
 
 def test_the_cap_bounds_a_spring():
@@ -128,7 +128,7 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
 
 
 def rings(rate, stiffness, accept_high_stiffness=False):
-    """Fastest joint [rad/s] a second and more after a tap, with a tick each way."""
+    """Return the fastest joint [rad/s] from a second after a tap on, with a tick each way."""
     controller = Controller(
         robots.load("arm7"),
         Settings(

@@ -9,7 +9,7 @@ from experiments import doors, hands, skills
 from experiments.conditions import NOMINAL, Conditions
 from pliant import Settings
 
-#: A tick of delay each way, friction and damping believed 30 % too low and too high.
+#: A tick of delay each way, friction and damping assumed 30 % too low and too high.
 HARDWARE = [Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3)]
 STIFF = Settings.firm()
 conditions = pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_wipe(conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
         seen = skills.wipe(Settings.wipe(press=5.0), conditions=conditions)
     assert seen.mean == pytest.approx(5.0, abs=0.5)  # (4.9-5.0)
-    assert seen.least > 0.5  # [N] (2.7, believed 0.7: 0.9): it never leaves the surface
+    assert seen.least > 0.5  # [N] (2.7, assumed 0.7: 0.9): it never leaves the surface
     assert seen.most < 9.0  # [N] (6.8, 8.4)
     assert seen.off < 0.016  # [m] (0.010, 0.013)
     stiff = skills.wipe(STIFF, conditions=conditions)
@@ -85,7 +85,7 @@ def test_hand_over(conditions):
         seen = skills.hand_over(Settings.hand_over(), conditions=conditions)
     assert seen.released is not None
     assert seen.effort < 25.0  # [N] (19.7, 22)
-    assert 0.003 < seen.sag < 0.010  # [m] (0.007; 0.0001 if it was told of the 0.3 kg)
+    assert 0.003 < seen.sag < 0.010  # [m] (0.007; 0.0001 with the payload of 0.3 kg known)
     assert seen.fastest < 0.5  # [m/s] (0.36)
     stiff = skills.hand_over(STIFF, conditions=conditions)
     assert stiff.effort > 2.0 * seen.effort  # (2.8)
@@ -93,7 +93,7 @@ def test_hand_over(conditions):
 
 
 def test_an_object_is_not_dropped_by_its_own_weight():
-    """What `soft` would do: the unknown weight alone looks like a hand that takes it."""
+    """With `soft`, the unknown weight alone looks like a hand that takes the object."""
     assert skills.hand_over(Settings.soft("xyz")).sag > 3.0 * 0.010  # [m] (0.052)
 
 
@@ -120,7 +120,7 @@ def test_plug(holes, conditions):
     assert max(each.across for each in seen) < 5.0  # [N] (2.1)
     assert max(each.off for each in seen) < 0.003  # [m] (0.001)
     assert max(each.across for each in stiff) > 3.0 * max(each.across for each in seen)  # (15)
-    assert max(each.across for each in stiff) > 12.0  # [N] (20; 8.5 if the holes are as believed)
+    assert max(each.across for each in stiff) > 12.0  # [N] (20; 8.5 with exact holes)
 
 
 def test_a_blocked_plug_pushes_with_its_cap():
@@ -130,7 +130,7 @@ def test_a_blocked_plug_pushes_with_its_cap():
     assert not seen.inside
     assert not stiff.inside
     assert seen.along == pytest.approx(6.0, abs=1.5)
-    assert stiff.along > 1.4 * seen.along  # (1.8): no more, for the servos are springs
+    assert stiff.along > 1.4 * seen.along  # (1.8): no more, since the servos are springs
     assert stiff.across > 5.0 * seen.across  # (40)
 
 

@@ -1,4 +1,4 @@
-"""The report against the simulated arm: where it gives way, and what a lost host leaves."""
+"""The report against the simulated arm: force at which it gives way, force after a host loss."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ RANDOM = promise.poses(4, promise.CLEAR)
 PUSHES = (("y", 1.0, 8.0), ("y", -1.0, 5.0), ("z", 1.0, 8.0), ("x", -1.0, 8.0), ("yaw", 1.0, 1.0))
 #: Beyond promise and friction: the push grows while the arm begins to move, as a share of the cap.
 LATE = 0.15  # (0.10)
-#: Pushes on a dead arm: how far the felt peak may be from the report's, as a ratio.
+#: Pushes after a host loss: felt over reported peak.
 DEAD = {"+y": 0.1, "-y": 0.1, "-x": 0.1, "-z": 0.1, "+x": 0.25, "+z": 0.4}
 
 
 def gives_way(q, axis, sign, cap):
-    """Force [N, N·m] at which a growing push moves the axis away, and what the report says."""
+    """Return the force [N, N·m] at which a growing push moves the axis, and the reported one."""
     index = AXES.index(axis)
     settings = pliant.Settings(axes={axis: pliant.Axis(soft=cap, firm=cap)}, **laws.UNBLURRED)
     controller = NOMINAL.controller(settings)

@@ -1,4 +1,4 @@
-"""What a hand meets when the host has died, and whether caps are kept in poses at random."""
+"""Force on a hand after a host loss, and caps in random poses."""
 
 import numpy as np
 import pytest

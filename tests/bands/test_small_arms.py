@@ -1,4 +1,4 @@
-"""Steps of 10 cm of small arms with stiff axes: no faster than was set, not past their target."""
+"""Steps of 10 cm of small arms with stiff axes: within speed and overshoot bounds."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,12 @@ from experiments import steps
 from experiments.campaign_arms import BESIDE, ROBOTS
 
 COUNT = 3
-#: What the newcomer tried: 0.38 m/s where 0.25 was set, and 28 mm past the target.
+#: Reported case: 0.38 m/s with a bound of 0.25, and 28 mm past the target.
 TRIED = steps.Step((0.0, -0.3, 0.3, 0.9, 0.0), (0.0164, 0.0, 0.1044))
 
 
 def present(name):
-    """Skip where the URDF of a ready file does not lie beside us."""
+    """Skip if the URDF of a ready file is not available."""
     if name in BESIDE and not (ROBOTS / BESIDE[name][0]).exists():
         pytest.skip(f"no URDF of {name} beside this checkout")
 
@@ -41,7 +41,7 @@ def test_a_vx300s_keeps_them_under_law_paper(speed):
 @pytest.mark.parametrize("speed", steps.SPEEDS)
 @pytest.mark.parametrize("law", ["cap", "impedance"])
 def test_a_vx300s_is_near_them_under_the_other_laws(law, speed):
-    """Not kept yet: friction fed forward lets go too much at once (0.155 m/s, 8.9 mm)."""
+    """Not met yet: the friction feed-forward releases too much at once (0.155 m/s, 8.9 mm)."""
     present("vx300s")
     settings = steps.settings("vx300s", law, speed)
     for step in steps.steps("vx300s", COUNT):

@@ -1,4 +1,4 @@
-"""How fast the tool is where its target is told how fast to go: friction lets it go late."""
+"""Tool speed under a bounded target speed: friction releases the tool late."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,12 @@ from pliant import robots, sim
 
 START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
 WAY = 0.15  # [m]
-#: Most that the tool is faster than its target while it catches up [m/s]; (0.08).
+#: Largest excess of the tool's speed while it catches up [m/s]; (0.08).
 FASTER = 0.1
 
 
 def led(speed, axis):
-    """Speeds [m/s] of reference and tool, tick by tick, on a straight way along a base axis."""
+    """Return speeds [m/s] of reference and tool per tick, on a straight path along a base axis."""
     model = robots.arm7()
     controller = pliant.Controller(model, pliant.Settings(max_tool_speed=speed))
     arm = sim.Plant(model, rate=100.0)

@@ -1,4 +1,4 @@
-"""Position limits in physics: a limit for motion, none for force."""
+"""Position limits in physics: they bound motion, not force."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from pliant import robots
 from pliant.sim import Plant
 from pliant.sim.postures import VERTICAL
 
-#: Start of each arm [rad], caps tried [N], most that the first joint may be driven out [rad].
+#: Start of each arm [rad], caps [N], largest excursion of the first joint [rad].
 ARMS = {
     "arm7": (VERTICAL, (4.0, 20.0), 0.02),
     "so101": (np.array([0.2, -0.3, 0.3, 0.9, 0.0]), (0.5, 2.0), 0.08),
@@ -19,13 +19,13 @@ ARMS = {
 
 
 def limited(name, q, room):
-    """The arm with limits of the first joint at q ± room; the plant's stops are farther out."""
+    """Return the arm with first joint limits q ± room; the plant's stops are farther out."""
     bounds = {robots.load(name).joint_names[0]: (q[0] - room, q[0] + room)}
     return robots.load(name, limits=bounds)
 
 
 def beyond_the_limit(name, cap, ticks, law="cap"):
-    """How far y, soft, its target out of reach, drives a joint out: most, at the end, ringing."""
+    """Return the excursion of a joint by y, soft, target out of reach: largest, final, ringing."""
     q, room = ARMS[name][0], 0.05
     model, late = limited(name, q, room), 2 * ticks / 100.0
     gap = Mismatch(plant=Parameters(delay=late), assumed=Parameters(delay=late, reach=DRAWN))
@@ -68,7 +68,7 @@ def test_nor_under_law_impedance():
 
 
 def test_gravity_is_carried_at_a_limit():
-    """A joint that stands on its limit stays there, whichever way its weight pulls."""
+    """A joint at its limit stays there, whichever direction its weight pulls."""
     name, q = "arm7", ARMS["arm7"][0]
     model = robots.load(name)
     weight = model.gravity(q)
@@ -90,7 +90,7 @@ def test_gravity_is_carried_at_a_limit():
 @pytest.mark.parametrize("ticks", [0, 1])
 @pytest.mark.parametrize(("name", "pose"), [("arm7", 0), ("arm7", 2), ("so101", 3), ("koch", 2)])
 def test_an_arm_beside_its_stops_comes_to_rest_after_a_push(name, pose, ticks):
-    """No ringing with the joint that lets the posture go, and no walking away."""
+    """No ringing with the joint whose posture fades, and no drift."""
     rest = quiet.Job(name, pose, ticks).run()
-    assert rest.moves[1] < 4e-3  # within a second, 8 s after the hand has let go
+    assert rest.moves[1] < 4e-3  # within a second, 8 s after release
     assert rest.turns[1] == 0

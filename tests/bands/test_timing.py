@@ -1,4 +1,4 @@
-"""Rates, delays, encoders, and friction believed wrongly."""
+"""Rates, delays, encoders, and wrongly assumed friction."""
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ DELAYED = {
     "200 Hz, 1+1": (Conditions(rate=200.0, delay=(1, 1)), 8.0, 0.0045),
     "100 Hz, 2+2": (Conditions(delay=(2, 2)), 10.0, 0.006),
 }
-#: Loops in which friction and damping are believed wrongly.
+#: Loops with wrongly assumed friction and damping.
 LOOPS = {
     "100 Hz": Conditions(),
     "100 Hz, 1+1": Conditions(delay=(1, 1)),
     "200 Hz, 1+1": Conditions(rate=200.0, delay=(1, 1)),
 }
-#: Encoder count [deg]: idle speed [rad/s], force of a slow drag [N], walk in 2 s [m].
+#: Encoder count [deg]: idle speed [rad/s], force of a slow drag [N], drift in 2 s [m].
 COUNTS = {
     0.06: (0.006, 4.0, 0.003),  # (.002, 1.9)
     0.088: (0.01, 4.0, 0.003),  # (.004, 1.8)

@@ -1,4 +1,4 @@
-"""Running into a wall with the default law: cap 15 N on the axis that meets it."""
+"""Motion into a wall with the default law: cap 15 N on the axis of contact."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""A hand turns the tool about an axis that yields; the orientation of a task is followed."""
+"""A hand turns the tool about an axis that yields; a task's orientation is followed."""
 
 from experiments import hands, laws, tracking
 from pliant.sim import YAW

@@ -1,4 +1,4 @@
-"""Commands on the emulator: what they load between two ticks, and what Ctrl-C leaves of them."""
+"""Commands on the emulator: modules loaded between two ticks, and files after Ctrl-C."""
 
 import json
 import os
@@ -48,7 +48,7 @@ print(json.dumps([code, sorted(loaded)]))
 
 @pytest.fixture
 def command(tmp_path):
-    """Run a command over an emulated SO-101 that is left standing."""
+    """Run a command over an emulated SO-101 that stays enabled."""
     arm = tmp_path / "arm.toml"
     life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
     arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))

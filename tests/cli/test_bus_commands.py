@@ -23,7 +23,7 @@ MODELS = ("XM430-W350",) * 3 + ("XL430-W250",) * 3
 
 @pytest.fixture
 def arm(tmp_path):
-    """Factory-fresh servos on an emulated bus, and the file that describes them."""
+    """Return factory-new servos on an emulated bus, and the file that describes them."""
     devices = [Device(model, id=i) for i, model in enumerate(MODELS, 1)]
     with Emulator(devices) as bus:
         file = tmp_path / "arm.toml"
@@ -40,7 +40,7 @@ def test_scan_names_every_servo(arm, capsys):
     assert not bus.log.eeprom_writes()
 
 
-def test_scan_without_servos_says_what_to_look_at(arm, capsys):
+def test_scan_without_servos_lists_what_to_check(arm, capsys):
     bus, _ = arm
     assert main(["servos", "scan", "--port", bus.port, "--baud", "57600"]) == 2
     assert "power" in capsys.readouterr().err
@@ -89,7 +89,7 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
     assert main([*flags, "--yes"]) == 2, "the first backup is not overwritten"
 
 
-def test_setup_says_when_it_writes_no_backup(arm, tmp_path, capsys):
+def test_setup_reports_a_missing_backup(arm, tmp_path, capsys):
     _, file = arm
     assert (
         main(["servos", "setup", str(file), "--yes", "--backup", str(tmp_path / "old.json")]) == 0
@@ -168,7 +168,7 @@ def test_run_follows_a_file(tmp_path, capsys):
     assert "250 ticks" in capsys.readouterr().out
 
 
-#: What opening refuses and names `pliant servos setup` for: model, EEPROM values.
+#: Errors at open that name `pliant servos setup`: model, EEPROM values.
 MENDABLE = [
     ("XM430-W350", {"operating_mode": 3}),
     ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b10}),

@@ -16,12 +16,12 @@ import tyro
 from pliant import config
 from pliant.cli import COMMANDS, GROUPS, PREFIXES, main
 
-#: Commands that leave the package: their flags follow rules of their own.
+#: Commands that start other programs: their flags follow other rules.
 EXPERIMENTS = set(GROUPS.get("experiments", {}))
 
 
 def arguments(command):
-    """Arguments of a command, flags by their name and positional ones by their placeholder."""
+    """Return arguments of a command, flags by name and positional ones by placeholder."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         parser = tyro.extras.get_parser(
@@ -35,7 +35,7 @@ def arguments(command):
 
 
 def meaning(action):
-    """Placeholder and the first sentence of the help, without the default."""
+    """Return placeholder and first sentence of the help, without the default."""
     text = re.sub(r"\s*\((default: .*|required)\)\s*$", "", action.help or "")
     return str(action.metavar), re.split(r"(?<=[^.])\.(?:\s|$)", text)[0].strip()
 
@@ -119,13 +119,13 @@ def test_an_arm_that_is_not_ready_gets_a_suggestion(capsys):
 
 
 def pasted(lines):
-    """The lines that `pliant identify` prints for the file, as TOML."""
+    """Return the lines that `pliant identify` prints for the file, as TOML."""
     return tomllib.loads(lines.partition("\n\n")[2])
 
 
 @pytest.fixture
 def so101(tmp_path, capsys):
-    """A file of one's own."""
+    """Return a user's file."""
     assert main(["arms", "so101"]) == 0
     file = tmp_path / "mine.toml"
     file.write_text(capsys.readouterr().out, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`pliant servos doctor` on files that are wrong in ways that only the arm would have shown."""
+"""`pliant servos doctor` on files with errors that otherwise appear only on the arm."""
 
 import os
 import re

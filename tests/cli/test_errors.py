@@ -1,4 +1,4 @@
-"""What a new user does wrong, and what the command line and `pliant.connect` say to it."""
+"""Errors of a new user, and the answers of the command line and `pliant.connect`."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_an_emulator_goes_first_and_says_when_it_answers_late(monkeypatch, capsys):
+def test_the_emulator_starts_first_and_reports_late_replies(monkeypatch, capsys):
     pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
     asked = []
     monkeypatch.setattr(os, "nice", asked.append)

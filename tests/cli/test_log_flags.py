@@ -1,4 +1,4 @@
-"""Flags of `pliant log` that do not go together, said before the log is read."""
+"""Flags of `pliant log` that contradict each other, rejected before the log is read."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What a command writes never takes the place of what it reads, nor of a file of another kind."""
+"""A command's output never replaces its input, nor a file of another kind."""
 
 import json
 import os
@@ -28,7 +28,7 @@ GOOD = '{"position": [0.2, 0.0, 0.2]}\n'
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """One of each kind of file that a command reads."""
+    """Make one of each kind of file that a command reads."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.urdf").write_text(pliant.robots.koch().source[0])
     (tmp_path / "mine.toml").write_text(TOML)
@@ -146,7 +146,7 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_cannot_be_written_says_why(kind, tmp_path):
+def test_files_that_cannot_be_written_give_the_reason(kind, tmp_path):
     with pytest.raises(pliant.ConfigError, match="there is no folder"):
         check_output(tmp_path / "no" / "file", kind)
     with pytest.raises(pliant.ConfigError, match="is a folder"):

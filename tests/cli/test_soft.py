@@ -1,4 +1,4 @@
-"""`--soft`: which axes yield, with which caps, and what becomes of the others."""
+"""`--soft`: yielding axes, their caps, and the other axes."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from pliant.cli.soft import softened
 
 MODEL = pliant.robots.so101()
 TASK = pliant.Task(axes="xyz")
-#: Nothing is as by default, so that what is kept can be told from what is not.
+#: All values differ from the defaults, so that preserved ones can be recognised.
 SETTINGS = pliant.Settings(
     task=TASK, axes={"x": pliant.Axis(soft=1.5), "z": pliant.Axis(soft=1.0, adaptation=0.5)}
 )

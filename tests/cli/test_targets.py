@@ -1,4 +1,4 @@
-"""Targets from outside: what is none is said, and a stream neither ends nor delays the loop."""
+"""Targets from other programs: errors are reported; a stream neither ends nor delays the loop."""
 
 import os
 import re
@@ -88,7 +88,7 @@ def test_joints_may_be_a_little_beyond_their_limits():
 
 @pytest.fixture
 def pipe():
-    """A stream, and what writes to it and waits until it was read."""
+    """Return a stream, and a function that writes to it and waits until it was read."""
     ends = os.pipe()
     source = Stream(ends[0], MODEL)
 
@@ -152,7 +152,7 @@ def test_refusals_are_said_a_few_times_a_second(pipe, capsys):
 
 
 def complaints(text):
-    """Lines of standard error, without those that say how the arm is lowered."""
+    """Return lines of standard error, without those on the descent."""
     return [line for line in text.splitlines() if not line.startswith("pliant: so101_like")]
 
 
@@ -230,7 +230,7 @@ def test_a_target_that_was_not_reached_is_said(tmp_path, capsys):
 
 
 def test_joints_at_their_limits_are_named_where_a_target_was_not_reached():
-    """From the folded rest pose an SO-101 cannot lift its tool: that would take it through."""
+    """From the folded rest pose an SO-101 cannot lift its tool: its limits block the path."""
     from pliant.cli.run import _missed
 
     folded = np.array([0.0, -1.75, 1.7, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""`pliant servos setup --undo`: what is not the arm's is refused before anything is written."""
+"""`pliant servos setup --undo`: a backup of another arm is rejected before any write."""
 
 import io
 import json
@@ -16,7 +16,7 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 
 @pytest.fixture
 def arm(tmp_path):
-    """Servos as they came, the file of their arm in a folder with a blank, and a backup's path."""
+    """Return new servos, their arm's file in a folder with a blank, and a backup's path."""
     folder = tmp_path / "my arms"
     folder.mkdir()
     file = folder / "arm.toml"
@@ -32,7 +32,7 @@ def arm(tmp_path):
 
 @pytest.fixture
 def done(arm, capsys):
-    """The same after a set-up, with what was said."""
+    """Return the same after a set-up, with the printed text."""
     bus, file, backup = arm
     assert (
         main(["servos", "setup", str(file), "--port", bus.port, "--yes", "--backup", str(backup)])
@@ -55,7 +55,7 @@ def test_the_printed_command_puts_the_values_back(done, capsys, monkeypatch):
     assert main([*words, "--yes"]) == 0
     assert f"{len(old['changes'])} registers written" in capsys.readouterr().out
     assert len(bus.log.eeprom_writes()) == len(old["changes"])
-    # A second time there is nothing left: what is there is read, not believed.
+    # A second time there is nothing to undo: the registers are read, not assumed.
     assert main([*words, "--yes"]) == 0
     assert "nothing to change" in capsys.readouterr().out
 
@@ -64,7 +64,7 @@ def test_the_column_is_shows_what_the_servo_has(done, capsys, monkeypatch):
     bus, file, backup, _ = done
     data = json.loads(backup.read_text())
     change = next(c for c in data["changes"] if c["register"] == "return_delay" and c["id"] == 2)
-    change["new"] = 77  # what the file believes
+    change["new"] = 77  # what the file assumes
     backup.write_text(json.dumps(data))
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert main(["servos", "setup", str(file), "--undo", str(backup)]) == 1
@@ -108,7 +108,7 @@ def test_what_does_not_belong_is_refused_before_the_first_write(change, said, do
     bus, file, backup, _ = done
     data = json.loads(backup.read_text())
     data["changes"][0].update(change)
-    # Whatever came first was written before.
+    # The first write came before.
     data["changes"].append(data["changes"].pop(0))
     backup.write_text(json.dumps(data))
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2

@@ -1,4 +1,4 @@
-"""`pliant servos doctor --watch`: joints moved by hand, torque off, and the tool's way."""
+"""`pliant servos doctor --watch`: joints moved by hand, torque off, and the tool's direction."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_ways_are_those_of_finite_differences(name):
             assert ("(down)" in phrase) == bool(-moved[2] >= 0.3 * np.linalg.norm(moved))
 
 
-def test_what_moves_the_tool_nowhere_says_about_what_it_turns():
+def test_a_joint_that_turns_the_tool_in_place_names_its_axis():
     model = pliant.robots.so101()
     roll = joint_directions(model, np.zeros(5), up=UP)[4]
     assert roll == "turns in place about +x, as a screw goes in"
@@ -46,7 +46,7 @@ def test_what_moves_the_tool_nowhere_says_about_what_it_turns():
 
 @pytest.fixture
 def arm(tmp_path):
-    """An emulated SO-101 and a file for it whose shoulder_lift has the wrong sign."""
+    """Return an emulated SO-101 and its file with a wrong sign for shoulder_lift."""
     ready = config.load("so101", backend="emulator")
     with make_emulator(ready) as bus:
         text = config.loader.builtin_text("so101").replace('path = "auto"', f'path = "{bus.port}"')
@@ -58,7 +58,7 @@ def arm(tmp_path):
 
 
 def watch_while_lifted(bus, file, capsys):
-    """What it prints while a hand turns shoulder_lift by +0.4 rad, and back."""
+    """Return the output while a hand turns shoulder_lift by +0.4 rad, and back."""
 
     def lift():
         for angle in (0.4, 0.0):
@@ -85,7 +85,7 @@ def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
     assert "elbow_flex grew" not in out
     assert not bus.log.writes("torque_enable")
     assert not bus.log.eeprom_writes()
-    # The arm sank; the mirrored file says that it should have risen.
+    # The arm sank; by the file with the wrong sign it should have risen.
     out = watch_while_lifted(bus, mirrored, capsys)
     first, second = (
         line for line in out.splitlines() if "shoulder_lift" in line and " by " in line
@@ -101,13 +101,13 @@ def test_torque_that_is_on_is_in_the_way(capsys):
     )
     out = capsys.readouterr().out
     assert "torque is on already" in out
-    # Markup swallowed the name of the table.
+    # Markup must not remove the name of the table.
     assert "under [life] of its file" in out
     assert "-0.00" not in out.splitlines()[-1]
 
 
 def test_ctrl_c_is_how_it_ends():
-    # A test run in the background is told to ignore Ctrl-C, and would hand that on.
+    # A test run in the background ignores Ctrl-C, and its children would inherit that.
     program = (
         "import signal, sys, pliant.cli as cli; "
         "signal.signal(signal.SIGINT, signal.default_int_handler); "

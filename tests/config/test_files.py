@@ -14,7 +14,7 @@ SIM = 'backend = "sim"\nrobot.builtin = "so101"\n'
 
 
 @pytest.mark.parametrize("name", config.names())
-def test_ready_files_are_valid_and_say_what_they_are(name):
+def test_ready_files_are_valid_and_described(name):
     read = config.load(name)
     assert len(config.describe(name)) > 40
     assert read.settings().rate == read.loop.rate
@@ -196,7 +196,7 @@ def test_a_urdf_is_not_taken_for_a_configuration(tmp_path):
         config.load(tmp_path / "vx300s.urdf")
 
 
-def test_a_gain_that_a_servo_forgets_is_refused():
+def test_a_gain_that_a_servo_does_not_keep_is_rejected():
     with pytest.raises(pliant.ConfigError, match=r"servo\.a: gain: XM430-W350 starts with"):
         config.parse(SIM + '[servo.a]\nmodel = "XM430-W350"\nid = 1\ngain = 800')
 
@@ -275,7 +275,7 @@ def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):
 
 
 def test_a_bound_on_a_dead_host_reaches_the_servos_from_the_file():
-    """A loop over the arm of a file, with and without `max_host_loss_force`."""
+    """Run a loop over the arm of a file, with and without `max_host_loss_force`."""
     work = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     text = 'backend = "sim"\nrobot.builtin = "arm7"\n[settings]\naxes.y = { soft = 4.0 }\n'
     left, sent = [], []

@@ -1,4 +1,4 @@
-"""What the file says of its servos is what the arm believes on every backend."""
+"""The arm assumes the servo parameters of its file on every backend."""
 
 import tomllib
 from pathlib import Path
@@ -16,7 +16,7 @@ from pliant.emulator import StepClock
 from pliant.servo import ServoBus
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
-#: Ready files, and robots that are not ours with a file of their own.
+#: Ready files, and other robots with a file of their own.
 OWN = ("arm7", "koch", "so100", "so101")
 KOCH = """
 [robot]
@@ -33,7 +33,7 @@ voltage = {volts}
 
 
 def read(name, tmp_path, backend):
-    """The configuration of a ready file, or of a robot of the collection."""
+    """Read the configuration of a ready file, or of a robot of the collection."""
     if name in OWN:
         return config.load(name, backend=backend)
     if name == "vx300s":
@@ -50,7 +50,7 @@ def read(name, tmp_path, backend):
 
 
 def on_bytes(own, model):
-    """What the driver of a real bus reads from such servos."""
+    """Return the values that the driver of a real bus reads from such servos."""
     with make_emulator(own, clock="steps") as bus:
         chain = ServoBus(factory.servo_specs(own, bus.ports), patience=0.5, clock=StepClock(bus))
         arm = pliant.Arm(model, chain, grippers=factory.gripper_configs(own), signals=False)
@@ -62,7 +62,7 @@ def on_bytes(own, model):
 
 
 @pytest.mark.parametrize("name", [*OWN, "vx300s", "koch by its URDF"])
-def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
+def test_the_arm_assumes_the_same_servos_on_every_backend(name, tmp_path):
     own = read(name, tmp_path, "sim")
     model = own.model()
     arm = pliant.connect(own, signals=False)
@@ -78,7 +78,7 @@ def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
             table.limit_type,
             table.stiffness_known,
         )
-    # The plant is what the arm believes, unless the caller says otherwise.
+    # The plant matches the arm's assumptions unless the caller overrides them.
     np.testing.assert_array_equal(truth.kp, simulated.kp)
     np.testing.assert_array_equal(truth.torque, simulated.max_torque)
     np.testing.assert_array_equal(truth.friction, simulated.friction)
@@ -86,7 +86,7 @@ def test_the_arm_believes_the_same_servos_on_every_backend(name, tmp_path):
     assert simulated.stiffness_known == (name == "koch by its URDF")
 
 
-def test_what_the_caller_says_of_the_plant_is_not_believed():
+def test_options_of_the_plant_do_not_change_the_assumptions():
     table = config.load("so101").model().servos
     options = {"backend": "sim", "signals": False}
     with Mismatch(plant=Parameters(kp=2.0, friction=0.5), assumed=Parameters()):
@@ -131,7 +131,7 @@ def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
 
 
 def test_a_finger_without_ends_that_no_file_describes_stays(tmp_path):
-    """As on the bus, where such a joint has no servo; the simulator refused the arm."""
+    """As on the bus, where such a joint has no servo; the simulator must not reject the arm."""
     link = '<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" \
 izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
     joint = '<joint name="{2}" type="{3}"><parent link="{0}"/><child link="{1}"/><origin \

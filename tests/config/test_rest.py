@@ -1,4 +1,4 @@
-"""Ready arms stand on a table and know where to lie down on it."""
+"""Ready arms stand on a table and have a rest pose on it."""
 
 from inspect import signature
 from pathlib import Path
@@ -29,7 +29,7 @@ def load(name, **options):
     return config.load(name, urdf=urdf, **options)
 
 
-def test_every_ready_file_has_a_rest_pose_and_says_whether_it_stands_on_a_table():
+def test_every_ready_file_has_a_rest_pose_and_a_table_or_none():
     for name in config.names():
         read = config.load(name)
         assert read.life.rest_q is not None, name
@@ -88,7 +88,7 @@ def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
     assert not arm.enabled
 
 
-#: Bent over forward: half way to the rest pose the tool would be 5 cm below the table.
+#: Bent forward: half way to the rest pose the tool would be 5 cm below the table.
 BARRED = [0.0, 1.24, 1.23, 1.24, 0.0]
 
 
@@ -105,7 +105,7 @@ def test_a_way_through_the_table_is_found():
     assert said == f"the way to the rest pose leads the tool {-min(way):.3f} m into the table"
     for free, table in ((np.zeros(5), 0.0), (np.array(BARRED), None), (np.array(BARRED), -0.1)):
         assert path_obstacle(model, points, free, rest, table) is None
-    # A point that begins below the table may come out, and no deeper.
+    # A point that starts below the table may move out, but no deeper.
     inside, out = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
     assert points.position(inside)[:, 2].min() < -0.09
     assert path_obstacle(model, points, inside, out, 0.0) is None
@@ -114,7 +114,7 @@ def test_a_way_through_the_table_is_found():
     )
 
 
-def test_an_arm_whose_way_to_rest_is_barred_is_lowered_straight_down():
+def test_an_arm_with_a_blocked_path_to_rest_is_lowered_straight_down():
     arm = pliant.connect("so101", backend="sim", q=BARRED, signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
@@ -224,8 +224,8 @@ def test_joint_targets_lead_an_arm_out_of_its_rest_pose(name, soft):
         for tick in pliant.Loop(arm, controller, duration=5.0):
             tick.write(controller.step_joints(tick.q, target, dt=tick.dt))
         arm.leave_enabled()
-    # Friction keeps the null space, which the task leaves free, from its very end.
+    # Friction holds the null space, which the task leaves free, from its very end.
     np.testing.assert_allclose(tick.q, target, atol=0.3)  # [rad] (.01 to .22; 1.4 when stuck)
     tool, there = (arm.model.forward_kinematics(q)[:3, 3] for q in (tick.q, target))
-    # A soft axis stops short of its target by what its cap does not move of the gears.
+    # A soft axis stops short of its target by the friction above its cap.
     assert np.linalg.norm(tool - there) < (0.04 if soft else 0.02)  # [m] (.027, .014)

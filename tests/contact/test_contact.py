@@ -1,4 +1,4 @@
-"""The contact estimate from Python: what it says of a simulated push, and what it refuses."""
+"""Contact estimation from Python: estimates of a simulated push, and rejections."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def controller(**settings):
 
 
 def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None):
-    """Estimates of every tick; the push ramps up at 0.5 s within 0.2 s, a tare comes at a tick."""
+    """Return the estimates of every tick; the push ramps up from 0.5 to 0.7 s; one tick tares."""
     course = Course(start=0.5, rise=0.2, end=10.0)
     plant = build(arm(), scene=[Push(force_vector=force, course=course)])
     ctl = contact.controller

@@ -1,4 +1,4 @@
-"""Conditions, actions and the watch, tick by tick."""
+"""Conditions, actions and the monitor, tick by tick."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ TARGET = arm().forward_kinematics(VERTICAL)
 
 
 class Felt:
-    """Stands for an estimate in the conditions."""
+    """Replaces an estimate in the conditions."""
 
     def __init__(self, force=(0.0,) * 6, bound=(1.0,) * 6, evidence=0.0):
         self.force, self.uncertainty = np.array(force), np.array(bound)
@@ -118,7 +118,7 @@ def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
 
 
 def watched(then, when=None, **more):
-    """A watch over time: its condition holds from 0.1 s to 0.3 s."""
+    """Run a monitor over time: its condition holds from 0.1 s to 0.3 s."""
     if when is None:
         when = rx.Elapsed(0.1) & ~rx.Elapsed(0.3)
     return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **more)])

@@ -1,4 +1,4 @@
-"""What the tests of the demonstration share."""
+"""Shared code of the demonstration's tests."""
 
 import os
 import subprocess

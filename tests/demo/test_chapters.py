@@ -21,7 +21,7 @@ from pliant.sim.postures import task_axes
 
 @cache
 def measured(number):
-    """Numbers of a quick run of one chapter, as text, so that no test can change another's."""
+    """Return numbers of a quick run of one chapter, as immutable text."""
     module = demonstration.EXPERIMENTS[number]
     options = Options(quick=True, figures=Path("unused"))
     outcomes = {job.key: job.run() for job in module.jobs(options)}

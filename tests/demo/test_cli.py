@@ -1,4 +1,4 @@
-"""The command line: fast where it can be, and every error one line."""
+"""The command line: fast where possible, and every error one line."""
 
 import re
 

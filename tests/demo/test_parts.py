@@ -1,4 +1,4 @@
-"""The small parts: verdicts, jobs, times of return, pictures of the report."""
+"""Small parts: verdicts, jobs, times of return, pictures of the report."""
 
 import math
 from types import SimpleNamespace
@@ -71,7 +71,7 @@ def test_two_jobs_with_one_name_are_refused():
 
 
 def trace(along):
-    """Something like a run at 10 Hz in which only y moves."""
+    """Return a trace at 10 Hz in which only y moves."""
     t = 0.1 * np.arange(1, along.size + 1)
     error = np.zeros((along.size, 6))
     error[:, 1] = -along

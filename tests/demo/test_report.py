@@ -1,4 +1,4 @@
-"""A whole run: it finishes, leaves what it says, and the report needs nothing from anywhere."""
+"""A whole run: it finishes, writes its results, and the report is self-contained."""
 
 import json
 import math
@@ -17,7 +17,7 @@ EMPTY_ELEMENTS = {"meta", "br", "img", "link", "hr", "input"}
 
 
 class Page(HTMLParser):
-    """Collects what a page refers to, its identifiers, and whether its elements close."""
+    """Collects a page's references and identifiers, and checks that its elements close."""
 
     def __init__(self, text):
         super().__init__()
@@ -59,7 +59,7 @@ def check_page(path):
 
 
 def check_numbers(value, where="results"):
-    """JSON has no NaN; null stands for 'not back' and for open bounds only."""
+    """Check numbers: JSON has no NaN; null stands for 'not back' and for open bounds only."""
     if isinstance(value, dict):
         for key, item in value.items():
             if item is None:
@@ -126,7 +126,7 @@ def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
 
 
 def robots():
-    """Reference arms and their chains, where they are at hand."""
+    """Return reference arms and their chains, where available."""
     found = []
     for file in sorted(SHARED.glob("*/reference_fk.json")):
         chain = json.loads(file.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Requests written out by hand, so that tests do not lean on the emulator's own packets."""
+"""Requests written out by hand, independent of the emulator's own packets."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ BAUD = 1_000_000
 
 
 def wire(*devices, **options):
-    """Servos on a bare line."""
+    """Return servos on a bare line."""
     return Line([device.build(BAUD) for device in devices], **options)
 
 
 def one(model, **registers):
-    """One servo with id 1 on a bare line, and that servo."""
+    """Return one servo with id 1 on a bare line, and that servo."""
     line = wire(Device(model, 1, **registers))
     return line, line.servos[0]
 
@@ -30,23 +30,23 @@ def p1(id, instruction, *params):
 
 
 def ask(line, request):
-    """All bytes that come back at once."""
+    """Return all bytes that come back at once."""
     return b"".join(d.data for d in line.feed(request, BAUD) if d.after is not None)
 
 
 def write1(line, address, *data, id=1):
-    """Error byte of a write under Protocol 1.0."""
+    """Return the error byte of a write under Protocol 1.0."""
     return ask(line, p1(id, 3, address, *data))[4]
 
 
 def read1(line, address, length, id=1):
-    """Error byte and data of a read under Protocol 1.0."""
+    """Return error byte and data of a read under Protocol 1.0."""
     answer = ask(line, p1(id, 2, address, length))
     return answer[4], answer[5:-1]
 
 
 def pass_time(servo, seconds, dt=0.01):
-    """Let a servo look at itself without any physics."""
+    """Update a servo without any physics."""
     for _ in range(round(seconds / dt)):
         servo.now += dt
         servo.update(dt)
@@ -61,7 +61,7 @@ def four(value):
 
 
 class Host:
-    """The barest serial client: raw bytes, a deadline."""
+    """A minimal serial client: raw bytes, a deadline."""
 
     def __init__(self, path, speed=termios.B1000000):
         self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -77,7 +77,7 @@ class Host:
         os.close(self.fd)
 
     def ask(self, request, length, patience=2.0):
-        """Write, and read so many bytes or until patience ends."""
+        """Write, and read so many bytes or until the timeout."""
         os.write(self.fd, request)
         answer, end = b"", time.monotonic() + patience
         while len(answer) < length and time.monotonic() < end:
@@ -89,5 +89,5 @@ class Host:
 
 
 def without_extra():
-    """A factory where the simulator is not installed."""
+    """Raise as a factory does where the simulator is not installed."""
     raise ImportError(missing("pliant.sim", "sim"))

@@ -1,4 +1,4 @@
-"""Drivers as they are installed, over a real pseudo-terminal."""
+"""Installed drivers over a real pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def bus(model, **registers):
 
 @pytest.fixture
 def open_sdk(monkeypatch):
-    """Open a port with a vendor's SDK, with patience for a busy machine, and close it."""
+    """Open a port with a vendor's SDK, with a timeout for a busy machine, and close it."""
     opened = []
 
     def open_port(sdk, path):
@@ -171,8 +171,8 @@ def test_feetech_sdk(open_sdk):
 
 
 def test_a_stale_answer_reaches_a_driver_that_retries_at_once():
-    # Why drivers must drain after a failure: the answer to the first request is taken for that to
-    # the second.
+    # The reason why drivers must drain after a failure: the reply to the first request is taken for
+    # that to the second.
     with bus("STS3215") as emulator:
         host = rustypot.Sts3215PyController(emulator.port, BAUD, 0.05)
         emulator.faults.inject("late", 1)

@@ -1,4 +1,4 @@
-"""Ports, clock and accidents of the whole emulator."""
+"""Ports, clock and faults of the whole emulator."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ def test_wire_time_passes_under_the_clock_of_steps():
     with sts(timing=Timing(wire=True)) as emulator, Host(emulator.port) as host:
         for _ in range(100):
             host.ask(p1(1, 2, 56, 15), 21)
-        # Whoever has the answer sees the time after it, without waiting for anything.
+        # A host that has the reply sees the time after it, without waiting.
         spent = sum(transaction.duration for transaction in emulator.log)
         assert emulator.time == pytest.approx(spent, abs=0.0011)
         assert spent == pytest.approx(100 * (290e-6 + 30e-6), rel=0.01)
 
 
-def test_the_clock_of_steps_knows_what_was_written_and_stops_where_it_is_told():
+def test_the_clock_of_steps_includes_all_writes_and_stops_on_time():
     with sts(timing=Timing(wire=True)) as emulator, Host(emulator.port) as host:
         clock, packet = StepClock(emulator), p1(0xFE, 3, 42, *two(2100), *[0] * 200)
         for k in range(1, 21):

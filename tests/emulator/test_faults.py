@@ -1,4 +1,4 @@
-"""Faults on demand and by chance, collisions, and what the log says of them."""
+"""Ordered and random faults, collisions, and their record in the log."""
 
 from __future__ import annotations
 

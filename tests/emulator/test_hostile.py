@@ -1,4 +1,4 @@
-"""Any bytes: nothing breaks, and no register leaves its range."""
+"""Arbitrary bytes: no crash, and no register leaves its range."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def bus():
 
 
 def check(line):
-    """Every register of every servo is in its range, and the protections can look at it."""
+    """Check that every register of every servo is in its range and readable by the protections."""
     for servo in line.servos:
         for register in servo.table:
             if register.writable:

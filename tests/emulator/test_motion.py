@@ -1,4 +1,4 @@
-"""Servos alone with their load: torque limits, speeds, holding, falling."""
+"""Independent servos with their load: torque limits, speeds, holding, falling."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def world(model, **registers):
 
 
 def set_goal(servo, counts, share):
-    """Goal and torque limit, torque on, by way of the registers."""
+    """Set goal and torque limit, and switch torque on, through the registers."""
     names = servo.table
     if "torque_limit" in names:
         full = names["torque_limit"].high
@@ -91,7 +91,7 @@ def test_a_current_limited_servo_does_not():
         ("STS3215", "goal_velocity", 300, 300 * math.pi / 2048),
     ],
 )
-def test_speed_registers_cap_the_walk(model, register, value, speed):
+def test_speed_registers_bound_the_speed(model, register, value, speed):
     made, servo = world(model)
     servo.put(register, value)
     set_goal(servo, servo.position + 800, 1.0)
@@ -119,7 +119,7 @@ def test_no_load_speed_is_the_makers():
     set_goal(servo, servo.position + 30000, 1.0)
     made.advance(1.0)
     motor = servo.model.motor
-    # Of the maker's figure, what a duty of 97 % and this package's gear friction leave.
+    # The maker's figure less the effect of 97 % duty and this package's gear friction.
     expected = (0.97 * motor.stall - motor.friction) / (motor.slope + motor.damping)
     assert servo.shaft.speed == pytest.approx(expected, rel=0.01)
     assert 0.75 * motor.speed < servo.shaft.speed < motor.speed

@@ -34,7 +34,7 @@ def test_errors_come_back(remote):
         remote.call("nothing")
 
 
-def test_a_factory_that_fails_says_why():
+def test_a_failing_factory_gives_the_reason():
     with pytest.raises(ConfigError, match="at least one"):
         Remote(Emulator, [])
 

@@ -1,4 +1,4 @@
-"""The whole stack down to bytes on physics: controller, chain, driver wheel, servos, arm."""
+"""The whole stack down to bytes on physics: controller, driver, driver wheel, servos, arm."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TICK = 0.01
 
 
 def so101():
-    """An SO-101: duty-limited servos, axes x y z."""
+    """Return an SO-101: duty-limited servos, axes x y z."""
     axes = {"y": pliant.Axis(soft=1.0, firm=3.0, soft_until=0.01, firm_from=0.1, adaptation=0.9)}
     return (
         pliant.robots.so101(),
@@ -28,7 +28,7 @@ def so101():
 
 
 def arm7():
-    """Seven current-limited servos, all six axes."""
+    """Return seven current-limited servos, all six axes."""
     axes = {"y": pliant.Axis(soft=4.0, firm=15.0, soft_until=0.01, firm_from=0.1, adaptation=0.9)}
     return (
         pliant.robots.arm7(),
@@ -40,7 +40,7 @@ def arm7():
 
 
 class Steps:
-    """The emulator's time, which passes when somebody waits."""
+    """Emulated time, which advances only during waits."""
 
     def __init__(self, bus):
         self._bus = bus
@@ -107,7 +107,7 @@ def run(bus, chain, model, settings, share):
             assert np.all(np.abs([d.ceiling for d in drives] - command.torque_limit) <= room)
         assert np.all([d.ceiling for d in drives] <= ceiling * 1.001)
     away = np.linalg.norm(bus.plant.tool[:3, 3] - target[:3, 3])
-    # What the gears' dry friction holds on to.
+    # The gears' dry friction.
     stiction = [servo.model.motor.friction for servo in bus.servos] / np.asarray(chain.servos.kp)
     assert away < 1.5 * np.abs(model.jacobian(pose)[:3] @ np.diag(stiction)).sum(axis=1).max()
     assert missed <= 200 * share

@@ -13,7 +13,7 @@ IDS = list(range(1, 8))
 
 
 def cycle(model, requests, baud=1_000_000, delay=0, **timing):
-    """Frequency of a cycle of these requests on the wire [Hz]."""
+    """Return the frequency of a cycle of these requests on the wire [Hz]."""
     name = "return_delay_time"
     servos = [Device(model, id, **{name: delay}).build(baud) for id in IDS]
     line = Line(servos, timing=Timing(wire=True, **timing))

@@ -9,7 +9,7 @@ from pliant.emulator.wire import crc16, stuff, unstuff
 
 
 def line(*devices, **values):
-    """Servos on a bare line; `values` are put into the first one's memory."""
+    """Return servos on a bare line; `values` are written to the first one's memory."""
     servos = [device.build(1_000_000) for device in devices]
     made = Line(servos)
     for name, value in values.items():
@@ -71,7 +71,7 @@ def test_p1_sync_write():
 
 
 def test_p1_bulk_read():
-    # The manual prints it for an RX-64, which does not know the instruction; an MX does.
+    # The manual prints it for an RX-64, which lacks the instruction; an MX has it.
     made = line(Device("MX-28", 1), Device("MX-28", 2))
     made.servos[0].put("goal_position", -0x8000)
     made.servos[1].stuck["present_position"] = -0x8000
@@ -198,7 +198,7 @@ def test_p2_fast_bulk_read():
     made.servos[1].stuck["present_pwm"] = 421
     made.servos[2].temperature = 31.0
     body = bytes.fromhex("FF FF FD 00 FE 12 00 9A 03 84 00 04 00 07 7C 00 02 00 04 92 00 01 00")
-    # The manual prints the CRC of the example before it here; the one of these bytes is used.
+    # The manual prints the CRC of the previous example here; this is the CRC of these bytes.
     request = (body + crc16(body).to_bytes(2, "little")).hex()
     answer = "FF FF FD 00 FE 14 00 55 00 03 A6 00 00 00 67 A4 00 07 A5 01 24 74 00 04 1F D9 C1"
     assert exchange(made, request) == answer

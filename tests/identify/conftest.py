@@ -1,4 +1,4 @@
-"""What the tests of identification share: poses to start from."""
+"""Shared poses of the identification tests."""
 
 import numpy as np
 import pytest

@@ -18,7 +18,7 @@ FOLLOWING = pliant.Settings(
 
 
 def standing(arm, q, settings=FOLLOWING, **differs):
-    """An arm that differs so from what its controller assumes, and the controller."""
+    """Return an arm that differs from the controller's assumptions, and the controller."""
     if differs:
         gap = Mismatch(plant=Parameters(**differs), assumed=Parameters())
         plant = gap.build(arm, count=COUNT)
@@ -32,19 +32,19 @@ def standing(arm, q, settings=FOLLOWING, **differs):
 
 
 @pytest.mark.parametrize("kp", [0.5, 0.8, 1.25, 2.0])
-def test_an_arm_that_would_walk_stays_after_the_capture(arm, grasp, kp):
+def test_an_arm_that_would_drift_stays_after_the_capture(arm, grasp, kp):
     plant, controller = standing(arm, grasp, kp=kp)
     found = identify.capture_gravity(plant, controller)
     assert found.stays, str(found)
     assert found.drift < 2e-3  # (.0007)
     assert controller.settings == FOLLOWING
     heavy = np.abs(found.gravity) > 1.0
-    assert np.abs(found.stiffness[heavy] / (kp * found.believed[heavy]) - 1.0).max() < 0.3
+    assert np.abs(found.stiffness[heavy] / (kp * found.assumed[heavy]) - 1.0).max() < 0.3
     assert sum("captured" in text for text in found.summary()) == found.captured.sum()
 
 
-def test_an_arm_that_walks_is_stopped_and_told_what_helps():
-    """k_p twice the believed one: twice the friction is fed forward, and the tool walks."""
+def test_a_drifting_arm_is_stopped_with_a_remedy():
+    """k_p twice the assumed one: twice the friction is fed forward, and the tool drifts."""
     so101 = pliant.robots.so101()
     settings = FOLLOWING.replace(
         task="xyz", axes={"y": pliant.Axis(yields="both", adaptation=0.999)}
@@ -97,11 +97,11 @@ def test_numbers_out_of_range_are_refused(arm):
     with pytest.raises(pliant.OutOfRangeError, match="seconds"):
         identify.capture_gravity.procedure(controller, seconds=0.2)
     bare = pliant.Controller(arm, pliant.Settings.paper())
-    assert bare.servos is not None  # built-in arms carry theirs
+    assert bare.servos is not None  # built-in arms have their own
 
 
 @pytest.mark.parametrize("kp", [0.8, 2.0])
-def test_what_the_call_says_is_what_comes_of_it(kp):
+def test_the_check_predicts_the_motion_afterwards(kp):
     with Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
         seen = tried("arm7", 0, kp)
     assert seen.stays or seen.remedied

@@ -1,4 +1,4 @@
-"""Float mode: still when nobody touches, light when somebody does, whatever k_p is."""
+"""Hand guiding: still when untouched, light to move, for any k_p."""
 
 from contextlib import nullcontext
 
@@ -11,7 +11,7 @@ from experiments.floating import floated
 
 
 def afloat(arm, pose, kp):
-    """Float with servos of so much of the assumed stiffness."""
+    """Run hand guiding with servos of this share of the assumed stiffness."""
     known = kp == 1.0
     with nullcontext() if known else Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
         return floated(arm, pose, kp)
@@ -20,7 +20,7 @@ def afloat(arm, pose, kp):
 @pytest.mark.parametrize(
     ("arm", "pose", "kp"), [("arm7", 1, 0.5), ("arm7", 2, 2.0), ("so101", 0, 1.0)]
 )
-def test_an_arm_that_nobody_touches_stays_and_can_be_led(arm, pose, kp):
+def test_an_untouched_arm_stays_and_can_be_guided(arm, pose, kp):
     seen = afloat(arm, pose, kp)
     assert seen.idle < 2e-3
     assert seen.force < (12.0 if arm == "arm7" else 2.0)
@@ -38,7 +38,7 @@ def test_nineteen_of_twenty_poses_stay(arm, kp):
 
 
 def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
-    """Between two rests nothing is integrated: the goal is one number."""
+    """Between two rests nothing is integrated: the goal is constant."""
     floating = pliant.HandGuiding(arm)
     orders = []
     for _ in range(3000):
@@ -52,7 +52,7 @@ def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
 
 @pytest.mark.parametrize("dt", [0.005, 0.02])
 def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
-    """The first swing takes as long, and a joint led at 0.2 rad/s is seen to move at that."""
+    """The first swing takes as long, and a joint moved at 0.2 rad/s is detected at that speed."""
     hundred, other = pliant.HandGuiding(arm), pliant.HandGuiding(arm)
     times, speeds = [], []
     for floating, step in ((hundred, 0.01), (other, dt)):
@@ -72,7 +72,7 @@ def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
         other.step(grasp, dt=0.0)
 
 
-def test_a_known_stiffness_is_believed_and_an_unknown_one_not(arm):
+def test_only_a_known_stiffness_is_assumed(arm):
     known = pliant.HandGuiding(arm, arm.servos.replace(stiffness_known=True)).stiffness
     open_ = pliant.HandGuiding(arm, arm.servos.replace(stiffness_known=False)).stiffness
     assert (known[1] / known[0]).max() == pytest.approx(1.21)

@@ -1,4 +1,4 @@
-"""An arm identifies itself: found against true, and what a right table is worth."""
+"""An arm identifies itself: identified against true values, and the benefit of a correct table."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from pliant.sim import Plant
 BANDS = (0.06, 0.15, 0.22, 0.25, 2.5e-3)  # (.037, .133, .17, .20, .0018)
 
 
-#: What the arm is where the identification assumes its table, no load and no delay.
+#: The arm, where the identification assumes its table, no load and no delay.
 SIDES = {
     "k_p × 0.8": {"kp": 0.8},
     "k_p × 1.25": {"kp": 1.25},
@@ -28,12 +28,12 @@ SIDES = {
     "gears as they are": {"gears": True},
     "several at once": {"kp": 0.8, "friction": 1.3, "delay": 0.02, "lift": 2 / 3},
 }
-#: Cases in which nothing of that differs.
+#: Cases without a difference.
 AS_ASSUMED = {"as the table", "dead band 0.06°"}
 
 
 def identified(arm, case):
-    """Let an arm identify itself, and see that it is what the case says and was not told."""
+    """Let an arm identify itself; check that plant and assumptions are those of the case."""
     if case in AS_ASSUMED:
         return experiment.identified(arm, case)
     side = dict(SIDES[case])
@@ -66,7 +66,7 @@ def test_an_arm_finds_its_servos_payload_and_delay(arm, case):
     assert_right(identified(arm, case))
 
 
-#: Real gears are no dry friction with a constant share of the load: reported, held to less.
+#: Real gears have no dry friction with a constant share of the load: reported, with wider bounds.
 OTHERS = [case for case in experiment.CASES if case != "gears as they are"]
 
 
@@ -130,7 +130,7 @@ BARE = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="
 
 
 def test_an_arm_that_is_held_is_left_holding():
-    """A limit far below what gravity asks stands for a hand that holds the arm down."""
+    """A limit far below gravity stands for a hand that holds the arm down."""
     model = robots.arm7()
     weak = 3.0 / np.asarray(model.servos.max_torque)
     gap = Mismatch(plant=Parameters(payload=1.5), assumed=Parameters(torque=weak))
@@ -140,4 +140,4 @@ def test_an_arm_that_is_held_is_left_holding():
         with pytest.raises(pliant.ServoError, match=r"behind|left its range"):
             identify.identify_servos(plant, model, gap.servos(model))
     sent = plant._bus.sent
-    assert np.abs(sent.goal - plant.q).max() < 0.2  # near where it is, not the plan
+    assert np.abs(sent.goal - plant.q).max() < 0.2  # near its pose, not on the plan

@@ -1,4 +1,4 @@
-"""Weighing: the error bars hold the truth as often as they claim."""
+"""Payload estimation: the error bars contain the true values as often as they claim."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from mismatch import Mismatch, Parameters
 import pliant
 from experiments.identification import COUNT, LIFTS, STARTS
 from pliant import identify, robots
-from pliant.identify.slides import first_moments, payload_rows
+from pliant.identify._segments import first_moments, payload_rows
 
 
 def test_rows_are_what_a_payload_adds_to_gravity(arm, grasp):
@@ -19,7 +19,7 @@ def test_rows_are_what_a_payload_adds_to_gravity(arm, grasp):
 
 
 def weighed(name, seed):
-    """Errors of (m, m c) in their own standard deviations, for a random payload and servos."""
+    """Return errors of (m, m c) in their standard deviations, for random payload and servos."""
     rng, model = np.random.default_rng(seed), robots.load(name)
     mass, com = rng.uniform(0.15, 1.0) * LIFTS[name], rng.uniform(-0.05, 0.05, 3)
     table = model.servos.replace(encoder_step=COUNT)
@@ -52,14 +52,14 @@ def test_a_payload_is_weighed_within_its_error_bars(name):
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", ["arm7", "so101", "koch"])
-def test_error_bars_hold_the_truth_as_often_as_they_claim(name):
+def test_error_bars_contain_the_true_values_as_often_as_they_claim(name):
     bars = np.array([weighed(name, seed)[0] for seed in range(40)])
     assert (np.abs(bars) < 1.0).mean() >= 0.65
     assert (np.abs(bars) < 2.0).mean() >= 0.94
 
 
-def test_poses_that_cannot_tell_say_so():
-    """With a vertical tool axis in every pose nothing tells the height of the centre."""
+def test_poses_without_information_are_reported():
+    """With a vertical tool axis in every pose the height of the centre is undetermined."""
     model = robots.so101()
     gap = Mismatch(plant=Parameters(payload=0.1), assumed=Parameters())
     plant = gap.build(model, payload=(0.1, (0.0, 0.0, 0.05)))

@@ -1,4 +1,4 @@
-"""A log that was cut short or damaged: an explained error, or what stands before the damage."""
+"""A truncated or damaged log: an explained error, or the data before the damage."""
 
 import io
 import random
@@ -20,7 +20,7 @@ from pliant.teach import Motion
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A short log of an arm that moves, its bytes and its columns."""
+    """Return a short log of a moving arm, its bytes and its columns."""
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     with bare_arm("so101", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
@@ -33,7 +33,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def damaged(made, tmp_path):
-    """Path of a log with these bytes."""
+    """Write a log with these bytes; return its path."""
 
     def write(content):
         path = tmp_path / "one.mcap"
@@ -44,7 +44,7 @@ def damaged(made, tmp_path):
 
 
 def prefix(log, whole):
-    """Whether a log is a beginning of another."""
+    """Return True if a log is a prefix of another."""
     assert log.run == whole.run
     assert len(log) <= len(whole)
     assert len(log.calls) <= len(whole.calls)

@@ -1,4 +1,4 @@
-"""Logs that were made by hand, with right checksums: typed errors, bounded memory, plain text."""
+"""Forged logs with valid checksums: typed errors, bounded memory, plain text."""
 
 import json
 import os
@@ -32,7 +32,7 @@ ODD += [
 
 @pytest.fixture(scope="module")
 def content(tmp_path_factory):
-    """Bytes of a whole log."""
+    """Return the bytes of a whole log."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
     with bare_arm("koch", on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
@@ -45,7 +45,7 @@ def content(tmp_path_factory):
 
 
 def records(content):
-    """Kind and body of every record between the magics."""
+    """Return kind and body of every record between the magics."""
     at = 8
     while at < len(content) - 8:
         kind, length = HEAD.unpack_from(content, at)
@@ -54,7 +54,7 @@ def records(content):
 
 
 def rebuilt(content, change):
-    """The file with records changed by a function of kind and body."""
+    """Rebuild the file with records changed by a function of kind and body."""
     out = [content[:8]]
     for kind, body in records(content):
         new = change(kind, body)
@@ -63,7 +63,7 @@ def rebuilt(content, change):
 
 
 def with_run(content, run):
-    """The file with another description of the run, its checksum made right."""
+    """Return the file with another description of the run and a valid checksum."""
 
     def change(kind, body):
         if kind != ATTACHMENT:
@@ -90,7 +90,7 @@ def described(content):
 
 
 def mutants(run):
-    """Every entry left out, and replaced by odd things; those of the model too."""
+    """Yield descriptions without each entry, and with invalid values; also those of the model."""
     table = run["table"]
     for i, (key, _) in enumerate(table):
         yield f"without {key}", {"table": table[:i] + table[i + 1 :]}
@@ -142,7 +142,7 @@ def test_crafted_descriptions_are_typed_errors(content, tmp_path):
 
 @pytest.mark.parametrize("gigabytes", [0.08, 6.0])
 def test_a_chunk_that_unpacks_to_too_much_is_refused(content, gigabytes, tmp_path):
-    """Both where the chunk says its size and where it lies."""
+    """Both where the chunk states its size and in its data."""
     import zstandard
 
     size = int(gigabytes * 2**30)

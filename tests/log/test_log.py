@@ -23,7 +23,7 @@ START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
 
 
 def record(path, ticks=40, **options):
-    """A run that uses every input of the controller once."""
+    """Record a run that uses every input of the controller once."""
     with bare_arm("arm7", q=START) as arm:
         settings = pliant.Settings.soft("y")
         made = pliant.Controller(arm.model, settings, arm.servos)
@@ -78,7 +78,7 @@ def test_every_input_counts(file, what):
     if what == "call":
         log.calls = [call for call in log.calls if call.what != "update"]
     elif what == "dt":
-        # With dq given a step needs no dt where no slew limit is met: hence all of them.
+        # With dq a step needs no dt where no slew limit is met: hence all of them.
         for call in log.calls:
             if call.what == "step" and np.isfinite(call.dt):
                 call.dt *= 1.01
@@ -180,7 +180,7 @@ def test_a_killed_run_can_be_read(tmp_path, both):
         time.sleep(0.05)
     log = read(path)
     assert log.whole is not both
-    # Half a second of ticks stays with a writer that is killed; a second is what is promised.
+    # A killed writer loses half a second of ticks; the promise is one second.
     assert len(log) > (50 if both else 150)
     assert verify(log).same
 

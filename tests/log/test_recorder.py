@@ -1,4 +1,4 @@
-"""What a recorder is given, and when."""
+"""Inputs of a recorder, and their order."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""`pliant log report`: the page says what the run was, and needs nothing from anywhere."""
+"""`pliant log report`: the page describes the run, and is self-contained."""
 
 import re
 from html import unescape
@@ -17,12 +17,12 @@ pytest.importorskip("mcap_ros2")
 pytest.importorskip("matplotlib")
 
 START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
-#: A pull of the hand sideways [s], [m].
+#: A sideways pull of the hand [s], [m].
 FROM, UNTIL, AWAY = 0.5, 2.5, 0.15
 
 
 def record(path, settings, duration=3.0, **options):
-    """A hand pulls the tool of `arm7` toward +y and lets go; also its force (N, 3)."""
+    """Let a hand pull the tool of `arm7` toward +y and let go; return also its force (N, 3)."""
     course = pliant.sim.Course(start=FROM, rise=0.5, end=UNTIL)
     hand = pliant.sim.Drag(
         axis="y", distance=AWAY, stiffness=3000.0, limit=80.0, at="tool", course=course
@@ -95,7 +95,7 @@ def test_stretches_are_those_of_the_log(tmp_path):
         total[span.joint] += span.end - span.start
     flagged = 0.01 * (log.saturated.sum(axis=0) + log.locked.sum(axis=0))
     for name, share in zip(log.run["joints"], flagged, strict=True):
-        # Gaps of up to GAP between flags belong to a stretch.
+        # Flags with gaps of up to GAP belong to one stretch.
         assert share - 1e-9 <= total[name] <= share + findings.GAP * len(spans)
 
 
@@ -123,7 +123,7 @@ def test_command_leaves_a_page_that_needs_nothing(run, tmp_path, capsys):
     assert repr(log.settings) in text
 
 
-def test_what_cannot_be_reported_says_why(tmp_path, capsys):
+def test_a_log_without_a_controller_cannot_be_reported(tmp_path, capsys):
     path = tmp_path / "led.mcap"
     record(path, None, duration=0.2)
     assert main(["log", "report", str(path)]) == 2

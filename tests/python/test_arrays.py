@@ -1,4 +1,4 @@
-"""Every array argument: what is converted, to the same bits, and what is refused, by name."""
+"""Every array argument: conversions to the same bits, and rejections, by name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Sub(np.ndarray):
 
 
 class _Holder:
-    """Something that NumPy can read."""
+    """An object that NumPy can read."""
 
     def __init__(self, array):
         self.array = array
@@ -42,7 +42,7 @@ def _unaligned(array):
     return out
 
 
-#: Ways to hand over the same float64 vector or matrix.
+#: Forms of the same float64 vector or matrix.
 FORMS = {
     "list": lambda a: a.tolist(),
     "tuple": lambda a: tuple(a.tolist()),
@@ -60,7 +60,7 @@ FORMS = {
 
 
 def _calls():
-    """Argument, a good value of it, and a call with it that returns an array."""
+    """Return argument, a valid value of it, and a call with it that returns an array."""
     servos = pliant.Servos(kp=[150.0] * 4 + [60.0] * 3, max_torque=[10.7] * 4 + [6.4] * 3)
     model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool", servos=servos)
     q = np.array([0.3, -0.4, 0.2, -1.2, 0.5, 0.6, -0.3])
@@ -190,7 +190,7 @@ def test_other_forms_give_the_same_bits(name, good, call, form):
 
 @each_argument
 def test_single_precision_and_integers_are_widened(name, good, call):
-    if name in {"target", "actual", "quaternion"}:  # rounded, they are no rotations any more
+    if name in {"target", "actual", "quaternion"}:  # rounded, they are not rotations any more
         return
     single = good.astype(np.float32)
     assert same_bits(call(single), call(single.astype(np.float64)))
@@ -205,9 +205,9 @@ def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad)
     if bad == "scalar" and name in {"deviation", "firm_from", "soft"}:
         return  # one for all
     if name == "deviation" and bad in {"longer", "shorter", "empty"}:
-        return  # any length will do
+        return  # any length is valid
     if name == "J" and bad in {"longer", "shorter"}:
-        return  # so will any size up to six by sixteen
+        return  # and any size up to six by sixteen
     axis = 0 if name == "J_pinv" else -1
     value = {
         "longer": np.concatenate([good, good], axis=axis),
@@ -329,7 +329,7 @@ def test_kinematics_into_the_callers_arrays():
 
 
 class Meddler:
-    """A target whose reading makes another array of one that was given before it."""
+    """A target whose reading replaces an array that was passed before it."""
 
     def __init__(self, array, target):
         self.array, self.target = array, target

@@ -1,4 +1,4 @@
-"""Many arms in one call: bits of single steps, the caller's arrays, bad rows, threads."""
+"""Many arms in one call: the bits of single steps, the caller's arrays, invalid rows, threads."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LAWS = {
 
 
 def arms(model, count, seed=3):
-    """Postures, some stretched out and some at their limits, and targets."""
+    """Return postures, some stretched out and some at their limits, and targets."""
     rng = np.random.default_rng(seed)
     q = model.lower + (model.upper - model.lower) * rng.uniform(0.1, 0.9, (count, model.n))
     q[::7, 3:] = 0.0
@@ -260,7 +260,7 @@ def test_bad_rows_are_nan_where_asked_for(model):
     for field in FIELDS:
         assert np.isnan(getattr(command, field)[~fine]).all()
         assert np.array_equal(getattr(command, field)[fine], getattr(good, field)[fine])
-    # The others go on, and these begin with the next step.
+    # The others continue, and these begin with the next step.
     again = controller.step_batch(q, targets, state=state)
     onward = controller.step_batch(q, targets, state=other)
     assert np.array_equal(again.goal[fine], onward.goal[fine])

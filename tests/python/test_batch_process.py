@@ -1,4 +1,4 @@
-"""Many arms in a process of its own: forked ones, and how much memory they take."""
+"""Many arms in a separate process: forks, and memory use."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 
 def ran(code):
-    """What a program says that ends well."""
+    """Run a program that must succeed; return its output."""
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
     )

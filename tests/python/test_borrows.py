@@ -1,4 +1,4 @@
-"""Objects that are in use: an error that says so, never a panic, whatever code arguments run."""
+"""Objects in use: an explained error, never a panic, whatever code arguments run."""
 
 import threading
 
@@ -24,7 +24,7 @@ class Accessor:
 
 
 class Array:
-    """Joint positions that are made by a function of the test."""
+    """Joint positions made by a function of the test."""
 
     def __init__(self, run):
         self._run = run
@@ -44,7 +44,7 @@ def made():
 
 
 def uses(controller, contact, target):
-    """Everything that a second caller may do with the two meanwhile."""
+    """Return everything that a second caller may do with the two meanwhile."""
     command = controller.step(Q, target)
     sent = (command.goal, command.torque_limit)
     return {
@@ -120,7 +120,7 @@ def test_a_contact_in_another_thread_meets_no_panic():
     assert not odd, repr(odd[0])
 
 
-def test_what_is_in_use_says_so():
+def test_objects_in_use_raise():
     """A batch runs without the interpreter lock: meanwhile its state cannot be changed."""
     controller, _, target = made()
     rows = np.tile(Q, (20_000, 1))
@@ -206,7 +206,7 @@ def test_a_command_that_cannot_be_written_is_refused_before_the_step():
 
 
 def test_a_description_is_read_once(tmp_path):
-    """What is kept for pickles made the model; a pipe without a writer is refused."""
+    """The description kept for pickles made the model; a pipe without a writer is rejected."""
     import os
 
     text = pliant.robots.koch().source[0]

@@ -1,4 +1,4 @@
-"""The controller from Python: inputs, state, and what can be read after a step."""
+"""The controller from Python: inputs, state, and readings after a step."""
 
 from __future__ import annotations
 
@@ -276,7 +276,7 @@ def test_update_takes_over_position_targets(model, q, target):
 
 
 def test_update_surveys_what_a_fresh_controller_would(model, q, target):
-    """What is kept of a survey belongs to axes and frame, not to the last task."""
+    """Cached surveys belong to axes and frame, not to the last task."""
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     tasks = (
         pliant.Task("all"),

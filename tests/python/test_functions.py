@@ -1,4 +1,4 @@
-"""Public functions beside NumPy, and their properties."""
+"""Public functions against NumPy, and their properties."""
 
 from __future__ import annotations
 

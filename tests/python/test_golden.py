@@ -53,7 +53,7 @@ def test_functions(case):
     e = pliant.functional.pose_error(actual, target)
     close(e, case["d_rotvec"])
 
-    # Theirs adapts the deviation axis by axis; as a pose it is the same but for the rotations.
+    # The reference adapts the deviation axis by axis; as a pose it is equal except for rotations.
     mask = case["mask"]
     adapted = np.where(mask, (1.0 - case["eta"]) * e, e)
     shown = pliant.functional.pose_error(
@@ -62,7 +62,7 @@ def test_functions(case):
     close(shown, adapted)
     close(case["Kx"] * adapted, case["dx"])
 
-    # Their gradient points uphill: the size is what A and R see.
+    # The reference's gradient points uphill: only its size affects A and R.
     gradient = -case["grad"]
     dq = inverse @ case["dx"] - case["alpha"] * projector @ gradient
     close(case["Kq"] * dq, case["dq"], np.abs(case["dq"]).max())
@@ -83,7 +83,7 @@ def test_functions(case):
 
 
 def _settings(case):
-    """`compliant_pos` there is compliant while pushed toward -: `yields="-"` here."""
+    """Return settings; the reference's `compliant_pos` yields to pushes toward -: `yields="-"`."""
     axes = {}
     for i, name in enumerate(pliant.Task().names):
         sides = bool(case["compliant_pos"][i]), bool(case["compliant_neg"][i])
@@ -130,7 +130,7 @@ def test_controller(case):
         return
     close((command.goal - case["q"]) / 0.25, case["dq"], np.abs(case["dq"]).max())
     close(controller.diagnostics.activation, case["A"])
-    if (case["tau_max"] <= case["tau_stiff"]).all():  # others are refused by Axis
+    if (case["tau_max"] <= case["tau_stiff"]).all():  # others are rejected by Axis
         close(controller.diagnostics.axis_strength, case["tau_x"])
         close(command.torque_limit, np.minimum(case["tau_q"], model.effort_limit), 10.0)
 

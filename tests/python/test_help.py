@@ -1,4 +1,4 @@
-"""`help()`: every compiled class, member and function says what the stub says."""
+"""`help()`: every compiled class, member and function has the docstring of the stub."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STUB = Path(pliant.__file__).with_name("_core.pyi")
 
 
 def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, str]:
-    """Docstrings of public classes, members and functions by dotted name, overloads in one."""
+    """Return docstrings of public classes, members and functions by name, overloads joined."""
     found: dict[str, list[str]] = {}
     for item in node.body:
         if not isinstance(item, ast.ClassDef | ast.FunctionDef):
@@ -32,7 +32,7 @@ def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, s
 
 
 def expected(name: str) -> str:
-    """Docstring of a name; an attribute without one takes its class' line of the argument."""
+    """Return the docstring of a name; an attribute without one takes the argument's line."""
     head, _, member = name.partition(".")
     if text := DOCUMENTED[name] or not member:
         return text
@@ -45,7 +45,7 @@ DOCUMENTED = documented(ast.parse(STUB.read_text(encoding="utf-8")))
 
 
 def compiled(name: str) -> object:
-    """Class, function, or what a class keeps under a member's name."""
+    """Return the class, function, or the object behind a member's name."""
     head, _, member = name.partition(".")
     owner = getattr(_core, head)
     return inspect.getattr_static(owner, member) if member else owner

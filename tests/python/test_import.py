@@ -1,4 +1,4 @@
-"""What `import pliant` brings along, and what it leaves for later."""
+"""Modules that `import pliant` loads, and those that it defers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The model from Python: what can be read, and what is wrong with a file."""
+"""The model from Python: attributes, and errors of a file."""
 
 from __future__ import annotations
 

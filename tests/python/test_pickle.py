@@ -1,4 +1,4 @@
-"""Models and controllers, copied and pickled: they go on as they would have here."""
+"""Models and controllers, copied and pickled: they continue identically."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def bits(command: pliant.Command) -> tuple[bytes, bytes, bytes]:
 
 
 def told(controller: pliant.Controller, q: np.ndarray) -> None:
-    """Everything that a controller can be told while it runs."""
+    """Change everything that a controller can be told while it runs."""
     controller.set_payload(0.3, (0.0, 0.01, 0.05))
     controller.set_gravity((0.5, 0.0, -9.7))
     controller.set_delay(0.03)
@@ -148,7 +148,7 @@ def test_what_a_model_was_made_of_cannot_be_changed_through_its_source():
 
 
 def test_a_controller_that_can_no_longer_hold_its_arm_is_read_back():
-    # Whether its servos hold it was asked when it was made; where it stands now, all is heavier.
+    # The servos' strength was checked when it was made; in the present pose everything is heavier.
     arm = pliant.robots.arm7()
     q = 0.5 * (arm.lower + arm.upper)
     controller = pliant.Controller(arm, pliant.Settings.soft("y"))
@@ -159,7 +159,7 @@ def test_a_controller_that_can_no_longer_hold_its_arm_is_read_back():
     assert bits(again.step(q, target)) == bits(controller.step(q, target))
 
 
-def test_a_controller_is_not_told_to_carry_what_it_cannot():
+def test_gravity_that_the_servos_cannot_hold_is_rejected():
     arm = pliant.robots.arm7()
     weak = pliant.Servos(kp=50.0, max_torque=0.5, friction=0.01, stiffness_known=True)
     controller = pliant.Controller(arm, pliant.Settings.paper(), weak)

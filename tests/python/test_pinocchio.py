@@ -1,4 +1,4 @@
-"""Kinematics and gravity beside Pinocchio, on our arms and on robots that people own."""
+"""Kinematics and gravity against Pinocchio, on built-in arms and real robots."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Oracle:
         return out
 
     def collect(self, full):
-        """Columns of Pinocchio's coordinates as columns of ours."""
+        """Return columns of Pinocchio's coordinates as columns of ours."""
         out = np.zeros((full.shape[0], self.model.n))
         for joint in self.model.joints:
             if joint.q_index is not None:
@@ -119,7 +119,7 @@ def test_robots_that_people_own(path):
     _compare(path.parent / facts["urdf"], facts["base"], facts["tip"])
 
 
-def test_inverse_kinematics_ends_at_the_target_or_says_why_not():
+def test_inverse_kinematics_reaches_the_target_or_gives_the_reason():
     model = pliant.Model.from_urdf(ROOT / "tests" / "data" / "golden" / "arm7.urdf", tip="tool")
     for q in _samples(model, 10)[1:]:
         target = model.forward_kinematics(q)

@@ -1,4 +1,4 @@
-"""Results of the pool: a plain loop allocates nothing, and what somebody keeps never changes."""
+"""The pool of results: a plain loop allocates nothing, and a kept result never changes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FIELDS = ("goal", "torque_limit", "speed_limit")
 
 
 def run(controller, q, target, count):
-    """Steps at different states, so that every command holds other numbers."""
+    """Step at different states, so that every command holds other numbers."""
     for i in range(count):
         controller.step(q + 1e-3 * i, target)
 
@@ -51,7 +51,7 @@ def test_kept_commands_are_all_different_and_never_change(controller, q, target)
     assert all(unchanged(command, b) for command, b in zip(kept, before, strict=True))
 
 
-#: Whatever lets a caller see the numbers of an array, and how the caller then reads them.
+#: Objects that expose the numbers of an array to a caller, and the caller's access.
 VIEWS = {
     "array": (lambda a: a, bytes),
     "slice": (lambda a: a[2:5], bytes),
@@ -108,7 +108,7 @@ def test_an_array_changed_in_place_is_given_up(controller, q, target, spoil):
         assert command.goal.dtype == np.float64
         assert command.goal.flags.carray
         assert np.isfinite(command.goal).all()
-        command.goal[:] = 0.0  # writable, and nobody's business
+        command.goal[:] = 0.0  # writable, and not pooled
 
 
 def test_what_a_user_writes_into_a_command_does_not_reach_the_controller(

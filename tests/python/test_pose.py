@@ -1,4 +1,4 @@
-"""Poses beside closed forms."""
+"""Poses against closed forms."""
 
 from __future__ import annotations
 

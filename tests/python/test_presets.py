@@ -1,4 +1,4 @@
-"""Presets and deviation limits from Python: words, units, refusals, other arms, no bumps."""
+"""Presets and deviation limits from Python: names, units, rejections, other arms, no bumps."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import pliant
 import pliant.robots
 from pliant import Axis, Controller, Settings
 
-#: Names that the text of a preset uses.
+#: Names used by the text of a preset.
 ROOM = {
     kind.__name__: kind
     for kind in (
@@ -109,7 +109,7 @@ def test_what_makes_no_sense_is_refused_by_name(make, message):
 
 
 def pushed_away(arm, controller, metres, ticks=60):
-    """Goals while the tool is led along y, away from its target, at a constant speed."""
+    """Return goals while the tool is moved along y, away from its target, at a constant speed."""
     target, q, goals = arm.forward_kinematics(Q), Q, []
     for tick in range(ticks):
         here = target.copy()
@@ -132,8 +132,7 @@ def test_a_target_that_follows_is_reported_and_does_not_bump(arm):
     ]
     assert controller.diagnostics.deviation[1] == pytest.approx(-0.02, abs=1e-9)
     assert controller.diagnostics.reference[1, 3] - target[1, 3] == pytest.approx(0.04, abs=1e-4)
-    # Beyond the limit the goals go with the arm, no faster: 1 mm a tick turns a joint by 2.4 mrad.
-    # The first ticks take up gravity.
+    # Beyond the limit the goals follow the arm, no faster: 1 mm a tick turns a joint by 2.4 mrad.
     assert np.abs(np.diff(goals[10:], axis=0)).max() < 3e-3  # [rad] (2.6e-3)
 
 

@@ -1,4 +1,4 @@
-"""What is refused, and in which words: argument, value, bound, and what else there is."""
+"""Rejections and their texts: argument, value, bound, and alternatives."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_what_is_not_a_number_is_said_plainly(model, q, target):
 
 
 def calls(model, q):
-    """Calls with one argument of the wrong kind, and what is to be said of it."""
+    """Return calls with one argument of the wrong kind, and the expected text."""
     lone = pliant.Controller(model, pliant.Settings(task="xyz"))
     at = model.forward_kinematics(q)[:3, 3]
     contact = pliant.ContactEstimator(lone)

@@ -1,4 +1,4 @@
-"""Report and check from Python: shapes, words, inputs."""
+"""Report and check from Python: shapes, texts, inputs."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_what_delay_takes_off_springs_and_dampers_can_be_read(model, q):
     assert f"{late.damping_factor:.2f}"[:4] in said
 
 
-def test_a_hold_that_makes_room_says_so(model, q):
+def test_a_hold_raised_to_leave_room_is_reported(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=90.0)})
     (said,) = [s for s in pliant.Controller(model, settings).report(q).summary() if "room" in s]
     assert said == "y: hold is 90.0 N instead of 40.0, to leave room for soft and firm."
@@ -127,7 +127,7 @@ def test_report_of_the_last_step_needs_one(controller, q, target):
     np.testing.assert_array_equal(controller.report().torque_limit, command.torque_limit)
 
 
-def test_sentences_say_it_plainly(controller, q):
+def test_sentences_of_the_report(controller, q):
     report = controller.report(q)
     said = report.summary()
     assert any(
@@ -140,14 +140,14 @@ def test_sentences_say_it_plainly(controller, q):
 
 
 def along_y(model, q):
-    """How the joints turn when a push moves y by one metre, along the servos' springs."""
+    """Return joint rates while a push moves y by one metre, along the servos' springs."""
     jacobian = model.jacobian(q)
     springs = jacobian.T / np.asarray(model.servos.kp)[:, None]
     return (springs @ np.linalg.inv(jacobian @ springs))[:, 1]
 
 
 def near_a_stop(model, q, room):
-    """The same arm with one joint, the one that +y turns most, so far from its upper limit."""
+    """Return the arm with the joint that +y turns most at this distance from its upper limit."""
     joint = int(np.argmax(along_y(model, q)))
     limits = {name: (-50.0, 50.0) for name in model.joint_names}
     limits[model.joint_names[joint]] = (-50.0, q[joint] + room)
@@ -162,12 +162,12 @@ def test_a_position_limit_is_announced_where_it_is_met(model, q):
     way = report.stop_distance[1, 1]
     assert 0.0 < way < 0.15
     assert report.stop_room[1, 1] == pytest.approx(0.035)
-    # A push that far, one small step after another, ends at the limit.
+    # A push that far, in small steps, ends at the limit.
     at, steps = q.copy(), 1000
     for _ in range(steps):
         at += way / steps * along_y(near, at)
     assert at[joint] == pytest.approx(q[joint] + 0.035, abs=1e-3)
-    # There the others are left, and what they rub.
+    # There the others remain, with their friction.
     left = np.linalg.pinv(np.delete(near.jacobian(at), joint, axis=1))[:, 1]
     rubs = np.abs(left) @ np.delete(model.servos.friction, joint)
     assert report.stop_friction[1, 1] == pytest.approx(rubs, rel=0.05)
@@ -203,7 +203,7 @@ def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
     assert np.isinf(check.stop_distance[0]).all(), "x does not yield"
 
 
-def test_deviation_limits_are_told(model, q):
+def test_deviation_limits_are_reported(model, q):
     held = pliant.Axis(deviation_limit=0.02, on_deviation_limit="wait")
     follows = pliant.Axis(deviation_limit=0.1)
     settings = pliant.Settings(axes={"x": held, "yaw": follows, "y": pliant.Axis(soft=4.0)})
@@ -256,7 +256,7 @@ def test_tracking_raises_soft_to_three_times_the_friction(model, q):
 
 
 def test_a_singular_pose_that_a_push_leads_to_is_said(model):
-    """An elbow that is nearly stretched: pushed outward, the arm's reach ends where it is."""
+    """A nearly stretched elbow: pushed outward, the arm's reach ends."""
     q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     bent = q.copy()
     bent[3] = -0.6

@@ -84,7 +84,7 @@ seven = st.lists(number(0.1, 3.0), min_size=7, max_size=7)
 
 @st.composite
 def some(draw, group, **fields):
-    """A group of settings of which some fields are given."""
+    """Return a group of settings with some fields given."""
     kept = draw(st.sets(st.sampled_from(sorted(fields))))
     return group(**{name: draw(fields[name]) for name in sorted(kept)})
 
@@ -242,9 +242,9 @@ def test_a_group_changes_only_the_fields_that_it_was_given():
     assert Settings.paper(tracking=Tracking(goal_slew=1.0)).tracking.goal_slew == 1.0
     slower = door.replace(tracking=Tracking(goal_slew=0.5))
     assert slower.tracking == Tracking(gain=3.0, goal_slew=0.5)
-    # A group that settings show has all its fields.
+    # A group in printed settings has all its fields.
     assert Settings.door(null_space=Settings().null_space).null_space == NullSpace()
-    # Copies and pickles keep which fields were given.
+    # Copies and pickles remember which fields were given.
     for given_one in (
         copy.copy(Tracking(gain=3.0)),
         pickle.loads(pickle.dumps(Tracking(gain=3.0))),

@@ -67,7 +67,7 @@ def test_the_bound_on_a_target_is_a_ball_around_the_first_joint(arm, direction):
 
 @pytest.mark.parametrize("factor", FACTORS)
 def test_a_target_in_other_units_is_refused(arm, factor):
-    """A target at half the reach or more; nearer ones are where the arm could be meant to go."""
+    """A target at half the reach or more; closer ones are plausible targets."""
     model, controller, q = arm
     rng = np.random.default_rng(1)
     for _ in range(50):
@@ -157,7 +157,7 @@ def test_small_degrees_are_refused():
 
 
 def test_rows_that_are_too_far_become_nan_where_asked():
-    """With and without a state, few rows and many, side by side or one by one."""
+    """With and without a state, few rows and many, in SIMD or one by one."""
     model = pliant.robots.arm7()
     rng = np.random.default_rng(0)
     bound = 2.0 * model.reach + 0.1

@@ -1,4 +1,4 @@
-"""A bus in memory with a clock of its own, and chains on emulated servos behind real bytes."""
+"""A bus in memory with its own clock, and buses on emulated servos behind real bytes."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pliant.servo import BusError, ServoBus, ServoSpec
 
 
 class FakeBus:
-    """Servos as byte arrays; failures and answers from the past by order.
+    """Servos as byte arrays, with scripted failures and stale replies.
 
-    `plan` has one entry per request to come: None, a `BusError`, or "stale" (the answer of the last
+    `plan` has one entry per request to come: None, a `BusError`, or "stale" (the reply of the last
     request comes now). `late` bytes on the line keep that many drain pings from being silent.
     """
 
@@ -82,7 +82,7 @@ def fake_bus():
     return FakeBus
 
 
-#: One joint each of every family: emulated device, spec, and the range its goals may have.
+#: One joint of every family: emulated device, spec, and the range of its goals.
 JOINTS = {
     "sts": ("STS3215", "STS3215-7.4V", {}),
     "xm": ("XM430-W350", "XM430-W350", {"operating_mode": 5, "return_delay_time": 0}),
@@ -100,7 +100,7 @@ def devices(kind, n, port="main"):
 
 @pytest.fixture
 def emulated():
-    """Open a chain of n emulated servos of one kind: `with emulated("sts", 3) as (bus, chain)`."""
+    """Open a bus of n emulated servos of one kind: `with emulated("sts", 3) as (bus, chain)`."""
     from contextlib import contextmanager
 
     @contextmanager
@@ -131,7 +131,7 @@ def emulated():
 
 @pytest.fixture
 def enabled():
-    """Enable a chain where it stands, with a share of its usable torque."""
+    """Enable a bus at its present position, with a share of its usable torque."""
 
     def switch_on(chain, share=0.5):
         limit = share * chain.servos.max_torque

@@ -1,4 +1,4 @@
-"""A chain over a pseudo-terminal: every family, torque on and off, units, order on the wire."""
+"""A bus over a pseudo-terminal: every family, torque on and off, units, order on the wire."""
 
 import numpy as np
 import pytest
@@ -231,10 +231,10 @@ def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
         ServoBus([spec], patience=patience)
 
 
-def test_a_chain_that_is_not_open_says_so():
+def test_a_bus_that_is_not_open_raises():
     chain = ServoBus([ServoSpec(name="pan", model="MX-64", id=1, port="p")])
     for call in (chain.read, chain.poll_status, chain.identify, chain.disable):
         with pytest.raises(ServoError, match="not open"):
             call()
     with pytest.raises(ConfigError, match="no joint 'lift'; there are: pan"):
-        chain._chosen(["lift"])
+        chain._select(["lift"])

@@ -1,4 +1,4 @@
-"""A calibration file is compared with what the servos say, before torque."""
+"""A calibration file is compared with the servos' registers before torque."""
 
 import json
 
@@ -16,7 +16,7 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 
 
 def lerobot_file(folder, **changes):
-    """What lerobot-calibrate writes, with some joints' entries changed."""
+    """Return a file as lerobot-calibrate writes it, with some joints' entries changed."""
     table = {
         joint: {
             "id": i,
@@ -35,7 +35,7 @@ def lerobot_file(folder, **changes):
 
 
 def opened(name, folder, **wrong):
-    """Open the arm of a ready file whose servos were calibrated, with a file that is changed."""
+    """Open the arm of a ready file whose servos were calibrated, with a changed file."""
     good = config.load(name, backend="emulator", calibration=lerobot_file(folder))
     theirs = config.load(name, backend="emulator", calibration=lerobot_file(folder, **wrong))
     with make_emulator(good, clock="steps") as bus:
@@ -100,13 +100,13 @@ def test_a_joint_with_a_zero_of_its_own_needs_no_file(tmp_path):
     assert {spec.calibration for spec in factory.servo_specs(read, {"main": "/dev/none"})} == {None}
 
 
-def test_doctor_says_it_joint_by_joint(tmp_path, monkeypatch):
+def test_doctor_reports_each_joint(tmp_path, monkeypatch):
     bare = config.load("so101", backend="emulator")
     read = config.load("so101", calibration=lerobot_file(tmp_path))
     with emulate(bare.model(), make_mounts(bare), [0.0] * 5, held=True) as bus:
         wired = config.load("so101", calibration=read.calibration, port=bus.ports["main"])
         bad = [finding.text for finding in examine(wired) if finding.level == "bad"]
     said = [text for text in bad if "homing_offset" in text]
-    # Every joint but the third, whose offset in the file is 0 as delivered.
+    # Every joint but the third, whose offset in the file is the factory's 0.
     assert len(said) == 5
     assert any("shoulder_pan" in text and "off by 17.6°" in text for text in said)

@@ -1,4 +1,4 @@
-"""Torque on with one packet lost, what bounds torque, and what is handed back afterwards."""
+"""Torque on with one packet lost, the bounds of torque, and the registers restored afterwards."""
 
 from contextlib import suppress
 
@@ -11,7 +11,7 @@ from pliant.servo import ServoBus, ServoSpec
 from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
-#: Old goals are this far off [counts]: 44° on most encoders.
+#: Distance of old goals [counts]: 44° on most encoders.
 OFF = 500
 
 
@@ -26,7 +26,7 @@ def chain_on(bus, kind, n, patience=0.005):
 
 
 def strike(bus, fault, place):
-    """Let the request of this number, or its answer, get lost; count the requests."""
+    """Lose the request of this number, or its reply; count the requests."""
     line, count = bus.lines["main"], [0]
 
     def chance():
@@ -38,7 +38,7 @@ def strike(bus, fault, place):
 
 
 def enable_with_old_goals(kind, fault, place):
-    """Largest way of a shaft [rad] while torque comes on and in the second after, and requests."""
+    """Return the largest motion of a shaft [rad] from torque on to a second after, and requests."""
     with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
         for servo in bus.servos:
             servo.put("goal_position", servo.position - OFF if kind != "rx" else 100)
@@ -75,10 +75,10 @@ def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_torque_that_could_not_be_taken_back_is_said(kind):
-    """Everything is lost from the moment at which the first servo has its torque on."""
+    """All packets are lost from the time at which the first servo has its torque on."""
     with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
         goal, faults = chain.read().position, bus.lines["main"].faults
-        # Silent before that, nothing has torque and nothing of the kind is said.
+        # If silent before that, no servo has torque and no such message appears.
         faults.chance = lambda: "deaf"
         with pytest.raises(ServoError, match=r"\A(?!.*may still be on)"):
             chain.enable(goal, 0.5 * chain.servos.max_torque)
@@ -92,7 +92,7 @@ def test_torque_that_could_not_be_taken_back_is_said(kind):
 
 
 def registers(servo):
-    """RAM that bounds torque or motion, by name, as it stands."""
+    """Return the RAM registers that bound torque or motion, by name."""
     names = [
         "torque_limit", "goal_current", "goal_pwm", "moving_speed", "goal_velocity", "goal_time",
         "profile_velocity", "profile_acceleration", "acceleration", "goal_acceleration",
@@ -132,7 +132,7 @@ def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled
         full = bus.servos[0].get(name)
         limit = enabled(chain)
         chain.write([0.0], 0.01 * limit, velocity=[0.1])
-        chain.close()  # as a program that is killed: torque on
+        chain.close()  # as after a killed program: torque on
         chain.open()
         enabled(chain)
         chain.disable()
@@ -141,7 +141,7 @@ def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled
 
 
 def test_lerobot_moves_an_arm_after_pliant_as_before(emulated, enabled):
-    """LeRobot writes Torque_Enable and Goal_Position, and neither limits nor speeds."""
+    """LeRobot writes Torque_Enable and Goal_Position, but neither limits nor speeds."""
 
     def lerobot(bus, goal):
         for servo in bus.servos:
@@ -224,7 +224,7 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
     with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
         enabled(chain)
         getattr(bus, trouble)()
-        # An echo may look like a confirmation; what cannot be confirmed is said.
+        # An echo may look like a confirmation; unconfirmed torque is reported.
         with suppress(ServoError):
             chain.disable()
         bus.sync()
@@ -233,7 +233,7 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
 
 @pytest.mark.parametrize("trouble", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_a_line_that_is_never_silent_is_told_at_open(kind, trouble):
+def test_a_line_that_is_never_silent_is_reported_at_open(kind, trouble):
     with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
         chain.close()
         getattr(bus, trouble)()

@@ -1,4 +1,4 @@
-"""Faults on the bus and in the servos: nothing stale, partial results, sentences, no lunge."""
+"""Faults on the bus and in the servos: no stale data, partial results, messages, no jump."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ PROTOCOLS = ["sts", "xm", "mx"]
 
 
 def sweep(bus, chain, limit, ticks, *, speed=1.0):
-    """Move all joints; yield each sample with where the shafts stood as it was taken."""
+    """Move all joints; yield each sample with the shaft positions at that time."""
     for k in range(ticks):
         truth = np.array([servo.shaft.angle for servo in bus.servos])
         sample = chain.read()
@@ -115,7 +115,7 @@ def test_torque_that_went_off_is_noticed_within_a_few_ticks(emulated, enabled, k
             bus.servo(place).put("torque_enable", 0)
             bus.log.clear()
             said = ""
-            # Protocol 1.0 and Feetech go round all servos in six ticks.
+            # Protocol 1.0 and Feetech poll all servos within six ticks.
             for _ in range(4 if kind == "xm" else 6):
                 chain.read()
                 said += str(chain.poll_status())
@@ -205,7 +205,7 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
         said = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
         assert any(said in text for text in found)
         assert chain.counters["mismatches"] >= 2
-        # Its goals arrive: the way down is not in question.
+        # Its goals arrive: the descent is not in question.
         assert not chain.refusing.any()
         with pytest.raises(ServoError, match="did not take the torque limit"):
             enabled(chain)
@@ -250,7 +250,7 @@ def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
         found = []
         for k in range(40):
             chain.read()
-            # Two packets in a row, which no servo hears, each with a limit of its own.
+            # Two packets in a row that no servo receives, each with a limit of its own.
             if k in {20, 21}:
                 bus.faults.inject("deaf", 1)
             chain.write([0.0, 0.0], limit * (1.0 - 0.01 * k))
@@ -259,7 +259,7 @@ def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
         assert chain.counters["mismatches"] <= 2
 
 
-def test_an_overload_of_a_moment_is_counted(emulated, enabled):
+def test_a_short_overload_is_counted(emulated, enabled):
     for kind in ["sts", "mx"]:
         with emulated(kind, 2, clock="steps") as (bus, chain):
             limit = enabled(chain)
@@ -310,7 +310,7 @@ def test_a_pulled_adapter_ends_reading_and_writing_at_once(emulated, enabled):
         assert chain.read().ok.all()
 
 
-def test_a_joint_that_would_jump_is_not_believed(emulated, enabled):
+def test_a_reading_that_jumps_is_rejected(emulated, enabled):
     with emulated("sts", 1, clock="steps") as (bus, chain):
         enabled(chain)
         bus.advance(0.01)
@@ -321,14 +321,14 @@ def test_a_joint_that_would_jump_is_not_believed(emulated, enabled):
         assert not sample.ok[0]
         assert sample.position[0] == before
         assert chain.counters["stale"] == 1
-        # Where nothing was read for long enough, it may have come there.
+        # After a long enough gap the joint may have moved there.
         bus.advance(2.0)
         assert chain.read().ok[0]
 
 
 @pytest.mark.parametrize("step", [0.35, 0.6, 1.5])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
-def test_an_encoder_that_steps_is_a_fault_and_never_believed(emulated, enabled, kind, step):
+def test_an_encoder_that_steps_is_a_fault_and_always_rejected(emulated, enabled, kind, step):
     with emulated(kind, 2, clock="steps") as (bus, chain):
         limit = enabled(chain)
         for _ in sweep(bus, chain, limit, 5, speed=0.0):
@@ -410,7 +410,7 @@ def test_a_servo_outside_its_range_is_not_switched_on(emulated):
 
 
 def test_positions_go_on_across_the_seam(emulated, enabled):
-    # A multi-turn servo with its zero near the seam, 96 counts before the turn is full.
+    # A multi-turn servo with its zero near the seam, 96 counts before the end of the turn.
     spec = {"zero": 4000.0, "lower": -1.0, "upper": 1.0}
     with emulated("xm", 1, clock="steps", spec=spec) as (bus, chain):
         bus.servos[0].shaft.angle = 3900 * bus.servos[0].model.count

@@ -1,4 +1,4 @@
-"""The guard against a scripted bus: drains, one retry, no stale answer, nothing after time."""
+"""The guard on a scripted bus: drains, one retry, no stale reply, no overrun."""
 
 import pytest
 
@@ -10,7 +10,7 @@ SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
 
 
 def guarded(bus, **options):
-    options = {"baudrate": 1_000_000, "absent": 200, **options}
+    options = {"baudrate": 1_000_000, "unused_id": 200, **options}
     return TransactionGuard(bus, "p1", clock=bus.clock, **options)
 
 
@@ -37,7 +37,7 @@ def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
     bus.plan = [failure("timeout", 1)]
     bus.late = 3
     assert guard.read(1, SHORT, LONG).status == 0
-    # Three pings came back early because bytes were still arriving; the fourth heard nothing.
+    # Three pings returned early because bytes were still arriving; the fourth met silence.
     assert [call[0] for call in bus.calls] == ["read", *["ping"] * 4, "read"]
     assert all(call[1] == 200 for call in bus.calls if call[0] == "ping")
     counters = guard.counters
@@ -101,21 +101,21 @@ def test_a_stale_sync_read_is_kept_out(fake_bus):
     assert caught.value.reason == "stale"
 
 
-def test_a_length_is_not_asked_for_while_it_is_owed(fake_bus):
+def test_a_length_is_not_requested_while_it_is_outstanding(fake_bus):
     bus = fake_bus([1, 2])
     guard = guarded(bus)
     guard.start_cycle(10.0)
     bus.plan = [failure("timeout"), failure("corrupt")]
     with pytest.raises(BusError):
         guard.read(1, SHORT, LONG)
-    # Both lengths are owed now, by this servo only.
+    # Both lengths are now outstanding, by this servo only.
     with pytest.raises(BusError) as caught:
         guard.read(1, SHORT, LONG)
     assert caught.value.reason == "late"
     assert guard.read(2, SHORT, LONG).block == SHORT
     with pytest.raises(BusError):
         guard.sync_read([1, 2], SHORT, LONG)
-    # An answer of a third length settles them; they stay avoided where there is a choice.
+    # A reply of a third length settles them; they stay avoided where there is a choice.
     assert guard.read(1, SHORT, LONG, LONGER).block == LONGER
     assert guard.read(1, SHORT, LONG, LONGER).block == LONGER
     assert guard.read(1, SHORT, LONG).block == SHORT
@@ -137,7 +137,7 @@ def test_a_servo_that_was_silent_for_long_is_asked_again(fake_bus):
     assert guard.read(1, SHORT).block == SHORT
 
 
-def test_without_hurry_a_reading_of_another_length_settles_what_is_owed(fake_bus):
+def test_a_reading_of_another_length_settles_an_outstanding_one(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan = [failure("timeout")]
@@ -192,9 +192,9 @@ def test_a_refused_read_is_not_mistaken_for_a_stale_one(fake_bus):
     assert caught.value.reason == "refused"
 
 
-def test_drains_listen_behind_an_id_that_nobody_has(fake_bus):
+def test_drains_ping_an_unused_id(fake_bus):
     bus = fake_bus([253, 252, 1])
-    guard = guarded(bus, absent=0)
+    guard = guarded(bus, unused_id=0)
     guard.find_unused_id({1}, 253)
     bus.calls.clear()
     bus.plan = [failure("timeout")]

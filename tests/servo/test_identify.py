@@ -1,4 +1,4 @@
-"""What is wrong is said when the chain opens, with what to do about it."""
+"""Errors at open, with remedies."""
 
 import time
 
@@ -34,7 +34,7 @@ def test_a_missing_servo_is_named_with_those_that_answer():
     assert "ids that answer: 1, 7" in text
 
 
-def test_nobody_at_all_points_to_power_port_and_baud():
+def test_a_silent_bus_points_to_power_port_and_baud():
     text = complaint([Device("STS3215", id=1, baud_rate=3)], PAN)
     assert "no servo answers" in text
     assert "baud" in text
@@ -106,14 +106,14 @@ def test_ceilings_and_gains_are_the_servos_own():
     parts = [Device("STS3215", id=1, max_torque_limit=500, p_coefficient=16, overload_torque=25)]
     with Emulator(parts, clock="steps") as bus:
         chain = opened(bus, PAN)
-        # The chain is closed again; what it learned stays.
+        # The bus is closed again; its readings stay.
         assert chain.servos.max_torque[0] == pytest.approx(1.91 / 2, rel=0.01)
         assert chain.servos.kp[0] == pytest.approx(5.1, rel=0.01)
         assert chain.overload[0] == pytest.approx(0.5)
         assert "Max Torque is set to 50%" in chain.found[0].notes[0]
 
 
-def test_notes_say_what_setup_would_change():
+def test_notes_list_the_changes_of_setup():
     with Emulator([Device("XM430-W350", id=3, operating_mode=5)], clock="steps") as bus:
         chain = opened(bus, ELBOW)
     notes = " ".join(chain.found[0].notes)
@@ -132,7 +132,7 @@ def test_an_adapter_that_holds_answers_back_is_measured_and_said(model):
         with ServoBus(specs) as chain:
             assert any("ms later than the wire takes" in note for note in chain.found[0].notes)
             ok = [chain.read().ok.all() for _ in range(20)]
-    # Where it is not known, every answer is given up before it comes.
+    # Where it is unknown, every reply times out before it arrives.
     assert sum(ok) > 12
     with Emulator(parts, timing=Timing(wire=True)) as bus:
         chain = opened(bus, *({"name": s.name, "model": model, "id": s.id} for s in specs))
@@ -158,7 +158,7 @@ def test_another_transport_can_be_passed_in(fake_bus):
 
     class Patient(fake_bus):
         def ping(self, id):
-            # The chain waits by the machine's clock.
+            # The bus waits by the machine's clock.
             time.sleep(0.0 if id in self.memory else self.timeout)
             return super().ping(id)
 

@@ -1,4 +1,4 @@
-"""Tables: complete, consistent, and the same as the emulator's, which were typed independently."""
+"""Tables: complete, consistent, and equal to the emulator's, which were typed independently."""
 
 from itertools import pairwise
 
@@ -11,7 +11,7 @@ from pliant.servo import ServoSpec, Units, find, names
 from pliant.servo.models import by_number
 
 ALL = names()
-#: Our name of a register, and the emulator's, by family; where they are the same, none.
+#: Our name of a register, and the emulator's, by family; equal names are left out.
 NAMES = {
     "model": "model_number",
     "firmware": {"dxl1": "firmware_version", "x": "firmware_version", "sts": "firmware_major"},
@@ -65,7 +65,7 @@ def test_two_independent_tables_agree(name):
         if field not in ours.family.registers or other is None:
             continue
         register, twin = ours.family.registers[field], theirs.table[other]
-        # Feetech's firmware is major and minor in one here.
+        # Feetech's firmware version is one number here, major and minor.
         twin_size = 2 if name.startswith("STS") and field == "firmware" else twin.size
         assert (register.address, register.size) == (twin.address, twin_size), field
         compared += 1
@@ -90,7 +90,7 @@ def test_blocks_hold_what_the_cycle_needs(name):
             assert block.address <= register.address
             assert register.address + register.size <= end
     assert family.read[0].size != family.read[1].size
-    # Goal and limit travel in one packet without a gap, and none of it is EEPROM.
+    # Goal and limit are in one packet without a gap, and none of it is EEPROM.
     written = [field for packet in family.write for field in packet]
     assert {"goal", "limit", "speed_cap"} <= {*written}
     assert all(

@@ -1,4 +1,4 @@
-"""Scans over lines that are slow, late or broken: the ids that are there, and no others."""
+"""Scans over slow, late or broken lines: the existing ids, and no others."""
 
 import pytest
 
@@ -38,7 +38,7 @@ def test_answers_that_are_late_once_are_not_booked_on_other_ids(kind):
         assert found(bus, 1_000_000) == [(i, "") for i in range(1, 7)]
 
 
-def test_two_servos_on_one_id_are_told_from_a_line_that_breaks_every_answer():
+def test_two_servos_on_one_id_are_distinguished_from_a_line_that_corrupts_replies():
     parts = [*answers("sts", [1, 2]), Device("STS3215", id=2, angle=1.0)]
     with Emulator(parts) as bus:
         one, two = found(bus, 1_000_000)
@@ -55,7 +55,7 @@ def test_two_servos_on_one_id_are_told_from_a_line_that_breaks_every_answer():
 
 @pytest.mark.parametrize("trouble", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xl"])
-def test_a_line_that_is_never_silent_is_told(kind, trouble):
+def test_a_line_that_is_never_silent_is_reported(kind, trouble):
     with Emulator(answers(kind, [1, 2])) as bus:
         getattr(bus, trouble)()
         with pytest.raises(ServoError, match="never silent"):

@@ -1,4 +1,4 @@
-"""The whole stack down to bytes on physics: controller, arm, chain, rustypot, emulator, MuJoCo."""
+"""The whole stack down to bytes on physics: controller, arm, driver, rustypot, emulator, MuJoCo."""
 
 import numpy as np
 import pytest
@@ -41,13 +41,13 @@ def test_an_arm_is_enabled_held_and_lowered(shares):
             target = model.forward_kinematics(arm.read().q)
             for k, tick in enumerate(pliant.Loop(arm, controller, rate=50.0)):
                 if tick.state.fresh:
-                    # As old as the transactions that brought it: no time in this clock.
+                    # As old as its transactions, which take no time on this clock.
                     assert tick.q == pytest.approx(bus.plant.q, abs=0.004)
                 tick.write(controller.step(tick.q, target, dt=tick.dt))
                 if k == 100:
                     break
             assert bus.plant.tool[:3, 3] == pytest.approx(target[:3, 3], abs=0.005)
-        # Lowered: the torque is off, the arm rests, and nothing was written that should not be.
+        # Lowered: the torque is off, the arm rests, and no register was written that should not be.
         assert [servo.get("torque_enable") for servo in bus.servos] == [0] * 5
         assert bus.log.eeprom_writes() == []
         assert not bus.log.writes(refused=True)

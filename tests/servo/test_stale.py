@@ -1,4 +1,4 @@
-"""Lines that stand still for longer than anybody waits: no answer is ever taken for a newer one."""
+"""Lines that stop for longer than any timeout: no reply is ever taken for a newer one."""
 
 import numpy as np
 import pytest
@@ -7,17 +7,17 @@ from pliant.servo import BusError
 from pliant.servo._transactions import TransactionGuard
 from pliant.servo.models import find
 
-#: Bytes of the positions that the servos report: the time of the request [µs].
+#: Position bytes reported by the servos: the time of the request [µs].
 STAMP = 8
 
 
 class LateLine:
-    """A serial line in time of its own whose answers are held up.
+    """A serial line with its own time whose replies are delayed.
 
     Args:
         ids: Servos.
-        held: From a time to the one at which what is sent then arrives [s].
-        keeps_order: Whether answers arrive in the order in which they were sent.
+        held: From a time to the one at which bytes sent then arrive [s].
+        keeps_order: True if replies arrive in the order in which they were sent.
     """
 
     def __init__(self, ids, held, *, keeps_order):
@@ -29,7 +29,7 @@ class LateLine:
         return self.now
 
     def _ask(self, ids, size):
-        # What has arrived by now is thrown away, as rustypot does before a request.
+        # Discard what has arrived by now, as rustypot does before a request.
         self._coming = [one for one in self._coming if one[0] > self.now]
         for k, id in enumerate(ids):
             if id in self.ids:
@@ -40,10 +40,10 @@ class LateLine:
                 self._coming.append((at, id, data))
 
     def _take(self, id, end):
-        """The next packet that arrives, whosever it is and however long."""
+        """Return the next packet to arrive, of any servo and length."""
         self._coming.sort(key=lambda one: one[0])
         if not self._coming or self._coming[0][0] > end:
-            self.now = end + 1e-6  # a clock has passed what it waited for
+            self.now = end + 1e-6  # a clock has passed the timeout
             raise BusError("nothing came", "timeout", id)
         at, who, data = self._coming.pop(0)
         self.now = max(self.now, at)
@@ -76,7 +76,7 @@ class LateLine:
 
 
 def stalls(rng, longest):
-    """Times at which nothing gets through, a third of the time in all: what is sent waits."""
+    """Return periods in which no byte passes, a third of the time in all: bytes sent then wait."""
     ends = np.cumsum(rng.exponential([[0.2], [0.1]], (2, 4000)).T.ravel())
     lengths = np.minimum(np.diff(ends)[::2], longest)
     begins = ends[:-1:2]
@@ -101,7 +101,7 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
     blocks = [type(block)(block.address, block.size) for block in family.read]
     bus = LateLine([1, 2, 3], held, keeps_order=keeps_order)
     guard = TransactionGuard(
-        bus, family.protocol, baudrate=1_000_000, patience=patience, absent=200, clock=bus.clock
+        bus, family.protocol, baudrate=1_000_000, patience=patience, unused_id=200, clock=bus.clock
     )
     taken = 0
     for cycle in range(6000):
@@ -120,6 +120,6 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
             told = int.from_bytes(reply.data[:STAMP], "little") * 1e-6
             assert reply.time <= told <= bus.now
             taken += 1
-    # Most positions came through in spite of it, and it was put to the test.
+    # Most positions arrived nevertheless, and the guard was needed.
     assert taken > 6000
     assert guard.counters.stale > 10

@@ -1,4 +1,4 @@
-"""Status bytes in sentences: what refuses, and what merely states a condition."""
+"""Status bytes as sentences: refusals, and mere conditions."""
 
 from pliant.servo import find
 from pliant.servo._status import conditions, hardware, refusal

@@ -1,4 +1,4 @@
-"""Conversions there and back, for every model, voltage, gear, sign and torque."""
+"""Conversions both ways, for every model, voltage, gear, sign and torque."""
 
 import math
 
@@ -66,7 +66,7 @@ def test_a_rising_angle_is_rising_counts_by_the_sign(units):
 @given(joints(), st.floats(0.05, 20.0))
 def test_a_speed_cap_is_never_faster_than_asked(units, speed):
     register = units.speed_register(speed)
-    assert register >= 1  # 0 is "as fast as it can"
+    assert register >= 1  # 0 means "no speed limit"
     slowest = abs(units.velocity(1))
     assert abs(units.velocity(register)) <= max(speed, slowest) * (1 + 1e-9)
 
@@ -134,7 +134,7 @@ def test_stall_torque_can_be_the_users():
         ({"model": "MX-65"}, "did you mean"),
     ],
 )
-def test_a_spec_says_what_is_wrong(change, match):
+def test_errors_of_a_spec_name_the_cause(change, match):
     with pytest.raises(ConfigError, match=match):
         ServoSpec(**{"name": "j", "model": "MX-64", "id": 1, "port": "p", **change})
 

@@ -1,4 +1,4 @@
-"""What the plant's tests share: the arm, a pose, and a loop that lets it float."""
+"""Shared code of the plant's tests: the arm, a pose, and a gravity-compensation loop."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a stranger gives a plant, a float, an identification: refused by name, value, remedy."""
+"""Arguments of plant, hand guiding and identification: rejected with name, value, remedy."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_a_plant_names_what_it_cannot_take(options, text):
         (lambda: identify.identify_servos(Plant(ARM), ARM, rate=np.nan), r"rate \[Hz\] must be in"),
     ],
 )
-def test_whoever_gives_something_else_is_told_what_would_do(make, text):
+def test_wrong_arguments_are_rejected_with_the_accepted_ones(make, text):
     with pytest.raises((pliant.PliantError, TypeError), match=text):
         make()
 

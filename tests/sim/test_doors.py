@@ -1,4 +1,4 @@
-"""Doors: the circle of the handle, what friction and seal hold, the grip's forces, the stops."""
+"""Doors: circle of the handle, friction and seal, forces of the grip, stops."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_the_seal_breaks_at_its_force(arm, floating, force, opens):
 
 
 def test_the_grip_reports_force_and_torque(arm, floating):
-    """Against the closed stop the grip passes on all of a push, and all of a torque."""
+    """Against the closed stop the grip transmits the whole push and torque."""
     for force, torque in (((6.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.0), (0.0, 0.0, -2.0))):
         leaf = door()
         plant = scene(arm, leaf, pull(force, torque=torque))

@@ -53,7 +53,7 @@ def test_simulated_joint_breaks_away_at_the_friction_of_its_load():
     for torque, moves in ((0.35, False), (0.6, True)):
         plant = Plant(arm, friction=gear)
         plant.reset(GRASP)
-        goal = GRASP + 0.5 * (np.arange(7) == 0)  # [rad], far: the servo gives its limit
+        goal = GRASP + 0.5 * (np.arange(7) == 0)  # [rad], far: the servo exerts its limit
         for _ in range(30):
             plant.write(goal, np.full(7, torque))
             plant.advance()
@@ -88,7 +88,7 @@ def test_what_is_no_friction_is_refused():
         Plant(pliant.robots.arm7(), friction=Friction(base=[0.1, 0.2]))
 
 
-def test_what_a_controller_may_believe_is_the_friction_of_the_gears():
+def test_the_friction_model_matches_the_gears():
     """Linear in load and rational in speed: within a fifth of the gears where they move slowly."""
     table = Friction.of([MX106]).believed(pliant.Servos(kp=[100.0], max_torque=10.0, friction=0.3))
     assert table.friction.tolist() == [0.0]
@@ -103,7 +103,7 @@ def test_what_a_controller_may_believe_is_the_friction_of_the_gears():
 
 
 def slid(creep, seconds=4.0):
-    """How far each joint of a limp arm slides whose gravity is below its friction (n,) [rad]."""
+    """Return how far torque-free joints with gravity below their friction slide (n,) [rad]."""
     arm = pliant.robots.so101()
     plant = Plant(arm, friction_scale=12.0, creep=creep)
     plant.reset(np.zeros(arm.n))

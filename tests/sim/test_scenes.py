@@ -1,11 +1,11 @@
-"""Drawer, surface, hand-over, socket: what is promised of them, against numbers by hand."""
+"""Drawer, surface, hand-over, socket: their promises, against numbers by hand."""
 
 import mujoco
 import numpy as np
 import pytest
 
 import pliant
-from pliant.sim import Course, Drawer, Handed, Plant, Push, Socket, Surface, drawer
+from pliant.sim import Course, Drawer, HandoverObject, Plant, Push, Socket, Surface, drawer
 
 OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (.54, 0, -.25)
 
@@ -45,12 +45,12 @@ def test_a_drawer_binds_under_a_force_across(arm, floating, across, opens):
 
 
 def pressed(arm, surface, height, grasp):
-    """Force and torque on a pad that is held at a height over its start."""
+    """Return force and torque on a pad that is held at a height over its start."""
     plant = scene(arm, surface)
     plant.reset(grasp)
-    frame = plant.truth.frame("tool")
+    frame = plant.ground_truth.frame("tool")
     frame.start = frame.position - (0.0, 0.0, height)
-    return surface.force(plant.truth, 0.0)
+    return surface.force(plant.ground_truth, 0.0)
 
 
 def test_a_surface_pushes_by_depth_and_not_from_afar(arm, grasp):
@@ -86,7 +86,7 @@ def test_friction_on_a_surface_is_mu_times_the_normal_force(arm, grasp, floating
 
 
 def test_an_object_is_carried_taken_and_let_go(arm, grasp):
-    thing = Handed(mass=0.5, course=Course(start=2.0, rise=0.5, end=9.0))
+    thing = HandoverObject(mass=0.5, course=Course(start=2.0, rise=0.5, end=9.0))
     plant = Plant(arm, scene=[thing])
     plant.reset(grasp)
     home = thing.place_of(plant)
@@ -103,7 +103,7 @@ def test_an_object_is_carried_taken_and_let_go(arm, grasp):
 
 
 def down(arm, socket, grasp, depth, ticks=150):
-    """Walk the plug straight down with servos that are told the joints of the way."""
+    """Move the plug straight down with servos that get the joint positions of the path."""
     plant = Plant(arm, friction_scale=0.0, scene=[socket])
     plant.reset(grasp)
     pose, q = plant.tool, grasp
@@ -153,8 +153,8 @@ def test_a_plug_in_the_air_touches_nothing(arm, grasp):
         (lambda: Drawer(stop=0.0), "mass and stop > 0"),
         (lambda: Drawer(grip="loose"), "Drawer.grip must be"),
         (lambda: Surface(wave=0.0), "wave > 0"),
-        (lambda: Handed(way=(1.0,)), "three entries"),
-        (lambda: Handed(mass=0.0), "mass > 0"),
+        (lambda: HandoverObject(way=(1.0,)), "three entries"),
+        (lambda: HandoverObject(mass=0.0), "mass > 0"),
         (lambda: Socket(depth=0.0), "depth > chamfer"),
         (lambda: Socket(tilt=(0.0, 0.0)), "three entries"),
     ],

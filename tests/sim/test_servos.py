@@ -1,4 +1,4 @@
-"""The servo's law: never more than the limit, gravity over stiffness at rest, losses outside."""
+"""The servo's law: never above the limit, gravity over stiffness at rest, losses outside."""
 
 import mujoco
 import numpy as np
@@ -104,7 +104,7 @@ def test_friction_holds_what_is_weaker(arm, grasp):
 
 @pytest.mark.parametrize("kind", ["current", "pwm"])
 def test_speed_of_a_saturated_joint(grasp, kind):
-    """At the limit L an unloaded joint runs at L over what resists outside the limit."""
+    """At the limit L an unloaded joint runs at L over the resistance outside the limit."""
     arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
     table = pliant.Servos(
         kp=[150.0] * 7,
@@ -128,7 +128,7 @@ def test_speed_of_a_saturated_joint(grasp, kind):
     assert max(speeds) == pytest.approx(0.5 / resists, rel=0.02)
 
 
-def test_speed_limit_walks_to_the_goal(arm, grasp):
+def test_speed_limit_bounds_the_motion_to_the_goal(arm, grasp):
     plant = Plant(arm, speed_limit=0.5)
     plant.reset(grasp)
     goal = grasp.copy()

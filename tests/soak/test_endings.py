@@ -1,4 +1,4 @@
-"""Programs that end in every way, each a real process on a port; the servos live in another one."""
+"""Programs that end in every way, each a real process on a port; the servos are in another one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from soak.watched import so101
 
 from pliant.emulator import Remote
 
-# A test run in the background is told to ignore Ctrl-C, and would hand that on.
+# A test run in the background ignores Ctrl-C, and its children would inherit that.
 PROGRAM = """
 import os, signal, sys, pliant
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -39,7 +39,7 @@ def bus():
 
 
 def start(bus, *words):
-    # A session of its own, so that a signal to the group is what Ctrl-C in a terminal is.
+    # A session of its own, so that a signal to the group acts like Ctrl-C in a terminal.
     program = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, bus.port, *words],
         stdout=subprocess.PIPE,
@@ -62,7 +62,7 @@ def start(bus, *words):
 )
 def test_the_arm_is_lowered(bus, ending, code):
     program = start(bus, *([] if ending.startswith("SIG") else [ending]))
-    # What soft servos sag by as torque comes on is not the way down.
+    # The sag of soft servos at torque on is not part of the descent.
     bus.call("watcher.begin")
     high = bus.call("watcher.start")
     if ending.startswith("SIG"):

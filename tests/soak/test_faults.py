@@ -12,9 +12,9 @@ from experiments.bus_mishaps import MISHAPS
 from experiments.faults import WHEN, suffer
 
 BY_TITLE = {mishap.title: mishap for mishap in MISHAPS}
-#: A computer may be busy for so long where every servo answers [s].
+#: Reply timeout where every servo answers, long enough for a busy computer [s].
 BUSY = 0.3
-#: A row, and what the arm does then.
+#: A row, and the arm's reaction.
 POWERED = {
     "one answer with a wrong checksum": "goes on",
     "a policy gives NaN for goals": "is lowered",
@@ -55,7 +55,7 @@ def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
     assert found.drop > 0.1
 
 
-# The worst instant hangs on where within a tick the hand takes hold.
+# The worst case depends on where within a tick the hand takes hold.
 @pytest.mark.parametrize("shift", [0.0, 0.002, 0.004, 0.006, 0.008])
 def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand(shift):
     mishap = BY_TITLE["the target jumps by 1 m for 1 s, back"]
@@ -67,6 +67,6 @@ def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand(shift):
 
 @pytest.mark.full
 @pytest.mark.parametrize("title", [m.title for m in MISHAPS if m.state != "no torque"])
-def test_no_hand_meets_more_than_is_allowed(title):
+def test_no_hand_feels_more_than_is_allowed(title):
     found = suffer(BY_TITLE[title], held=True)
     assert found.force <= found.allowed

@@ -1,4 +1,4 @@
-"""A minute of control over real bytes in all, with 1 % of all transactions struck by faults."""
+"""A minute of control over real bytes in total, with faults in 1 % of all transactions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_twenty_seconds_with_faults_break_no_rule(family):
     assert run.stale == run.late == 0
     assert run.above == 0
     assert run.off <= 1.0
-    # It was a soak: ticks came, faults of every kind struck, and the comparison is sharp.
+    # It was a soak: ticks ran, faults of every kind occurred, and the comparison is sensitive.
     assert run.loop["ticks"] >= 1950
     assert set(run.struck) == set(soak.KINDS)
     assert run.bus["retries"] > 0

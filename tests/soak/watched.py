@@ -1,4 +1,4 @@
-"""An emulated arm that remembers how fast its tool was, to be made in a process of its own."""
+"""An emulated arm that records its tool speed, to be made in a process of its own."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pliant.config.factory import make_emulator
 
 
 def so101():
-    """The ready arm in real time, on servos whose tool is watched once that is asked for."""
+    """Make the ready arm in real time, on servos that record the tool speed on request."""
     bus = make_emulator(config.load("so101"))
     bus.watcher = Watcher(bus)
     bus.on = lambda: any(servo.get("torque_enable") for servo in bus.servos)

@@ -1,4 +1,4 @@
-"""Motions whose numbers cannot be, and files that cannot be written: said, by name, in time."""
+"""Motions with impossible numbers, and files that cannot be written: explained errors, in time."""
 
 import json
 
@@ -14,7 +14,7 @@ NAMES = tuple(pliant.robots.so101().joint_names)
 
 @pytest.fixture
 def saved(tmp_path):
-    """A good motion file and its data."""
+    """Return a valid motion file and its data."""
     path = tmp_path / "m.json"
     time = np.linspace(0.0, 1.0, 11)
     Motion(NAMES, time, 0.1 * np.tile(time[:, None], 5), start=(0.1, 0.0, 0.2)).save(path)

@@ -29,7 +29,7 @@ def wave(seconds=2.0, size=0.3):
 
 
 def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **options):
-    """Play; rows of clock, tool (3,), force of the hand, and the motion's own tool (3,)."""
+    """Play; return rows of clock, tool (3,), force of the hand, and the motion's own tool (3,)."""
     rows = []
     with bare_arm("so101", q=START, scene=scene, on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, SETTINGS, arm.servos)
@@ -110,7 +110,7 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
         with pytest.raises(pliant.OutOfRangeError, match=r"stop \[N\] = .* is outside") as error:
             Replay(controller, settled, stop=stop)
     said = str(error.value)
-    # Nothing that only a `ContactEstimator` takes; and the bound that is shown is accepted.
+    # Arguments of a `ContactEstimator` only are rejected; and the bound in the message is accepted.
     assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", said))
     Replay(controller, settled, stop=float(said.split("[")[2].split(",", maxsplit=1)[0]))
 
@@ -192,7 +192,7 @@ def test_an_arm_whose_joints_have_the_same_names_is_told_apart_by_its_tool(tmp_p
     loaded.fits(MODEL)
     with pytest.raises(pliant.ConfigError, match=r"another arm's.* koch_like"):
         loaded.fits(pliant.robots.koch())
-    wave().fits(pliant.robots.koch())  # nobody has said where the tool was
+    wave().fits(pliant.robots.koch())  # the start of the tool is not given
 
 
 def test_bounds_are_kept_and_what_is_slower_stays():
@@ -212,7 +212,7 @@ def test_bounds_are_kept_and_what_is_slower_stays():
     np.testing.assert_allclose(kept.q[[0, -1]], fast.q[[0, -1]], atol=1e-6)
     assert fast.duration < kept.duration < 2.5 * fast.duration
     back = np.maximum.accumulate(kept.q[:, 0]) - kept.q[:, 0]
-    assert back.max() < 0.001  # it takes no run-up, nor does it swing at the end
+    assert back.max() < 0.001  # no run-up, and no overshoot at the end
     with pytest.raises(pliant.ConfigError, match="above 0"):
         bounded(fast, (1.0, 0.0, 1.0))
 
@@ -269,8 +269,8 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     short = Motion(NAMES, [0.0, 0.4], [[0.0] * 5, [0.08] + [0.0] * 4], {"gripper": [0.1, 0.2]})
     short.save(file)
     arm = tmp_path / "arm.toml"
-    # Left held, not lowered: an emulated arm comes down as slowly as a real one. The machine that
-    # tests may be busy elsewhere.
+    # Left enabled, not lowered: an emulated arm descends as slowly as a real one, and the machine
+    # may be busy.
     life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
     arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
     flags = [

@@ -9,9 +9,9 @@ pytest.importorskip("mjviser", reason="the page needs mjviser: pip install 'plia
 
 
 class Script:
-    """Stands where a `Link` stands.
+    """Replaces a `Link`.
 
-    `at` maps the number of a call of `orders()` to what the page asks for then.
+    `at` maps the number of a call of `orders()` to the page's orders at that call.
     """
 
     def __init__(self, at, every=3):

@@ -1,8 +1,8 @@
-"""The page in a real browser: what a visitor does, and what becomes of the arm.
+"""The page in a real browser: a visitor's actions, and the reaction of the arm.
 
-Software drawing leaves little of two processors, so nothing here is about speed: every step waits
-until the page says what it should. `make test` opens the page and pushes the arm; `make browser`
-does all of it.
+Software drawing leaves little of two processors, so these tests do not measure speed: every step
+waits until the page shows the expected state. `make test` opens the page and pushes the arm; `make
+browser` runs all of it.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FLAGS = (
     "--enable-unsafe-swiftshader",
 )
 SIZE = {"width": 1060, "height": 560}
-#: Longest wait for anything [s].
+#: Longest wait [s].
 PATIENCE = 60.0
 #: Directions in base axes.
 LEFT, UP = np.eye(3)[1:]
@@ -82,13 +82,13 @@ class View:
 
     @property
     def page_process(self):
-        """The server's process, child of the loop's."""
+        """Return the server's process, child of the loop's."""
         path = f"/proc/{self.process.pid}/task/{self.process.pid}/children"
         with open(path, encoding="ascii") as children:
             return int(children.read().split()[0])
 
     def end(self, number=signal.SIGINT):
-        """Signal it, and give what it said and its exit code."""
+        """Signal it, and return its output and exit code."""
         if self.process.poll() is None:
             self.process.send_signal(number)
         said = self.process.communicate(timeout=PATIENCE)[0]
@@ -114,7 +114,7 @@ class Tab:
         return self.page.evaluate("() => document.body.innerText")
 
     def wait(self, found, what):
-        """Until `found(text)` gives something true, which is returned."""
+        """Wait until `found(text)` is true, and return it."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             text = self.text
@@ -128,7 +128,7 @@ class Tab:
         return self.wait(lambda text: words in text, repr(words))
 
     def place(self, name):
-        """Place of the tool or of the target [mm]."""
+        """Return the position of the tool or of the target [mm]."""
         pattern = rf"{name} x (-?\d+), y (-?\d+), z (-?\d+) mm"
         found = self.wait(lambda text: re.search(pattern, text), f"the place of the {name}")
         return np.array([int(number) for number in found.groups()])
@@ -137,13 +137,13 @@ class Tab:
         self.page.get_by_role("button", name=words, exact=True).dispatch_event("click")
 
     def canvas(self):
-        """Left, top, width and height of the scene [px]."""
+        """Return left, top, width and height of the scene [px]."""
         boxes = [canvas.bounding_box() for canvas in self.page.locator("canvas").all()]
         box = max(filter(None, boxes), key=lambda b: b["width"] * b["height"])
         return box["x"], box["y"], box["width"], box["height"]
 
     def pixel(self, point):
-        """Where a point (3,) [m] of the scene is drawn by the first camera."""
+        """Return where a point (3,) [m] of the scene is drawn by the first camera."""
         plant = standing()
         middle, eye = overlook(plant.mj_model, plant.mj_data, plant.tool[:3, 3], GIZMO)
         ahead = (middle - eye) / np.linalg.norm(middle - eye)
@@ -212,7 +212,7 @@ def test_page_loads_with_all_its_parts_and_nothing_from_elsewhere(tab):
 
 def test_push_moves_the_arm_and_it_comes_back(tab):
     seen, looks = False, 0
-    # On a busy computer the page may show next to nothing for the two seconds of a push.
+    # On a busy computer the page may show almost nothing during the two seconds of a push.
     while not seen and looks < 5:
         tab.press("Push for 2 s")
         end, looks = time.monotonic() + 3.0, 0
@@ -334,7 +334,7 @@ def test_arm_is_lowered_when_the_page_is_killed(view, context):
 
 
 @pytest.mark.full
-def test_tab_says_so_when_the_program_ends(view, context):
+def test_tab_shows_that_the_program_has_ended(view, context):
     tab = Tab(context, view.link)
     view.process.send_signal(signal.SIGKILL)
     tab.sees("The loop has ended")
@@ -342,7 +342,7 @@ def test_tab_says_so_when_the_program_ends(view, context):
 
 
 @pytest.mark.full
-def test_ctrl_c_lowers_the_arm_before_the_eyes_of_the_page(view, context):
+def test_ctrl_c_lowers_the_arm_and_the_page_shows_it(view, context):
     tab = Tab(context, view.link)
     view.process.send_signal(signal.SIGINT)
     tab.sees("coming down")

@@ -17,7 +17,7 @@ CASES = [(robot, task) for robot, tasks in TASKS.items() for task in tasks]
 
 
 def own_files(task):
-    """Settings of a configuration: soft, firm, two axes by hand, and none at all."""
+    """Return settings of a configuration: soft, firm, two axes by hand, and without axes."""
     names = pliant.Task(axes=task).names
     return {
         "soft all": pliant.Settings.soft(" ".join(names), task=task),

@@ -1,4 +1,4 @@
-"""The page's process: it comes up, asks for its token, never blocks the loop, and may die."""
+"""The page's process: it starts, requires its token, never blocks the loop, and may die."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_snapshots_wait_until_the_last_one_was_taken(link):
     source = Simulated("arm7", paced=False)
     session = Session(source, Quick(link))
     session.run(1)
-    # Thirty a second of the machine's time at most, however fast the simulation runs.
+    # At most thirty a second in real time, however fast the simulation runs.
     assert 1 <= session._link.sent <= 1 + 32 * session._link.took
 
 
@@ -84,7 +84,7 @@ class Quick:
 
 
 def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
-    # On its way down an arm takes no orders, but is to be seen.
+    # A descending arm takes no orders, but stays visible.
     for _ in range(3):
         until = time.perf_counter() + 20.0
         while not link.due():
@@ -94,7 +94,7 @@ def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
 
 
 def flooded():
-    """A page's end in this process that has asked for far more than a tick may take."""
+    """Return a page's end in this process that requests far more than a tick may take."""
     ours, theirs = socket.socketpair()
     ear = Ear(theirs.detach())
     for number in range(20_000):

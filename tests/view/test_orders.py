@@ -1,4 +1,4 @@
-"""What a page asks for: how much of it may wait, what of it counts, and what is refused."""
+"""Orders of a page: bounded queue, precedence, rejections."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def pose(*place):
 
 
 def flood(seed, count=2000):
-    """Orders of every kind in any order, as several tabs that flood send them."""
+    """Return orders of every kind in random order, as from several flooding tabs."""
     draw = random.Random(seed)
     makers = (
         lambda i: orders.Target(pose(0.2, 0.0, 1e-4 * i)),

@@ -1,4 +1,4 @@
-"""The page on its server, without a browser: what it shows, and what its handlers say."""
+"""The page on its server, without a browser: its display, and the orders of its handlers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pliant.view.world import LONGEST, World
 
 
 class Told:
-    """What a push left behind: a stage and its snapshots."""
+    """Data of a push: a stage and its snapshots."""
 
     def __init__(self, script):
         push = orders.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
@@ -61,7 +61,7 @@ def server():
 
 @pytest.fixture
 def seen(server, told):
-    """A page of its own for each test: workers take tests in any order, and tests move controls."""
+    """Make a page for each test: workers run tests in any order, and tests move controls."""
     server.scene.reset()
     server.gui.reset()
     return Seen(server, told)
@@ -75,7 +75,7 @@ def click(handle):
 
 
 def move(handle, value):
-    """As a visitor does; setting a value from here is the page's own doing."""
+    """Move a control as a visitor does; setting a value here would be the page's own change."""
     handle._impl.value = value
     click(handle)
 
@@ -94,7 +94,7 @@ def test_a_snapshot_between_a_click_and_its_being_heard_does_not_undo_it(seen):
     (order,) = seen.said
     assert isinstance(order, orders.Firm)
     assert order.on
-    controls.show(replace(last, edit=order.number))  # the arm has heard, and refused
+    controls.show(replace(last, edit=order.number))  # the arm has received and rejected it
     assert not controls.firm.value
 
 
@@ -138,7 +138,7 @@ def test_arrow_shows_the_push_and_hides_without_one(seen):
     assert not seen.world._arrow.visible
 
 
-def test_meters_say_what_the_step_knew(seen):
+def test_meters_show_the_values_of_the_step(seen):
     seen.panel._drawn = -np.inf
     seen.panel.show(seen.running[-1])
     assert "shoulder_pitch" in seen.panel._joints.content
@@ -149,7 +149,7 @@ def test_meters_say_what_the_step_knew(seen):
 
 
 def row(seen, now, shown=None, full=None):
-    """The rows of the table of axes, by axis."""
+    """Return the rows of the table of axes, by axis."""
     stage, shown = seen.stage, shown or now.shown
     full = full or meters.ranges(stage, shown, now.step, {})
     rows = meters.axes(stage, shown, now.step, full).split("<tr>")[2:]
@@ -214,7 +214,7 @@ def test_buttons_follow_the_life_of_the_arm(seen):
     assert (stop.stop.visible, stop.stop.disabled, stop.start.visible) == (True, False, False)
 
 
-def test_controls_say_changes_with_rising_numbers(seen):
+def test_controls_send_changes_with_rising_numbers(seen):
     controls = seen.panel.controls
     move(controls.eta, 0.5)
     move(controls.law, "impedance")

@@ -11,7 +11,7 @@ from pliant.view.link import PageGone
 from pliant.view.session import Session
 from pliant.view.source import Simulated
 
-#: The end of a life without a descent: a simulated arm needs none.
+#: An ending without a descent: a simulated arm needs none.
 END = orders.Scene("free")
 
 
@@ -26,7 +26,7 @@ def deviation(snapshot, stage, axis):
     return float(snapshot.step.deviation[stage.axes.index(axis)])
 
 
-def test_stage_comes_first_and_says_what_there_is(script):
+def test_the_stage_comes_first_and_describes_the_scene(script):
     _, link = live(script, {5: END})
     stage = link.stages[0]
     assert stage.arm == "arm7"
@@ -39,7 +39,7 @@ def test_stage_comes_first_and_says_what_there_is(script):
 def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
     _, link = live(script, {30: orders.Stop()})
     assert {s.phase for s in link.snapshots} >= {"running", "lowering"}
-    # Lowering sends as often as the page takes: the script's page takes all once it is told to.
+    # Lowering sends as often as the page takes: the script's page takes all on request.
     down = [s for s in link.snapshots if s.phase == "lowering"]
     heights = [s.tool[2, 3] for s in down]
     assert heights[-1] < heights[0] - 0.2
@@ -176,7 +176,7 @@ def test_target_out_of_reach_is_said_and_the_old_one_stays(script, far):
     assert told[0].said[2]
     for snapshot in told:
         np.testing.assert_allclose(snapshot.step.target, moved(session.home, *near))
-    # A good target takes the message away.
+    # A valid target removes the message.
     assert link.running[-1].said[1:] == ("", False)
 
 
@@ -196,14 +196,14 @@ def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeyp
     np.testing.assert_array_equal(link.running[-1].step.target, session.home)
 
 
-def test_refused_setting_is_forgotten_after_a_good_one(script):
+def test_message_of_a_rejected_setting_ends_with_a_valid_one(script):
     bad, good = orders.Eta(1, 1.5), orders.Eta(2, 0.5)
     _, link = live(script, {4: bad, 16: good, 30: END})
     assert any("adaptation = 1.5" in s.said[1] for s in link.running)
     assert link.running[-1].said[1:] == ("", False)
 
 
-def test_refused_setting_is_forgotten_by_and_by(script, monkeypatch):
+def test_message_of_a_rejected_setting_expires(script, monkeypatch):
     monkeypatch.setattr("pliant.view.look.REFUSED", 0.0)
     _, link = live(script, {4: orders.Eta(1, 1.5), 16: END})
     assert link.running[-1].said == (2, "", False)
