@@ -1520,8 +1520,17 @@ class Settings:
 
 @final
 class Command:
-    """What the servos get. The arrays of a command that is kept never change."""
+    """Goals and limits of the servos for one tick. Arrays of a stored command never change.
 
+    Args:
+        goal: Goals of the position servos (n,) [rad].
+        torque_limit: Magnitude of the torque each servo may use (n,) [N m].
+        speed_limit: Speed for a servo's speed register (n,) [rad/s]; None: no limit.
+    """
+
+    def __new__(
+        cls, goal: ArrayLike, torque_limit: ArrayLike, speed_limit: ArrayLike | None = None
+    ) -> Command: ...
     @property
     def goal(self) -> _Array:
         """Goals of the position servos (n,) [rad]."""

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ConfigError, OutOfRangeError, ServoError
+from pliant._core import Command, ConfigError, OutOfRangeError, ServoError
 from pliant._validation import number
-from pliant.identify.procedure import ServoCommand
 
 if TYPE_CHECKING:
     from collections.abc import Generator
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from pliant._core import Model, Servos
 
     Array = NDArray[np.float64]
-    Motion = Generator[ServoCommand, Array, Array]
+    Motion = Generator[Command, Array, Array]
 
 #: Peak speed of a joint between poses [rad/s].
 TRAVEL_SPEED = 0.4
@@ -172,7 +171,7 @@ class Excitation:
             (record.speed, speed),
         ):
             rows.append(value)
-        return (yield ServoCommand(goal, limit))
+        return (yield Command(goal, limit))
 
     def follow(self, q: Array, path: Array, speed: Array) -> Motion:
         """Follow positions (N, n) [rad] with planned speeds (N, n) [rad/s]."""
