@@ -9,7 +9,7 @@ from rich.console import Console
 
 from pliant import identify
 from pliant._core import ConfigError, Controller, Settings
-from pliant.cli.flags import ArmName, Override
+from pliant.cli._flags import ArmName, ConfigFlags
 from pliant.config import connect
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def run(
     procedure: Annotated[Procedure, tyro.conf.Positional],
     *,
     span: Annotated[float | None, tyro.conf.arg(metavar="RADIANS")] = None,
-    override: Override,
+    override: ConfigFlags,
 ) -> None:
     """Measure the arm, print what was found and the lines for its file, and lower the arm.
 

@@ -13,10 +13,17 @@ from rich.table import Table
 
 from pliant._core import Command, ConfigError, Controller, Model
 from pliant._validation import AXES
-from pliant.cli._files import check_log, recorder_of
+from pliant.cli._flags import (
+    ArmName,
+    Axes,
+    ConfigFlags,
+    File,
+    Seconds,
+    apply_soft,
+    check_log,
+    recorder_of,
+)
 from pliant.cli._targets import Targets, open_targets
-from pliant.cli.flags import ArmName, Axes, File, Override, Seconds
-from pliant.cli.soft import softened
 from pliant.config import connect
 from pliant.loop import Loop
 
@@ -40,7 +47,7 @@ def run(
     soft: Axes = "",
     targets: Annotated[str, tyro.conf.arg(metavar="FILE|-|udp:PORT")] = "",
     duration: Seconds = None,
-    override: Override,
+    override: ConfigFlags,
     log: File = None,
     quiet: bool = False,
 ) -> None:
@@ -67,7 +74,7 @@ def run(
     if duration is not None and not duration > 0.0:
         raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
     model = read.model()
-    settings = softened(settings, soft, model, holds=False)
+    settings = apply_soft(settings, soft, model, holds=False)
     connected = connect(read)
     # Check the settings before torque comes on.
     Controller(connected.model, settings, connected.servos)

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from pliant._extras import pip
 from pliant._files import replacing
-from pliant.cli.flags import LogFile, Output
+from pliant.cli._flags import LogFile, Output
 from pliant.cli.log._output import check_data, check_output
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from pliant._files import printable
-from pliant.cli.flags import LogFile
+from pliant.cli._flags import LogFile
 
 if TYPE_CHECKING:
     from pathlib import Path

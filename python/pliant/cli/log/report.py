@@ -5,8 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 
 from pliant._files import check_output
-from pliant.cli._files import check_written
-from pliant.cli.flags import LogFile, Output
+from pliant.cli._flags import LogFile, Output, check_written
 
 
 def run(

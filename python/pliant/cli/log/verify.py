@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from pliant.cli.flags import LogFile
+from pliant.cli._flags import LogFile
 
 
 def run(log: LogFile) -> None:

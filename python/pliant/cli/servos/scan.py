@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pliant._core import ConfigError, ServoError
-from pliant.cli.flags import Device
+from pliant.cli._flags import Device
 from pliant.servo import serial_ports
 from pliant.servo.scan import ALL, BAUDRATES, USUAL, Seen, scan
 

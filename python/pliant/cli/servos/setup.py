@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pliant._core import ConfigError
-from pliant.cli.flags import ArmName, File, Ids, Wired
+from pliant.cli._flags import ArmName, BusFlags, File, Ids
 from pliant.cli.servos import _backup as kept
 from pliant.config import factory
 from pliant.servo import RustypotTransport
@@ -39,7 +39,7 @@ def run(
     undo: File = None,
     backup: Path = Path("pliant-setup.json"),
     set_id: Ids = None,
-    override: Wired,
+    override: BusFlags,
 ) -> None:
     """Set the servos' EEPROM up for compliant control; LeRobot's own values stay as they are.
 

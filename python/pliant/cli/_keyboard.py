@@ -7,7 +7,7 @@ import sys
 import threading
 
 
-class Keys:
+class EnterKey:
     """Lines of standard input, read in a separate thread."""
 
     def __init__(self) -> None:
@@ -19,7 +19,7 @@ class Keys:
         for line in sys.stdin:
             self._lines.put(line)
 
-    def enter(self) -> bool:
+    def pressed(self) -> bool:
         """Return True if Enter has been pressed since the last call."""
         pressed = False
         while not self._lines.empty():
