@@ -14,6 +14,7 @@ from rich.console import Console
 from pliant import config
 from pliant._core import Axis, ConfigError, Controller, Model, Settings, Task
 from pliant._files import check_output
+from pliant.cli._console import print_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -191,7 +192,7 @@ def check_written(path: Path, kind: str, inputs: Iterable[Path | str | None] = (
     """
     if check_output(path, kind, inputs):
         text = f"{path}: the {kind} that is there will be replaced"
-        Console(stderr=True).print(text, highlight=False, soft_wrap=True, markup=False)
+        print_line(text, Console(stderr=True))
 
 
 def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> None:

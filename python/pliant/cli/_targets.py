@@ -21,11 +21,8 @@ from pliant._core import ConfigError, PliantError, Pose
 from pliant._files import LARGE, read_text
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pliant._core import Model
-
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 KEYS = ("position", "wxyz", "xyzw", "q")

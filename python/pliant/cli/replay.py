@@ -10,6 +10,7 @@ from rich.console import Console
 
 from pliant import teach
 from pliant._core import ConfigError, Controller
+from pliant.cli._console import EnterKey, print_line
 from pliant.cli._flags import (
     ArmName,
     Axes,
@@ -20,7 +21,6 @@ from pliant.cli._flags import (
     check_log,
     recorder_of,
 )
-from pliant.cli._keyboard import EnterKey
 from pliant.config import connect
 from pliant.loop import Loop
 
@@ -96,12 +96,7 @@ def _load(path: Path) -> teach.Motion:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
     if not log.whole:
-        Console().print(
-            f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends",
-            highlight=False,
-            soft_wrap=True,
-            markup=False,
-        )
+        print_line(f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends")
     return made
 
 

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from pliant._core import Command, ConfigError, Controller, Model
 from pliant._validation import AXES
+from pliant.cli._console import print_line
 from pliant.cli._flags import (
     ArmName,
     Axes,
@@ -28,8 +29,7 @@ from pliant.config import connect
 from pliant.loop import Loop
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.arm import Arm
     from pliant.loop import Tick
 
@@ -104,7 +104,7 @@ def _follow(
     notes: list[str] = []
     made.append((arm, loop, notes))
     every = max(round(1.0 / (FRAMES * loop.period)), 1)
-    pose: NDArray[np.float64] | None = None
+    pose: Array | None = None
     told, is_led = 0.0, False
     with Live(console=Console(), auto_refresh=False, transient=True) as live:
         for tick in loop:
@@ -123,7 +123,7 @@ def _follow(
         notes += _missed(arm.model, tick.q, pose)
 
 
-def _missed(model: Model, q: NDArray[np.float64], target: NDArray[np.float64]) -> list[str]:
+def _missed(model: Model, q: Array, target: Array) -> list[str]:
     """Return a sentence on a missed target, with the joints at their limits."""
     off = float(np.linalg.norm((model.forward_kinematics(q) - target)[:3, 3]))
     if off <= MISSED:
@@ -139,7 +139,7 @@ def _missed(model: Model, q: NDArray[np.float64], target: NDArray[np.float64]) -
 
 def _summary(arm: Arm, loop: Loop, notes: list[str]) -> None:
     for note in notes:
-        Console().print(note, highlight=False, markup=False, soft_wrap=True)
+        print_line(note)
     counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)
     Console().print(
         f"{len(loop.lateness)} ticks, late by {loop.lateness}; {loop.missed} missed; bus: {counts}",
@@ -152,7 +152,7 @@ def _table(
     controller: Controller,
     tick: Tick,
     command: Command,
-    here: NDArray[np.float64],
+    here: Array,
 ) -> Table:
     """Return the table: tool, compliance of each axis, torque limits, temperatures."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{arm.model.name}, {tick.time:.0f} s")

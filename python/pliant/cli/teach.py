@@ -10,8 +10,8 @@ from rich.console import Console
 
 from pliant import teach
 from pliant._core import ConfigError
+from pliant.cli._console import EnterKey, print_line
 from pliant.cli._flags import ArmName, ConfigFlags, Duration, MotionFile, check_written
-from pliant.cli._keyboard import EnterKey
 from pliant.config import connect
 from pliant.teach._retiming import import_ruckig
 from pliant.teach._scripted_hand import prepare
@@ -85,12 +85,7 @@ def run(
             teach.retime(taken, bounds).save(motion)
         files = map(shlex.quote, (arm, str(motion)))
         again = " ".join(["pliant replay", *files, *override.words()])
-        console.print(
-            f"{motion}: {taken.duration:.1f} s; {again}",
-            highlight=False,
-            soft_wrap=True,
-            markup=False,
-        )
+        print_line(f"{motion}: {taken.duration:.1f} s; {again}", console)
 
     made: list[Motion] = []
     cut: list[Motion] = []

@@ -19,11 +19,8 @@ from pliant._validation import format_value, positive, vector
 from pliant.reactions.conditions import indices
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.reactions.conditions import TickContext
-
-    Array = NDArray[np.float64]
 
 
 def offset_pose(pose: Array, shift: Array, turn: Array) -> Array:

@@ -26,9 +26,7 @@ from pliant._validation import AXES, format_value, number, positive, rounded_up
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from pliant.reactions.actions import Action, Running, Stop, step_toward
 from pliant.reactions.conditions import Condition, Evaluator, TickContext, condition
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 @dataclass(frozen=True)

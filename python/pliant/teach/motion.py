@@ -15,12 +15,10 @@ from pliant._files import LARGE, check_output, read_text, replacing
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from pliant._core import Model
+    from pliant._typing import Array, Mask
     from pliant.log import Log
 
-    Array = NDArray[np.float64]
 
 #: First field of a file.
 FORMAT = "pliant motion 1"
@@ -227,7 +225,7 @@ class Motion:
         extra = {name: smooth(row) for name, row in self.extra.items()}
         return replace(self, time=time, q=q, extra=extra)
 
-    def _of(self, chosen: NDArray[np.bool_]) -> Motion:
+    def _of(self, chosen: Mask) -> Motion:
         extra = {name: row[chosen] for name, row in self.extra.items()}
         return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra, start=None)
 

@@ -12,13 +12,13 @@ from pliant._core import ContactEstimator, OutOfRangeError
 from pliant._validation import AXES, rounded_up
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Command, Controller
+    from pliant._typing import Array
     from pliant.arm import Arm
     from pliant.teach.motion import Motion
 
-    Array = NDArray[np.float64]
 
 #: Speed toward the start of the motion, and back to the motion after a stop [rad/s].
 APPROACH = 0.4

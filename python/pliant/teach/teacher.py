@@ -14,12 +14,10 @@ from pliant.teach.motion import Motion
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.arm import Arm, State
     from pliant.identify.procedure import ServoCommand
 
-    Array = NDArray[np.float64]
 
 #: Message of `teach` when the recording begins.
 RECORDING = "recording"

@@ -11,18 +11,18 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from pliant.cli._console import print_line
 from pliant.config import factory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
     from rich.console import Console
 
     from pliant._core import Model
+    from pliant._typing import Array, Mask
     from pliant.config import Config
-
-    Array = NDArray[np.float64]
 
 
 #: Period of the readings [s].
@@ -59,7 +59,7 @@ class JointMonitor:
         self._reference = self.position.copy()
         self.last_motion = ""
 
-    def update(self, position: Array, ok: NDArray[np.bool_]) -> bool:
+    def update(self, position: Array, ok: Mask) -> bool:
         """Take a reading; return True if a joint has moved since the last report."""
         self.position = np.where(ok, position, self.position)
         self._reference = np.where(np.isnan(self._reference), self.position, self._reference)
@@ -159,32 +159,22 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
 def _end(console: Console, monitor: JointMonitor | None) -> None:
     """Print the final pose, to copy into the configuration."""
     if monitor is not None and monitor.rest:
-        console.print(
-            "If this is where the arm shall rest, write it under [life] of its file:",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
+        print_line(
+            "If this is where the arm shall rest, write it under [life] of its file:", console
         )
-        console.print(monitor.rest, highlight=False, markup=False, soft_wrap=True)
+        print_line(monitor.rest, console)
 
 
 def _begin(console: Console, on: list[str]) -> None:
     """Print instructions, and the joints whose torque is on."""
-    console.print(
+    print_line(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
         "as its angle grows the tool must go where its line says. If it goes the other way, turn "
         "the joint's `sign` round in [servo]. Ctrl-C ends, and prints the pose as a rest pose",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
+        console,
     )
     if on:
-        console.print(
-            f"torque is on already, they cannot be moved by hand: {', '.join(on)}",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
-        )
+        print_line(f"torque is on already, they cannot be moved by hand: {', '.join(on)}", console)
 
 
 def _table(monitor: JointMonitor) -> Table:
@@ -212,7 +202,7 @@ def _lines(console: Console, monitor: JointMonitor, *, first: bool, moved: bool)
     if moved:
         lines = [monitor.last_motion]
     for line in [*lines, monitor.tool] if lines else []:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        print_line(line, console)
 
 
 #: Tool motion below which a joint only turns the tool in place [m/rad].

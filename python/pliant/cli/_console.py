@@ -1,10 +1,17 @@
-"""Detection of the Enter key while a loop runs."""
+"""Output of plain lines, and detection of the Enter key while a loop runs."""
 
 from __future__ import annotations
 
 import queue
 import sys
 import threading
+
+from rich.console import Console
+
+
+def print_line(text: str, console: Console | None = None) -> None:
+    """Print a line as it is: not wrapped, not coloured, without markup."""
+    (console or Console()).print(text, highlight=False, soft_wrap=True, markup=False)
 
 
 class EnterKey:
