@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Model
+    from pliant._typing import Array
     from pliant.model import Joint
-
-    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

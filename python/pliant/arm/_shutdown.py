@@ -17,13 +17,10 @@ from pliant.arm.lowering import SUPPORT, Lowering, margin
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.arm._io import ArmIO
     from pliant.arm._messages import Message
     from pliant.arm._points import Points
-
-    Array = NDArray[np.float64]
 
 
 #: Time between two progress messages [s].

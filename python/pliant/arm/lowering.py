@@ -30,13 +30,10 @@ import numpy as np
 from pliant.arm._points import Points
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pliant._core import Model, Servos
+    from pliant._typing import Array, Mask
     from pliant.arm._points import Geometry
 
-    Array = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
     Phase = Literal["rest", "down", "ramp", "done"]
 
 #: Largest speed of the tool and of every joint origin during the descent [m/s], and of any joint
@@ -159,7 +156,7 @@ class Lowering:
         self._lead = self._goal - self._q
 
     def step(
-        self, q: Array, dt: float, ok: Flags | bool = True, age: float = 0.0
+        self, q: Array, dt: float, ok: Mask | bool = True, age: float = 0.0
     ) -> tuple[Array, Array] | None:
         """Compute goals and limits of one tick.
 
@@ -195,7 +192,7 @@ class Lowering:
         """Return True if torque can be switched off."""
         return self.phase == "done"
 
-    def _advance(self, dt: float, lost: Flags) -> None:
+    def _advance(self, dt: float, lost: Mask) -> None:
         """Update goals and limits; joints without a position keep their goal."""
         here, gravity = self._points(self._q), self._gravity()
         self._past.append((self._total, self._q.copy()))
@@ -271,9 +268,9 @@ class Lowering:
         self._free = np.where(moving, self._free + 0.2 * (lead - self._free), self._free)
         self._goal = self._q + np.clip(lead, self._free - push, self._free + push)
 
-    def _is_outward(self, u: Array) -> Flags:
+    def _is_outward(self, u: Array) -> Mask:
         """Return a mask (n,) of joints at a position limit that u would move outward."""
-        outward: Flags = (u < 0.0) & (self._q <= self._model.lower) | (u > 0.0) & (
+        outward: Mask = (u < 0.0) & (self._q <= self._model.lower) | (u > 0.0) & (
             self._q >= self._model.upper
         )
         return outward
@@ -326,7 +323,7 @@ class Lowering:
         return np.minimum(limit, self._usable)
 
     def _change_phase(
-        self, dt: float, here: Geometry, gravity: Array, idle: Flags, seen: float
+        self, dt: float, here: Geometry, gravity: Array, idle: Mask, seen: float
     ) -> None:
         """Enter the next phase if this one is over."""
         if self.phase == "rest":
@@ -349,7 +346,7 @@ class Lowering:
             # Stop pressing and check again: only the press may have moved the arm.
             self._presses, self._light = False, 0.0
 
-    def _let_go(self, dt: float, seen: float, lost: Flags) -> None:
+    def _let_go(self, dt: float, seen: float, lost: Mask) -> None:
         """Reduce leads and limits to zero while the arm is still."""
         late = self._total > LONGEST and not self.blind
         if seen > LOOSE and not late:

@@ -10,9 +10,8 @@ import numpy as np
 from pliant._core import ConfigError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
 
 #: Heat from which on limits are reduced, and heat at which a fault is reported.
 WARM, TOO_HOT = 0.8, 1.3

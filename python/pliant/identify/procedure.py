@@ -20,9 +20,10 @@ from pliant._validation import format_value, vector
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
+
 
 P = ParamSpec("P")
 Q = ParamSpec("Q")
@@ -39,12 +40,12 @@ class ServoCommand:
         torque_limit: Torque limits (n,) [N·m].
     """
 
-    goal: NDArray[np.float64]
-    torque_limit: NDArray[np.float64]
+    goal: Array
+    torque_limit: Array
 
 
 #: A generator that yields orders, receives positions (n,), and returns its result.
-Steps = Generator[ServoCommand, "NDArray[np.float64]", T]
+Steps = Generator[ServoCommand, "Array", T]
 
 
 class Arm(Protocol):
@@ -203,7 +204,7 @@ def run_procedure(
 
 @dataclass(frozen=True)
 class _PlantTick:
-    q: NDArray[np.float64]
+    q: Array
     arm: Arm
 
     def write(self, command: ServoCommand) -> None:
