@@ -17,7 +17,7 @@ impl Controller {
         let q = self.positions("q", q)?;
         let goal = self.joints("goal", goal, COORDINATE_BOUND)?;
         if !self.plan.servos.has_kp {
-            return Err(Error::config("servos", "capturing gravity needs the believed k_p: give servos"));
+            return Err(Error::config("servos", "capturing gravity needs an assumed k_p: give servos"));
         }
         let holding = self.holding_torques(&q);
         let servos = &self.plan.servos;
