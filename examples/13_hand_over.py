@@ -20,7 +20,7 @@ model = pliant.robots.arm7()
 ways = {"hand_over": pliant.Settings.hand_over(), "all axes stiff": pliant.Settings.firm()}
 
 for name, settings in ways.items():
-    thing = pliant.sim.Handed(mass=0.3)  # a person takes hold of it at 2 s
+    thing = pliant.sim.HandoverObject(mass=0.3)  # a person takes hold of it at 2 s
     arm = pliant.sim.Plant(model, scene=[thing])
     arm.reset(START)
     controller = pliant.Controller(model, settings)

@@ -12,7 +12,7 @@ import numpy as np
 
 import pliant
 from pliant import robots
-from pliant.sim.gains import tabulate
+from pliant.sim._parameters import tabulate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

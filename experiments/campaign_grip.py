@@ -11,7 +11,7 @@ from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
     from pliant.sim import Plant
-    from pliant.sim.spec import Build
+    from pliant.sim._model_builder import Build
 
 #: Springs of hand and guide on `arm7` [N/m, N·m/rad], their damping, and the capacity of `arm7`
 #: [N], with which they scale on other arms.
@@ -31,12 +31,12 @@ class Grip:
         self.stiffness = np.repeat(np.array(STIFFNESS) * scale, 3)
         self.damping = np.repeat(np.array(DAMPING) * scale, 3)
 
-    def add(self, build: Build) -> None:
+    def add(self, build_spec: Build) -> None:
         """Add one actuator for each axis, all released."""
         # Arbitrary position and rotation: MuJoCo would turn coincident ones into constants.
-        build.spec.worldbody.add_site(name="grip", pos=(1, 2, 3), quat=(0.5, 0.5, 0.5, 0.5))
+        build_spec.spec.worldbody.add_site(name="grip", pos=(1, 2, 3), quat=(0.5, 0.5, 0.5, 0.5))
         for row, name in enumerate(AXES):
-            act = build.spec.add_actuator(name=f"grip:{name}", target=build.model.tip)
+            act = build_spec.spec.add_actuator(name=f"grip:{name}", target=build_spec.model.tip)
             act.refsite, act.trntype = "grip", mujoco.mjtTrn.mjTRN_SITE
             act.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
             act.gaintype = mujoco.mjtGain.mjGAIN_FIXED

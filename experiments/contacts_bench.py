@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from experiments.campaign_arms import Arm
-    from pliant.sim.truth import Truth
+    from pliant.sim.ground_truth import GroundTruth
 
     Array = NDArray[np.float64]
 
@@ -104,9 +104,9 @@ class Bump:
         self.direction, self.stiffness, self.speed, self.limit = direction, stiffness, speed, limit
         self._met: Array | None = None
 
-    def force(self, truth: Truth, t: float) -> tuple[Array, Array, Array]:
+    def force(self, ground_truth: GroundTruth, t: float) -> tuple[Array, Array, Array]:
         """The push at the tool."""
-        place, none = truth.frame("tool").position, np.zeros(3)
+        place, none = ground_truth.frame("tool").position, np.zeros(3)
         if not COMES <= t < COMES + STAYS:
             return none, none, place
         if self._met is None:

@@ -209,7 +209,7 @@ class Watch:
         tool = plant.tool[:3, 3]
         seen.moved = max(seen.moved, float(np.linalg.norm(tool - self.start)))
         seen.rise = max(seen.rise, float(tool[2] - self.start[2]))
-        twist = plant.truth.frame("tool").twist()
+        twist = plant.ground_truth.frame("tool").twist()
         seen.speed = max(seen.speed, float(np.linalg.norm(twist[:3])))
         self._steps += steps
         self._force += steps * np.array([felt.force for felt in plant.hands]).reshape(-1, 3)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from experiments.conditions import Conditions
     from experiments.hands import Law
     from pliant.sim.doors import Door
-    from pliant.sim.grip import Grip
+    from pliant.sim.grasp import Grip
 
     Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ import pliant
 from experiments.bus_arm import PATIENCE, stepped
 from experiments.bus_mishaps import MISHAPS, HostDiedError, Mishap, Scene
 from pliant.loop import Loop
+from pliant.sim.ground_truth import TOOL
 from pliant.sim.hand import Course, Drag
-from pliant.sim.truth import TOOL
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pliant.arm import Arm
     from pliant.emulator import ArmEmulator
     from pliant.sim import Plant
-    from pliant.sim.truth import Truth
+    from pliant.sim.ground_truth import GroundTruth
 
     Array = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ class Watcher:
         plant = self.bus.plant
         if plant.time <= self.begun:
             return
-        speed = float(np.linalg.norm(plant.truth.frame("tool").twist()[:3]))
+        speed = float(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]))
         late = plant.time > self.ended
         self.speeds[late] = max(self.speeds[late], speed)
         force, allowed = self._felt(count)
@@ -255,8 +255,8 @@ class Grasp:
         self._since = since
         self._hand: Drag | None = None
 
-    def force(self, truth: Truth, t: float) -> tuple[Array, Array, Array]:
-        """Return the hand's force, torque and point of application; see `pliant.sim.hand.Hand`."""
+    def force(self, ground_truth: GroundTruth, t: float) -> tuple[Array, Array, Array]:
+        """Return the hand's force, torque and point of application; see `pliant.sim.Hand`."""
         if self._hand is None and t >= self._since:
             self._hand = Drag(
                 axis="y",
@@ -266,11 +266,11 @@ class Grasp:
                 limit=300.0,
                 at=TOOL,
                 course=Course(start=t, rise=RISE, end=np.inf),
-                offset=float(truth.frame(TOOL).shift()[1]),
+                offset=float(ground_truth.frame(TOOL).shift()[1]),
             )
         if self._hand is None:
-            return np.zeros(3), np.zeros(3), truth.frame(TOOL).position
-        return self._hand.force(truth, t)
+            return np.zeros(3), np.zeros(3), ground_truth.frame(TOOL).position
+        return self._hand.force(ground_truth, t)
 
 
 def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> Allowed:

@@ -11,9 +11,9 @@ from experiments import metrics
 from experiments.conditions import NOMINAL
 from experiments.episode import Trace, run
 from experiments.setups import AXES, tool
+from pliant.sim.ground_truth import WRIST
 from pliant.sim.hand import STRONG, Course, Drag, Push, Twist, tap
 from pliant.sim.postures import VERTICAL
-from pliant.sim.truth import WRIST
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -119,7 +119,7 @@ def opposite(hand: Drag) -> Drag:
 def _grip(time: float, plant: Plant) -> None:
     """Let the hand measure its distance from the arm's position when it comes."""
     if abs(time - metrics.PULLING[0]) < 0.5 * plant.period:
-        plant.truth.remember()
+        plant.ground_truth.remember()
 
 
 @dataclass(frozen=True, kw_only=True)

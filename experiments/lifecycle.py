@@ -101,7 +101,7 @@ def lower(
     forces: list[float] = [0.0]
 
     def look() -> None:
-        twist = plant.truth.frame("tool").twist()
+        twist = plant.ground_truth.frame("tool").twist()
         speeds.append(float(np.linalg.norm(twist[:3])))
         heights.append(float(plant.tool[2, 3]))
         forces.extend(float(np.linalg.norm(felt.force)) for felt in plant.hands)

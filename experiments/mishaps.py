@@ -126,7 +126,7 @@ def suffer(mishap: Mishap, *, held: bool = False) -> Suffered:
 
     def look() -> None:
         if plant.time > begun[0]:
-            speeds.append(float(np.linalg.norm(plant.truth.frame("tool").twist()[:3])))
+            speeds.append(float(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3])))
             heights.append(float(plant.tool[2, 3]))
             forces.extend(np.array(felt.force) for felt in plant.hands)
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from experiments.conditions import Conditions
     from experiments.episode import Commanded
     from experiments.hands import Law
-    from pliant.sim.grip import Grip
+    from pliant.sim.grasp import Grip
 
     Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 from experiments.conditions import NOMINAL
 from experiments.episode import Trace, run
 from experiments.setups import displaced, pull, tool
-from pliant.sim import Handed, Socket, Surface, drawer
-from pliant.sim.handed import OPENS
+from pliant.sim import HandoverObject, Socket, Surface, drawer
+from pliant.sim.grasp import RELEASE_DISTANCE
 from pliant.sim.postures import AT_DOOR, VERTICAL
 
 if TYPE_CHECKING:
@@ -187,11 +187,11 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
     Returns:
         The figures and the run.
     """
-    thing = Handed(mass=mass)
+    thing = HandoverObject(mass=mass)
     start = tool(VERTICAL)
 
     def open_when_taken(time: float, plant: Plant) -> None:
-        taken = float(np.linalg.norm(plant.tool[:3, 3] - start[:3, 3])) > OPENS
+        taken = float(np.linalg.norm(plant.tool[:3, 3] - start[:3, 3])) > RELEASE_DISTANCE
         if thing.released is None and time > thing.course.start and taken:
             thing.release(plant)
 

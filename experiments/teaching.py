@@ -106,7 +106,7 @@ def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
             tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
             now = tick.began  # the scene's hand uses the plant's clock
             if block and not remembered and now >= BLOCKS[0] - 0.02:
-                plant.truth.remember()  # the hand holds the present position of the tool
+                plant.ground_truth.remember()  # the hand holds the present position of the tool
                 remembered = True
             force = float(np.linalg.norm(plant.hands[0].force)) if block else 0.0
             want = model.forward_kinematics(motion.at(replay.time))[:3, 3]

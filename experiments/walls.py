@@ -57,7 +57,7 @@ def effective_mass(plant: Plant, axis: int) -> float:
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
     jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian, None, plant.truth.frame("tool").site)
+    mujoco.mj_jacSite(model, data, jacobian, None, plant.ground_truth.frame("tool").site)
     row = jacobian[axis]
     return float(1.0 / (row @ np.linalg.solve(inertia, row)))
 

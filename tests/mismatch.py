@@ -20,7 +20,7 @@ import numpy as np
 
 import pliant
 from pliant.arm.arm import Arm
-from pliant.identify.rig import Rig
+from pliant.identify._excitation import Excitation
 from pliant.sim import Plant
 
 if TYPE_CHECKING:
@@ -135,7 +135,11 @@ class Mismatch:
 
     def __enter__(self) -> Mismatch:
         """Start to record."""
-        for cls, made in ((Plant, self.plants), (Arm, self.consumers), (Rig, self.consumers)):
+        for cls, made in (
+            (Plant, self.plants),
+            (Arm, self.consumers),
+            (Excitation, self.consumers),
+        ):
             self._stack.enter_context(patch.object(cls, "__init__", _recorded(cls, made)))
         self._stack.enter_context(patch.object(pliant, "Controller", _recorder(self.consumers)))
         return self
@@ -235,7 +239,7 @@ def _damping(table: pliant.Servos, n: int) -> np.ndarray:
 
 def _mass(plant: Plant) -> float:
     """Return the mass of the robot with its load [kg], without the scene."""
-    model, body = plant.mj_model, plant.truth.frame("tool").body
+    model, body = plant.mj_model, plant.ground_truth.frame("tool").body
     while model.body_parentid[body]:
         body = model.body_parentid[body]
     return float(model.body_subtreemass[body])

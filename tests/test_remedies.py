@@ -51,7 +51,7 @@ OBJECTS = {
     "payload": pliant.Payload,
     "tick": import_module("pliant.loop").Tick,
     "recorder": import_module("pliant.log").Recorder,
-    "found": import_module("pliant.identify").Captured,
+    "found": import_module("pliant.identify").GravityCapture,
     "array": np.ma.MaskedArray,
 }
 #: Words that follow "pliant" in a sentence and are not commands.

@@ -110,7 +110,7 @@ class Film:
                 "q": plant.q.copy(),
                 "tool": plant.tool[:3, 3].copy(),
                 "hands": [
-                    (felt.hand.force(plant.truth, plant.time)[2].copy(), felt.force.copy())
+                    (felt.hand.force(plant.ground_truth, plant.time)[2].copy(), felt.force.copy())
                     for felt in plant.hands
                 ],
             }

@@ -54,7 +54,14 @@ def chosen(crate: dict) -> str:
 def text(crate: dict, licence: str) -> str:
     """The text of a licence as it comes with the crate."""
     folder = Path(crate["manifest_path"]).parent
-    for name in (f"LICENSE-{licence}", "LICENSE", "LICENSE.md", "LICENSE.txt", "COPYING"):
+    for name in (
+        f"LICENSE-{licence}",
+        f"LICENSE-{licence}.md",
+        "LICENSE",
+        "LICENSE.md",
+        "LICENSE.txt",
+        "COPYING",
+    ):
         if (folder / name).is_file():
             return (folder / name).read_text(encoding="utf-8").strip()
     raise SystemExit(f"{crate['name']} {crate['version']} has no text of {licence}")

@@ -12,7 +12,7 @@ import pliant
 from experiments import laws
 from experiments.setups import AXES
 from pliant import ConfigError, robots
-from pliant.sim.gains import ARMATURE_SHARE, DAMPING_SHARE, FRICTION_SHARE, FULL_EFFORT_ERROR
+from pliant.sim._parameters import ARMATURE_SHARE, DAMPING_SHARE, FRICTION_SHARE, FULL_EFFORT_ERROR
 from pliant.sim.postures import task_axes
 
 if TYPE_CHECKING:

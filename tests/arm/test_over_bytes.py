@@ -126,7 +126,7 @@ def test_lowered_after_the_program_stalled(family):
 
         def watch(deadline):
             wait(deadline)
-            speeds.append(np.linalg.norm(bus.plant.truth.frame("tool").twist()[:3]))
+            speeds.append(np.linalg.norm(bus.plant.ground_truth.frame("tool").twist()[:3]))
 
         arm.clock.wait_until = watch
         arm.lower()
@@ -262,7 +262,7 @@ def test_an_unknown_load_sinks_and_is_brought_back_slowly(monkeypatch):
 
         def watched(count):
             step(count)
-            tools.append((bus.plant.tool[2, 3], bus.plant.truth.frame("tool").twist()[2]))
+            tools.append((bus.plant.tool[2, 3], bus.plant.ground_truth.frame("tool").twist()[2]))
 
         monkeypatch.setattr(bus.world.physics, "step", watched)
         arm.enable()

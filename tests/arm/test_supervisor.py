@@ -119,7 +119,7 @@ def test_an_arm_in_real_time_comes_down_without_its_program(busy):
                 tick.skip()
                 if tick.index == 5:
                     arm.clock.on_tick = lambda: speeds.append(
-                        np.linalg.norm(plant.truth.frame("tool").twist()[:3])
+                        np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3])
                     )
                     if busy:
                         until(lambda: not arm.enabled)

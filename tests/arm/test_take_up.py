@@ -34,7 +34,7 @@ class Hidden:
 
         def watched():
             advance()
-            twist = self.plant.truth.frame("tool").twist()
+            twist = self.plant.ground_truth.frame("tool").twist()
             self.fastest = max(self.fastest, float(np.linalg.norm(twist[:3])))
             self.highest = max(self.highest, float(self.plant.tool[2, 3]))
 

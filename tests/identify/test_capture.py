@@ -39,7 +39,7 @@ def test_an_arm_that_would_drift_stays_after_the_capture(arm, grasp, kp):
     assert found.drift < 2e-3  # (.0007)
     assert controller.settings == FOLLOWING
     heavy = np.abs(found.gravity) > 1.0
-    assert np.abs(found.stiffness[heavy] / (kp * found.believed[heavy]) - 1.0).max() < 0.3
+    assert np.abs(found.stiffness[heavy] / (kp * found.assumed[heavy]) - 1.0).max() < 0.3
     assert sum("captured" in text for text in found.summary()) == found.captured.sum()
 
 

@@ -7,7 +7,7 @@ from mismatch import Mismatch, Parameters
 import pliant
 from experiments.identification import COUNT, LIFTS, STARTS
 from pliant import identify, robots
-from pliant.identify.slides import first_moments, payload_rows
+from pliant.identify._segments import first_moments, payload_rows
 
 
 def test_rows_are_what_a_payload_adds_to_gravity(arm, grasp):

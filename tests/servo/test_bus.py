@@ -237,4 +237,4 @@ def test_a_bus_that_is_not_open_raises():
         with pytest.raises(ServoError, match="not open"):
             call()
     with pytest.raises(ConfigError, match="no joint 'lift'; there are: pan"):
-        chain._chosen(["lift"])
+        chain._select(["lift"])

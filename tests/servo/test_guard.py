@@ -10,7 +10,7 @@ SHORT, LONG, LONGER = Block(56, 15), Block(55, 16), Block(54, 17)
 
 
 def guarded(bus, **options):
-    options = {"baudrate": 1_000_000, "absent": 200, **options}
+    options = {"baudrate": 1_000_000, "unused_id": 200, **options}
     return TransactionGuard(bus, "p1", clock=bus.clock, **options)
 
 
@@ -194,7 +194,7 @@ def test_a_refused_read_is_not_mistaken_for_a_stale_one(fake_bus):
 
 def test_drains_ping_an_unused_id(fake_bus):
     bus = fake_bus([253, 252, 1])
-    guard = guarded(bus, absent=0)
+    guard = guarded(bus, unused_id=0)
     guard.find_unused_id({1}, 253)
     bus.calls.clear()
     bus.plan = [failure("timeout")]

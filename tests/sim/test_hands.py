@@ -79,7 +79,7 @@ def test_a_turn_gets_where_it_wants(arm, grasp, floating):
     plant = Plant(arm, scene=[Twist(angle=0.4, course=Course())])
     plant.reset(grasp)
     floating(plant, 480)
-    assert plant.truth.frame("tool").turn()[2] == pytest.approx(0.4, abs=0.05)
+    assert plant.ground_truth.frame("tool").turn()[2] == pytest.approx(0.4, abs=0.05)
 
 
 def test_forces_lie_along_the_axis(arm, grasp, floating):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.sim import Course, Drawer, Handed, Plant, Push, Socket, Surface, drawer
+from pliant.sim import Course, Drawer, HandoverObject, Plant, Push, Socket, Surface, drawer
 
 OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (.54, 0, -.25)
 
@@ -48,9 +48,9 @@ def pressed(arm, surface, height, grasp):
     """Return force and torque on a pad that is held at a height over its start."""
     plant = scene(arm, surface)
     plant.reset(grasp)
-    frame = plant.truth.frame("tool")
+    frame = plant.ground_truth.frame("tool")
     frame.start = frame.position - (0.0, 0.0, height)
-    return surface.force(plant.truth, 0.0)
+    return surface.force(plant.ground_truth, 0.0)
 
 
 def test_a_surface_pushes_by_depth_and_not_from_afar(arm, grasp):
@@ -86,7 +86,7 @@ def test_friction_on_a_surface_is_mu_times_the_normal_force(arm, grasp, floating
 
 
 def test_an_object_is_carried_taken_and_let_go(arm, grasp):
-    thing = Handed(mass=0.5, course=Course(start=2.0, rise=0.5, end=9.0))
+    thing = HandoverObject(mass=0.5, course=Course(start=2.0, rise=0.5, end=9.0))
     plant = Plant(arm, scene=[thing])
     plant.reset(grasp)
     home = thing.place_of(plant)
@@ -153,8 +153,8 @@ def test_a_plug_in_the_air_touches_nothing(arm, grasp):
         (lambda: Drawer(stop=0.0), "mass and stop > 0"),
         (lambda: Drawer(grip="loose"), "Drawer.grip must be"),
         (lambda: Surface(wave=0.0), "wave > 0"),
-        (lambda: Handed(way=(1.0,)), "three entries"),
-        (lambda: Handed(mass=0.0), "mass > 0"),
+        (lambda: HandoverObject(way=(1.0,)), "three entries"),
+        (lambda: HandoverObject(mass=0.0), "mass > 0"),
         (lambda: Socket(depth=0.0), "depth > chamfer"),
         (lambda: Socket(tilt=(0.0, 0.0)), "three entries"),
     ],

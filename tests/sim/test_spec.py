@@ -117,7 +117,7 @@ def test_fingers_ride_and_follow():
     welded.reset([0.1])
     assert welded.mj_model.nv == 1
     np.testing.assert_allclose(
-        welded.truth.frame("right").position - welded.truth.frame("left").position,
+        welded.ground_truth.frame("right").position - welded.ground_truth.frame("left").position,
         (0.0, -0.03, 0.0),
         atol=1e-12,
     )

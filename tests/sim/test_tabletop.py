@@ -5,7 +5,7 @@ import pytest
 
 import pliant
 from pliant.sim import Plant, Tabletop
-from pliant.sim.tree import groups
+from pliant.sim._model_builder import rigid_groups
 
 
 def lie(model, q, *, seconds=3.0, table=True, turn=None):
@@ -47,7 +47,7 @@ def test_other_links_than_the_tool_touch_it_too(name, q):
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_what_only_turns_about_the_vertical_never_touches(name):
     model = pliant.robots.load(name)
-    cut = groups(model, "held")
+    cut = rigid_groups(model, "held")
     table = Tabletop(height=0.5)
     plant = Plant(model, scene=[table])
     named = {plant.mj_model.geom(geom).name for geom in range(plant.mj_model.ngeom)}

@@ -109,7 +109,7 @@ def _payload_lines(found: identify.PayloadEstimate) -> list[str]:
     return ["", "# in the table [robot]:", f"payload = {_toml(table)}"]
 
 
-def _gravity_lines(found: identify.Captured) -> list[str]:
+def _gravity_lines(found: identify.GravityCapture) -> list[str]:
     """Return settings under which the arm stays, if it moved under its own."""
     if found.stays:
         return ["", "# nothing to change in the file: the arm stays with its settings"]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from pliant.emulator.servo import Drive, Servo
     from pliant.sim import Plant
-    from pliant.sim.tree import Robot
+    from pliant.sim._model_builder import Robot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,23 +11,23 @@ simulated. Each function has `.procedure(...)`, which makes a `Procedure` with `
 of your own.
 """
 
-from pliant.identify.capture import Captured, capture_gravity
-from pliant.identify.found import Identification, PayloadEstimate
-from pliant.identify.guided import identify_servos
+from pliant.identify.gravity import GravityCapture, capture_gravity
 from pliant.identify.hand_guiding import HandGuiding
 from pliant.identify.payload import estimate_payload
-from pliant.identify.seam import Guided, Order, Procedure, drive
+from pliant.identify.procedure import Guided, Procedure, ServoCommand, run_procedure
+from pliant.identify.result import Identification, PayloadEstimate
+from pliant.identify.servos import identify_servos
 
 __all__ = [
-    "Captured",
+    "GravityCapture",
     "Guided",
     "HandGuiding",
     "Identification",
-    "Order",
     "PayloadEstimate",
     "Procedure",
+    "ServoCommand",
     "capture_gravity",
-    "drive",
     "estimate_payload",
     "identify_servos",
+    "run_procedure",
 ]

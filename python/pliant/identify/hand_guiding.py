@@ -21,16 +21,16 @@ import numpy as np
 
 from pliant._core import ConfigError, Model, Payload, Servos
 from pliant._validation import format_value, instance, number, vector
-from pliant.identify.guided import wide_enough
-from pliant.identify.rig import Rig
-from pliant.identify.seam import Order
-from pliant.identify.slides import first_moments, payload_rows, slides
+from pliant.identify._excitation import Excitation
+from pliant.identify._segments import find_segments, first_moments, payload_rows
+from pliant.identify.procedure import ServoCommand
+from pliant.identify.servos import widen_swing
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant.identify.seam import Steps
-    from pliant.identify.slides import Slide
+    from pliant.identify._segments import Segment
+    from pliant.identify.procedure import Steps
 
     Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ AVERAGED = 0.15
 #: Motion time in which the play shrinks to its value learnt at rest [s].
 SHRINK = 0.5
 #: Least play at rest: in rad, in encoder counts, and as a share of the friction ρ.
-LEAST, COUNTS, RUBBING = 2e-3, 1.5, 0.15
+MIN_PLAY, COUNTS, FRICTION_SHARE = 2e-3, 1.5, 0.15
 #: Largest speed of the goals [rad/s].
 SLEW = 3.0
 
@@ -110,26 +110,33 @@ class HandGuiding:
         self._model, self._period, self._delay, self._share = model, 1.0 / rate, delay, torque_share
         self._dt = self._period
         self._table, self._swing = table, swing
-        self._rig = Rig(model, table, self._dt, doubt=KNOWN if table.stiffness_known else UNKNOWN)
+        self._rig = Excitation(
+            model,
+            table,
+            self._dt,
+            stiffness_uncertainty=KNOWN if table.stiffness_known else UNKNOWN,
+        )
         self._torque, self._count = self._rig.torque, self._rig.count
         self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
-        self._wrong = KNOWN if table.stiffness_known else UNKNOWN
+        self._stiffness_factor = KNOWN if table.stiffness_known else UNKNOWN
         self._moments = np.zeros(4)
         if payload is not None:
             load = as_payload(payload)
             self._moments = first_moments(load.mass, load.com)
-        self._carried = self._moments.copy()
+        self._total_moments = self._moments.copy()
         if model.payload is not None:
-            self._carried += first_moments(model.payload.mass, model.payload.com)
-        self._begin: Steps[Array] | None = None
+            self._total_moments += first_moments(model.payload.mass, model.payload.com)
+        self._first_swing: Steps[Array] | None = None
         self.ready = False
-        self.play = np.full(n, LEAST)
+        self.play = np.full(n, MIN_PLAY)
 
     @property
     def stiffness(self) -> Array:
         """Interval of k_p after all rests so far (2, n) [N·m/rad]."""
         if not self.ready:
-            return np.array([self._rig.kp / self._wrong, self._rig.kp * self._wrong])
+            return np.array(
+                [self._rig.kp / self._stiffness_factor, self._rig.kp * self._stiffness_factor]
+            )
         return np.array([1.0 / self._high, 1.0 / self._low])
 
     def reset(self, q: ArrayLike) -> None:
@@ -137,12 +144,14 @@ class HandGuiding:
         q = self._positions(q)
         # The first tick may be early or late, with a period that the rig would reject.
         period = min(max(self._dt, 1e-3), 0.1)
-        self._rig = Rig(self._model, self._table, period, doubt=self._wrong)
-        self._rig.carried = payload_rows(self._model, q) @ self._moments
-        self._begin, self.ready = self._swinging(q), False
-        self._order = next(self._begin)
+        self._rig = Excitation(
+            self._model, self._table, period, stiffness_uncertainty=self._stiffness_factor
+        )
+        self._rig.extra_torque = payload_rows(self._model, q) @ self._moments
+        self._first_swing, self.ready = self._swing_procedure(q), False
+        self._command = next(self._first_swing)
 
-    def step(self, q: ArrayLike, *, dt: float | None = None) -> Order:
+    def step(self, q: ArrayLike, *, dt: float | None = None) -> ServoCommand:
         """Return goals and torque limits for measured positions q (n,) [rad].
 
         The first call resets to q. The swing keeps the `dt` of its first tick.
@@ -159,32 +168,37 @@ class HandGuiding:
         """
         q = self._positions(q)
         self._dt = self._period if dt is None else number(dt, "dt", 1e-6, 1.0, "s")
-        if self._begin is None:
+        if self._first_swing is None:
             self.reset(q)
         elif self.ready:
-            self._order = self._follow(q)
+            self._command = self._follow(q)
         else:
             try:
-                self._order = self._begin.send(q)
+                self._command = self._first_swing.send(q)
             except StopIteration:
-                self._take(q)
-        return self._order
+                self._finish_swing(q)
+        return self._command
 
-    def _swinging(self, q: Array) -> Steps[Array]:
+    def _swing_procedure(self, q: Array) -> Steps[Array]:
         """Swing slowly, return to the start, and rest."""
         rig, home = self._rig, q
-        _, q = yield from wide_enough(rig, q, self._swing)
+        _, q = yield from widen_swing(rig, q, self._swing)
         for _ in range(round(REST / rig.period)):
-            q = yield from rig.send(q, home + rig.lead(home), rig.limits(home), np.zeros(self._n))
+            q = yield from rig.send(
+                q, home + rig.gravity_lead(home), rig.limits(home), np.zeros(self._n)
+            )
         return q
 
-    def _take(self, q: Array) -> None:
+    def _finish_swing(self, q: Array) -> None:
         """Compute the carrying lead, the friction, and the interval of 1/k_p from the swing."""
         rig, n = self._rig, self._n
-        self._low, self._high = 1.0 / (self._wrong * rig.kp), self._wrong / rig.kp
+        self._low, self._high = (
+            1.0 / (self._stiffness_factor * rig.kp),
+            self._stiffness_factor / rig.kp,
+        )
         middle = 0.5 * (self._low + self._high)
         base = self._holding(q)
-        rows = [slide for record in rig.records for slide in slides(rig, record)]
+        rows = [segment for record in rig.records for segment in find_segments(rig, record)]
         # A joint that did not swing uses the table, with its full uncertainty: g_0 = lead_0 = 0.
         self._lead, self._rub = np.zeros(n), rig.friction * middle
         swung = np.zeros(n, dtype=bool)
@@ -206,42 +220,44 @@ class HandGuiding:
         load = np.where(swung & (np.abs(base) > 0.0), base, np.nan)
         self._narrow((self._lead - error) / load, (self._lead + error) / load)
         self._gravity = np.where(swung, base, 0.0)
-        self._least = np.maximum(np.maximum(LEAST, COUNTS * self._count), RUBBING * self._rub)
-        self._goal, self._seen, self._speed = self._order.goal.copy(), q.copy(), np.zeros(n)
+        self._min_play = np.maximum(
+            np.maximum(MIN_PLAY, COUNTS * self._count), FRICTION_SHARE * self._rub
+        )
+        self._goal, self._filtered_q, self._speed = self._command.goal.copy(), q.copy(), np.zeros(n)
         carried = self._lead + 0.5 * (self._low + self._high) * (base - self._gravity)
         # A joint that swung rests in the middle of its friction band; another keeps its goal.
         self._anchor = np.where(swung, q, self._goal - carried)
-        self._excess = np.maximum(np.abs(self._anchor - q) - self._least, 0.0)
+        self._excess = np.maximum(np.abs(self._anchor - q) - self._min_play, 0.0)
         self._rest_at, self._learnt, self._still, self._moved = q, q, 0.0, False
         self.ready = True
 
-    def _follow(self, q: Array) -> Order:
+    def _follow(self, q: Array) -> ServoCommand:
         """Return goals that follow the arm."""
         self._estimate(q)
         ahead = q + PREDICTION * self._delay * self._speed
         gravity = self._holding(ahead)
-        self._learn(q)
+        self._narrow_at_rest(q)
         change = gravity - self._gravity
         lead = self._lead + 0.5 * (self._low + self._high) * change
-        doubt = 0.5 * (self._high - self._low) * np.abs(change)
+        uncertainty = 0.5 * (self._high - self._low) * np.abs(change)
         pace = np.tanh(self._speed / SLOW)
         # No goal moves at rest; a correction learnt at rest takes effect with the motion.
         self._excess = self._excess * (1.0 - np.abs(pace) * min(self._dt / SHRINK, 1.0))
-        self.play = self._least * (1.0 - MOVING * np.abs(pace)) + doubt + self._excess
+        self.play = self._min_play * (1.0 - MOVING * np.abs(pace)) + uncertainty + self._excess
         self._anchor = np.clip(self._anchor, ahead - self.play, ahead + self.play)
         helping = FRICTION * self._rub * pace + DAMPING * self._low * self._damping * self._speed
         goal = self._anchor + lead + helping
         goal = np.clip(goal, self._model.lower + lead, self._model.upper + lead)
-        most = SLEW * self._dt
-        self._goal = self._goal + np.clip(goal - self._goal, -most, most)
+        max_change = SLEW * self._dt
+        self._goal = self._goal + np.clip(goal - self._goal, -max_change, max_change)
         needed = np.maximum(1.1 * np.abs(gravity), self._rig.kp * np.abs(lead))
         limit = np.minimum(self._torque, needed + self._share * self._torque)
-        return Order(self._goal.copy(), limit)
+        return ServoCommand(self._goal.copy(), limit)
 
-    def _learn(self, q: Array) -> None:
+    def _narrow_at_rest(self, q: Array) -> None:
         """At rest after a motion, narrow the interval of 1/k_p; the goal does not move."""
         if (np.abs(q - self._rest_at) > np.maximum(1.1 * self._count, MOTION)).any():
-            self._moved |= bool((np.abs(q - self._learnt) > 3.0 * self._least).any())
+            self._moved |= bool((np.abs(q - self._learnt) > 3.0 * self._min_play).any())
             self._rest_at, self._still = q, 0.0
             return
         self._still += self._dt
@@ -249,13 +265,16 @@ class HandGuiding:
             return
         self._moved, self._learnt = False, q
         change = self._holding(q) - self._gravity
-        before, doubt = self._low + self._high, 0.5 * (self._high - self._low) * np.abs(change)
-        lead, band = self._goal - q, self._rub + self._least
+        before, uncertainty = (
+            self._low + self._high,
+            0.5 * (self._high - self._low) * np.abs(change),
+        )
+        lead, band = self._goal - q, self._rub + self._min_play
         moved = np.where(np.abs(change) > 0.0, change, np.nan)
         self._narrow((lead - self._lead - band) / moved, (lead - self._lead + band) / moved)
         # The anchor compensates the change of the lead, so that the goal stays.
         self._anchor += 0.5 * (before - self._low - self._high) * change
-        self._excess = np.maximum(self._excess, doubt)
+        self._excess = np.maximum(self._excess, uncertainty)
 
     def _narrow(self, one: Array, other: Array) -> None:
         """Intersect the interval of 1/k_p with these ends (n,), NaN for none.
@@ -264,19 +283,22 @@ class HandGuiding:
         """
         low = np.maximum(self._low, np.fmin(one, other))
         high = np.minimum(self._high, np.fmax(one, other))
-        fits = low < high
-        self._low, self._high = np.where(fits, low, self._low), np.where(fits, high, self._high)
+        is_valid = low < high
+        self._low, self._high = (
+            np.where(is_valid, low, self._low),
+            np.where(is_valid, high, self._high),
+        )
 
-    def _load(self, slide: Slide) -> float:
-        """Return the torque that holds the arm in a slide with the given payload [N·m]."""
-        return slide.gravity + float(slide.payload @ self._carried)
+    def _load(self, segment: Segment) -> float:
+        """Return the torque that holds the arm in a segment with the given payload [N·m]."""
+        return segment.gravity + float(segment.payload @ self._total_moments)
 
     def _estimate(self, q: Array) -> None:
         """Update the filtered speed, from readings with a hysteresis of one count."""
-        seen = np.clip(self._seen, q - self._count, q + self._count)
-        rate = (seen - self._seen) / self._dt
+        filtered = np.clip(self._filtered_q, q - self._count, q + self._count)
+        rate = (filtered - self._filtered_q) / self._dt
         self._speed = self._speed + (rate - self._speed) * self._dt / (FILTER + self._dt)
-        self._seen = seen
+        self._filtered_q = filtered
 
     def _holding(self, q: Array) -> Array:
         """Return the torques that hold the arm with its payload (n,) [N·m]."""

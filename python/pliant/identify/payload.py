@@ -8,20 +8,20 @@ import numpy as np
 
 from pliant._core import ConfigError, Controller, ServoError
 from pliant._validation import instance, number
-from pliant.identify.found import PayloadEstimate
-from pliant.identify.guided import statics, wide_enough
-from pliant.identify.poses import SPAN, SWING, pose_list, wanted
-from pliant.identify.regress import Beliefs, solve
-from pliant.identify.rig import Rig
-from pliant.identify.seam import Procedure, drive, guided
-from pliant.identify.slides import slides
+from pliant.identify._excitation import Excitation
+from pliant.identify._poses import SPAN, SWING, check_poses, pose_list
+from pliant.identify._regression import Priors, solve
+from pliant.identify._segments import find_segments
+from pliant.identify.procedure import Procedure, guided, run_procedure
+from pliant.identify.result import PayloadEstimate
+from pliant.identify.servos import swing_at_poses, widen_swing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant.identify.seam import Arm, Steps, Tick
+    from pliant.identify.procedure import Arm, Steps, Tick
 
     Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 KNOWN, UNKNOWN = 0.05, 0.3
 
 
-def _payload(
+def _make_procedure(
     controller: Controller,
     *,
     poses: int | ArrayLike = 5,
@@ -42,13 +42,13 @@ def _payload(
         raise ConfigError(
             "weighing needs to know the servos: Controller(model, settings, servos=…)"
         )
-    rig = Rig(controller.model, servos, 1.0 / controller.settings.rate)
+    rig = Excitation(controller.model, servos, 1.0 / controller.settings.rate)
     numbers = number(span, "span", 0.0, SPAN, "rad"), number(amplitude, "amplitude", *SWING, "rad")
-    chosen = wanted(poses, rig.n)
-    return Procedure(lambda q: _weigh(rig, controller, q, chosen, numbers), rig.n)
+    chosen = check_poses(poses, rig.n)
+    return Procedure(lambda q: _estimate(rig, controller, q, chosen, numbers), rig.n)
 
 
-@guided(_payload)
+@guided(_make_procedure)
 def estimate_payload(
     arm: Arm,
     controller: Controller,
@@ -76,12 +76,12 @@ def estimate_payload(
         OutOfRangeError: The motion would leave the position limits, or the servos cannot hold the
             payload. ServoError: A joint does not follow; the arm keeps holding its position.
     """
-    procedure = _payload(controller, poses=poses, span=span, amplitude=amplitude)
-    return drive(arm, procedure, loop, rate=controller.settings.rate)
+    procedure = _make_procedure(controller, poses=poses, span=span, amplitude=amplitude)
+    return run_procedure(arm, procedure, loop, rate=controller.settings.rate)
 
 
-def _weigh(
-    rig: Rig,
+def _estimate(
+    rig: Excitation,
     controller: Controller,
     q: Array,
     poses: int | Array,
@@ -89,16 +89,16 @@ def _weigh(
 ) -> Steps[PayloadEstimate]:
     span, amplitude = numbers
     start = q
-    size, q = yield from wide_enough(rig, q, amplitude)
-    route = pose_list(rig, rig.inside(start, size), poses, span, size)
-    rig.begin()
+    size, q = yield from widen_swing(rig, q, amplitude)
+    route = pose_list(rig, rig.fit_within_limits(start, size), poses, span, size)
+    rig.start_record()
     q = yield from rig.travel(q, start, route[-1])
-    q = yield from statics(rig, q, route[::-1], size)
-    rows = [slide for record in rig.records for slide in slides(rig, record)]
+    q = yield from swing_at_poses(rig, q, route[::-1], size)
+    rows = [segment for record in rig.records for segment in find_segments(rig, record)]
     if not rows:
         raise ServoError("no joint ever moved steadily: raise amplitude")
     kp = KNOWN if rig.servos.stiffness_known else UNKNOWN
-    found = PayloadEstimate.of(solve(rig, rows, Beliefs(kp=kp)))
+    found = PayloadEstimate.of(solve(rig, rows, Priors(kp=kp)))
     if found.found:
         controller.set_payload(found.mass, found.com)
     controller.reset(q)

@@ -8,20 +8,22 @@
 `Plant.read()` and `Plant.write(goal, limit)` are the interface that hardware also has. `Plant.q`,
 `Plant.tool` and `Plant.hands` are the true state, for figures and tests. World axes are the model's
 base axes; all units SI.
-axes; all units SI.
 """
 
 from pliant.drive import State
+from pliant.sim._servos import Overload
 from pliant.sim.doors import Door, Drive, door, fridge, oven
 from pliant.sim.drawer import Drawer, drawer
 from pliant.sim.drive import SimDrive
 from pliant.sim.friction import MX64, MX106, STS3215, Friction
-from pliant.sim.grip import Gripped
+from pliant.sim.grasp import GraspedObject, HandoverObject
+from pliant.sim.ground_truth import Frame, GroundTruth
 from pliant.sim.hand import (
     LIGHT,
     ROBUST,
     STRONG,
     YAW,
+    AppliedForce,
     Course,
     Drag,
     Guide,
@@ -30,16 +32,12 @@ from pliant.sim.hand import (
     Twist,
     tap,
 )
-from pliant.sim.handed import Handed
-from pliant.sim.imperfections import Overload
-from pliant.sim.plant import Plant
+from pliant.sim.plant import Fixture, Plant
 from pliant.sim.record import Recorder
-from pliant.sim.scene import Fixture, Table, Wall, table
+from pliant.sim.scene import Table, Wall, table
 from pliant.sim.socket import Socket
-from pliant.sim.state import Felt
 from pliant.sim.surface import Surface
 from pliant.sim.tabletop import Tabletop
-from pliant.sim.truth import Frame, Truth
 
 __all__ = [
     "LIGHT",
@@ -49,19 +47,20 @@ __all__ = [
     "STRONG",
     "STS3215",
     "YAW",
+    "AppliedForce",
     "Course",
     "Door",
     "Drag",
     "Drawer",
     "Drive",
-    "Felt",
     "Fixture",
     "Frame",
     "Friction",
-    "Gripped",
+    "GraspedObject",
+    "GroundTruth",
     "Guide",
     "Hand",
-    "Handed",
+    "HandoverObject",
     "Overload",
     "Plant",
     "Push",
@@ -72,7 +71,6 @@ __all__ = [
     "Surface",
     "Table",
     "Tabletop",
-    "Truth",
     "Twist",
     "Wall",
     "door",

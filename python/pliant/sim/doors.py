@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import ConfigError
+from pliant.sim._model_builder import set_damping
 from pliant.sim._mujoco import mujoco
-from pliant.sim.grip import Gripped
-from pliant.sim.parts import set_damping
+from pliant.sim.grasp import GraspedObject
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from pliant.sim._model_builder import Build
     from pliant.sim.plant import Plant
-    from pliant.sim.spec import Build
 
 #: Handle travel over which the seal force builds up [m]. A closed leaf is thus not pressed
 #: against its stop.
@@ -51,7 +51,7 @@ class Drive:
 
 
 @dataclass(kw_only=True)
-class Door(Gripped):
+class Door(GraspedObject):
     """A leaf on a hinge, held by the arm at its handle.
 
     Attributes:
@@ -106,9 +106,9 @@ class Door(Gripped):
         """Return a copy with these attributes changed."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
-    def add(self, build: Build) -> None:
+    def add(self, build_spec: Build) -> None:
         """Add carriage, leaf, handle and grip."""
-        spec, arm = build.spec, np.asarray(self.hinge, dtype=np.float64)
+        spec, arm = build_spec.spec, np.asarray(self.hinge, dtype=np.float64)
         frame = spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
         leaf = frame.add_body(name=f"{self.name}:leaf", gravcomp=1.0 if self.balanced else 0.0)
         hinge = leaf.add_joint(
@@ -119,7 +119,7 @@ class Door(Gripped):
         hinge.frictionloss = self.friction
         set_damping(hinge, self.damping)
         self._weigh(leaf, arm)
-        self.add_grip(build, leaf, -arm)
+        self.add_grip(build_spec, leaf, -arm)
 
     def _weigh(self, leaf: mujoco.MjsBody, arm: NDArray[np.float64]) -> None:
         """Give the leaf the mass of a plate between hinge and handle, and a drawing."""
@@ -173,7 +173,7 @@ class Door(Gripped):
         """Record the opening, and the force and torque in the grip."""
         self.angle = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.angle)
-        self.feel_grip(plant)
+        self.record_grip(plant)
 
 
 def door(**changes: object) -> Door:

@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import ConfigError
+from pliant.sim._model_builder import set_damping
 from pliant.sim._mujoco import mujoco
-from pliant.sim.grip import SETTLE, Gripped
-from pliant.sim.parts import set_damping
+from pliant.sim.grasp import SETTLE, GraspedObject
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pliant.sim._model_builder import Build
     from pliant.sim.plant import Plant
-    from pliant.sim.spec import Build
 
 #: Size of the drawn box: along the slide, across it, high [m].
 SIZE = np.array((0.30, 0.30, 0.12))
 
 
 @dataclass(kw_only=True)
-class Drawer(Gripped):
+class Drawer(GraspedObject):
     """A box on a slide, held by the arm at its handle; the handle is where the tool is at reset.
 
     Attributes:
@@ -65,10 +65,10 @@ class Drawer(Gripped):
         """Return a copy with these attributes changed."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
-    def add(self, build: Build) -> None:
+    def add(self, build_spec: Build) -> None:
         """Add slide, box and grip."""
         axis = np.asarray(self.axis, dtype=np.float64)
-        frame = build.spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
+        frame = build_spec.spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
         box = frame.add_body(name=f"{self.name}:box", gravcomp=1.0)
         slide = box.add_joint(
             name=f"{self.name}:slide", axis=axis, type=mujoco.mjtJoint.mjJNT_SLIDE
@@ -94,7 +94,7 @@ class Drawer(Gripped):
                 type=mujoco.mjtGeom.mjGEOM_BOX, size=thick / 2, contype=0, conaffinity=0
             )
             geom.pos, geom.quat, geom.rgba = place, quat, rgba
-        self.add_grip(build, box, (0.0, 0.0, 0.0))
+        self.add_grip(build_spec, box, (0.0, 0.0, 0.0))
 
     def place(self, plant: Plant) -> None:
         """Place the closed drawer so that its handle is in the tool, and clear the records."""
@@ -120,7 +120,7 @@ class Drawer(Gripped):
         """Record the opening, and the grip's force along and across the slide."""
         self.way = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.way)
-        self.feel_grip(plant)
+        self.record_grip(plant)
         side = self.pull - (self.pull @ self._axis) * self._axis
         self._sideways = float(np.sqrt(side @ side))
         if plant.time > SETTLE:

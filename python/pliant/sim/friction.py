@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import ConfigError, Servos
+from pliant.sim._checks import per_joint
 from pliant.sim._mujoco import mujoco
-from pliant.sim.gains import per_joint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from pliant._core import ConfigError
-from pliant.sim.truth import TOOL, WRIST
+from pliant.sim.ground_truth import TOOL, WRIST
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from pliant.sim.truth import Truth
+    from pliant.sim.ground_truth import GroundTruth
 
     Vector = NDArray[np.float64]
     Wrench = tuple[Vector, Vector, Vector]
@@ -37,8 +37,43 @@ class Hand(Protocol):
     def at(self) -> str:
         """Name of the frame on which it acts: a link, `tool` or `wrist`."""
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return force (3,) [N], torque (3,) [N·m] and point of application (3,) [m], base axes."""
+
+
+@dataclass
+class AppliedForce:
+    """Record of one hand: means of the last period, peaks of all physics steps since reset.
+
+    Attributes:
+        hand: The hand.
+        force: Mean force (3,) [N].
+        torque: Mean torque (3,) [N·m].
+        peak_force: Largest norm of the force [N].
+        peak_torque: Largest norm of the torque [N·m].
+    """
+
+    hand: Hand
+    force: Vector = field(default_factory=lambda: np.zeros(3))
+    torque: Vector = field(default_factory=lambda: np.zeros(3))
+    peak_force: float = 0.0
+    peak_torque: float = 0.0
+
+    def begin(self) -> None:
+        """Start a period."""
+        self.force, self.torque = np.zeros(3), np.zeros(3)
+
+    def add(self, force: Vector, torque: Vector) -> None:
+        """Add one physics step."""
+        self.force += force
+        self.torque += torque
+        self.peak_force = max(self.peak_force, float(np.sqrt(force @ force)))
+        self.peak_torque = max(self.peak_torque, float(np.sqrt(torque @ torque)))
+
+    def end(self, steps: int) -> None:
+        """Turn the sums of a period into means."""
+        self.force /= max(steps, 1)
+        self.torque /= max(steps, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,15 +138,15 @@ class Drag:
         _direction(self.axis, _AXES)
         _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return the wrench: a force at the frame's origin."""
-        frame = truth.frame(self.at)
+        frame = ground_truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
         axis = _direction(self.axis, _AXES)
         place = self.distance * self.course.share(t) + self.offset
-        wish = self.stiffness * (place - float(axis @ frame.shift()))
-        size = wish - self.damping * float(axis @ frame.twist()[:3])
+        spring = self.stiffness * (place - float(axis @ frame.shift()))
+        size = spring - self.damping * float(axis @ frame.twist()[:3])
         return min(max(size, -self.limit), self.limit) * axis, _ZERO, frame.position
 
 
@@ -143,14 +178,14 @@ class Twist:
         _direction(self.axis, _TURNS)
         _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return the wrench: a torque on the frame's body."""
-        frame = truth.frame(self.at)
+        frame = ground_truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
         axis = _direction(self.axis, _TURNS)
-        wish = self.stiffness * (self.angle * self.course.share(t) - float(axis @ frame.turn()))
-        size = wish - self.damping * float(axis @ frame.twist()[3:])
+        spring = self.stiffness * (self.angle * self.course.share(t) - float(axis @ frame.turn()))
+        size = spring - self.damping * float(axis @ frame.twist()[3:])
         return _ZERO, min(max(size, -self.limit), self.limit) * axis, frame.position
 
 
@@ -175,9 +210,9 @@ class Push:
         if np.shape(self.force_vector) != (3,) or np.shape(self.torque_vector) != (3,):
             raise ConfigError("Push.force_vector and torque_vector have three entries each")
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return the wrench at the frame's origin."""
-        frame = truth.frame(self.at)
+        frame = ground_truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
         share = self.course.share(t)
@@ -217,9 +252,9 @@ class Guide:
             )
         _not_negative(stiffness=self.stiffness, rotational=self.rotational)
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return the wrench of the springs."""
-        frame = truth.frame(self.at)
+        frame = ground_truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
         names = self.axes.split()

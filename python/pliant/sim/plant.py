@@ -6,23 +6,22 @@ the physics of one control period.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
 from pliant._core import ConfigError, Model, PliantError, ShapeError
 from pliant._validation import format_value, instance
 from pliant.drive import State
-from pliant.sim import checks
-from pliant.sim import spec as spec_module
+from pliant.sim import _checks as checks
+from pliant.sim._bus import Bus, Command
+from pliant.sim._model_builder import build_spec, last_moving
 from pliant.sim._mujoco import mujoco
-from pliant.sim.bank import ServoBank
-from pliant.sim.bus import Bus
+from pliant.sim._parameters import resolve, tabulate
+from pliant.sim._servos import ServoBank, check_overload
 from pliant.sim.friction import Friction, Gears
-from pliant.sim.gains import per_joint, resolve, tabulate
-from pliant.sim.state import Felt, Order
-from pliant.sim.tree import last_moving
-from pliant.sim.truth import TOOL, WRIST, Truth
+from pliant.sim.ground_truth import TOOL, WRIST, GroundTruth
+from pliant.sim.hand import AppliedForce
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -30,13 +29,31 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant._core import Servos
-    from pliant.sim.gains import LimitType
+    from pliant.sim._model_builder import Build, OffChain, Robot
+    from pliant.sim._parameters import LimitType
+    from pliant.sim._servos import Overload
     from pliant.sim.hand import Hand
-    from pliant.sim.imperfections import Overload
-    from pliant.sim.scene import Fixture
-    from pliant.sim.tree import OffChain, Robot
 
     Array = NDArray[np.float64]
+
+
+class Fixture(Protocol):
+    """A thing with bodies of its own (a door); hands and walls are only force laws."""
+
+    def add(self, build_spec: Build) -> None:
+        """Add bodies and constraints before the model is compiled."""
+
+    def place(self, plant: Plant) -> None:
+        """Place all bodies at a reset, relative to the tool."""
+
+    def before(self, plant: Plant) -> None:
+        """Prepare each physics step, e.g. prescribed motion."""
+
+    def during(self, plant: Plant) -> None:
+        """Apply external forces (`mj_data.qfrc_applied`), with positions up to date."""
+
+    def after(self, plant: Plant) -> None:
+        """Record results after each physics step."""
 
 
 class Plant:
@@ -157,14 +174,14 @@ class Plant:
             seed=seed,
         )
         self.write_delay = self._bus.write_delay * self.period
-        hands, self._fixtures = checks.split(scene)
-        built = spec_module.build(
+        hands, self._fixtures = _split_scene(scene)
+        built = build_spec(
             model,
             self.gains,
             dt=self.dt,
             off_chain=off_chain,
             payload=checks.load(payload),
-            backlash=per_joint(backlash, n, "backlash", low=0.0),
+            backlash=checks.per_joint(backlash, n, "backlash", low=0.0),
             creep=checks.creep(creep),
             extra=checks.extra(model, extra_servos),
         )
@@ -183,14 +200,16 @@ class Plant:
             self.mj_model,
             self.mj_data,
             self.gains,
-            deadband=per_joint(deadband, n, "deadband", low=0.0),
-            speed=None if speed_limit is None else per_joint(speed_limit, n, "speed_limit", low=0),
-            overload=checks.protection(overload),
+            deadband=checks.per_joint(deadband, n, "deadband", low=0.0),
+            speed=None
+            if speed_limit is None
+            else checks.per_joint(speed_limit, n, "speed_limit", low=0),
+            overload=check_overload(overload),
         )
         self._gears = self._make_gears(friction)
         names = {TOOL: model.tip, WRIST: last_moving(model)}
-        self.truth = Truth(self.mj_model, self.mj_data, names)
-        self._tool, self._wrist = self.truth.frame(TOOL), self.truth.frame(WRIST)
+        self.ground_truth = GroundTruth(self.mj_model, self.mj_data, names)
+        self._tool, self._wrist = self.ground_truth.frame(TOOL), self.ground_truth.frame(WRIST)
         self.set_hands(hands)
         lower, upper = np.asarray(model.lower), np.asarray(model.upper)
         finite = np.isfinite(lower) & np.isfinite(upper)
@@ -199,7 +218,7 @@ class Plant:
     # The bus interface, which hardware also has.
 
     @property
-    def sent(self) -> Order:
+    def sent(self) -> Command:
         """Last order sent: goals (n,) [rad] and limits (n,) [N·m]."""
         return self._bus.sent
 
@@ -235,11 +254,11 @@ class Plant:
             if name not in self._bank.held:
                 known = ", ".join(self._bank.held) or "none"
                 raise ConfigError(f"no off-chain joint {name!r} to write to; there are: {known}")
-            angle, most = (float(v) for v in pair)
-            if not (np.isfinite(angle) and most >= 0.0):
+            angle, max_limit = (float(v) for v in pair)
+            if not (np.isfinite(angle) and max_limit >= 0.0):
                 raise ConfigError(f"extra[{name!r}] is a goal and a limit >= 0, got {pair!r}")
-            pairs[name] = (angle, min(most, self._bank.held[name][1]))
-        self._bus.send(Order(goal, np.minimum(limit, self.gains.torque), pairs))
+            pairs[name] = (angle, min(max_limit, self._bank.held[name][1]))
+        self._bus.send(Command(goal, np.minimum(limit, self.gains.torque), pairs))
 
     def advance(self, n_steps: int | None = None) -> None:
         """Run the physics for one control period, or `n_steps` physics steps, and sample.
@@ -251,8 +270,8 @@ class Plant:
         """
         steps = self.steps if n_steps is None else int(n_steps)
         self._bank.apply(self._bus.deliver(self.time), self.period)
-        for felt in self.hands:
-            felt.begin()
+        for record in self.hands:
+            record.begin()
         if self._is_passive():
             mujoco.mj_step(self.mj_model, self.mj_data, steps)
             self._bank.count()
@@ -260,8 +279,8 @@ class Plant:
             for _ in range(steps):
                 self._step()
         self._bank.close()
-        for felt in self.hands:
-            felt.end(steps)
+        for record in self.hands:
+            record.end(steps)
         if not np.isfinite(self.mj_data.qpos).all():
             raise PliantError(
                 f"the simulation diverged at t = {self.time:.3f} s with dt {self.dt:g} s"
@@ -286,15 +305,15 @@ class Plant:
         """
         q = self._vector(q, "q")
         mujoco.mj_resetData(self.mj_model, self.mj_data)
-        first = Order(q, self.gains.torque.copy(), dict(self._bank.held))
+        first = Command(q, self.gains.torque.copy(), dict(self._bank.held))
         self._bank.reset(q)
         self._bank.apply(first, self.period)
         self._forward()
         for fixture in self._fixtures:
             fixture.place(self)
         self._forward()
-        self.truth.remember()
-        self.set_hands(felt.hand for felt in self.hands)
+        self.ground_truth.remember()
+        self.set_hands(record.hand for record in self.hands)
         self._bus.reset(first, self._bank.angles())
         self._bus.sample(self.q, self._bank.angles(), 0.0)
         return self.read()
@@ -350,9 +369,9 @@ class Plant:
 
     def set_hands(self, hands: Iterable[Hand]) -> None:
         """Replace hands and walls; their records start empty."""
-        self.hands = [Felt(hand) for hand in hands]
-        for felt in self.hands:
-            self.truth.frame(felt.hand.at)
+        self.hands = [AppliedForce(hand) for hand in hands]
+        for record in self.hands:
+            self.ground_truth.frame(record.hand.at)
 
     def pull(self, body: int, force: Array, torque: Array, point: Array) -> None:
         """Add a force and a torque at a world point to a body, for this physics step."""
@@ -386,10 +405,10 @@ class Plant:
             fixture.before(self)
         mujoco.mj_step1(self.mj_model, data)
         data.qfrc_applied[:] = 0.0
-        for felt in self.hands:
-            force, torque, point = felt.hand.force(self.truth, data.time)
-            self.pull(self.truth.frame(felt.hand.at).body, force, torque, point)
-            felt.add(force, torque)
+        for record in self.hands:
+            force, torque, point = record.hand.force(self.ground_truth, data.time)
+            self.pull(self.ground_truth.frame(record.hand.at).body, force, torque, point)
+            record.add(force, torque)
         for fixture in self._fixtures:
             fixture.during(self)
         mujoco.mj_step2(self.mj_model, data)
@@ -415,3 +434,28 @@ class Plant:
         if not np.isfinite(array).all():
             raise ConfigError(f"{name} is not finite: {array.tolist()}")
         return array
+
+
+def _split_scene(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
+    """Separate hands (force laws) from fixtures (things with bodies).
+
+    Raises:
+        TypeError: `scene` is not iterable, or an item is neither a hand nor a fixture.
+    """
+    hands: list[Hand] = []
+    fixtures: list[Fixture] = []
+    try:
+        items: list[Any] = list(scene)
+    except TypeError:
+        raise TypeError(
+            f"scene must be a list of hands and fixtures, got {format_value(scene)}"
+        ) from None
+    for i, item in enumerate(items):
+        if hasattr(item, "add"):
+            fixtures.append(item)
+        elif hasattr(item, "at"):
+            hands.append(item)
+        else:
+            known = "a hand (Drag, Push, Wall …) nor a fixture (door(), Surface …) of pliant.sim"
+            raise TypeError(f"scene[{i}] is neither {known}, got {format_value(item)}")
+    return hands, fixtures

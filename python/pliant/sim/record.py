@@ -47,8 +47,8 @@ class Recorder:
             "tool": plant.tool,
         }
         row["torque"] = plant.torque
-        for k, felt in enumerate(plant.hands):
-            row[f"force{k}"], row[f"torque{k}"] = felt.force, felt.torque
+        for k, record in enumerate(plant.hands):
+            row[f"force{k}"], row[f"torque{k}"] = record.force, record.torque
         row.update(signals)
         if self._count and row.keys() != self._rows.keys():
             odd = ", ".join(sorted(row.keys() ^ self._rows.keys()))

@@ -1,43 +1,22 @@
-"""Surroundings of the arm: the interface of things with bodies, and stiff planes."""
+"""Stiff planes around the arm: walls and tables."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pliant._core import ConfigError
-from pliant.sim.truth import TOOL, WRIST
+from pliant.sim.ground_truth import TOOL, WRIST
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pliant.sim.ground_truth import GroundTruth
     from pliant.sim.hand import Hand, Wrench
-    from pliant.sim.plant import Plant
-    from pliant.sim.spec import Build
-    from pliant.sim.truth import Truth
 
 _ZERO = np.zeros(3)
-
-
-class Fixture(Protocol):
-    """A thing with bodies of its own (a door); hands and walls are only force laws."""
-
-    def add(self, build: Build) -> None:
-        """Add bodies and constraints before the model is compiled."""
-
-    def place(self, plant: Plant) -> None:
-        """Place all bodies at a reset, relative to the tool."""
-
-    def before(self, plant: Plant) -> None:
-        """Prepare each physics step, e.g. prescribed motion."""
-
-    def during(self, plant: Plant) -> None:
-        """Apply external forces (`mj_data.qfrc_applied`), with positions up to date."""
-
-    def after(self, plant: Plant) -> None:
-        """Record results after each physics step."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +44,9 @@ class Wall:
         if not (self.stiffness >= 0.0 and self.damping >= 0.0):
             raise ConfigError(f"Wall.stiffness and damping must be at least 0, got {self!r}")
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return the wrench at the frame's origin."""
-        frame = truth.frame(self.at)
+        frame = ground_truth.frame(self.at)
         into = np.asarray(self.into, dtype=np.float64)
         depth = float(into @ frame.shift()) - self.distance
         if depth <= 0.0:
@@ -101,9 +80,9 @@ class Table:
                 f"Table needs a finite height, stiffness and damping at least 0, got {self!r}"
             )
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return the wrench at the frame's origin."""
-        frame = truth.frame(self.at)
+        frame = ground_truth.frame(self.at)
         depth = self.height - float(frame.position[2])
         if depth <= 0.0:
             return _ZERO, _ZERO, frame.position

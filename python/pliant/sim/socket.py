@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pliant.sim._model_builder import Build
     from pliant.sim.plant import Plant
-    from pliant.sim.spec import Build
 
     Array = NDArray[np.float64]
 
@@ -81,9 +81,9 @@ class Socket:
         """Return a copy with these attributes changed."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
-    def add(self, build: Build) -> None:
+    def add(self, build_spec: Build) -> None:
         """Add the plug to the arm and the socket to the world, and switch contacts on."""
-        spec = build.spec
+        spec = build_spec.spec
         spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         radius = self.width / 2.0
         frame = spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
@@ -94,7 +94,7 @@ class Socket:
         floor = frame.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(half, half, 0.005))
         floor.pos = (0.0, 0.0, -self.depth - 0.005)
         self._finish(floor, (0.35, 0.36, 0.40, 1.0))
-        tip = next(site for site in spec.sites if site.name == build.model.tip)
+        tip = next(site for site in spec.sites if site.name == build_spec.model.tip)
         up, turned = np.zeros(3), np.asarray(tip.quat, dtype=np.float64)
         mujoco.mju_rotVecQuat(up, np.array((0.0, 0.0, LENGTH / 2)), turned)
         plug = tip.parent.add_geom(

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import ConfigError
-from pliant.sim.truth import TOOL
+from pliant.sim.ground_truth import TOOL
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from pliant.sim.ground_truth import GroundTruth
     from pliant.sim.hand import Wrench
-    from pliant.sim.truth import Truth
 
     Array = NDArray[np.float64]
 
@@ -64,9 +64,9 @@ class Surface:
         k = 2.0 * np.pi / self.wave
         return self.unevenness * float(np.sin(k * y) * np.cos(k * x))
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return the wrench: push and friction, summed over the corners."""
-        frame = truth.frame(self.at)
+        frame = ground_truth.frame(self.at)
         twist = frame.twist()
         total, torque = np.zeros(3), np.zeros(3)
         for corner in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):

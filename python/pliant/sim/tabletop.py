@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import ConfigError
+from pliant.sim._model_builder import as_matrix, unit_vector
 from pliant.sim._mujoco import mujoco
-from pliant.sim.tree import as_matrix, unit
 
 if TYPE_CHECKING:
+    from pliant.sim._model_builder import Build, Group, Matrix, Robot
     from pliant.sim.plant import Plant
-    from pliant.sim.spec import Build
-    from pliant.sim.tree import Group, Matrix, Robot
 
 #: Contact bit of the plane and the arm's links; plugs and sockets use another.
 CONTACT_BIT = 4
@@ -52,9 +51,9 @@ class Tabletop:
         if not (np.isfinite(self.height) and self.friction >= 0.0):
             raise ConfigError(f"Tabletop needs a finite height and friction >= 0, got {self!r}")
 
-    def add(self, build: Build) -> None:
+    def add(self, build_spec: Build) -> None:
         """Add the plane, and capsules to the links that can reach it."""
-        spec = build.spec
+        spec = build_spec.spec
         spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         spec.worldbody.add_geom(
             name=self.name,
@@ -68,11 +67,11 @@ class Tabletop:
             solref=CONTACT,
         )
         self._links: dict[str, str] = {}
-        for index, group in enumerate(build.groups):
-            if not can_rise(build.model, build.groups, index):
+        for index, group in enumerate(build_spec.rigid_groups):
+            if not can_rise(build_spec.model, build_spec.rigid_groups, index):
                 continue
-            link = build.model.links[group.link].name
-            for number, geom in enumerate(build.bodies[index].geoms):
+            link = build_spec.model.links[group.link].name
+            for number, geom in enumerate(build_spec.bodies[index].geoms):
                 geom.name = f"{self.name}:{link}:{number}"
                 geom.conaffinity = CONTACT_BIT
                 geom.friction = (self.friction, 0.005, 0.0001)
@@ -121,19 +120,19 @@ class Tabletop:
         return lowest
 
 
-def can_rise(model: Robot, groups: list[Group], index: int) -> bool:
+def can_rise(model: Robot, rigid_groups: list[Group], index: int) -> bool:
     """Return True if a joint between the base and the group can raise or lower the group."""
     chain: list[int] = []
     at: int | None = index
-    while at is not None and groups[at].joint is not None:
+    while at is not None and rigid_groups[at].joint is not None:
         chain.append(at)
-        at = groups[at].parent
-    pose: Matrix = groups[0].pose.copy()
+        at = rigid_groups[at].parent
+    pose: Matrix = rigid_groups[0].pose.copy()
     for number in reversed(chain):
-        pose = pose @ as_matrix(groups[number].pose)
-        joint = groups[number].joint
+        pose = pose @ as_matrix(rigid_groups[number].pose)
+        joint = rigid_groups[number].joint
         assert joint is not None
-        axis = pose[:3, :3] @ unit(model.joints[joint].axis)
+        axis = pose[:3, :3] @ unit_vector(model.joints[joint].axis)
         slides = str(model.joints[joint].kind).lower().endswith("prismatic")
         if slides or abs(float(axis[2])) < VERTICAL:
             return True

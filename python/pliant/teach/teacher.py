@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant.arm import Arm, State
-    from pliant.identify.seam import Order
+    from pliant.identify.procedure import ServoCommand
 
     Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class Teacher:
         """True once the first swing is over and the arm may be touched."""
         return self._float.ready
 
-    def step(self, state: State, *, dt: float | None = None) -> Order:
+    def step(self, state: State, *, dt: float | None = None) -> ServoCommand:
         """Return goals and limits that let a hand lead the arm.
 
         Args:

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant.sim.truth import TOOL
+from pliant.sim.ground_truth import TOOL
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant.sim import Plant
+    from pliant.sim.ground_truth import GroundTruth
     from pliant.sim.hand import Wrench
-    from pliant.sim.truth import Truth
 
     Vector = NDArray[np.float64]
 
@@ -65,15 +65,15 @@ class VisitorHand:
                 return
             self.let_go()
             self.at = frame
-            held = plant.truth.frame(frame)
+            held = plant.ground_truth.frame(frame)
             self._local = held.rotation.T @ (np.asarray(point) - held.position)
         elif self._toward is None:
             return
         self._toward = np.asarray(toward, dtype=np.float64)
 
-    def force(self, truth: Truth, t: float) -> Wrench:
+    def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return force (3,), torque (3,) and point of application (3,)."""
-        frame = truth.frame(self.at)
+        frame = ground_truth.frame(self.at)
         if self._toward is None:
             if t < self._until or self.felt is not None:
                 self._ease(t, frame.position)

@@ -9,8 +9,8 @@ import numpy as np
 
 from pliant import robots
 from pliant._core import Model
-from pliant.sim import Course, Handed, Wall, door, drawer
-from pliant.sim.handed import OPENS
+from pliant.sim import Course, HandoverObject, Wall, door, drawer
+from pliant.sim.grasp import RELEASE_DISTANCE
 from pliant.sim.postures import AT_DOOR, VERTICAL
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
         about="It carries an unknown 0.3 kg, and opens its hand once pulled 5 cm away.",
         preset="hand_over",
         q=VERTICAL,
-        make=lambda: [Handed(course=NEVER)],
+        make=lambda: [HandoverObject(course=NEVER)],
         play="A person takes it",
     )
     return robots.arm7(), {
@@ -139,7 +139,7 @@ def of_any(q: Array) -> Mapping[str, Scene]:
 def take(plant: Plant) -> bool:
     """Let a person take the object in the grip; return False without one."""
     for thing in plant.fixtures:
-        if isinstance(thing, Handed):
+        if isinstance(thing, HandoverObject):
             start = plant.time + TAKES.start
             thing.course = Course(start=start, rise=TAKES.rise, end=start + TAKES.end)
             return True
@@ -149,8 +149,8 @@ def take(plant: Plant) -> bool:
 def let_go_when_taken(plant: Plant, home: Array) -> None:
     """Open the grip once the tool was pulled away from its start (4, 4)."""
     for thing in plant.fixtures:
-        if isinstance(thing, Handed) and thing.released is None:
-            taken = np.linalg.norm(plant.tool[:3, 3] - home[:3, 3]) > OPENS
+        if isinstance(thing, HandoverObject) and thing.released is None:
+            taken = np.linalg.norm(plant.tool[:3, 3] - home[:3, 3]) > RELEASE_DISTANCE
             if taken and plant.time > thing.course.start:
                 thing.release(plant)
 
@@ -161,7 +161,7 @@ def planes(plant: Plant) -> tuple[tuple[Array, Array], ...]:
     for felt in plant.hands:
         if isinstance(felt.hand, Wall):
             into = np.asarray(felt.hand.into, dtype=np.float64)
-            start = plant.truth.frame(felt.hand.at).start
+            start = plant.ground_truth.frame(felt.hand.at).start
             out.append((start + felt.hand.distance * into, into))
     return tuple(out)
 

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use pliant_core::analysis::check_path;
 use pliant_core::params::{Axis, GravityUse, Law, NullSpace, PaperOptions, Task, TorqueLimits, Tracking};
 use pliant_core::{
     BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Invalid, Model,
@@ -159,7 +160,7 @@ fn a_joint_that_carries_less_than_an_encoder_count_hides_keeps_its_believed_stif
 #[test]
 fn a_path_without_postures_is_no_path() {
     let controller = made(Settings::default(), servos()).unwrap();
-    assert!(matches!(controller.check(&[]), Err(Error::Shape { .. })));
+    assert!(matches!(check_path(&controller, &[]), Err(Error::Shape { .. })));
 }
 
 #[test]

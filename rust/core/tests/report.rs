@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use pliant_core::analysis::{check_path, check_pose, raise_soft, report, report_at};
 use pliant_core::params::{Axis, LimitRule, PaperOptions, Task};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Reference, Servos, Settings, StepInput};
 
@@ -63,7 +64,7 @@ fn static_force_and_capacity_are_what_a_search_finds() {
         let torque = servos().max_torque;
         for seed in 0..60 {
             let q = common::state(controller.model(), seed);
-            let report = controller.report_at(&q).unwrap();
+            let report = report_at(&controller, &q).unwrap();
             for axis in 0..6 {
                 for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
                     for (said, limit) in [
@@ -105,7 +106,7 @@ fn slips(limit: f64, y: f64) -> f64 {
 /// Pushed along y it slips at limit and friction, and its lever shrinks by the way.
 #[test]
 fn a_dead_joint_slips_at_its_limit() {
-    let report = lever().report_at(&[0.0]).unwrap();
+    let report = report_at(&lever(), &[0.0]).unwrap();
     let by_hand = slips(report.torque_limit[0], 0.15);
     for side in 0..2 {
         common::close("felt", report.host_loss_force[0][side], by_hand, 0.02 * by_hand);
@@ -120,7 +121,7 @@ fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
     for _ in 0..200 {
         controller.step(&[0.0], &target, &StepInput::default()).unwrap();
     }
-    let (goal, report) = (controller.last_command().unwrap().goal()[0], controller.report().unwrap());
+    let (goal, report) = (controller.last_command().unwrap().goal()[0], report(&controller).unwrap());
     let rest = 0.5 * (goal - 0.2 / 100.0).sin();
     assert!(goal > 0.04 && rest > 0.02);
     let by_hand = slips(report.torque_limit[0], rest + 0.15);
@@ -130,11 +131,11 @@ fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
 
 #[test]
 fn sides_are_named_by_the_push() {
-    let report = controller(soft("y", 4.0, 15.0)).report_at(&GRASP).unwrap();
+    let report = report_at(&controller(soft("y", 4.0, 15.0)), &GRASP).unwrap();
     let axis = Axis { soft: Some([2.0, 4.0]), firm: Some([6.0, 8.0]), soft_until: Some(0.02), ..Axis::default() };
     let mut uneven = Settings::default();
     uneven.set_axes("y", axis).unwrap();
-    let sided = controller(uneven).report_at(&GRASP).unwrap();
+    let sided = report_at(&controller(uneven), &GRASP).unwrap();
     for (side, [small, large]) in [[2.0, 6.0], [4.0, 8.0]].into_iter().enumerate() {
         common::close("small", sided.gives_way[1][side][0], small, 1e-12);
         common::close("large", sided.gives_way[1][side][1], large, 1e-12);
@@ -154,27 +155,28 @@ fn sides_are_named_by_the_push() {
 fn target_adaptation_moves_the_thresholds_and_lowers_the_force_within_reach() {
     let mut settings = soft("y", 4.0, 15.0);
     settings.axes[1].adaptation = 0.9;
-    let report = controller(settings).report_at(&GRASP).unwrap();
+    let report = report_at(&controller(settings), &GRASP).unwrap();
     common::close("d−", report.thresholds[1][0], 0.1, 1e-12);
     common::close("d+", report.thresholds[1][1], 1.0, 1e-12);
-    let plain = controller(soft("y", 4.0, 15.0)).report_at(&GRASP).unwrap();
+    let plain = report_at(&controller(soft("y", 4.0, 15.0)), &GRASP).unwrap();
     assert!(report.gives_way[1][1][1] < plain.gives_way[1][1][1]);
 }
 
 #[test]
 fn the_last_step_and_the_same_pose_at_rest_agree_and_nothing_is_touched() {
     let mut one = controller(soft("y", 4.0, 15.0));
-    assert!(one.report().unwrap_err().to_string().contains("no step"));
+    assert!(report(&one).unwrap_err().to_string().contains("no step"));
     let mut two = one.clone();
     let target = one.model().forward_kinematics(&GRASP).unwrap();
     for _ in 0..3 {
         one.step(&GRASP, &target, &StepInput::default()).unwrap();
         two.step(&GRASP, &target, &StepInput::default()).unwrap();
-        let _ = (two.report().unwrap(), two.report_at(&[0.1; 7]).unwrap(), two.check(&[GRASP.to_vec()]).unwrap());
+        let _ =
+            (report(&two).unwrap(), report_at(&two, &[0.1; 7]).unwrap(), check_path(&two, &[GRASP.to_vec()]).unwrap());
         assert_eq!(one.last_command(), two.last_command());
     }
-    assert_eq!(controller(soft("y", 4.0, 15.0)).report_at(&GRASP).unwrap().static_force.len(), 6);
-    let (now, rest) = (one.report().unwrap(), one.report_at(&GRASP).unwrap());
+    assert_eq!(report_at(&controller(soft("y", 4.0, 15.0)), &GRASP).unwrap().static_force.len(), 6);
+    let (now, rest) = (report(&one).unwrap(), report_at(&one, &GRASP).unwrap());
     for (a, b) in now.static_force.iter().flatten().zip(rest.static_force.iter().flatten()) {
         common::close("static force", *a, *b, 1e-9);
     }
@@ -189,11 +191,11 @@ fn an_arm_that_cannot_hold_itself_says_so() {
     };
     let model = Arc::new(Model::from_urdf_file(common::root().join("tests/data/golden/arm7.urdf"), &options).unwrap());
     let controller = Controller::new(model, Settings::default(), Some(servos())).unwrap();
-    let report = controller.report_at(&GRASP).unwrap();
+    let report = report_at(&controller, &GRASP).unwrap();
     assert!(report.capacity[2][0] < 0.0 && report.static_force[2][0] < 0.0);
     assert!(report.gravity_margin.iter().flatten().any(|margin| *margin < 0.0));
     assert!(report.summary().iter().any(|sentence| sentence.contains("cannot hold")));
-    let check = controller.check(&[GRASP.to_vec()]).unwrap();
+    let check = check_path(&controller, &[GRASP.to_vec()]).unwrap();
     assert!(!check.achievable && check.findings[0].setting.is_none(), "{check}");
 }
 
@@ -201,10 +203,10 @@ fn an_arm_that_cannot_hold_itself_says_so() {
 fn the_paper_without_gravity_in_its_limits_is_told_to_put_it_there() {
     let mut settings = Settings::paper();
     settings.set_axes("all", Axis { hold: Some(1.0), ..Axis::default() }).unwrap();
-    let check = controller(settings.clone()).check(&[GRASP.to_vec()]).unwrap();
+    let check = check_path(&controller(settings.clone()), &[GRASP.to_vec()]).unwrap();
     assert!(!check.achievable && check.findings.iter().any(|found| found.setting.as_deref() == Some("gravity")));
     settings.gravity = true;
-    assert!(controller(settings).check(&[GRASP.to_vec()]).unwrap().achievable);
+    assert!(check_path(&controller(settings), &[GRASP.to_vec()]).unwrap().achievable);
 }
 
 #[test]
@@ -212,7 +214,7 @@ fn coupling_names_the_axis_that_shares_the_joints() {
     let mut settings = Settings::paper();
     settings.gravity = true;
     settings.set_axes("y", Axis { soft: Some([0.5; 2]), ..Axis::default() }).unwrap();
-    let report = controller(settings).report_at(&GRASP).unwrap();
+    let report = report_at(&controller(settings), &GRASP).unwrap();
     for side in 0..2 {
         assert!(report.coupling[1][side] > 0.0 && report.coupling[1][side] <= report.gives_way[1][side][0]);
         assert!(report.coupled_to[1][side].is_some());
@@ -225,7 +227,7 @@ fn what_a_check_proposes_works_and_a_little_more_does_not() {
     let path: Vec<Vec<f64>> = (0..20).map(|k| GRASP.iter().map(|q| q + 0.01 * f64::from(k)).collect()).collect();
     let mut settings = soft("y", 0.05, 60.0);
     settings.set_axes("z", Axis { hold: Some(90.0), ..Axis::default() }).unwrap();
-    let mut check = controller(settings.clone()).check(&path).unwrap();
+    let mut check = check_path(&controller(settings.clone()), &path).unwrap();
     assert!(!check.achievable && check.poses == 20);
     for _ in 0..3 {
         for found in check.findings.iter().filter(|found| found.required) {
@@ -237,23 +239,23 @@ fn what_a_check_proposes_works_and_a_little_more_does_not() {
                 other => panic!("{other}"),
             }
         }
-        check = controller(settings.clone()).check(&path).unwrap();
+        check = check_path(&controller(settings.clone()), &path).unwrap();
     }
     assert!(check.achievable, "{check}");
     settings.axes[2].hold = settings.axes[2].hold.map(|hold| 1.1 * hold);
-    assert!(!controller(settings).check(&path).unwrap().achievable);
+    assert!(!check_path(&controller(settings), &path).unwrap().achievable);
 }
 
 #[test]
 fn a_target_that_cannot_be_reached_is_not_achievable() {
     let controller = controller(Settings::default());
     let mut target = controller.model().forward_kinematics(&GRASP).unwrap();
-    assert!(controller.check_pose(&target, &GRASP).unwrap().achievable);
+    assert!(check_pose(&controller, &target, &GRASP).unwrap().achievable);
     target.position[0] += 1.0;
-    let check = controller.check_pose(&target, &GRASP).unwrap();
+    let check = check_pose(&controller, &target, &GRASP).unwrap();
     assert!(!check.achievable && check.to_string().contains("out of reach"), "{check}");
     target.position[0] += 1.0;
-    let error = controller.check_pose(&target, &GRASP).unwrap_err();
+    let error = check_pose(&controller, &target, &GRASP).unwrap_err();
     assert!(error.to_string().contains("millimetres?"), "{error}");
 }
 
@@ -261,16 +263,16 @@ fn a_target_that_cannot_be_reached_is_not_achievable() {
 fn tracking_raises_soft_to_three_times_the_friction_and_no_more() {
     let (model, servos, path) = (arm(), servos(), [GRASP.to_vec()]);
     let settings = soft("y", 0.01, 0.02);
-    let raised = settings.raise_soft(&model, Some(&servos), &path).unwrap();
-    let rubs = controller(settings.clone()).report_at(&GRASP).unwrap().friction[1];
+    let raised = raise_soft(&settings, &model, Some(&servos), &path).unwrap();
+    let rubs = report_at(&controller(settings.clone()), &GRASP).unwrap().friction[1];
     let [soft, _] = raised.axes[1].soft.unwrap();
     assert!(soft >= 3.0 * rubs && soft < 3.3 * rubs && raised.axes[1].firm.unwrap()[0] >= soft);
-    let check = Controller::new(arm(), raised.clone(), Some(servos.clone())).unwrap().check(&path).unwrap();
+    let check = check_path(&Controller::new(arm(), raised.clone(), Some(servos.clone())).unwrap(), &path).unwrap();
     assert!(check.achievable, "{check}");
     // Firm enough already: nothing changes, with a path or over the whole joint space.
-    assert_eq!(raised.raise_soft(&model, Some(&servos), &path).unwrap(), raised);
+    assert_eq!(raise_soft(&raised, &model, Some(&servos), &path).unwrap(), raised);
     let firm = self::soft("y", 9.0, 15.0);
-    assert_eq!(firm.raise_soft(&model, Some(&servos), &[]).unwrap(), firm);
+    assert_eq!(raise_soft(&firm, &model, Some(&servos), &[]).unwrap(), firm);
 }
 
 #[test]
@@ -280,7 +282,7 @@ fn fewer_axes_and_other_frames() {
     let controller = controller(settings);
     for seed in 0..20 {
         let q = common::state(controller.model(), seed);
-        let report = controller.report_at(&q).unwrap();
+        let report = report_at(&controller, &q).unwrap();
         let (pose, jacobian) = controller.model().kinematics(&q, Reference::Local).unwrap();
         let gravity = controller.model().gravity(&q).unwrap();
         assert!(pose.position[0].is_finite() && report.axes == ["y", "z"]);

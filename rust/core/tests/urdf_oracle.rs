@@ -1,4 +1,4 @@
-//! Links and joints as another reader of URDFs sees them.
+//! Links and joints as urdf-rs reads them from the whole file, without our guard.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use pliant_core::analysis;
 use pliant_core::params::{AXIS_NAMES, Axis as CoreAxis, Law};
 use pliant_core::{
     Carried, Command as CoreCommand, Controller as CoreController, MAX_JOINTS, Payload as CorePayload,
@@ -218,8 +219,8 @@ impl Controller {
     #[pyo3(signature = (q = None))]
     fn report(&self, q: Option<&Bound<'_, PyAny>>) -> PyResult<PoseReport> {
         let report = match q {
-            Some(q) => self.core.report_at(&joints("q", q, self.n)?[..self.n]),
-            None => self.core.report(),
+            Some(q) => analysis::report_at(&self.core, &joints("q", q, self.n)?[..self.n]),
+            None => analysis::report(&self.core),
         };
         report.or_raise().map(PoseReport)
     }

@@ -1,6 +1,7 @@
 //! `PoseReport`, `FeasibilityReport` and `Issue`.
 
 use numpy::PyArray1;
+use pliant_core::analysis;
 use pliant_core::{
     Controller as CoreController, FeasibilityReport as CoreCheck, Issue as CoreFinding, Model as CoreModel,
     Pose as CorePose, PoseReport as CoreReport,
@@ -306,13 +307,15 @@ pub(crate) fn check_with(
 ) -> PyResult<FeasibilityReport> {
     let n = core.model().n();
     match checked(path_or_pose, n, position_only)? {
-        Checked::Path(path) => path_or_pose.py().detach(|| core.check(&path)).or_raise().map(FeasibilityReport),
+        Checked::Path(path) => {
+            path_or_pose.py().detach(|| analysis::check_path(core, &path)).or_raise().map(FeasibilityReport)
+        }
         Checked::Pose(target) => {
             let start = match q0 {
                 Some(q0) => joints("q0", q0, n)?[..n].to_vec(),
                 None => middle(core.model()),
             };
-            core.check_pose(&target, &start).or_raise().map(FeasibilityReport)
+            analysis::check_pose(core, &target, &start).or_raise().map(FeasibilityReport)
         }
     }
 }

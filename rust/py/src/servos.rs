@@ -99,7 +99,7 @@ fields! {
             let options = PyDict::new(models.py());
             options.set_item("voltage", voltage)?;
             options.set_item("gains", gains)?;
-            models.py().import("pliant.servo.table")?.call_method("servos_of", (models,), Some(&options))
+            models.py().import("pliant.servo")?.call_method("servos_of", (models,), Some(&options))
         }
 
         fn __len__(&self) -> usize {

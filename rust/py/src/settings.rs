@@ -1,6 +1,7 @@
 //! `Settings`.
 
 use pliant_core::MAX_AXES;
+use pliant_core::analysis;
 use pliant_core::params::{Axis, Law, Settings as CoreSettings, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
@@ -125,7 +126,7 @@ fields! {
             let model = model.get();
             let poses = path.map_or(Ok(Vec::new()), |path| postures("path", path, model.core.n()))?;
             let servos = servos.as_ref().or(model.servos.as_ref()).map(|servos| &servos.get().0);
-            py.detach(|| self.0.raise_soft(&model.core, servos, &poses)).or_raise().map(Self)
+            py.detach(|| analysis::raise_soft(&self.0, &model.core, servos, &poses)).or_raise().map(Self)
         }
 
         #[classmethod]

@@ -3,7 +3,10 @@
 
 use crate::analysis::axis_strength::Pose;
 use crate::analysis::display::number;
-use crate::analysis::findings::{Near, Past, Worst};
+use crate::analysis::findings::{
+    Near, Past, Worst, axis_findings, host_loss_finding, joint_findings, stop_findings, way_findings,
+};
+use crate::analysis::report::{at_rest, host_loss, limits_in_force, spread, way};
 use crate::controller::Controller;
 use crate::error::{Error, Result};
 use crate::kinematics::statics::static_force;
@@ -59,162 +62,161 @@ pub struct FeasibilityReport {
     pub way_sigma: Vec<[f64; 2]>,
 }
 
-impl Controller {
-    /// Checks the settings in every posture (n) [rad] of a path, with the arm at rest on its target. Changes nothing.
-    ///
-    /// # Errors
-    /// As [`Controller::step`]; [`Error::Shape`] for an empty path.
-    ///
-    /// ```
-    /// # use pliant_core::{Axis, Controller, Model, ModelOptions, Servos, Settings};
-    /// # fn main() -> pliant_core::Result<()> {
-    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
-    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
-    /// let mut settings = Settings::default();
-    /// settings.set_axes("z", Axis { hold: Some(500.0), ..Axis::default() })?; // [N]
-    /// let servos = Servos::new(vec![150.0], vec![10.7]);
-    /// let controller = Controller::new(model.clone(), settings, Some(servos))?;
-    ///
-    /// let check = controller.check(&[vec![-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]])?;
-    /// assert!(!check.achievable);
-    /// let finding = &check.findings[0];
-    /// assert_eq!(finding.setting.as_deref(), Some("axes.z.hold"));
-    /// # Ok(())
-    /// # }
-    /// ```
-    pub fn check(&self, path: &[Vec<f64>]) -> Result<FeasibilityReport> {
-        if path.is_empty() {
-            let expected = format!("(N, {}) with N of at least 1", self.plan.n);
-            return Err(Error::Shape { what: "path".into(), got: format!("(0, {})", self.plan.n), expected });
-        }
-        for (index, q) in path.iter().enumerate() {
-            self.joint_target("q", q).map_err(|error| error.in_row("path", index))?;
-        }
-        let (k, n, torque) = (self.plan.k, self.plan.n, self.plan.servos.torque);
-        let mut lack = vec![[Worst::NONE; 2]; k];
-        let mut rub = vec![Worst::NONE; k];
-        let mut near = vec![[(Worst::NONE, None); 2] as [Near; 2]; k];
-        let mut past = vec![[(Worst::NONE, None); 2] as [Past; 2]; k];
-        let (mut weight, mut limit, mut outside) = (vec![Worst::NONE; n], vec![Worst::NONE; n], vec![Worst::NONE; n]);
-        let mut singular = Worst::NONE;
-        let mut dead = (Worst::NONE, 0, 1.0);
-        for (index, q) in path.iter().enumerate() {
-            let rest = self.at_rest(q)?;
-            let (record, limits) = (&rest.record(), rest.limits_in_force());
-            let pose = Pose::new(&rest.plan, rest.settings(), record);
-            let friction = pose.friction();
-            let mut frames = Frames::default();
-            rest.model().chain().forward(&record.q, &mut frames);
-            let rubs = std::array::from_fn(|i| rest.plan.servos.friction_at_rest(i, record.gravity[i]));
-            let way = rest.way(&frames, &rubs);
-            if self.plan.max_host_loss_force.is_some() {
-                let goal = super::report::spread(rest.command.goal());
-                let (force, row, sign) = rest.dead(&frames, &goal, &limits, &rubs).worst(f64::INFINITY);
-                if force > dead.0.value {
-                    dead = (Worst { value: force, pose: index }, row, sign);
-                }
+/// Checks the settings in every posture (n) [rad] of a path, with the arm at rest on its target. Changes nothing.
+///
+/// # Errors
+/// As [`Controller::step`]; [`Error::Shape`] for an empty path.
+///
+/// ```
+/// # use pliant_core::analysis::check_path;
+/// # use pliant_core::{Axis, Controller, Model, ModelOptions, Servos, Settings};
+/// # fn main() -> pliant_core::Result<()> {
+/// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+/// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+/// let mut settings = Settings::default();
+/// settings.set_axes("z", Axis { hold: Some(500.0), ..Axis::default() })?; // [N]
+/// let servos = Servos::new(vec![150.0], vec![10.7]);
+/// let controller = Controller::new(model.clone(), settings, Some(servos))?;
+///
+/// let check = check_path(&controller, &[vec![-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]])?;
+/// assert!(!check.achievable);
+/// let finding = &check.findings[0];
+/// assert_eq!(finding.setting.as_deref(), Some("axes.z.hold"));
+/// # Ok(())
+/// # }
+/// ```
+pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<FeasibilityReport> {
+    if path.is_empty() {
+        let expected = format!("(N, {}) with N of at least 1", controller.plan.n);
+        return Err(Error::Shape { what: "path".into(), got: format!("(0, {})", controller.plan.n), expected });
+    }
+    for (index, q) in path.iter().enumerate() {
+        controller.joint_target("q", q).map_err(|error| error.in_row("path", index))?;
+    }
+    let (k, n, torque) = (controller.plan.k, controller.plan.n, controller.plan.servos.torque);
+    let mut lack = vec![[Worst::NONE; 2]; k];
+    let mut rub = vec![Worst::NONE; k];
+    let mut near = vec![[(Worst::NONE, None); 2] as [Near; 2]; k];
+    let mut past = vec![[(Worst::NONE, None); 2] as [Past; 2]; k];
+    let (mut weight, mut limit, mut outside) = (vec![Worst::NONE; n], vec![Worst::NONE; n], vec![Worst::NONE; n]);
+    let mut singular = Worst::NONE;
+    let mut dead = (Worst::NONE, 0, 1.0);
+    for (index, q) in path.iter().enumerate() {
+        let rest = at_rest(controller, q)?;
+        let (record, limits) = (&rest.record(), limits_in_force(&rest));
+        let pose = Pose::new(&rest.plan, rest.settings(), record);
+        let friction = pose.friction();
+        let mut frames = Frames::default();
+        rest.model().chain().forward(&record.q, &mut frames);
+        let rubs = std::array::from_fn(|i| rest.plan.servos.friction_at_rest(i, record.gravity[i]));
+        let way = way(&rest, &frames, &rubs);
+        if controller.plan.max_host_loss_force.is_some() {
+            let goal = spread(rest.command.goal());
+            let (force, row, sign) = host_loss(&rest, &frames, &goal, &limits, &rubs).worst(f64::INFINITY);
+            if force > dead.0.value {
+                dead = (Worst { value: force, pose: index }, row, sign);
             }
-            for r in 0..k {
-                for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
-                    let force = static_force(&record.rows[r], sign, &torque, &record.gravity, n);
-                    lack[r][side].see(-force, index);
-                    if rest.plan.rows[r].yields[side] <= 0.0 {
-                        continue;
-                    }
-                    let push = way.follow(r, sign);
-                    if -push.sigma > past[r][side].0.value {
-                        let worst = Worst { value: -push.sigma, pose: index };
-                        past[r][side] = (worst, Some((push, friction[r])));
-                    }
-                    if let Some(stop) = push.stop
-                        && -stop.distance > near[r][side].0.value
-                    {
-                        let worst = Worst { value: -stop.distance, pose: index };
-                        near[r][side] = (worst, Some((stop.joint, pose.full(r, side))));
-                    }
-                }
-                rub[r].see(friction[r] * pose.friction_share_left(), index);
-            }
-            for i in 0..n {
-                weight[i].see(record.gravity[i].abs() - torque[i], index);
-                limit[i].see(record.gravity[i].abs() - limits[i], index);
-                outside[i].see((self.plan.lower[i] - q[i]).max(q[i] - self.plan.upper[i]), index);
-            }
-            singular.see(-rest.sigma()[0], index);
         }
-        let mut findings = self.joint_findings(&weight, &limit, &outside);
         for r in 0..k {
-            self.axis_findings(r, lack[r], rub[r], &mut findings);
-            self.stop_findings(r, near[r], &mut findings);
-            self.way_findings(r, past[r], &mut findings);
-        }
-        findings.extend(self.host_loss_finding(dead.0, dead.1, dead.2));
-        let least = NEAR_SINGULAR * self.plan.damping.sigma_0;
-        if -singular.value < least {
-            findings.push(Issue {
-                pose: singular.pose,
-                about: "σ_min".into(),
-                required: false,
-                reason: format!(
-                    "{} is near a singular pose (below {}): some axis moves late",
-                    number(-singular.value),
-                    number(least)
-                ),
-                setting: None,
-                value: None,
-            });
-        }
-        let (mut findings, hints): (Vec<_>, Vec<_>) = findings.into_iter().partition(|finding| finding.required);
-        findings.extend(hints);
-        Ok(FeasibilityReport {
-            achievable: !findings.iter().any(|finding| finding.required),
-            poses: path.len(),
-            findings,
-            axes: self.plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
-            capacity: lack.iter().map(|sides| sides.map(|worst| -worst.value)).collect(),
-            worst_pose: lack.iter().map(|sides| sides.map(|worst| worst.pose)).collect(),
-            friction_left: rub.iter().map(|worst| worst.value).collect(),
-            stop_distance: near.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
-            sigma_min: -singular.value,
-            sigma_pose: singular.pose,
-            way_sigma: past.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
-        })
-    }
-
-    /// Checks the settings in a pose of the tool, reached from `q0` (n) [rad].
-    ///
-    /// # Errors
-    /// As [`Controller::step`].
-    pub fn check_pose(&self, target: &ToolPose, q0: &[f64]) -> Result<FeasibilityReport> {
-        self.check_target("target", target)?;
-        let task = &self.settings().task;
-        let mut axes = task.axes;
-        if task.frame != Frame::Base {
-            for block in axes.chunks_mut(3) {
-                let on = block.iter().any(|&on| on);
-                block.fill(on);
+            for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
+                let force = static_force(&record.rows[r], sign, &torque, &record.gravity, n);
+                lack[r][side].see(-force, index);
+                if rest.plan.rows[r].yields[side] <= 0.0 {
+                    continue;
+                }
+                let push = way.follow(r, sign);
+                if -push.sigma > past[r][side].0.value {
+                    let worst = Worst { value: -push.sigma, pose: index };
+                    past[r][side] = (worst, Some((push, friction[r])));
+                }
+                if let Some(stop) = push.stop
+                    && -stop.distance > near[r][side].0.value
+                {
+                    let worst = Worst { value: -stop.distance, pose: index };
+                    near[r][side] = (worst, Some((stop.joint, pose.full(r, side))));
+                }
             }
+            rub[r].see(friction[r] * pose.friction_share_left(), index);
         }
-        let options = IkOptions { axes, position_tolerance: 1e-6, rotation_tolerance: 1e-6, ..IkOptions::default() };
-        let found = self.model().inverse_kinematics(target, q0, &options)?;
-        let mut check = self.check(&[found.q])?;
-        if !found.converged {
-            check.achievable = false;
-            let finding = Issue {
-                pose: 0,
-                about: "target".into(),
-                required: true,
-                reason: format!(
-                    "the arm comes no closer than {:.1} mm and {:.3} rad: {}",
-                    1e3 * found.position_error,
-                    found.rotation_error,
-                    found.reason
-                ),
-                setting: None,
-                value: None,
-            };
-            check.findings.insert(0, finding);
+        for i in 0..n {
+            weight[i].see(record.gravity[i].abs() - torque[i], index);
+            limit[i].see(record.gravity[i].abs() - limits[i], index);
+            outside[i].see((controller.plan.lower[i] - q[i]).max(q[i] - controller.plan.upper[i]), index);
         }
-        Ok(check)
+        singular.see(-rest.sigma()[0], index);
     }
+    let mut findings = joint_findings(controller, &weight, &limit, &outside);
+    for r in 0..k {
+        axis_findings(controller, r, lack[r], rub[r], &mut findings);
+        stop_findings(controller, r, near[r], &mut findings);
+        way_findings(controller, r, past[r], &mut findings);
+    }
+    findings.extend(host_loss_finding(controller, dead.0, dead.1, dead.2));
+    let least = NEAR_SINGULAR * controller.plan.damping.sigma_0;
+    if -singular.value < least {
+        findings.push(Issue {
+            pose: singular.pose,
+            about: "σ_min".into(),
+            required: false,
+            reason: format!(
+                "{} is near a singular pose (below {}): some axis moves late",
+                number(-singular.value),
+                number(least)
+            ),
+            setting: None,
+            value: None,
+        });
+    }
+    let (mut findings, hints): (Vec<_>, Vec<_>) = findings.into_iter().partition(|finding| finding.required);
+    findings.extend(hints);
+    Ok(FeasibilityReport {
+        achievable: !findings.iter().any(|finding| finding.required),
+        poses: path.len(),
+        findings,
+        axes: controller.plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
+        capacity: lack.iter().map(|sides| sides.map(|worst| -worst.value)).collect(),
+        worst_pose: lack.iter().map(|sides| sides.map(|worst| worst.pose)).collect(),
+        friction_left: rub.iter().map(|worst| worst.value).collect(),
+        stop_distance: near.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
+        sigma_min: -singular.value,
+        sigma_pose: singular.pose,
+        way_sigma: past.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
+    })
+}
+
+/// Checks the settings in a pose of the tool, reached from `q0` (n) [rad].
+///
+/// # Errors
+/// As [`Controller::step`].
+pub fn check_pose(controller: &Controller, target: &ToolPose, q0: &[f64]) -> Result<FeasibilityReport> {
+    controller.check_target("target", target)?;
+    let task = &controller.settings().task;
+    let mut axes = task.axes;
+    if task.frame != Frame::Base {
+        for block in axes.chunks_mut(3) {
+            let on = block.iter().any(|&on| on);
+            block.fill(on);
+        }
+    }
+    let options = IkOptions { axes, position_tolerance: 1e-6, rotation_tolerance: 1e-6, ..IkOptions::default() };
+    let found = controller.model().inverse_kinematics(target, q0, &options)?;
+    let mut check = check_path(controller, &[found.q])?;
+    if !found.converged {
+        check.achievable = false;
+        let finding = Issue {
+            pose: 0,
+            about: "target".into(),
+            required: true,
+            reason: format!(
+                "the arm comes no closer than {:.1} mm and {:.3} rad: {}",
+                1e3 * found.position_error,
+                found.rotation_error,
+                found.reason
+            ),
+            setting: None,
+            value: None,
+        };
+        check.findings.insert(0, finding);
+    }
+    Ok(check)
 }

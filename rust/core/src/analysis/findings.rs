@@ -29,161 +29,164 @@ pub(super) type Past = (Worst, Option<(Push, f64)>);
 /// The smallest distance to a stop, its joint, and the deviation at which the axis exerts its whole cap.
 pub(super) type Near = (Worst, Option<(usize, f64)>);
 
-impl Controller {
-    pub(super) fn joint_findings(&self, weight: &[Worst], limit: &[Worst], outside: &[Worst]) -> Vec<Issue> {
-        let mut out = Vec::new();
-        for (i, name) in self.model().joint_names().iter().enumerate() {
-            let mut add = |worst: Worst, reason: String, setting: Option<&str>, value: Option<f64>| {
-                let (about, setting) = (name.clone(), setting.map(Into::into));
-                out.push(Issue { pose: worst.pose, about, required: true, reason, setting, value });
-            };
-            if outside[i].value > 1e-6 {
-                add(outside[i], format!("is {} rad beyond its position limit", number(outside[i].value)), None, None);
-            }
-            let usable = self.plan.servos.torque[i];
-            if weight[i].value > 0.0 {
-                let needs = usable + weight[i].value;
-                add(
-                    weight[i],
-                    format!(
-                        "needs {} N·m to hold the arm, the servo has {}: another pose or less payload",
-                        number(needs),
-                        number(usable)
-                    ),
-                    None,
-                    None,
-                );
-            } else if limit[i].value > 0.0 {
-                let missing = number(limit[i].value);
-                add(
-                    limit[i],
-                    format!(
-                        "cannot hold the arm: its limit is {missing} N·m short of its load; gravity belongs into the limits (gravity=True)"
-                    ),
-                    Some("gravity"),
-                    None,
-                );
-            }
+pub(super) fn joint_findings(
+    controller: &Controller,
+    weight: &[Worst],
+    limit: &[Worst],
+    outside: &[Worst],
+) -> Vec<Issue> {
+    let mut out = Vec::new();
+    for (i, name) in controller.model().joint_names().iter().enumerate() {
+        let mut add = |worst: Worst, reason: String, setting: Option<&str>, value: Option<f64>| {
+            let (about, setting) = (name.clone(), setting.map(Into::into));
+            out.push(Issue { pose: worst.pose, about, required: true, reason, setting, value });
+        };
+        if outside[i].value > 1e-6 {
+            add(outside[i], format!("is {} rad beyond its position limit", number(outside[i].value)), None, None);
         }
-        out
+        let usable = controller.plan.servos.torque[i];
+        if weight[i].value > 0.0 {
+            let needs = usable + weight[i].value;
+            add(
+                weight[i],
+                format!(
+                    "needs {} N·m to hold the arm, the servo has {}: another pose or less payload",
+                    number(needs),
+                    number(usable)
+                ),
+                None,
+                None,
+            );
+        } else if limit[i].value > 0.0 {
+            let missing = number(limit[i].value);
+            add(
+                limit[i],
+                format!(
+                    "cannot hold the arm: its limit is {missing} N·m short of its load; gravity belongs into the limits (gravity=True)"
+                ),
+                Some("gravity"),
+                None,
+            );
+        }
     }
+    out
+}
 
-    /// Position limits that are met before an axis exerts its whole cap; at that deviation the stop adds its force to
-    /// the cap.
-    pub(super) fn stop_findings(&self, r: usize, near: [Near; 2], out: &mut Vec<Issue>) {
-        if self.plan.law == Law::Paper {
-            return; // Law `paper` has no force cap to compare with.
+/// Position limits that are met before an axis exerts its whole cap; at that deviation the stop adds its force to
+/// the cap.
+pub(super) fn stop_findings(controller: &Controller, r: usize, near: [Near; 2], out: &mut Vec<Issue>) {
+    if controller.plan.law == Law::Paper {
+        return; // Law `paper` has no force cap to compare with.
+    }
+    let axis = controller.plan.rows[r].axis;
+    let name = AXIS_NAMES[axis];
+    for (side, (worst, what)) in near.into_iter().enumerate() {
+        let distance = -worst.value;
+        if let Some((joint, full)) = what.filter(|&(_, full)| distance < full) {
+            out.push(Issue {
+                pose: worst.pose,
+                about: format!("{}{name}", ["−", "+"][side]),
+                required: false,
+                reason: format!(
+                    "{} meets its position limit when the axis is pushed by {}, before it gives its whole cap at {}: \
+                     from there the stop takes part of a push",
+                    controller.model().joint_names()[joint],
+                    length(axis, distance),
+                    length(axis, full)
+                ),
+                setting: None,
+                value: None,
+            });
         }
-        let axis = self.plan.rows[r].axis;
-        let name = AXIS_NAMES[axis];
-        for (side, (worst, what)) in near.into_iter().enumerate() {
-            let distance = -worst.value;
-            if let Some((joint, full)) = what.filter(|&(_, full)| distance < full) {
+    }
+}
+
+/// Singular poses that a push reaches from poses that are not near singular.
+pub(super) fn way_findings(controller: &Controller, r: usize, past: [Past; 2], out: &mut Vec<Issue>) {
+    let (axis, least) = (controller.plan.rows[r].axis, NEAR_SINGULAR * controller.plan.damping.sigma_0);
+    for (side, (worst, what)) in past.into_iter().enumerate() {
+        if let Some((push, friction)) = what.filter(|(push, _)| push.sigma < least && push.at > 0.0) {
+            out.push(Issue {
+                pose: worst.pose,
+                about: format!("{}{}", ["−", "+"][side], AXIS_NAMES[axis]),
+                required: false,
+                reason: format!(
+                    "pushed by {} the arm is near a singular pose (σ_min {}, below {}), where joint friction along \
+                     the axis is {} {unit} instead of {} {unit}",
+                    length(axis, push.at),
+                    number(push.sigma),
+                    number(least),
+                    number(push.friction),
+                    number(friction),
+                    unit = unit(axis),
+                ),
+                setting: None,
+                value: None,
+            });
+        }
+    }
+}
+
+/// Force on a hand after a host loss above the allowed one, although the limits hold no more than the arm's weight.
+pub(super) fn host_loss_finding(controller: &Controller, worst: Worst, row: usize, sign: f64) -> Option<Issue> {
+    let most = controller.plan.max_host_loss_force.filter(|most| worst.value > most * (1.0 + 1e-9))?;
+    Some(Issue {
+        pose: worst.pose,
+        about: format!("{}{}", if sign < 0.0 { "−" } else { "+" }, AXIS_NAMES[controller.plan.rows[row].axis]),
+        required: true,
+        reason: format!(
+            "torque_limits.max_host_loss_force is {} N, but limits that just hold the arm leave {} N to a hand",
+            number(most),
+            number(worst.value)
+        ),
+        setting: Some("torque_limits.max_host_loss_force".into()),
+        value: Some(round_up(worst.value)),
+    })
+}
+
+pub(super) fn axis_findings(controller: &Controller, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Issue>) {
+    if controller.plan.law == Law::Paper {
+        return; // Law `paper` has budgets, not forces; see the report.
+    }
+    let row = &controller.plan.rows[r];
+    let (name, given, unit) = (AXIS_NAMES[row.axis], &controller.settings().axes[row.axis], unit(row.axis));
+    for side in 0..2 {
+        let (has, about) = (-lack[side].value, format!("{}{name}", ["−", "+"][side]));
+        let asked: &[(&str, f64, bool)] = if row.yields[side] > 0.0 {
+            &[("firm", row.firm[side], given.firm.is_some()), ("soft", row.soft[side], given.soft.is_some())]
+        } else {
+            &[("hold", row.hold, given.hold.is_some())]
+        };
+        for &(field, strength, required) in asked {
+            if strength > has {
+                let most = round_down(has).max(0.0);
                 out.push(Issue {
-                    pose: worst.pose,
-                    about: format!("{}{name}", ["−", "+"][side]),
-                    required: false,
+                    pose: lack[side].pose,
+                    about: about.clone(),
+                    required,
                     reason: format!(
-                        "{} meets its position limit when the axis is pushed by {}, before it gives its whole cap at {}: \
-                         from there the stop takes part of a push",
-                        self.model().joint_names()[joint],
-                        length(axis, distance),
-                        length(axis, full)
+                        "{field} is {} {unit}, the servos' torque ends at {} {unit}",
+                        number(strength),
+                        number(has)
                     ),
-                    setting: None,
-                    value: None,
+                    setting: (has > 0.0).then(|| format!("axes.{name}.{field}")),
+                    value: (has > 0.0).then_some(most),
                 });
             }
         }
-    }
-
-    /// Singular poses that a push reaches from poses that are not near singular.
-    pub(super) fn way_findings(&self, r: usize, past: [Past; 2], out: &mut Vec<Issue>) {
-        let (axis, least) = (self.plan.rows[r].axis, NEAR_SINGULAR * self.plan.damping.sigma_0);
-        for (side, (worst, what)) in past.into_iter().enumerate() {
-            if let Some((push, friction)) = what.filter(|(push, _)| push.sigma < least && push.at > 0.0) {
-                out.push(Issue {
-                    pose: worst.pose,
-                    about: format!("{}{}", ["−", "+"][side], AXIS_NAMES[axis]),
-                    required: false,
-                    reason: format!(
-                        "pushed by {} the arm is near a singular pose (σ_min {}, below {}), where joint friction along the axis \
-                         is {} {unit} instead of {} {unit}",
-                        length(axis, push.at),
-                        number(push.sigma),
-                        number(least),
-                        number(push.friction),
-                        number(friction),
-                        unit = unit(axis),
-                    ),
-                    setting: None,
-                    value: None,
-                });
-            }
-        }
-    }
-
-    /// Force on a hand after a host loss above the allowed one, although the limits hold no more than the arm's weight.
-    pub(super) fn host_loss_finding(&self, worst: Worst, row: usize, sign: f64) -> Option<Issue> {
-        let most = self.plan.max_host_loss_force.filter(|most| worst.value > most * (1.0 + 1e-9))?;
-        Some(Issue {
-            pose: worst.pose,
-            about: format!("{}{}", if sign < 0.0 { "−" } else { "+" }, AXIS_NAMES[self.plan.rows[row].axis]),
-            required: true,
-            reason: format!(
-                "torque_limits.max_host_loss_force is {} N, but limits that just hold the arm leave {} N to a hand",
-                number(most),
-                number(worst.value)
-            ),
-            setting: Some("torque_limits.max_host_loss_force".into()),
-            value: Some(round_up(worst.value)),
-        })
-    }
-
-    pub(super) fn axis_findings(&self, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Issue>) {
-        if self.plan.law == Law::Paper {
-            return; // Law `paper` has budgets, not forces; see the report.
-        }
-        let row = &self.plan.rows[r];
-        let (name, given, unit) = (AXIS_NAMES[row.axis], &self.settings().axes[row.axis], unit(row.axis));
-        for side in 0..2 {
-            let (has, about) = (-lack[side].value, format!("{}{name}", ["−", "+"][side]));
-            let asked: &[(&str, f64, bool)] = if row.yields[side] > 0.0 {
-                &[("firm", row.firm[side], given.firm.is_some()), ("soft", row.soft[side], given.soft.is_some())]
-            } else {
-                &[("hold", row.hold, given.hold.is_some())]
-            };
-            for &(field, strength, required) in asked {
-                if strength > has {
-                    let most = round_down(has).max(0.0);
-                    out.push(Issue {
-                        pose: lack[side].pose,
-                        about: about.clone(),
-                        required,
-                        reason: format!(
-                            "{field} is {} {unit}, the servos' torque ends at {} {unit}",
-                            number(strength),
-                            number(has)
-                        ),
-                        setting: (has > 0.0).then(|| format!("axes.{name}.{field}")),
-                        value: (has > 0.0).then_some(most),
-                    });
-                }
-            }
-            if row.yields[side] > 0.0 && row.soft[side] < rub.value {
-                out.push(Issue {
-                    pose: rub.pose,
-                    about,
-                    required: given.soft.is_some(),
-                    reason: format!(
-                        "soft is {} {unit}, friction leaves {} {unit}: it cannot track",
-                        number(row.soft[side]),
-                        number(rub.value)
-                    ),
-                    setting: Some(format!("axes.{name}.soft")),
-                    value: Some(round_up(rub.value)),
-                });
-            }
+        if row.yields[side] > 0.0 && row.soft[side] < rub.value {
+            out.push(Issue {
+                pose: rub.pose,
+                about,
+                required: given.soft.is_some(),
+                reason: format!(
+                    "soft is {} {unit}, friction leaves {} {unit}: it cannot track",
+                    number(row.soft[side]),
+                    number(rub.value)
+                ),
+                setting: Some(format!("axes.{name}.soft")),
+                value: Some(round_up(rub.value)),
+            });
         }
     }
 }

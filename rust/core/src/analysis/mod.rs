@@ -9,5 +9,6 @@ mod push_path;
 mod report;
 mod tracking;
 
-pub use check::{FeasibilityReport, Issue};
-pub use report::PoseReport;
+pub use check::{FeasibilityReport, Issue, check_path, check_pose};
+pub use report::{PoseReport, report, report_at};
+pub use tracking::raise_soft;

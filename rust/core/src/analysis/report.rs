@@ -101,174 +101,171 @@ pub struct PoseReport {
     pub prismatic: Vec<bool>,
 }
 
-impl Controller {
-    /// Reports on the pose and the limits of the last step.
-    ///
-    /// # Errors
-    /// [`Error::Config`] before the first step.
-    pub fn report(&self) -> Result<PoseReport> {
-        if self.memory.limit.is_none() {
-            return Err(Error::config("report", "no step has been made yet: make one, or report on a given q"));
-        }
-        Ok(self.compose())
+/// Reports on the pose and the limits of the last step.
+///
+/// # Errors
+/// [`Error::Config`] before the first step.
+pub fn report(controller: &Controller) -> Result<PoseReport> {
+    if controller.memory.limit.is_none() {
+        return Err(Error::config("report", "no step has been made yet: make one, or report on a given q"));
     }
+    Ok(compose(controller))
+}
 
-    /// Reports on the arm at rest on its target in `q` (n) [rad]. Does not change the controller.
-    ///
-    /// # Errors
-    /// As [`Controller::step`].
-    ///
-    /// ```
-    /// # use pliant_core::{Controller, Model, ModelOptions, Servos, Settings};
-    /// # fn main() -> pliant_core::Result<()> {
-    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
-    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
-    /// # let servos = Servos::new(vec![150.0], vec![10.7]);
-    /// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
-    /// let report = controller.report_at(&[-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17])?; // [rad]
-    /// assert_eq!(report.axes[1], "y");
-    /// assert!(report.capacity[1][0] > 0.0); // [N], all that the servos can answer to a push toward −y
-    /// assert!(report.to_string().contains("gives way"));
-    /// # Ok(())
-    /// # }
-    /// ```
-    pub fn report_at(&self, q: &[f64]) -> Result<PoseReport> {
-        Ok(self.at_rest(q)?.compose())
-    }
+/// Reports on the arm at rest on its target in `q` (n) [rad]. Does not change the controller.
+///
+/// # Errors
+/// As [`Controller::step`].
+///
+/// ```
+/// # use pliant_core::analysis::report_at;
+/// # use pliant_core::{Controller, Model, ModelOptions, Servos, Settings};
+/// # fn main() -> pliant_core::Result<()> {
+/// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+/// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+/// # let servos = Servos::new(vec![150.0], vec![10.7]);
+/// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
+/// let report = report_at(&controller, &[-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17])?; // [rad]
+/// assert_eq!(report.axes[1], "y");
+/// assert!(report.capacity[1][0] > 0.0); // [N], all that the servos can answer to a push toward −y
+/// assert!(report.to_string().contains("gives way"));
+/// # Ok(())
+/// # }
+/// ```
+pub fn report_at(controller: &Controller, q: &[f64]) -> Result<PoseReport> {
+    Ok(compose(&at_rest(controller, q)?))
+}
 
-    /// Returns a copy of this controller after its first step, on its target in `q`.
-    pub(super) fn at_rest(&self, q: &[f64]) -> Result<Self> {
-        let at = self.joints("q", q, COORDINATE_BOUND)?;
-        let mut copy = self.clone();
-        // At rest the goals have reached their final values.
-        copy.settings.tracking.goal_slew = f64::INFINITY;
-        copy.reset(q)?;
-        let mut frames = Frames::default();
-        copy.model().chain().forward(&at, &mut frames);
-        copy.step(q, &frames.tool, &StepInput::default())?;
-        Ok(copy)
-    }
+/// Returns a copy of this controller after its first step, on its target in `q`.
+pub(super) fn at_rest(controller: &Controller, q: &[f64]) -> Result<Controller> {
+    let at = controller.model().joints_within("q", q, COORDINATE_BOUND)?;
+    let mut copy = controller.clone();
+    // At rest the goals have reached their final values.
+    copy.settings.tracking.goal_slew = f64::INFINITY;
+    copy.reset(q)?;
+    let mut frames = Frames::default();
+    copy.model().chain().forward(&at, &mut frames);
+    copy.step(q, &frames.tool, &StepInput::default())?;
+    Ok(copy)
+}
 
-    fn compose(&self) -> PoseReport {
-        let (plan, record) = (&self.plan, &self.record());
-        let (k, n) = (plan.k, plan.n);
-        let limit = self.limits_in_force();
-        let pose = Pose::new(plan, self.settings(), record);
-        let singular = record.singular_values(plan);
-        let sigma_min = singular.iter().copied().fold(f64::INFINITY, f64::min);
-        let friction = pose.friction();
-        let mut report = PoseReport {
-            axes: plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
-            joints: self.model().joint_names().to_vec(),
-            law: plan.law,
-            q: record.q[..n].to_vec(),
-            torque_limit: limit[..n].to_vec(),
-            static_force: Vec::with_capacity(k),
-            capacity: Vec::with_capacity(k),
-            gives_way: Vec::with_capacity(k),
-            yields: plan.rows[..k].iter().map(|row| row.yields.map(|w| w > 0.0)).collect(),
-            friction: friction[..k].to_vec(),
-            friction_left: friction[..k].iter().map(|f| f * pose.friction_share_left()).collect(),
-            coupling: Vec::with_capacity(k),
-            coupled_to: Vec::with_capacity(k),
-            thresholds: plan.rows[..k]
-                .iter()
-                .map(|row| [row.soft_until, row.firm_from].map(|d| d / (1.0 - row.eta)))
-                .collect(),
-            gravity_margin: (0..n).map(|i| [limit[i] - record.gravity[i], limit[i] + record.gravity[i]]).collect(),
-            sigma_min,
-            condition: singular.max() / sigma_min,
-            sigma_0: plan.damping.sigma_0,
-            saturated: record.saturated[..n].to_vec(),
-            locked: record.locked[..n].to_vec(),
-            host_loss_force: Vec::with_capacity(k),
-            max_host_loss_force: plan.max_host_loss_force,
-            gain_factor: self.gain_factor(),
-            damping_factor: self.damping_factor(),
-            hold: plan.rows[..k].iter().map(|row| (row.hold, row.raised_from)).collect(),
-            stop_distance: Vec::with_capacity(k),
-            stop_joint: Vec::with_capacity(k),
-            stop_room: Vec::with_capacity(k),
-            stop_friction: Vec::with_capacity(k),
-            way_friction: Vec::with_capacity(k),
-            way_sigma: Vec::with_capacity(k),
-            way_distance: Vec::with_capacity(k),
-            deviation_limit: vec![[f64::INFINITY; 2]; k],
-            on_deviation_limit: plan.axes.iter().map(|&axis| self.settings().axes[axis].on_deviation_limit).collect(),
-            prismatic: self.model().prismatic().to_vec(),
-        };
-        for limit in &plan.deviation_limits {
-            for (slot, _) in report.deviation_limit.iter_mut().zip(&plan.axes).filter(|(_, axis)| **axis == limit.axis)
-            {
-                *slot = limit.most;
-            }
-        }
-        let mut rubs = [0.0; MAX_JOINTS];
-        (0..n).for_each(|i| rubs[i] = plan.servos.friction_at_rest(i, record.gravity[i]));
-        let mut frames = Frames::default();
-        self.model().chain().forward(&record.q, &mut frames);
-        let way = self.way(&frames, &rubs);
-        let goal = spread(self.command.goal());
-        let dead = self.dead(&frames, &goal, &limit, &rubs);
-        let rest = dead.settled();
-        for row in 0..k {
-            let hold = |limit: &JointVec| {
-                [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n))
-            };
-            report.static_force.push(hold(&limit));
-            report.capacity.push(hold(&plan.servos.torque));
-            report.gives_way.push([0, 1].map(|side| pose.gives_way(row, side)));
-            let coupling = [0, 1].map(|side| pose.coupling(row, side));
-            report.coupling.push(coupling.map(|(force, _)| force));
-            report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
-            report.host_loss_force.push([-1.0, 1.0].map(|sign| {
-                let met = dead.largest(&rest, row, sign);
-                if met.walled { f64::INFINITY } else { met.force }
-            }));
-            let pushes = [-1.0, 1.0].map(|sign| way.follow(row, sign));
-            let stops = pushes.map(|push| push.stop);
-            report.way_friction.push(pushes.map(|push| push.friction));
-            report.way_sigma.push(pushes.map(|push| push.sigma));
-            report.way_distance.push(pushes.map(|push| push.at));
-            report.stop_distance.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.distance)));
-            report.stop_joint.push(stops.map(|stop| stop.map(|stop| stop.joint)));
-            report.stop_room.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.room)));
-            report.stop_friction.push(stops.map(|stop| stop.map_or(0.0, |stop| stop.friction)));
-        }
-        report
-    }
-
-    /// Returns the push paths from the last step's pose; `friction` at rest [N·m].
-    pub(super) fn way<'a>(&'a self, frames: &Frames, friction: &'a JointVec) -> Way<'a> {
-        let base_from_task = self.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool);
-        Way { model: self.model(), plan: &self.plan, base_from_task, q: &self.record.q, friction }
-    }
-
-    /// Returns the arm with its last command, for a host loss now.
-    pub(super) fn dead<'a>(
-        &'a self,
-        frames: &Frames,
-        goal: &'a JointVec,
-        limit: &'a JointVec,
-        friction: &'a JointVec,
-    ) -> HostLoss<'a> {
-        HostLoss {
-            chain: self.model().chain(),
-            plan: &self.plan,
-            masses: &self.masses,
-            gravity: self.gravity,
-            base_from_task: self.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool),
-            q: &self.record.q,
-            goal,
-            limit,
-            friction,
+fn compose(controller: &Controller) -> PoseReport {
+    let (plan, record) = (&controller.plan, &controller.record());
+    let (k, n) = (plan.k, plan.n);
+    let limit = limits_in_force(controller);
+    let pose = Pose::new(plan, controller.settings(), record);
+    let singular = record.singular_values(plan);
+    let sigma_min = singular.iter().copied().fold(f64::INFINITY, f64::min);
+    let friction = pose.friction();
+    let mut report = PoseReport {
+        axes: plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
+        joints: controller.model().joint_names().to_vec(),
+        law: plan.law,
+        q: record.q[..n].to_vec(),
+        torque_limit: limit[..n].to_vec(),
+        static_force: Vec::with_capacity(k),
+        capacity: Vec::with_capacity(k),
+        gives_way: Vec::with_capacity(k),
+        yields: plan.rows[..k].iter().map(|row| row.yields.map(|w| w > 0.0)).collect(),
+        friction: friction[..k].to_vec(),
+        friction_left: friction[..k].iter().map(|f| f * pose.friction_share_left()).collect(),
+        coupling: Vec::with_capacity(k),
+        coupled_to: Vec::with_capacity(k),
+        thresholds: plan.rows[..k]
+            .iter()
+            .map(|row| [row.soft_until, row.firm_from].map(|d| d / (1.0 - row.eta)))
+            .collect(),
+        gravity_margin: (0..n).map(|i| [limit[i] - record.gravity[i], limit[i] + record.gravity[i]]).collect(),
+        sigma_min,
+        condition: singular.max() / sigma_min,
+        sigma_0: plan.damping.sigma_0,
+        saturated: record.saturated[..n].to_vec(),
+        locked: record.locked[..n].to_vec(),
+        host_loss_force: Vec::with_capacity(k),
+        max_host_loss_force: plan.max_host_loss_force,
+        gain_factor: controller.gain_factor(),
+        damping_factor: controller.damping_factor(),
+        hold: plan.rows[..k].iter().map(|row| (row.hold, row.raised_from)).collect(),
+        stop_distance: Vec::with_capacity(k),
+        stop_joint: Vec::with_capacity(k),
+        stop_room: Vec::with_capacity(k),
+        stop_friction: Vec::with_capacity(k),
+        way_friction: Vec::with_capacity(k),
+        way_sigma: Vec::with_capacity(k),
+        way_distance: Vec::with_capacity(k),
+        deviation_limit: vec![[f64::INFINITY; 2]; k],
+        on_deviation_limit: plan.axes.iter().map(|&axis| controller.settings().axes[axis].on_deviation_limit).collect(),
+        prismatic: controller.model().prismatic().to_vec(),
+    };
+    for limit in &plan.deviation_limits {
+        for (slot, _) in report.deviation_limit.iter_mut().zip(&plan.axes).filter(|(_, axis)| **axis == limit.axis) {
+            *slot = limit.most;
         }
     }
-
-    /// Returns the limits of the last command.
-    pub(super) fn limits_in_force(&self) -> JointVec {
-        spread(self.command.torque_limit())
+    let mut rubs = [0.0; MAX_JOINTS];
+    (0..n).for_each(|i| rubs[i] = plan.servos.friction_at_rest(i, record.gravity[i]));
+    let mut frames = Frames::default();
+    controller.model().chain().forward(&record.q, &mut frames);
+    let way = way(controller, &frames, &rubs);
+    let goal = spread(controller.command.goal());
+    let dead = host_loss(controller, &frames, &goal, &limit, &rubs);
+    let rest = dead.settled();
+    for row in 0..k {
+        let hold =
+            |limit: &JointVec| [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n));
+        report.static_force.push(hold(&limit));
+        report.capacity.push(hold(&plan.servos.torque));
+        report.gives_way.push([0, 1].map(|side| pose.gives_way(row, side)));
+        let coupling = [0, 1].map(|side| pose.coupling(row, side));
+        report.coupling.push(coupling.map(|(force, _)| force));
+        report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
+        report.host_loss_force.push([-1.0, 1.0].map(|sign| {
+            let met = dead.largest(&rest, row, sign);
+            if met.walled { f64::INFINITY } else { met.force }
+        }));
+        let pushes = [-1.0, 1.0].map(|sign| way.follow(row, sign));
+        let stops = pushes.map(|push| push.stop);
+        report.way_friction.push(pushes.map(|push| push.friction));
+        report.way_sigma.push(pushes.map(|push| push.sigma));
+        report.way_distance.push(pushes.map(|push| push.at));
+        report.stop_distance.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.distance)));
+        report.stop_joint.push(stops.map(|stop| stop.map(|stop| stop.joint)));
+        report.stop_room.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.room)));
+        report.stop_friction.push(stops.map(|stop| stop.map_or(0.0, |stop| stop.friction)));
     }
+    report
+}
+
+/// Returns the push paths from the last step's pose; `friction` at rest [N·m].
+pub(super) fn way<'a>(controller: &'a Controller, frames: &Frames, friction: &'a JointVec) -> Way<'a> {
+    let base_from_task = controller.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool);
+    Way { model: controller.model(), plan: &controller.plan, base_from_task, q: &controller.record.q, friction }
+}
+
+/// Returns the arm with its last command, for a host loss now.
+pub(super) fn host_loss<'a>(
+    controller: &'a Controller,
+    frames: &Frames,
+    goal: &'a JointVec,
+    limit: &'a JointVec,
+    friction: &'a JointVec,
+) -> HostLoss<'a> {
+    HostLoss {
+        chain: controller.model().chain(),
+        plan: &controller.plan,
+        masses: &controller.masses,
+        gravity: controller.gravity,
+        base_from_task: controller.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool),
+        q: &controller.record.q,
+        goal,
+        limit,
+        friction,
+    }
+}
+
+/// Returns the limits of the last command.
+pub(super) fn limits_in_force(controller: &Controller) -> JointVec {
+    spread(controller.command.torque_limit())
 }
 
 pub(super) fn spread(values: &[f64]) -> JointVec {

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::analysis::axis_strength::Pose;
 use crate::analysis::display::round_up;
+use crate::analysis::report::at_rest;
 use crate::controller::Controller;
 use crate::error::Result;
 use crate::model::Model;
@@ -15,63 +16,64 @@ use crate::{AxisVec, MAX_AXES};
 /// known to 30 % and delayed by one step each way; with 1 the axis lags, below 1 it does not move.
 const FOLLOWS: f64 = 3.0;
 
-impl Settings {
-    /// Returns these settings with `soft` of every yielding axis raised to at least three times its friction: a softer
-    /// axis may not track.
-    ///
-    /// Uses the worst pose of `path`, one posture (n) [rad] each; without a path, the median over the arm's joint
-    /// space. Raises `firm` and `hold` if they would be smaller.
-    ///
-    /// # Errors
-    /// As [`Controller::new`] and [`Controller::step`].
-    pub fn raise_soft(&self, model: &Arc<Model>, servos: Option<&Servos>, path: &[Vec<f64>]) -> Result<Self> {
-        let controller = Controller::new(Arc::clone(model), self.clone(), servos.cloned())?;
-        let plan = &controller.plan;
-        let least = if path.is_empty() {
-            let n = plan.n;
-            let seen: Vec<AxisVec> =
-                workspace::poses(model).map(|q| controller.least_soft(&q[..n])).collect::<Result<_>>()?;
-            let mut out = [0.0; MAX_AXES];
-            for (r, slot) in out.iter_mut().enumerate().take(plan.k) {
-                *slot = workspace::median(&mut seen.iter().map(|one| one[r]).collect::<Vec<_>>());
-            }
-            out
-        } else {
-            let mut out = [0.0; MAX_AXES];
-            for q in path {
-                let seen = controller.least_soft(q)?;
-                (0..plan.k).for_each(|r| out[r] = seen[r].max(out[r]));
-            }
-            out
-        };
-        let mut raised = self.clone();
-        for (row, least) in plan.rows.iter().zip(least).take(plan.k) {
-            let mut soft = row.soft;
-            for side in (0..2).filter(|&side| row.yields[side] > 0.0) {
-                soft[side] = soft[side].max(round_up(least));
-            }
-            if (0..2).any(|side| row.yields[side] > 0.0 && row.soft[side] < least) {
-                let axis = &mut raised.axes[row.axis];
-                axis.yields = Some(axis.effective_yields());
-                axis.soft = Some(soft);
-                // A value that is not set adapts by itself.
-                axis.firm = axis.firm.map(|firm| [0, 1].map(|side| firm[side].max(soft[side])));
-                let most = soft[0].max(soft[1]);
-                axis.hold = axis.hold.map(|hold| hold.max(most));
-            }
+/// Returns the settings with `soft` of every yielding axis raised to at least three times its friction: a softer
+/// axis may not track.
+///
+/// Uses the worst pose of `path`, one posture (n) [rad] each; without a path, the median over the arm's joint
+/// space. Raises `firm` and `hold` if they would be smaller.
+///
+/// # Errors
+/// As [`Controller::new`] and [`Controller::step`].
+pub fn raise_soft(
+    settings: &Settings,
+    model: &Arc<Model>,
+    servos: Option<&Servos>,
+    path: &[Vec<f64>],
+) -> Result<Settings> {
+    let controller = Controller::new(Arc::clone(model), settings.clone(), servos.cloned())?;
+    let plan = &controller.plan;
+    let least = if path.is_empty() {
+        let n = plan.n;
+        let seen: Vec<AxisVec> =
+            workspace::poses(model).map(|q| least_soft(&controller, &q[..n])).collect::<Result<_>>()?;
+        let mut out = [0.0; MAX_AXES];
+        for (r, slot) in out.iter_mut().enumerate().take(plan.k) {
+            *slot = workspace::median(&mut seen.iter().map(|one| one[r]).collect::<Vec<_>>());
         }
-        Ok(raised)
+        out
+    } else {
+        let mut out = [0.0; MAX_AXES];
+        for q in path {
+            let seen = least_soft(&controller, q)?;
+            (0..plan.k).for_each(|r| out[r] = seen[r].max(out[r]));
+        }
+        out
+    };
+    let mut raised = settings.clone();
+    for (row, least) in plan.rows.iter().zip(least).take(plan.k) {
+        let mut soft = row.soft;
+        for side in (0..2).filter(|&side| row.yields[side] > 0.0) {
+            soft[side] = soft[side].max(round_up(least));
+        }
+        if (0..2).any(|side| row.yields[side] > 0.0 && row.soft[side] < least) {
+            let axis = &mut raised.axes[row.axis];
+            axis.yields = Some(axis.effective_yields());
+            axis.soft = Some(soft);
+            // A value that is not set adapts by itself.
+            axis.firm = axis.firm.map(|firm| [0, 1].map(|side| firm[side].max(soft[side])));
+            let most = soft[0].max(soft[1]);
+            axis.hold = axis.hold.map(|hold| hold.max(most));
+        }
     }
+    Ok(raised)
 }
 
-impl Controller {
-    /// Returns the strength with which each axis tracks a moving target, from rest in `q`. Law `paper` has budgets, not
-    /// forces: there it is the friction.
-    fn least_soft(&self, q: &[f64]) -> Result<AxisVec> {
-        let resting = self.at_rest(q)?;
-        let record = resting.record();
-        let pose = Pose::new(&resting.plan, resting.settings(), &record);
-        let times = if self.plan.law.by_force() { FOLLOWS } else { 1.0 };
-        Ok(pose.friction().map(|friction| times * friction))
-    }
+/// Returns the strength with which each axis tracks a moving target, from rest in `q`. Law `paper` has budgets, not
+/// forces: there it is the friction.
+fn least_soft(controller: &Controller, q: &[f64]) -> Result<AxisVec> {
+    let resting = at_rest(controller, q)?;
+    let record = resting.record();
+    let pose = Pose::new(&resting.plan, resting.settings(), &record);
+    let times = if controller.plan.law.by_force() { FOLLOWS } else { 1.0 };
+    Ok(pose.friction().map(|friction| times * friction))
 }

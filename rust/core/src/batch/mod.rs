@@ -1,21 +1,23 @@
-//! Steps of many arms at once, in chunks on all cores.
+//! Steps of many arms at once: inputs, outputs and states row by row, in chunks on all cores.
 
 mod soa;
-mod state;
+pub(crate) mod state;
 
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::controller::state::Memory;
-use crate::controller::state_vector::{Kept, width};
-use crate::controller::{Controller, StepInput};
+use crate::batch::soa::Abreast;
+use crate::batch::state::{Kept, width};
 use crate::error::{Error, Result};
+use crate::kinematics::Masses;
 use crate::kinematics::velocity_filter::SPEED_BOUND;
+use crate::math::simd::Instructions;
 use crate::math::thread_pool::on_every_core;
+use crate::model::Model;
+use crate::params::{Plan, Settings};
 use crate::pose::Pose;
-
-use soa::Abreast;
+use crate::{JointVec, MAX_JOINTS};
 
 pub use state::BatchState;
 
@@ -69,45 +71,49 @@ pub struct BatchCommand<'a> {
     pub velocity: &'a mut [f64],
 }
 
-impl Controller {
-    /// Runs one control step of `N` arms; the controller's own state and record do not change.
+/// A batch and what its arms have in common.
+#[derive(Clone, Copy)]
+pub(crate) struct Batch<'a> {
+    pub(crate) input: &'a BatchInput<'a>,
+    pub(crate) model: &'a Model,
+    pub(crate) plan: &'a Plan,
+    pub(crate) settings: &'a Settings,
+    pub(crate) masses: &'a Masses,
+    pub(crate) gravity: &'a [f64; 3],
+    pub(crate) instructions: Instructions,
+}
+
+/// Input of one arm.
+pub(crate) struct ArmInput<'a> {
+    /// Index of the arm.
+    pub(crate) row: usize,
+    q: JointVec,
+    n: usize,
+    pub(crate) target: Pose,
+    pub(crate) dq: Option<&'a [f64]>,
+}
+
+impl ArmInput<'_> {
+    /// Measured joint positions (n) [rad].
+    pub(crate) fn q(&self) -> &[f64] {
+        &self.q[..self.n.min(MAX_JOINTS)]
+    }
+}
+
+impl<'a> BatchInput<'a> {
+    /// Creates the input from measured joint positions `q` (`N` × n, row by row) [rad] and targets, without optional
+    /// values.
     ///
-    /// With a `state` each row is bit-identical to the result of a separate controller. Without `state` each row is the
-    /// first step of a controller that was just reset to its q, with unbounded `goal_slew` and `max_tool_speed`. If the
-    /// law is the published one (damping, projector and inverse of the paper) and the arm has at most seven joints,
-    /// such steps are interleaved, one arm per SIMD lane. They equal single steps up to rounding, below 1e-11 of a
-    /// row's largest number at λ ≥ 0.02.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] for inconsistent lengths; [`Error::Config`] for positions as targets of a task with rotations.
-    /// With [`Invalid::Refuse`] the error of [`Controller::step`] for the first invalid row; `state` is then unchanged
-    /// and `out` is undefined. A command that is not finite is found only during the step: the state of that arm is
-    /// then unchanged, while other arms have been stepped.
-    ///
-    /// ```
-    /// # use pliant_core::{BatchCommand, BatchInput, BatchState, Controller, Model, ModelOptions, Servos, Settings, Targets};
-    /// # fn main() -> pliant_core::Result<()> {
-    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
-    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
-    /// # let servos = Servos::new(vec![150.0], vec![10.7]);
-    /// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
-    /// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17].repeat(100); // [rad], row by row
-    /// let target = model.forward_kinematics(&q[..7])?;
-    /// let mut state = BatchState::new(7, 100)?;
-    /// let (mut goal, mut torque_limit, mut velocity) = (q.clone(), q.clone(), q.clone());
-    /// let out = BatchCommand { goal: &mut goal, torque_limit: &mut torque_limit, velocity: &mut velocity };
-    /// controller.step_batch(&BatchInput::new(&q, Targets::One(&target)), Some(&mut state), out)?;
-    /// assert!(torque_limit.iter().all(|limit| (0.0..=10.7).contains(limit))); // [N·m]
-    /// # Ok(())
-    /// # }
-    /// ```
-    pub fn step_batch(
-        &self,
-        input: &BatchInput<'_>,
-        state: Option<&mut BatchState>,
-        out: BatchCommand<'_>,
-    ) -> Result<()> {
-        let n = self.model().n();
+    /// The step checks the lengths.
+    pub fn new(q: &'a [f64], targets: Targets<'a>) -> Self {
+        Self { q, targets, dt: None, dq: None, invalid: Invalid::default() }
+    }
+}
+
+impl<'a> Batch<'a> {
+    /// Checks lengths and kind of the targets; returns the number of arms.
+    pub(crate) fn check(&self, out: &BatchCommand<'_>) -> Result<usize> {
+        let (n, input) = (self.model.n(), self.input);
         if !input.q.len().is_multiple_of(n) {
             return Err(Error::rows("Q", input.q.len(), n));
         }
@@ -124,40 +130,23 @@ impl Controller {
         same("goal", out.goal.len(), n)?;
         same("torque_limit", out.torque_limit.len(), n)?;
         same("velocity", out.velocity.len(), n)?;
-        if matches!(input.targets, Targets::Positions(_)) && self.settings().task.axes[3..].contains(&true) {
+        if matches!(input.targets, Targets::Positions(_)) && self.settings.task.axes[3..].contains(&true) {
             let message = "positions alone say nothing of the rotations that this task has: give poses";
             return Err(Error::config("targets", message));
         }
-        self.check_input(&StepInput { dt: input.dt, ..StepInput::default() })?;
-        match state {
-            None => {
-                let mut free = self.clone();
-                free.forget_bounds();
-                free.rows(input, None, false, out)
-            }
-            Some(state) => {
-                let changed = state.settings.as_deref().is_some_and(|before| before != self.settings());
-                let rows = state.rows_of(self, count)?;
-                if input.invalid == Invalid::Refuse {
-                    self.check_rows(input, rows)?;
-                }
-                self.rows(input, Some(rows), changed, out)?;
-                if changed || state.settings.is_none() {
-                    state.settings = Some(Box::new(self.settings().clone()));
-                }
-                Ok(())
-            }
-        }
+        Ok(count)
     }
 
     /// Checks all rows before anything is changed.
-    fn check_rows(&self, input: &BatchInput<'_>, rows: &[f64]) -> Result<()> {
-        let (n, first) = (self.model().n(), First::default());
+    pub(crate) fn check_rows(&self, rows: &[f64]) -> Result<()> {
+        let (n, first) = (self.model.n(), First::default());
         let check = |(index, rows): (usize, &[f64])| {
             for (i, kept) in rows.chunks_exact(width(n)).enumerate() {
                 let row = index * PIECE + i;
-                let fine = input.row(self, row).and_then(|_| match Kept::of(kept, n) {
-                    Kept::Waiting(q) => self.positions("q", q).map(|_| ()).map_err(|error| error.in_row("state", row)),
+                let fine = self.arm(row).and_then(|_| match Kept::of(kept, n) {
+                    Kept::Waiting(q) => {
+                        self.plan.positions(self.model, "q", q).map(|_| ()).map_err(|error| error.in_row("state", row))
+                    }
                     Kept::New | Kept::Running => Ok(()),
                 });
                 if let Err(error) = fine {
@@ -174,27 +163,28 @@ impl Controller {
         first.result()
     }
 
-    /// Steps all arms.
-    fn rows(
+    /// Steps all arms. `make` creates what steps the arms of a chunk; `step` steps one of them, with its state, and
+    /// writes goals, torque limits and speeds.
+    pub(crate) fn run<A>(
         &self,
-        input: &BatchInput<'_>,
         state: Option<&mut [f64]>,
-        changed: bool,
         out: BatchCommand<'_>,
+        make: impl Fn() -> A + Sync + Send,
+        step: impl Fn(&mut A, &ArmInput<'a>, Option<&mut [f64]>, [&mut [f64]; 3]) -> Result<()> + Sync + Send,
     ) -> Result<()> {
-        let (n, first) = (self.model().n(), First::default());
+        let (n, first) = (self.model.n(), First::default());
         let BatchCommand { goal, torque_limit, velocity } = out;
-        let abreast = state.is_none() && self.goes_abreast();
-        let step = |own: &mut Option<Self>, index: usize, mut kept: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
+        let abreast = state.is_none() && soa::goes_abreast(self.plan);
+        let chunk = |own: &mut Option<A>, index: usize, mut kept: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
             let mut left = u64::MAX;
             if abreast {
                 let outs = outs.each_mut().map(|out| &mut **out);
-                left = self.instructions().run(Abreast { controller: self, input, first: index * PIECE, outs });
+                left = self.instructions.run(Abreast { batch: self, first: index * PIECE, outs });
             }
             if left == 0 {
                 return;
             }
-            let controller = own.get_or_insert_with(|| self.settled());
+            let arm = own.get_or_insert_with(&make);
             let [goals, limits, velocities] = outs;
             let outs = goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
             for (i, ((goal, limit), velocity)) in outs.enumerate() {
@@ -203,118 +193,69 @@ impl Controller {
                 }
                 let row = index * PIECE + i;
                 let kept = kept.as_deref_mut().map(|rows| &mut rows[i * width(n)..][..width(n)]);
-                match controller.row(input, row, kept, changed) {
-                    Ok(()) => {
-                        let command = &controller.command;
-                        goal.copy_from_slice(command.goal());
-                        limit.copy_from_slice(command.torque_limit());
-                        velocity.copy_from_slice(command.speed_limit());
+                let outs = [&mut *goal, &mut *limit, &mut *velocity];
+                if let Err(error) = self.arm(row).and_then(|input| step(arm, &input, kept, outs)) {
+                    for out in [goal, limit, velocity] {
+                        out.fill(f64::NAN);
                     }
-                    Err(error) => {
-                        for out in [goal, limit, velocity] {
-                            out.fill(f64::NAN);
-                        }
-                        if input.invalid == Invalid::Refuse {
-                            first.report(row, error);
-                        }
+                    if self.input.invalid == Invalid::Refuse {
+                        first.report(row, error);
                     }
                 }
             }
         };
         let outs = [goal, torque_limit, velocity];
         let size = PIECE * n;
-        if input.q.len() <= size {
-            step(&mut None, 0, state, outs);
+        if self.input.q.len() <= size {
+            chunk(&mut None, 0, state, outs);
             return first.result();
         }
         let outs = outs.map(|out| out.par_chunks_mut(size));
         let [goals, limits, velocities] = outs;
         let outs = (goals, limits, velocities).into_par_iter().enumerate();
         on_every_core(|| match state {
-            None => outs.for_each_init(|| None, |own, (index, (a, b, c))| step(own, index, None, [a, b, c])),
+            None => outs.for_each_init(|| None, |own, (index, (a, b, c))| chunk(own, index, None, [a, b, c])),
             Some(state) => outs
                 .zip(state.par_chunks_mut(PIECE * width(n)))
-                .for_each_init(|| None, |own, ((index, (a, b, c)), kept)| step(own, index, Some(kept), [a, b, c])),
+                .for_each_init(|| None, |own, ((index, (a, b, c)), kept)| chunk(own, index, Some(kept), [a, b, c])),
         })?;
         first.result()
     }
 
-    /// Steps one arm; writes its state to `kept` only on success.
-    fn row(&mut self, input: &BatchInput<'_>, row: usize, kept: Option<&mut [f64]>, changed: bool) -> Result<()> {
-        let (n, one) = (self.model().n(), input.row(self, row)?);
-        match kept.as_deref() {
-            // The governor's start is irrelevant here: its speed is unbounded.
-            None if self.plan.deviation_limits.is_empty() => self.memory = Memory::at(&one.q, one.target, true),
-            None => self.memory = Memory::new(),
-            Some(kept) => match Kept::of(kept, n) {
-                Kept::New => self.memory = Memory::new(),
-                Kept::Waiting(q) => self.reset(q).map_err(|error| error.in_row("state", row))?,
-                Kept::Running => self.memory.recall(n, kept),
-            },
-        }
-        if changed {
-            self.adapt_memory();
-        }
-        self.advance(&one.q[..self.plan.n.min(crate::MAX_JOINTS)], &one.target, &one.input(input.dt))
-            .map_err(|error| error.in_row("Q", row))?;
-        if let Some(kept) = kept {
-            self.memory.keep(n, kept);
-        }
-        Ok(())
-    }
-}
-
-/// Input of one arm.
-struct Row<'a> {
-    q: crate::JointVec,
-    target: Pose,
-    dq: Option<&'a [f64]>,
-}
-
-impl Row<'_> {
-    fn input(&self, dt: Option<f64>) -> StepInput<'_> {
-        StepInput { dt, dq: self.dq, ..StepInput::default() }
-    }
-}
-
-impl<'a> BatchInput<'a> {
-    /// Creates the input from measured joint positions `q` (`N` × n, row by row) [rad] and targets, without optional
-    /// values.
-    ///
-    /// The step checks the lengths.
-    pub fn new(q: &'a [f64], targets: Targets<'a>) -> Self {
-        Self { q, targets, dt: None, dq: None, invalid: Invalid::default() }
-    }
-
     /// Reads and checks the input of arm `row`.
-    fn row(&self, controller: &Controller, row: usize) -> Result<Row<'a>> {
-        let n = controller.model().n();
-        let q = controller.positions("q", &self.q[row * n..][..n]).map_err(|error| error.in_row("Q", row))?;
-        let dq = self.dq.map(|dq| &dq[row * n..][..n]);
+    fn arm(&self, row: usize) -> Result<ArmInput<'a>> {
+        let (n, model) = (self.model.n(), self.model);
+        let q = &self.input.q[row * n..][..n];
+        let q = self.plan.positions(model, "q", q).map_err(|error| error.in_row("Q", row))?;
+        let dq = self.input.dq.map(|dq| &dq[row * n..][..n]);
         if let Some(dq) = dq {
-            controller.joints("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
+            model.joints_within("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
         }
-        Ok(Row { q, target: self.target(controller, row)?, dq })
+        Ok(ArmInput { row, q, n, target: self.target(row)?, dq })
     }
 
-    fn target(&self, controller: &Controller, row: usize) -> Result<Pose> {
+    fn target(&self, row: usize) -> Result<Pose> {
         let named = |of: &dyn Fn(&str) -> Result<Pose>| of("").or_else(|_| of(&format!("targets[{row}]")));
-        match self.targets {
+        match self.input.targets {
             Targets::One(pose) => Ok(*pose),
             Targets::Poses(values) => {
                 let m = &values[16 * row..][..16];
                 let line = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
                 named(&|name| {
                     let pose = Pose::from_rows_of(name, &[line(0), line(1), line(2), line(3)])?;
-                    controller.check_target(name, &pose).map(|()| pose)
+                    self.check_target(name, &pose).map(|()| pose)
                 })
             }
             Targets::Positions(values) => {
                 let p = &values[3 * row..][..3];
                 let pose = Pose { position: [p[0], p[1], p[2]], ..Pose::IDENTITY };
-                named(&|name| controller.check_target(name, &pose).map(|()| pose))
+                named(&|name| self.check_target(name, &pose).map(|()| pose))
             }
         }
+    }
+
+    fn check_target(&self, what: &str, target: &Pose) -> Result<()> {
+        self.model.check_target_in(what, target, &self.plan.target_region)
     }
 }
 

@@ -2,27 +2,25 @@
 //!
 //! Rare cases (an invalid input, a joint at its limit) are left to single steps.
 
-use crate::batch::{BatchInput, Targets};
-use crate::command::goal::register_speed;
+use crate::batch::{Batch, Targets};
+use crate::command::goal::{Solution, register_speed};
 use crate::command::torque_limit::finish;
-use crate::controller::Controller;
-use crate::controller::stages::{Given, Seen, Solution, row_damping};
 use crate::kinematics::batch::{gather, scatter};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::law::Pacing;
+use crate::law::friction::Fed;
 use crate::law::paper::{is_printed, printed};
-use crate::law::singularity::Condition;
+use crate::law::singularity::{Condition, row_damping};
+use crate::law::{Pacing, Tick};
 use crate::math::simd::{ABREAST, Arithmetic, Columns, Kernel, Lanes, Machine, Many, NEGLIGIBLE, Packed};
-use crate::params::GravityUse;
+use crate::params::{GravityUse, Plan};
 use crate::pose::Pose;
 use crate::task::demand::Wish;
-use crate::task::pose_error_by;
+use crate::task::{Seen, pose_error_by};
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// One chunk of the rows of a batch.
 pub(super) struct Abreast<'a> {
-    pub(super) controller: &'a Controller,
-    pub(super) input: &'a BatchInput<'a>,
+    pub(super) batch: &'a Batch<'a>,
     /// Index of the first row.
     pub(super) first: usize,
     /// Goals, torque limits, velocities.
@@ -32,12 +30,9 @@ pub(super) struct Abreast<'a> {
 /// Jacobians; the arms of a chunk share their memory one after another. The columns after the last joint stay 0.
 type Jacobians<W> = [[W; MAX_JOINTS]; MAX_AXES];
 
-impl Controller {
-    /// Returns true if the settings and the arm allow interleaved steps.
-    pub(super) fn goes_abreast(&self) -> bool {
-        let plan = &self.plan;
-        plan.n <= ABREAST && is_printed(plan) && plan.deviation_limits.is_empty() && plan.max_host_loss_force.is_none()
-    }
+/// Returns true if the settings and the arm allow interleaved steps.
+pub(super) fn goes_abreast(plan: &Plan) -> bool {
+    plan.n <= ABREAST && is_printed(plan) && plan.deviation_limits.is_empty() && plan.max_host_loss_force.is_none()
 }
 
 impl Kernel for Abreast<'_> {
@@ -46,7 +41,7 @@ impl Kernel for Abreast<'_> {
 
     #[inline(always)]
     fn run<M: Machine>(mut self) -> u64 {
-        let (n, mut left) = (self.controller.plan.n.clamp(1, ABREAST), 0);
+        let (n, mut left) = (self.batch.plan.n.clamp(1, ABREAST), 0);
         let (rows, count) = (self.outs[0].len() / n, M::Many::COUNT);
         let mut jacobians = [[M::Many::splat(0.0); MAX_JOINTS]; MAX_AXES];
         let mut from = 0;
@@ -65,9 +60,9 @@ impl Abreast<'_> {
     /// Steps one register of rows, beginning at `from`; returns 0 for rows that are left to single steps, else 1.
     #[inline(always)]
     fn rows<W: Many>(&mut self, n: usize, from: usize, jacobians: &mut Jacobians<W>) -> W {
-        let Controller { plan, settings, model, masses, gravity, .. } = self.controller;
+        let Batch { plan, settings, model, masses, gravity, input, .. } = *self.batch;
         let (row, nothing, mut sure) = (self.first + from, W::splat(0.0), W::splat(1.0));
-        let mut q = gather::<W>(&self.input.q[n * row..], n);
+        let mut q = gather::<W>(&input.q[n * row..], n);
         for i in 0..n {
             sure = W::if_less(W::splat(plan.readable[0][i]), q[i], sure, nothing);
             sure = W::if_less(q[i], W::splat(plan.readable[1][i]), sure, nothing);
@@ -76,7 +71,7 @@ impl Abreast<'_> {
             q[i] = if i < n { without_negligible(q[i]) } else { nothing };
         }
         let mut velocity = Columns::<W, ABREAST>::splat(0.0);
-        if let Some(dq) = self.input.dq {
+        if let Some(dq) = input.dq {
             let mut dq = gather::<W>(&dq[n * row..], n);
             for i in 0..ABREAST {
                 sure = if i < n { W::if_less(W::abs(dq[i]), W::splat(SPEED_BOUND), sure, nothing) } else { sure };
@@ -95,17 +90,23 @@ impl Abreast<'_> {
         let rest = plan.rest.as_ref().map_or(q, Columns::load);
         let (lambda, integral) = (W::splat(plan.damping.lambda_0), Columns::splat(0.0));
         let condition = Condition { damping: lambda * lambda, mu_squared: nothing, factor: None, gamma: W::splat(1.0) };
-        let given = Given {
-            velocity,
-            gradient: plan.cost.gradient(q, rest, 1.0),
-            integral,
+        let tick = Tick {
+            plan,
+            horizon: settings.paper_options.horizon,
+            rows: seen.rows,
             scaled_rows: seen.rows, // the published law uses unscaled rows only
             condition: &condition,
             damping: row_damping::<Columns<W, ABREAST>>(plan, &condition),
             pacing: Pacing::none(), // stateless steps have no reference velocity
+            wish: &wish,
+            velocity,
+            gradient: plan.cost.gradient(q, rest, 1.0),
+            gravity: seen.gravity_in_goal,
+            fed: Fed::new::<W>(settings, condition.gamma),
+            integral,
         };
-        let (motion, budget) = printed(&given.tick(plan, settings, &seen, &wish));
-        let solution = Solution::new(plan, &given, &seen, (motion, None));
+        let (motion, budget) = printed(&tick);
+        let solution = Solution::new(plan, &tick, &seen, (motion, None));
         let wanted = solution.load(plan, settings, (q, integral), &seen, &wish).budget(budget);
         let load = |values| Columns::<W, ABREAST>::load(values);
         let limit = finish(wanted, None, load(&plan.floor), load(&plan.servos.torque), Columns::splat(0.0));
@@ -135,7 +136,7 @@ impl Abreast<'_> {
     fn targets<W: Many>(&self, row: usize, sure: &mut W) -> Pose<W> {
         let (nothing, one) = (W::splat(0.0), W::splat(1.0));
         let mut target = Pose { rotation: [[nothing; 3]; 3], position: [nothing; 3] };
-        match self.input.targets {
+        match self.batch.input.targets {
             Targets::One(pose) => {
                 for i in 0..3 {
                     for j in 0..3 {
@@ -153,7 +154,7 @@ impl Abreast<'_> {
                 for off in [m[12], m[13], m[14], m[15] - one] {
                     *sure = W::if_less(W::abs(off), W::splat(1e-9), *sure, nothing);
                 }
-                *sure = target.if_sure::<W>(&self.controller.plan.target_region, *sure);
+                *sure = target.if_sure::<W>(&self.batch.plan.target_region, *sure);
             }
             Targets::Positions(values) => {
                 let p = gather::<W>(&values[3 * row..], 3);
@@ -161,7 +162,7 @@ impl Abreast<'_> {
                     target.rotation[i][i] = one;
                     target.position[i] = p[i];
                 }
-                *sure = target.if_sure::<W>(&self.controller.plan.target_region, *sure);
+                *sure = target.if_sure::<W>(&self.batch.plan.target_region, *sure);
             }
         }
         target

@@ -1,21 +1,50 @@
-//! State of many arms between batch steps.
+//! State of many arms between batch steps: one row of numbers for each arm.
 
-use crate::controller::state_vector::{Kept, width};
 use crate::error::{Error, Result};
 use crate::params::Settings;
 use crate::pose::COORDINATE_BOUND;
-use crate::{Controller, MAX_JOINTS};
+use crate::{MAX_AXES, MAX_JOINTS};
 
-/// State of many arms for [`Controller::step_batch`]: `8 (52 + 7 n)` bytes each.
+/// Length of the row of an arm of `n` joints.
+pub(crate) const fn width(n: usize) -> usize {
+    2 + 7 * n + 3 * MAX_AXES + 2 * POSE + MAX_AXES + 2
+}
+
+/// Rotation matrix and position.
+const POSE: usize = 12;
+
+/// Status flags; their sum is element 0 of the row. 0: not started, the positions of the next step become the reset
+/// positions.
+#[derive(Clone, Copy)]
+pub(crate) enum Flag {
+    Started = 1,
+    Cold = 2,
+    Limited = 4,
+    /// Reset to the stored goals before the next step.
+    Waiting = 8,
+}
+
+/// Status of an arm whose state is in a row.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Kept<'a> {
+    /// Not started.
+    New,
+    /// Reset to these positions before the next step.
+    Waiting(&'a [f64]),
+    /// At least one step has run.
+    Running,
+}
+
+/// State of many arms for [`Controller::step_batch`](crate::Controller::step_batch): `8 (52 + 7 n)` bytes each.
 ///
 /// Independent of the controller: any controller of arms with the same number of joints can continue with it. An arm
 /// that was never stepped resets to the positions of its next step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BatchState {
     n: usize,
-    pub(super) rows: Vec<f64>,
+    rows: Vec<f64>,
     /// Settings of the last step: if they change, the singular vectors are computed from scratch.
-    pub(super) settings: Option<Box<Settings>>,
+    pub(crate) settings: Option<Box<Settings>>,
 }
 
 impl BatchState {
@@ -87,9 +116,9 @@ impl BatchState {
         Ok(())
     }
 
-    /// Returns the rows of `count` arms of this controller.
-    pub(super) fn rows_of(&mut self, controller: &Controller, count: usize) -> Result<&mut [f64]> {
-        let (n, got) = (controller.model().n(), self.len());
+    /// Returns the rows of `count` arms of `n` joints.
+    pub(crate) fn rows_of(&mut self, n: usize, count: usize) -> Result<&mut [f64]> {
+        let got = self.len();
         if self.n != n || got != count {
             return Err(Error::Shape {
                 what: "state".into(),
@@ -98,5 +127,33 @@ impl BatchState {
             });
         }
         Ok(&mut self.rows)
+    }
+}
+
+impl Flag {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a sum of flags")]
+    /// Returns true if the sum contains this flag.
+    pub(crate) fn is_in(self, flags: f64) -> bool {
+        (flags as u32) & self as u32 != 0
+    }
+}
+
+impl<'a> Kept<'a> {
+    /// Returns the status of a row of an arm of `n` joints.
+    pub(crate) fn of(row: &'a [f64], n: usize) -> Self {
+        match row.split_first() {
+            Some((&flags, rest)) if Flag::Waiting.is_in(flags) => Self::Waiting(&rest[..n.min(rest.len())]),
+            Some((&flags, _)) if Flag::Started.is_in(flags) => Self::Running,
+            _ => Self::New,
+        }
+    }
+
+    /// Resets `row`: to `q`, or to the positions of its next step.
+    pub(crate) fn renew(row: &mut [f64], q: Option<&[f64]>) {
+        row.fill(0.0);
+        if let (Some(q), Some((first, rest))) = (q, row.split_first_mut()) {
+            *first = f64::from(Flag::Waiting as u32);
+            rest.iter_mut().zip(q).for_each(|(slot, value)| *slot = *value);
+        }
     }
 }

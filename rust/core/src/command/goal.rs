@@ -1,7 +1,13 @@
 //! Goals: scaling of parts, joints at their position limits, slew.
 
 use crate::MAX_AXES;
-use crate::math::simd::{Arithmetic, Lanes, Scalar};
+use crate::command::torque_limit::Load;
+use crate::law::{Motion, Tick};
+use crate::math::rows::transpose_times;
+use crate::math::simd::{Arithmetic, Axes, Lanes, Scalar};
+use crate::params::{Law, Plan, Settings};
+use crate::task::Seen;
+use crate::task::demand::Wish;
 
 /// Distance beyond a position limit [rad] over which an outward lead fades to zero, if the delay allows that slope.
 const STOP_WIDTH: f64 = 0.02;
@@ -17,6 +23,103 @@ pub(crate) fn fade_beyond<J: Lanes>(lead: J, q: J, lower: J, upper: J, slope: f6
     let size = J::abs(lead);
     let faded = J::fnma(J::at_most(size / J::splat(STOP_WIDTH), J::splat(slope)), beyond, size);
     J::copy_sign(J::at_least(faded, zero), lead)
+}
+
+/// Largest lead [rad] under law `paper` without known servos.
+const LEAD_UNKNOWN: f64 = 0.3;
+
+/// Result of the law.
+#[derive(Clone, Copy)]
+pub(crate) struct Solution<J: Lanes> {
+    pub(crate) motion: Motion<J>,
+    /// τ^q of (11) [N·m]; `None` under laws whose torque limits do not use it.
+    pub(crate) budget: Option<J>,
+    /// Part of the goals that moves the arm, before the slew [rad]; it stays within the position limits.
+    pub(crate) moving: J,
+    /// Part of the goals that exerts a force; it may exceed the position limits [rad].
+    pub(crate) beside: J,
+    /// Part of the goals that carries gravity [rad].
+    pub(crate) weight: J,
+    pub(crate) feed_forward: J,
+}
+
+impl<J: Lanes> Solution<J> {
+    /// Lines 7 to 11 from the law's result, as if no joint had a position limit.
+    #[inline(always)]
+    pub(crate) fn new(
+        plan: &Plan,
+        tick: &Tick<'_, J>,
+        seen: &Seen<'_, J>,
+        (motion, budget): (Motion<J>, Option<J>),
+    ) -> Self {
+        let (kp, compliance) = (J::load(&plan.servos.kp), J::load(&plan.servos.compliance));
+        let (mut force_lead, mut resistance) = (motion.force_lead, motion.feed_forward);
+        // Both are zero under law `paper`.
+        if plan.law.by_force() {
+            let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
+            force_lead = fade_beyond(force_lead, seen.q, lower, upper, plan.stop_slope);
+            resistance = fade_beyond(resistance * compliance, seen.q, lower, upper, plan.stop_slope);
+        }
+        let weight = seen.gravity_in_goal * J::load(&plan.gravity_compliance);
+        Self {
+            motion: Motion { force_lead, ..motion },
+            budget,
+            moving: seen.q + tick.integral + motion.lead + motion.null,
+            beside: force_lead + resistance + weight,
+            weight,
+            feed_forward: kp * resistance,
+        }
+    }
+
+    /// Returns the terms from which line 12 computes the limits under the rule of demand, for measured positions and
+    /// the stored lead [rad].
+    #[inline(always)]
+    pub(crate) fn load(
+        &self,
+        plan: &Plan,
+        settings: &Settings,
+        (q, integral): (J, J),
+        seen: &Seen<'_, J>,
+        wish: &Wish<J::Axes>,
+    ) -> Load<J> {
+        let motion = &self.motion;
+        let wrench = motion.wrench.whole();
+        let pull = transpose_times(seen.rows, &wrench.axes());
+        // Null-space part, and the joint's part of the wrench that a position limit removed.
+        let lead = J::fnma(J::load(&plan.servos.compliance), pull, motion.lead + motion.force_lead + motion.null);
+        let ahead = seen.q - q;
+        Load {
+            gravity: seen.gravity_in_limit,
+            feed_forward: self.feed_forward,
+            task: transpose_times(seen.rows, &J::Axes::clip(wrench, wish.most).axes()),
+            offset: J::load(&plan.servos.kp) * (lead + integral + ahead),
+            gravity_scale: settings.paper_options.gravity_scale,
+            margin: J::load(&plan.margin),
+        }
+    }
+
+    /// Returns the goals before the slew [rad]. Under law `paper` they lead no farther than the limits can use.
+    #[inline(always)]
+    pub(crate) fn goal(&self, plan: &Plan, settings: &Settings, limit: J) -> J {
+        let mut goal = self.moving + self.beside;
+        if plan.law == Law::Paper {
+            let lead = self.motion.lead + self.motion.null;
+            goal = goal + (J::clip(lead, lead_limit(plan, settings, limit)) - lead);
+        }
+        let beyond = J::load(&plan.beyond);
+        let (lower, upper) = (J::load(&plan.lower) - beyond, J::load(&plan.upper) + beyond);
+        J::at_most(J::at_least(goal, lower), upper)
+    }
+}
+
+/// Returns the largest lead of the goals under law `paper` [rad]: slightly more than the torque limit can use.
+#[inline(always)]
+fn lead_limit<J: Lanes>(plan: &Plan, settings: &Settings, limit: J) -> J {
+    match settings.paper_options.lead_limit {
+        Some(lead) => J::splat(lead),
+        None if plan.servos.has_kp => (limit + J::load(&plan.margin)) * J::load(&plan.servos.compliance),
+        None => J::splat(LEAD_UNKNOWN),
+    }
 }
 
 /// Goals of the servos, and their part that carries gravity [rad].

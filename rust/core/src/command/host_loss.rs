@@ -3,8 +3,9 @@
 use crate::kinematics::statics::yield_forces;
 use crate::kinematics::{Frames, Masses};
 use crate::math::simd::{Arithmetic, Plain};
+use crate::math::spatial::Mat3;
 use crate::model::Chain;
-use crate::params::Plan;
+use crate::params::{LimitRule, Plan};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Distance over which a hand is simulated [m, rad], and its speed [m/s, rad/s].
@@ -238,7 +239,7 @@ impl HostLoss<'_> {
 
     /// Returns the limits with which the force on a hand is at most `most` [N]: first removes part of the `margin`,
     /// then part of the excess over `base`, the gravity torques [N·m]. Returns `base` if that is not enough.
-    pub(crate) fn spared(&self, most: f64, base: &JointVec, margin: &JointVec) -> JointVec {
+    fn spared(&self, most: f64, base: &JointVec, margin: &JointVec) -> JointVec {
         let keeps = |limit: &JointVec| HostLoss { limit, ..*self }.worst(most).0 <= most;
         if keeps(self.limit) {
             return *self.limit;
@@ -259,6 +260,51 @@ impl HostLoss<'_> {
             if keeps(&between(middle)) { low = middle } else { high = middle }
         }
         between(low)
+    }
+}
+
+/// Arm at the end of a step, whose torque limits shall bound the force on a hand after a host loss.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct HostLossBound<'a> {
+    pub(crate) chain: &'a Chain,
+    pub(crate) plan: &'a Plan,
+    pub(crate) masses: &'a Masses,
+    pub(crate) gravity: &'a [f64; 3],
+    /// Factor s_g on gravity in the limits.
+    pub(crate) gravity_scale: f64,
+    pub(crate) base_from_task: Mat3,
+    pub(crate) q: JointVec,
+    pub(crate) goal: JointVec,
+    pub(crate) limit: JointVec,
+    /// Gravity torques, and their part in the limits [N·m].
+    pub(crate) holding: JointVec,
+    pub(crate) in_limit: JointVec,
+}
+
+impl HostLossBound<'_> {
+    /// Returns the torque limits with which the arm pushes a hand with at most `most` [N] if the host dies now.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn limits(&self, most: f64) -> JointVec {
+        let (plan, nothing) = (self.plan, [0.0; MAX_JOINTS]);
+        let (mut friction, mut base) = (nothing, nothing);
+        for i in 0..plan.n {
+            friction[i] = plan.servos.friction_at_rest(i, self.holding[i]);
+            base[i] = (self.gravity_scale * self.in_limit[i].abs()).max(plan.floor[i]);
+        }
+        let dead = HostLoss {
+            chain: self.chain,
+            plan,
+            masses: self.masses,
+            gravity: *self.gravity,
+            base_from_task: self.base_from_task,
+            q: &self.q,
+            goal: &self.goal,
+            limit: &self.limit,
+            friction: &friction,
+        };
+        let by_demand = plan.law.by_force() && plan.limits == LimitRule::Demand;
+        dead.spared(most, &base, if by_demand { &plan.margin } else { &nothing })
     }
 }
 

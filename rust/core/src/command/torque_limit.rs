@@ -1,6 +1,8 @@
 //! Joint torque limits.
 
-use crate::math::simd::{Joints, Lanes};
+use crate::law::activation::Activation;
+use crate::math::simd::{Arithmetic, EveryJoint, Joints, Lanes};
+use crate::params::Plan;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Terms of the torque limits; all in N·m, one per joint.
@@ -48,6 +50,38 @@ impl<J: Joints> Load<J> {
             }
         }
         out
+    }
+}
+
+/// Inputs of the sum rule, which few settings use.
+pub(crate) struct Asked {
+    pub(crate) rows: Rows,
+    pub(crate) gradient: JointVec,
+    pub(crate) damping: f64,
+    pub(crate) sigma: [f64; 2],
+    pub(crate) most: AxisVec,
+    pub(crate) gravity: EveryJoint,
+    pub(crate) feed_forward: EveryJoint,
+}
+
+impl Asked {
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn sum(&self, plan: &Plan, gravity_scale: f64) -> JointVec {
+        let Self { rows, gradient, .. } = self;
+        let null = Activation::of_step(plan, rows, gradient, self.damping, || self.sigma)
+            .null()
+            .map(|share| share * plan.null_torque);
+        let nothing = EveryJoint::splat(0.0);
+        let load = Load {
+            gravity: self.gravity,
+            feed_forward: self.feed_forward,
+            task: nothing,
+            offset: nothing,
+            gravity_scale,
+            margin: nothing,
+        };
+        load.sum(&self.rows, &self.most, &null)
     }
 }
 

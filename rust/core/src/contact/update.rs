@@ -3,8 +3,7 @@
 use super::residual::{Balance, Errors, Noise};
 use super::wrench::Estimator;
 use super::{ContactEstimator, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
-use crate::controller::Controller;
-use crate::controller::input::period;
+use crate::controller::{Controller, period};
 use crate::error::{Error, Result};
 use crate::kinematics::Frames;
 use crate::kinematics::velocity_filter::{Filtered, SPEED_BOUND, VelocityFilter};
@@ -68,7 +67,7 @@ impl ContactEstimator {
         }
         let q = controller.positions("q", q)?;
         let dt = period(input.dt.unwrap_or(1.0 / controller.settings().rate))?;
-        let dq = input.dq.map(|dq| controller.joints("dq", dq, SPEED_BOUND)).transpose()?;
+        let dq = input.dq.map(|dq| controller.model().joints_within("dq", dq, SPEED_BOUND)).transpose()?;
         let measured = self.measured(controller, input)?;
         let sent = sent(controller, input)?;
 
@@ -225,10 +224,10 @@ impl ContactEstimator {
     /// Returns torques from a measured load or current.
     fn measured(&self, controller: &Controller, input: &ContactInput<'_>) -> Result<Option<JointVec>> {
         if let Some(load) = input.load {
-            return controller.joints("load [N·m]", load, LOAD_BOUND).map(Some);
+            return controller.model().joints_within("load [N·m]", load, LOAD_BOUND).map(Some);
         }
         let Some(current) = input.current else { return Ok(None) };
-        let mut load = controller.joints("current [A]", current, LOAD_BOUND)?;
+        let mut load = controller.model().joints_within("current [A]", current, LOAD_BOUND)?;
         let Some(constants) = &self.constants else {
             return Err(Error::config(
                 "torque_constant",
@@ -383,8 +382,8 @@ impl Memory {
 /// Returns the newest command, `None` before the first.
 fn sent(controller: &Controller, input: &ContactInput<'_>) -> Result<Option<Sent>> {
     if let Some([goal, limit]) = input.sent {
-        let goal = controller.joints("goal", goal, COORDINATE_BOUND)?;
-        let limit = controller.joints("torque_limit", limit, LOAD_BOUND)?;
+        let goal = controller.model().joints_within("goal", goal, COORDINATE_BOUND)?;
+        let limit = controller.model().joints_within("torque_limit", limit, LOAD_BOUND)?;
         return Ok(Some(Sent { goal, limit }));
     }
     Ok(controller.memory.limit.map(|limit| Sent { goal: controller.memory.goal, limit }))

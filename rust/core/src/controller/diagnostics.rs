@@ -2,12 +2,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::law::activation::{Activation, null_column, product, responsibility};
-use crate::law::nullspace::{fade_squared, projector};
-use crate::math::ldlt6::pseudo_inverse;
-use crate::math::rows::{JointMatrix, load_rows, rows_array};
-use crate::math::simd::{Arithmetic, EveryJoint, Lanes};
-use crate::params::{Plan, Projector};
+use crate::law::activation::{Activation, product, responsibility};
+use crate::law::nullspace::{step_projector, step_pseudo_inverse};
+use crate::math::simd::EveryJoint;
+use crate::params::Plan;
 use crate::pose::Pose;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -101,36 +99,12 @@ impl Record {
     }
 
     fn pseudo_inverse(&self, plan: &Plan) -> Rows {
-        let squared = plan.damping_scale.map(|scale| scale * self.damping * self.damping);
-        pseudo_inverse(&self.rows, &plan.inverse_weight, &squared)
-    }
-
-    /// Returns N as the settings define it.
-    fn projector(&self, plan: &Plan) -> JointMatrix {
-        let size = (plan.k, plan.n);
-        match plan.projector {
-            Projector::Paper => {
-                let squared = plan.damping_scale.map(|scale| scale * self.damping * self.damping);
-                projector(&self.rows, &plan.inverse_weight, &squared, size)
-            }
-            Projector::Exact => {
-                let scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(&self.rows)));
-                let [smallest, largest] = self.sigma(plan);
-                let mu_squared = fade_squared(smallest, largest);
-                projector(&scaled, &plan.inverse_weight, &[mu_squared; MAX_AXES], size)
-            }
-        }
+        step_pseudo_inverse(plan, &self.rows, self.damping)
     }
 
     /// Returns A of (10) over all joints, including locked ones.
     pub(crate) fn shares(&self, plan: &Plan) -> Activation<EveryJoint> {
-        let null = if plan.k < plan.n {
-            let projector = self.projector(plan);
-            null_column(EveryJoint::load(&product(&projector, &self.gradient)), &projector)
-        } else {
-            EveryJoint::splat(0.0)
-        };
-        Activation::new(&load_rows(&self.pseudo_inverse(plan)), null)
+        Activation::of_step(plan, &self.rows, &self.gradient, self.damping, || self.sigma(plan))
     }
 
     /// Activation matrix A of (10), n × (k + 1), the null-space column last.
@@ -140,7 +114,8 @@ impl Record {
 
     /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|` and `|α N∇g|`.
     pub(crate) fn responsibility(&self, plan: &Plan) -> DMatrix<f64> {
-        let null = product(&self.projector(plan), &self.gradient);
+        let projector = step_projector(plan, &self.rows, self.damping, || self.sigma(plan));
+        let null = product(&projector, &self.gradient);
         responsibility(&self.pseudo_inverse(plan), &self.task_velocity, &null, plan.alpha, (plan.k, plan.n))
     }
 

@@ -1,12 +1,27 @@
 //! Validation of a step's inputs; the code after it does not check again.
 
-use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
 use crate::math::simd::{Lanes, NEGLIGIBLE};
+use crate::model::Model;
 use crate::params::Plan;
-use crate::pose::{COORDINATE_BOUND, Pose};
-use crate::{AxisVec, JointVec, MAX_JOINTS};
+use crate::pose::COORDINATE_BOUND;
+use crate::{AxisVec, JointVec};
+
+/// Optional inputs of one step.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct StepInput<'a> {
+    /// Time since the last step [s], at most 1; `None`: 1 / rate.
+    pub dt: Option<f64>,
+    /// Joint velocity [rad/s] in place of the filtered one.
+    pub dq: Option<&'a [f64]>,
+    /// Velocity of the target (6,) [m/s, rad/s], base axes.
+    pub twist: Option<&'a [f64; 6]>,
+    /// Gradient of a user's null-space cost, added to the others.
+    pub gradient: Option<&'a [f64]>,
+    /// Rest posture of this step [rad].
+    pub posture: Option<&'a [f64]>,
+}
 
 /// Shortest time [s] used as a divisor: two readings of one instant must not give infinite speeds.
 const SHORTEST_PERIOD: f64 = 1e-6;
@@ -24,73 +39,25 @@ pub(super) struct Input {
     pub(super) rest: Option<JointVec>,
 }
 
-impl Controller {
-    /// Checks the input of a step.
-    pub(crate) fn check_input(&self, input: &StepInput<'_>) -> Result<()> {
-        self.read(input, &mut Input::default())
-    }
-
-    /// Reads the input into `out`. An out-parameter avoids a copy of the large, usually almost empty struct.
+impl Input {
+    /// Reads and checks the input of a step into `self`: the struct is large and usually almost empty, so it is not
+    /// returned by value.
     #[inline]
-    pub(super) fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
-        out.dt = period(input.dt.unwrap_or(1.0 / self.settings.rate))?;
+    pub(super) fn read(&mut self, model: &Model, plan: &Plan, rate: f64, input: &StepInput<'_>) -> Result<()> {
+        self.dt = period(input.dt.unwrap_or(1.0 / rate))?;
         if let Some(twist) = input.twist {
-            out.twist = Some(checked_twist(twist)?);
+            self.twist = Some(checked_twist(twist)?);
         }
         if let Some(posture) = input.posture {
-            out.rest = Some(self.positions("posture", posture)?);
+            self.rest = Some(plan.positions(model, "posture", posture)?);
         }
         if let Some(dq) = input.dq {
-            out.dq = Some(self.joints("dq", dq, SPEED_BOUND)?);
+            self.dq = Some(model.joints_within("dq", dq, SPEED_BOUND)?);
         }
         if let Some(gradient) = input.gradient {
-            out.gradient = Some(self.joints("gradient", gradient, COORDINATE_BOUND)?);
+            self.gradient = Some(model.joints_within("gradient", gradient, COORDINATE_BOUND)?);
         }
         Ok(())
-    }
-
-    /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
-    pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
-        let [least, most] = &self.plan.readable;
-        self.model.joints_between(what, values, least, most)
-    }
-
-    /// Checks that a tool pose can be a target of this task.
-    pub(crate) fn check_target(&self, what: &str, target: &Pose) -> Result<()> {
-        self.model.check_target_in(what, target, &self.plan.target_region)
-    }
-
-    /// Reads target joint positions.
-    pub(crate) fn joint_target(&self, what: &str, values: &[f64]) -> Result<JointVec> {
-        let [least, most] = &self.plan.joint_targets;
-        self.model.joints_between(what, values, least, most)
-    }
-
-    /// Returns the reason why a step refused these positions and this target.
-    #[cold]
-    pub(super) fn refusal(&self, q: &[f64], target: &Pose) -> Error {
-        match self.positions("q", q).map(|_| ()).and_then(|()| self.check_target("target", target)) {
-            Err(error) => error,
-            Ok(()) => {
-                Error::config("step", "the command is not finite for this q, target and settings: nothing was sent")
-            }
-        }
-    }
-
-    /// Reads `values` as one finite number per joint within ±`bound`.
-    pub(crate) fn joints(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
-        if values.len() != self.plan.n {
-            return Err(Error::length(what, values.len(), self.plan.n));
-        }
-        let mut out = [0.0; MAX_JOINTS];
-        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
-            if !(value.abs() <= bound) {
-                let name = self.model.joint_names().get(i).map_or("", String::as_str);
-                return Err(Error::out_of_range(format!("{what}[{i}] ({name})"), value, format!("±{bound:e}")));
-            }
-            *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
-        }
-        Ok(out)
     }
 }
 
@@ -105,14 +72,6 @@ pub(crate) fn period(dt: f64) -> Result<f64> {
 fn no_period(dt: f64) -> Error {
     let hint = if dt > LONGEST_PERIOD { "; is it in milliseconds?" } else { "" };
     Error::out_of_range("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]{hint}"))
-}
-
-/// Returns true if positions are plausible for a real arm, by the bounds of [`Controller::positions`].
-#[inline(always)]
-pub(super) fn readable<J: Lanes>(plan: &Plan, q: J) -> bool {
-    let (nothing, one) = (J::splat(0.0), J::splat(1.0));
-    let below = J::if_less(q, J::load(&plan.readable[1]), nothing, one);
-    !nothing.any_less(J::if_less(J::load(&plan.readable[0]), q, below, one))
 }
 
 /// Flushes negligibly small positions to 0.

@@ -1,52 +1,40 @@
 //! The controller: construction, settings and read-outs of the control step.
 
-mod capture;
-mod cold_paths;
 mod command;
-pub(crate) mod diagnostics;
-pub(crate) mod input;
+mod diagnostics;
+mod input;
 mod payload_ramp;
 mod snapshot;
-mod solve;
-pub(crate) mod stages;
-pub(crate) mod state;
-pub(crate) mod state_vector;
+mod state;
 mod step;
 
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::controller::payload_ramp::Fade;
+use crate::batch::state::{Kept, width};
+use crate::batch::{ArmInput, Batch, BatchCommand, BatchInput, BatchState, Invalid};
 use crate::error::{Error, Result};
 use crate::kinematics::{Frames, LookScratch, Masses};
+use crate::law::impedance;
 use crate::math::simd::Instructions;
+use crate::math::singular_values::SingularValues;
 use crate::model::{Model, Payload};
-use crate::params::workspace::Surveyed;
-use crate::params::{GravityUse, Law, Plan, Servos, Settings, workspace};
-use crate::pose::Pose;
+use crate::params::workspace::{self, Surveyed};
+use crate::params::{GravityUse, Law, Plan, Servos, Settings};
+use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_JOINTS};
 
 pub use command::Command;
 pub use diagnostics::Record;
+pub use input::StepInput;
+pub(crate) use input::period;
 pub use snapshot::Carried;
 
+use input::Input;
+use payload_ramp::{Fade, carries};
 use state::Memory;
-
-/// Optional inputs of one step.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct StepInput<'a> {
-    /// Time since the last step [s], at most 1; `None`: 1 / rate.
-    pub dt: Option<f64>,
-    /// Joint velocity [rad/s] in place of the filtered one.
-    pub dq: Option<&'a [f64]>,
-    /// Velocity of the target (6,) [m/s, rad/s], base axes.
-    pub twist: Option<&'a [f64; 6]>,
-    /// Gradient of a user's null-space cost, added to the others.
-    pub gradient: Option<&'a [f64]>,
-    /// Rest posture of this step [rad].
-    pub posture: Option<&'a [f64]>,
-}
+use step::Cycle;
 
 /// Compliant task-space controller of one arm.
 #[derive(Debug, Clone)]
@@ -80,262 +68,6 @@ impl Controller {
         let controller = Self::made(model, settings, servos, None)?;
         controller.check_holding(controller.settings.gravity_use(), &controller.masses)?;
         Ok(controller)
-    }
-
-    /// Checks that servos which compensate gravity can hold the arm.
-    fn check_holding(&self, known: GravityUse, masses: &Masses) -> Result<()> {
-        match known {
-            GravityUse::Off => Ok(()),
-            _ => workspace::check_holding(&self.model, &self.plan.servos.torque, masses, self.gravity),
-        }
-    }
-
-    /// As [`Controller::new`], with a captured gravity offset 1/k_g (n); does not check that the servos can hold the
-    /// arm.
-    #[inline(never)]
-    fn made(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
-        let mut surveyed = Surveyed::default();
-        let mut plan = Plan::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut surveyed)?;
-        plan.gravity_compliance.iter_mut().zip(captured.into_iter().flatten()).for_each(|(slot, &value)| *slot = value);
-        let masses = model.chain().masses(model.payload());
-        let zero = [0.0; MAX_JOINTS];
-        let controller = Self {
-            payload: model.payload().copied(),
-            fade: None,
-            gravity: model.gravity_vector(),
-            delay: settings.delay,
-            memory: Memory::new(),
-            record: Record::empty(),
-            command: Command { n: plan.n, goal: zero, torque_limit: zero, speed_limit: zero },
-            captured: captured.map(|_| plan.gravity_compliance),
-            instructions: Instructions::chosen(),
-            scratch: LookScratch::new(),
-            model,
-            settings,
-            servos,
-            surveyed,
-            plan,
-            masses,
-        };
-        controller.check_posture(&controller.settings)?;
-        Ok(controller)
-    }
-
-    /// Checks that the rest posture is a plausible joint position.
-    fn check_posture(&self, settings: &Settings) -> Result<()> {
-        settings
-            .null_space
-            .posture
-            .as_ref()
-            .map_or(Ok(()), |posture| self.positions("null_space.posture", posture).map(|_| ()))
-    }
-
-    /// The robot.
-    pub fn model(&self) -> &Arc<Model> {
-        &self.model
-    }
-
-    /// The current settings.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// The servos, if given.
-    pub fn servos(&self) -> Option<&Servos> {
-        self.servos.as_ref()
-    }
-
-    /// Number of task axes, k.
-    pub fn task_len(&self) -> usize {
-        self.plan.k
-    }
-
-    /// Returns soft, firm and hold of each task axis, defaults filled in; pairs are (pushed toward −, toward +).
-    pub fn strengths(&self) -> Vec<([f64; 2], [f64; 2], f64)> {
-        self.plan.rows.iter().take(self.plan.k).map(|row| (row.soft, row.firm, row.hold)).collect()
-    }
-
-    /// Returns stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of each task axis, defaults filled in, pairs as
-    /// in [`Controller::strengths`]. All are zero except under law `impedance`.
-    pub fn impedances(&self) -> Vec<([f64; 2], [f64; 2])> {
-        self.plan.rows.iter().take(self.plan.k).map(|row| (row.stiffness, row.viscosity)).collect()
-    }
-
-    /// Damping parameters: λ₀, σ₀, λ_max.
-    pub fn damping(&self) -> [f64; 3] {
-        let damping = self.plan.damping;
-        [damping.lambda_0, damping.sigma_0, damping.lambda_max]
-    }
-
-    /// Intermediates of the last step.
-    pub fn record(&self) -> Record {
-        let mut record = self.record;
-        if !self.plan.heavy {
-            record.gravity = self.holding_torques(&record.q);
-        }
-        for i in 0..self.plan.n {
-            record.saturated[i] = self.command.torque_limit[i] >= self.plan.servos.torque[i];
-        }
-        record
-    }
-
-    /// Smallest and largest singular value of the last step's task rows, with translations divided by the arm's length.
-    pub fn sigma(&self) -> [f64; 2] {
-        self.record.sigma(&self.plan)
-    }
-
-    /// The instruction set that steps run on.
-    pub fn instructions(&self) -> Instructions {
-        self.instructions
-    }
-
-    /// Sets an instruction set other than that of [`Instructions::chosen`]; results differ by rounding.
-    pub fn set_instructions(&mut self, instructions: Instructions) {
-        self.instructions = instructions;
-    }
-
-    /// The last command; `None` before the first step after construction or reset.
-    pub fn last_command(&self) -> Option<&Command> {
-        self.memory.limit.map(|_| &self.command)
-    }
-
-    /// Activation matrix A of the last step, n × (k + 1), the null-space column last.
-    pub fn activation(&self) -> DMatrix<f64> {
-        self.record.activation(&self.plan)
-    }
-
-    /// Responsibility R of the last step, n × (k + 1).
-    pub fn responsibility(&self) -> DMatrix<f64> {
-        self.record.responsibility(&self.plan)
-    }
-
-    /// Task rows of the last step, k × n, in the task frame.
-    pub fn task_jacobian(&self) -> DMatrix<f64> {
-        self.record.task_jacobian(&self.plan)
-    }
-
-    /// All singular values of the last step's scaled task rows, largest first.
-    pub fn singular_values(&self) -> DVector<f64> {
-        self.record.singular_values(&self.plan)
-    }
-
-    /// Clears velocity, slew and γ. Takes `q` as start of the goals and, unless the settings give one, as rest posture.
-    ///
-    /// A captured gravity offset stays.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`; the controller is then unchanged.
-    pub fn reset(&mut self, q: &[f64]) -> Result<()> {
-        let q = self.positions("q", q)?;
-        self.restart(&q);
-        Ok(())
-    }
-
-    /// Replaces the settings while running: goals continue from their present values, within their slew.
-    ///
-    /// # Errors
-    /// As [`Controller::new`]; the controller is then unchanged.
-    pub fn update(&mut self, settings: Settings) -> Result<()> {
-        let mut plan =
-            Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some(), &mut self.surveyed)?;
-        self.check_posture(&settings)?;
-        if self.settings.gravity_use() == GravityUse::Off {
-            self.check_holding(settings.gravity_use(), &self.masses)?;
-        }
-        if let Some(compliance) = self.captured {
-            plan.gravity_compliance = compliance;
-        }
-        // Keep a measured delay unless the new settings have another delay than the old ones.
-        if settings.delay.to_bits() != self.settings.delay.to_bits() {
-            self.delay = settings.delay;
-        }
-        plan.derate(self.delay, &settings);
-        self.settings = settings;
-        self.plan = plan;
-        self.adapt_memory();
-        Ok(())
-    }
-
-    /// Resets the parts of the state that depend on the previous settings.
-    pub(crate) fn adapt_memory(&mut self) {
-        if self.settings.tracking.integrate <= 0.0 {
-            self.memory.integral = [0.0; MAX_JOINTS];
-        }
-        self.memory.singular = crate::math::singular_values::SingularValues::start();
-        self.memory.cold = true;
-    }
-
-    /// Removes all rate limits of the goals and of the tool's target.
-    pub(crate) fn forget_bounds(&mut self) {
-        self.settings.tracking.goal_slew = f64::INFINITY;
-        self.settings.max_tool_speed = [f64::INFINITY; 2];
-    }
-
-    /// Sets the payload: mass [kg] and centre of mass in the tool frame [m]; `None` for no payload.
-    ///
-    /// Takes effect at once before the first step, otherwise over half a second, so that a wrong or mistimed payload
-    /// does not make the arm jump.
-    ///
-    /// # Errors
-    /// [`Error::OutOfRange`] for a negative or non-finite value and, if gravity is compensated, for a load that the
-    /// servos cannot hold in any pose.
-    pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
-        if let Some(payload) = payload {
-            payload.validate()?;
-        }
-        let masses = self.model.chain().masses(payload);
-        self.check_holding(self.settings.gravity_use(), &masses)?;
-        self.take(payload.copied(), &masses);
-        Ok(())
-    }
-
-    /// Sets the gravity vector [m/s²] in base axes, for a base that tilts.
-    ///
-    /// # Errors
-    /// [`Error::OutOfRange`] for a component beyond ±100 m/s².
-    pub fn set_gravity(&mut self, vector: [f64; 3]) -> Result<()> {
-        for (name, value) in ["x", "y", "z"].iter().zip(vector) {
-            if !(value.abs() <= 100.0) {
-                return Err(Error::out_of_range(format!("gravity {name} [m/s²]"), value, "±100"));
-            }
-        }
-        self.gravity = vector;
-        Ok(())
-    }
-
-    /// Sets the measured delay T_d [s] from reading to arrival of the goal.
-    ///
-    /// If the stiff axes' gain is too high for this delay, the gain is reduced (see [`Controller::gain_factor`]).
-    ///
-    /// # Errors
-    /// [`Error::OutOfRange`] outside [0, 0.5].
-    pub fn set_delay(&mut self, delay: f64) -> Result<()> {
-        if !(0.0..=0.5).contains(&delay) {
-            return Err(Error::out_of_range("delay [s]", delay, "[0, 0.5]"));
-        }
-        self.delay = delay;
-        self.plan.derate(delay, &self.settings);
-        Ok(())
-    }
-
-    /// Delay T_d [s] from reading to arrival of the goal, as set or measured.
-    pub const fn delay(&self) -> f64 {
-        self.delay
-    }
-
-    /// Factor ≤ 1 on K_x that the delay requires. Under law `impedance`, factor on the stiffness at the last step,
-    /// which also depends on the pose.
-    pub fn gain_factor(&self) -> f64 {
-        if self.plan.law == Law::Impedance { self.record.gain_factor } else { self.plan.kx_derating }
-    }
-
-    /// Factor ≤ 1 on the damping of law `impedance` that delay and pose required at the last step.
-    pub fn damping_factor(&self) -> f64 {
-        if self.plan.law == Law::Impedance {
-            crate::law::impedance::damping_factor(&self.plan, &self.record.rows)
-        } else {
-            1.0
-        }
     }
 
     /// Runs one control step toward a pose of the tool.
@@ -380,6 +112,418 @@ impl Controller {
         self.advance(q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
     }
 
+    /// Runs one control step of `N` arms; the controller's own state and record do not change.
+    ///
+    /// With a `state` each row is bit-identical to the result of a separate controller. Without `state` each row is the
+    /// first step of a controller that was just reset to its q, with unbounded `goal_slew` and `max_tool_speed`. If the
+    /// law is the published one (damping, projector and inverse of the paper) and the arm has at most seven joints,
+    /// such steps are interleaved, one arm per SIMD lane. They equal single steps up to rounding, below 1e-11 of a
+    /// row's largest number at λ ≥ 0.02.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for inconsistent lengths; [`Error::Config`] for positions as targets of a task with rotations.
+    /// With [`Invalid::Refuse`] the error of [`Controller::step`] for the first invalid row; `state` is then unchanged
+    /// and `out` is undefined. A command that is not finite is found only during the step: the state of that arm is
+    /// then unchanged, while other arms have been stepped.
+    ///
+    /// ```
+    /// # use pliant_core::{BatchCommand, BatchInput, BatchState, Controller, Model, ModelOptions, Servos, Settings, Targets};
+    /// # fn main() -> pliant_core::Result<()> {
+    /// # let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+    /// # let model = std::sync::Arc::new(Model::from_urdf_str(include_str!("../../robots/arm7.urdf"), &options)?);
+    /// # let servos = Servos::new(vec![150.0], vec![10.7]);
+    /// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
+    /// let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17].repeat(100); // [rad], row by row
+    /// let target = model.forward_kinematics(&q[..7])?;
+    /// let mut state = BatchState::new(7, 100)?;
+    /// let (mut goal, mut torque_limit, mut velocity) = (q.clone(), q.clone(), q.clone());
+    /// let out = BatchCommand { goal: &mut goal, torque_limit: &mut torque_limit, velocity: &mut velocity };
+    /// controller.step_batch(&BatchInput::new(&q, Targets::One(&target)), Some(&mut state), out)?;
+    /// assert!(torque_limit.iter().all(|limit| (0.0..=10.7).contains(limit))); // [N·m]
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn step_batch(
+        &self,
+        input: &BatchInput<'_>,
+        state: Option<&mut BatchState>,
+        out: BatchCommand<'_>,
+    ) -> Result<()> {
+        let count = self.batch(input).check(&out)?;
+        self.read(&StepInput { dt: input.dt, ..StepInput::default() }, &mut Input::default())?;
+        match state {
+            None => {
+                let mut free = self.clone();
+                free.settings.tracking.goal_slew = f64::INFINITY;
+                free.settings.max_tool_speed = [f64::INFINITY; 2];
+                let step = |arm: &mut Self, one: &ArmInput<'_>, _: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
+                    // The governor's start is irrelevant here: its speed is unbounded.
+                    arm.memory = if arm.plan.deviation_limits.is_empty() {
+                        Memory::resting(one.q(), one.target)
+                    } else {
+                        Memory::new()
+                    };
+                    arm.step_row(one, input.dt, out)
+                };
+                free.batch(input).run(None, out, || free.settled(), step)
+            }
+            Some(state) => {
+                let changed = state.settings.as_deref().is_some_and(|before| before != self.settings());
+                let (n, batch) = (self.plan.n, self.batch(input));
+                let rows = state.rows_of(n, count)?;
+                if input.invalid == Invalid::Refuse {
+                    batch.check_rows(rows)?;
+                }
+                let step = |arm: &mut Self, one: &ArmInput<'_>, kept: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
+                    let kept = kept.unwrap_or_default();
+                    match Kept::of(kept, n) {
+                        Kept::New => arm.memory = Memory::new(),
+                        Kept::Waiting(q) => arm.reset(q).map_err(|error| error.in_row("state", one.row))?,
+                        Kept::Running => arm.memory.recall(n, kept),
+                    }
+                    if changed {
+                        arm.adapt_memory();
+                    }
+                    arm.step_row(one, input.dt, out)?;
+                    arm.memory.keep(n, kept);
+                    Ok(())
+                };
+                batch.run(Some(rows), out, || self.settled(), step)?;
+                if changed || state.settings.is_none() {
+                    state.settings = Some(Box::new(self.settings().clone()));
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Clears velocity, slew and γ. Takes `q` as start of the goals and, unless the settings give one, as rest posture.
+    ///
+    /// A captured gravity offset stays.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`; the controller is then unchanged.
+    pub fn reset(&mut self, q: &[f64]) -> Result<()> {
+        let q = self.positions("q", q)?;
+        self.restart(&q);
+        Ok(())
+    }
+
+    /// Replaces the settings while running: goals continue from their present values, within their slew.
+    ///
+    /// # Errors
+    /// As [`Controller::new`]; the controller is then unchanged.
+    pub fn update(&mut self, settings: Settings) -> Result<()> {
+        let mut plan =
+            Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some(), &mut self.surveyed)?;
+        self.check_posture(&settings)?;
+        if self.settings.gravity_use() == GravityUse::Off {
+            self.check_holding(settings.gravity_use(), &self.masses)?;
+        }
+        if let Some(compliance) = self.captured {
+            plan.gravity_compliance = compliance;
+        }
+        // Keep a measured delay unless the new settings have another delay than the old ones.
+        if settings.delay.to_bits() != self.settings.delay.to_bits() {
+            self.delay = settings.delay;
+        }
+        plan.derate(self.delay, &settings);
+        self.settings = settings;
+        self.plan = plan;
+        self.adapt_memory();
+        Ok(())
+    }
+
+    /// Sets the payload: mass [kg] and centre of mass in the tool frame [m]; `None` for no payload.
+    ///
+    /// Takes effect at once before the first step, otherwise over half a second, so that a wrong or mistimed payload
+    /// does not make the arm jump.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] for a negative or non-finite value and, if gravity is compensated, for a load that the
+    /// servos cannot hold in any pose.
+    pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
+        if let Some(payload) = payload {
+            payload.validate()?;
+        }
+        let masses = self.model.chain().masses(payload);
+        self.check_holding(self.settings.gravity_use(), &masses)?;
+        let from = match &self.fade {
+            Some(fade) => fade.in_force(self.payload.as_ref()),
+            None => carries(self.payload.as_ref()),
+        };
+        self.fade = self.memory.started.then_some(Fade::start(from, self.masses_in_force()));
+        (self.payload, self.masses) = (payload.copied(), masses);
+        Ok(())
+    }
+
+    /// Sets the gravity vector [m/s²] in base axes, for a base that tilts.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] for a component beyond ±100 m/s².
+    pub fn set_gravity(&mut self, vector: [f64; 3]) -> Result<()> {
+        for (name, value) in ["x", "y", "z"].iter().zip(vector) {
+            if !(value.abs() <= 100.0) {
+                return Err(Error::out_of_range(format!("gravity {name} [m/s²]"), value, "±100"));
+            }
+        }
+        self.gravity = vector;
+        Ok(())
+    }
+
+    /// Sets the measured delay T_d [s] from reading to arrival of the goal.
+    ///
+    /// If the stiff axes' gain is too high for this delay, the gain is reduced (see [`Controller::gain_factor`]).
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] outside [0, 0.5].
+    pub fn set_delay(&mut self, delay: f64) -> Result<()> {
+        if !(0.0..=0.5).contains(&delay) {
+            return Err(Error::out_of_range("delay [s]", delay, "[0, 0.5]"));
+        }
+        self.delay = delay;
+        self.plan.derate(delay, &self.settings);
+        Ok(())
+    }
+
+    /// Sets an instruction set other than that of [`Instructions::chosen`]; results differ by rounding.
+    pub fn set_instructions(&mut self, instructions: Instructions) {
+        self.instructions = instructions;
+    }
+
+    /// Captures the gravity offset of an arm that an integrating goal holds still.
+    ///
+    /// Uses `k_g,i = g_i / lead_i` with `lead = goal − q` where |g_i| exceeds three times the torque that friction and
+    /// one encoder count of the lead can hide, within 0.3…3 × the configured `k_p`. Uses the configured `k_p` for the
+    /// other joints. The result serves the gravity offset only. Returns k_g [N·m/rad].
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::OutOfRange`] for `q` or `goal`; [`Error::Config`] without `k_p`.
+    pub fn capture_gravity(&mut self, q: &[f64], goal: &[f64]) -> Result<Vec<f64>> {
+        let q = self.positions("q", q)?;
+        let goal = self.model.joints_within("goal", goal, COORDINATE_BOUND)?;
+        if !self.plan.servos.has_kp {
+            return Err(Error::config("servos", "capturing gravity needs an assumed k_p: give servos"));
+        }
+        let holding = self.holding_torques(&q);
+        let captured = self.plan.servos.captured_compliance(self.plan.n, &q, &goal, &holding);
+        // Subtract the share of this offset that the integrating goal holds, so that it does not count twice.
+        if self.settings.gravity_use().in_goal() {
+            for i in 0..self.plan.n {
+                let more = holding[i] * (captured[i] - self.plan.gravity_compliance[i]);
+                self.memory.integral[i] -= more;
+                self.memory.weight[i] += more;
+            }
+        }
+        self.captured = Some(captured);
+        self.plan.gravity_compliance = captured;
+        Ok(captured[..self.plan.n].iter().map(|compliance| 1.0 / compliance).collect())
+    }
+
+    /// Returns a snapshot for [`Controller::resumed`].
+    pub fn carried(&self) -> Carried {
+        let n = self.plan.n;
+        let mut memory = vec![0.0; if self.memory.started { width(n) } else { 0 }];
+        self.memory.clone().keep(n, &mut memory);
+        Carried {
+            payload: self.payload,
+            gravity: self.gravity,
+            fading: self.fade.map(|fade| fade.state()),
+            delay: self.delay,
+            captured: self.captured.map(|captured| captured[..n].to_vec()),
+            memory,
+        }
+    }
+
+    /// Creates a controller from a snapshot. If both run on the same instructions, its next step is bit-identical to
+    /// that of the original.
+    ///
+    /// The diagnostics of the last step are not part of the snapshot.
+    ///
+    /// # Errors
+    /// As [`Controller::new`], without the check that the servos can hold the arm, and as [`Controller::set_delay`];
+    /// [`Error::Shape`] for a snapshot of an arm of another size, [`Error::OutOfRange`] for impossible values.
+    pub fn resumed(model: Arc<Model>, settings: Settings, servos: Option<Servos>, carried: &Carried) -> Result<Self> {
+        let n = model.n();
+        carried.validate(n)?;
+        let mut controller = Self::made(model, settings, servos, carried.captured.as_deref())?;
+        if let Some(payload) = &carried.payload {
+            payload.validate()?;
+        }
+        // No check whether the servos can hold the payload: `set_payload` made it with the settings and gravity of that
+        // time.
+        controller.payload = carried.payload;
+        controller.masses = controller.model.chain().masses(carried.payload.as_ref());
+        controller.gravity = carried.gravity;
+        controller.set_delay(carried.delay)?;
+        carried.validate_state(n)?;
+        if !carried.memory.is_empty() {
+            controller.memory.recall(n, &carried.memory);
+        }
+        if let Some(fading) = carried.fading {
+            controller.fade = Some(Fade::resume(fading, &controller.masses));
+            controller.advance_fade(0.0);
+        }
+        Ok(controller)
+    }
+
+    /// The robot.
+    pub fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    /// The current settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The servos, if given.
+    pub fn servos(&self) -> Option<&Servos> {
+        self.servos.as_ref()
+    }
+
+    /// Delay T_d [s] from reading to arrival of the goal, as set or measured.
+    pub const fn delay(&self) -> f64 {
+        self.delay
+    }
+
+    /// The instruction set that steps run on.
+    pub fn instructions(&self) -> Instructions {
+        self.instructions
+    }
+
+    /// The last command; `None` before the first step after construction or reset.
+    pub fn last_command(&self) -> Option<&Command> {
+        self.memory.limit.map(|_| &self.command)
+    }
+
+    /// Intermediates of the last step.
+    pub fn record(&self) -> Record {
+        let mut record = self.record;
+        if !self.plan.heavy {
+            record.gravity = self.holding_torques(&record.q);
+        }
+        for i in 0..self.plan.n {
+            record.saturated[i] = self.command.torque_limit[i] >= self.plan.servos.torque[i];
+        }
+        record
+    }
+
+    /// Number of task axes, k.
+    pub fn task_len(&self) -> usize {
+        self.plan.k
+    }
+
+    /// Returns soft, firm and hold of each task axis, defaults filled in; pairs are (pushed toward −, toward +).
+    pub fn strengths(&self) -> Vec<([f64; 2], [f64; 2], f64)> {
+        self.plan.rows.iter().take(self.plan.k).map(|row| (row.soft, row.firm, row.hold)).collect()
+    }
+
+    /// Returns stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of each task axis, defaults filled in, pairs as
+    /// in [`Controller::strengths`]. All are zero except under law `impedance`.
+    pub fn impedances(&self) -> Vec<([f64; 2], [f64; 2])> {
+        self.plan.rows.iter().take(self.plan.k).map(|row| (row.stiffness, row.viscosity)).collect()
+    }
+
+    /// Damping parameters: λ₀, σ₀, λ_max.
+    pub fn damping(&self) -> [f64; 3] {
+        let damping = self.plan.damping;
+        [damping.lambda_0, damping.sigma_0, damping.lambda_max]
+    }
+
+    /// Factor ≤ 1 on K_x that the delay requires. Under law `impedance`, factor on the stiffness at the last step,
+    /// which also depends on the pose.
+    pub fn gain_factor(&self) -> f64 {
+        if self.plan.law == Law::Impedance { self.record.gain_factor } else { self.plan.kx_derating }
+    }
+
+    /// Factor ≤ 1 on the damping of law `impedance` that delay and pose required at the last step.
+    pub fn damping_factor(&self) -> f64 {
+        if self.plan.law == Law::Impedance { impedance::damping_factor(&self.plan, &self.record.rows) } else { 1.0 }
+    }
+
+    /// Smallest and largest singular value of the last step's task rows, with translations divided by the arm's length.
+    pub fn sigma(&self) -> [f64; 2] {
+        self.record.sigma(&self.plan)
+    }
+
+    /// All singular values of the last step's scaled task rows, largest first.
+    pub fn singular_values(&self) -> DVector<f64> {
+        self.record.singular_values(&self.plan)
+    }
+
+    /// Task rows of the last step, k × n, in the task frame.
+    pub fn task_jacobian(&self) -> DMatrix<f64> {
+        self.record.task_jacobian(&self.plan)
+    }
+
+    /// Activation matrix A of the last step, n × (k + 1), the null-space column last.
+    pub fn activation(&self) -> DMatrix<f64> {
+        self.record.activation(&self.plan)
+    }
+
+    /// Responsibility R of the last step, n × (k + 1).
+    pub fn responsibility(&self) -> DMatrix<f64> {
+        self.record.responsibility(&self.plan)
+    }
+
+    /// As [`Controller::new`], with a captured gravity offset 1/k_g (n); does not check that the servos can hold the
+    /// arm.
+    #[inline(never)]
+    fn made(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
+        let mut surveyed = Surveyed::default();
+        let mut plan = Plan::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut surveyed)?;
+        plan.gravity_compliance.iter_mut().zip(captured.into_iter().flatten()).for_each(|(slot, &value)| *slot = value);
+        let masses = model.chain().masses(model.payload());
+        let zero = [0.0; MAX_JOINTS];
+        let controller = Self {
+            payload: model.payload().copied(),
+            fade: None,
+            gravity: model.gravity_vector(),
+            delay: settings.delay,
+            memory: Memory::new(),
+            record: Record::empty(),
+            command: Command { n: plan.n, goal: zero, torque_limit: zero, speed_limit: zero },
+            captured: captured.map(|_| plan.gravity_compliance),
+            instructions: Instructions::chosen(),
+            scratch: LookScratch::new(),
+            model,
+            settings,
+            servos,
+            surveyed,
+            plan,
+            masses,
+        };
+        controller.check_posture(&controller.settings)?;
+        Ok(controller)
+    }
+
+    /// Checks that servos which compensate gravity can hold the arm.
+    fn check_holding(&self, known: GravityUse, masses: &Masses) -> Result<()> {
+        match known {
+            GravityUse::Off => Ok(()),
+            _ => workspace::check_holding(&self.model, &self.plan.servos.torque, masses, self.gravity),
+        }
+    }
+
+    /// Checks that the rest posture is a plausible joint position.
+    fn check_posture(&self, settings: &Settings) -> Result<()> {
+        settings
+            .null_space
+            .posture
+            .as_ref()
+            .map_or(Ok(()), |posture| self.positions("null_space.posture", posture).map(|_| ()))
+    }
+
+    /// Resets the parts of the state that depend on the previous settings.
+    fn adapt_memory(&mut self) {
+        if self.settings.tracking.integrate <= 0.0 {
+            self.memory.integral = [0.0; MAX_JOINTS];
+        }
+        self.memory.singular = SingularValues::start();
+        self.memory.cold = true;
+    }
+
     /// Returns the gravity torques at `q` with the present payload and gravity vector [N·m].
     fn holding_torques(&self, q: &JointVec) -> JointVec {
         let mut frames = Frames::default();
@@ -387,5 +531,141 @@ impl Controller {
         self.model.chain().forward(q, &mut frames);
         self.model.chain().gravity(&frames, &self.masses, self.gravity, &mut holding);
         holding
+    }
+
+    /// Runs a step; validates positions and target.
+    fn advance(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+        if q.len() != self.plan.n {
+            return Err(Error::length("q", q.len(), self.plan.n));
+        }
+        if !self.memory.started {
+            return self.start(q, target, input);
+        }
+        let asked = input;
+        let mut input = Input::default();
+        self.read(asked, &mut input)?;
+        let instructions = self.instructions;
+        if instructions.run_single(self.cycle(q, target, &input)) {
+            if self.fade.is_some() {
+                self.advance_fade(input.dt);
+            }
+            return Ok(&self.command);
+        }
+        Err(self.refusal(q, target))
+    }
+
+    /// Runs the first step, which resets the controller.
+    #[cold]
+    fn start(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+        let before = self.memory;
+        self.restart(&self.positions("q", q)?);
+        if let Err(error) = self.advance(q, target, input).map(|_| ()) {
+            self.memory = before;
+            return Err(error);
+        }
+        Ok(&self.command)
+    }
+
+    fn restart(&mut self, q: &JointVec) {
+        let mut frames = Frames::default();
+        self.model.chain().forward(q, &mut frames);
+        self.memory = Memory::at(q, frames.tool, true);
+        self.fade = None;
+    }
+
+    fn cycle<'a>(&'a mut self, q: &'a [f64], target: &'a Pose, input: &'a Input) -> Cycle<'a> {
+        Cycle {
+            plan: &self.plan,
+            settings: &self.settings,
+            chain: self.model.chain(),
+            masses: match &self.fade {
+                Some(fade) => &fade.masses,
+                None => &self.masses,
+            },
+            gravity: &self.gravity,
+            delay: self.delay,
+            q,
+            target,
+            input,
+            memory: &mut self.memory,
+            scratch: &mut self.scratch,
+            record: &mut self.record,
+            command: &mut self.command,
+        }
+    }
+
+    /// Returns the reason why a step refused these positions and this target.
+    #[cold]
+    fn refusal(&self, q: &[f64], target: &Pose) -> Error {
+        match self.positions("q", q).map(|_| ()).and_then(|()| self.check_target("target", target)) {
+            Err(error) => error,
+            Ok(()) => {
+                Error::config("step", "the command is not finite for this q, target and settings: nothing was sent")
+            }
+        }
+    }
+
+    /// Reads the input of a step into `out`.
+    #[inline]
+    fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
+        out.read(&self.model, &self.plan, self.settings.rate, input)
+    }
+
+    /// Returns a batch with this controller's parameters.
+    fn batch<'a>(&'a self, input: &'a BatchInput<'a>) -> Batch<'a> {
+        Batch {
+            input,
+            model: &self.model,
+            plan: &self.plan,
+            settings: &self.settings,
+            masses: &self.masses,
+            gravity: &self.gravity,
+            instructions: self.instructions,
+        }
+    }
+
+    /// Steps one arm of a batch from the present state, and writes its command.
+    fn step_row(&mut self, one: &ArmInput<'_>, dt: Option<f64>, [goal, limit, speed]: [&mut [f64]; 3]) -> Result<()> {
+        let input = StepInput { dt, dq: one.dq, ..StepInput::default() };
+        let command = self.advance(one.q(), &one.target, &input).map_err(|error| error.in_row("Q", one.row))?;
+        goal.copy_from_slice(command.goal());
+        limit.copy_from_slice(command.torque_limit());
+        speed.copy_from_slice(command.speed_limit());
+        Ok(())
+    }
+
+    /// Returns a copy in which the ramp has ended.
+    fn settled(&self) -> Self {
+        Self { fade: None, ..self.clone() }
+    }
+
+    /// Returns the masses that the steps use at present.
+    fn masses_in_force(&self) -> &Masses {
+        self.fade.as_ref().map_or(&self.masses, |fade| &fade.masses)
+    }
+
+    /// Advances the payload ramp by `dt` [s].
+    fn advance_fade(&mut self, dt: f64) {
+        if let Some(fade) = &mut self.fade
+            && !fade.advance(dt, self.model.chain(), self.payload.as_ref())
+        {
+            self.fade = None;
+        }
+    }
+
+    /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
+    pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+        self.plan.positions(&self.model, what, values)
+    }
+
+    /// Reads target joint positions.
+    pub(crate) fn joint_target(&self, what: &str, values: &[f64]) -> Result<JointVec> {
+        let [least, most] = &self.plan.joint_targets;
+        self.model.joints_between(what, values, least, most)
+    }
+
+    /// Checks that a tool pose can be a target of this task.
+    pub(crate) fn check_target(&self, what: &str, target: &Pose) -> Result<()> {
+        self.model.check_target_in(what, target, &self.plan.target_region)
     }
 }

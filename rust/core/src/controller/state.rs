@@ -1,5 +1,6 @@
 //! State of a controller between steps.
 
+use crate::batch::state::Flag;
 use crate::kinematics::velocity_filter::VelocityFilter;
 use crate::math::singular_values::SingularValues;
 use crate::pose::Pose;
@@ -35,6 +36,13 @@ impl Memory {
         Self::at(&[0.0; MAX_JOINTS], Pose::IDENTITY, false)
     }
 
+    /// State at rest in `q` (n) [rad], with the tool pose `tool`.
+    pub(crate) fn resting(q: &[f64], tool: Pose) -> Self {
+        let mut joints = [0.0; MAX_JOINTS];
+        joints.iter_mut().zip(q).for_each(|(slot, value)| *slot = *value);
+        Self::at(&joints, tool, true)
+    }
+
     /// State at rest in `q`, with the tool pose `tool`.
     pub(crate) fn at(q: &JointVec, tool: Pose, started: bool) -> Self {
         Self {
@@ -50,5 +58,58 @@ impl Memory {
             rest: *q,
             integral: [0.0; MAX_JOINTS],
         }
+    }
+}
+
+/// Visits all fields of the state except the flags, slice by slice, in the same order for writing and reading.
+#[inline(always)]
+fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
+    // Exhaustive destructuring: a new field must be stored too.
+    let Memory { filter, gamma, goal, weight, singular, governor, rest, integral, started: _, cold: _, limit: _ } =
+        memory;
+    visit(&mut goal[..n]);
+    visit(std::slice::from_mut(gamma));
+    for joints in [&mut filter.held, &mut filter.velocity, weight, limit, rest, integral] {
+        visit(&mut joints[..n]);
+    }
+    let [weak, second] = &mut singular.weak;
+    for vector in [weak, second, &mut singular.strong, &mut governor.velocity] {
+        visit(vector);
+    }
+    for pose in [&mut governor.pose, &mut governor.target] {
+        visit(pose.rotation.as_flattened_mut());
+        visit(&mut pose.position);
+    }
+    visit(&mut governor.target_speed);
+}
+
+impl Memory {
+    /// Writes the state into `row`, which is [`width`](crate::batch::state::width) long.
+    pub(crate) fn keep(&mut self, n: usize, row: &mut [f64]) {
+        let (mut limit, n) = (self.limit.unwrap_or([0.0; MAX_JOINTS]), n.min(MAX_JOINTS));
+        let all = [(self.started, Flag::Started), (self.cold, Flag::Cold), (self.limit.is_some(), Flag::Limited)];
+        let flags = all.iter().fold(0_u32, |sum, &(on, flag)| if on { sum + flag as u32 } else { sum });
+        let Some((first, mut rest)) = row.split_first_mut() else { return };
+        *first = f64::from(flags);
+        walk(self, &mut limit, n, |numbers| {
+            let slots;
+            let size = numbers.len().min(rest.len());
+            (slots, rest) = std::mem::take(&mut rest).split_at_mut(size);
+            slots.copy_from_slice(&numbers[..slots.len()]);
+        });
+    }
+
+    /// Reads the state from `row`, whose status is [`Kept::Running`].
+    pub(crate) fn recall(&mut self, n: usize, row: &[f64]) {
+        let (Some((&flags, mut rest)), n) = (row.split_first(), n.min(MAX_JOINTS)) else { return };
+        let mut limit = [0.0; MAX_JOINTS];
+        walk(self, &mut limit, n, |numbers| {
+            let slots;
+            (slots, rest) = rest.split_at(numbers.len().min(rest.len()));
+            numbers[..slots.len()].copy_from_slice(slots);
+        });
+        self.started = true;
+        self.cold = Flag::Cold.is_in(flags);
+        self.limit = Flag::Limited.is_in(flags).then_some(limit);
     }
 }

@@ -1,30 +1,31 @@
 //! One control step, from reading to command.
 
-use crate::command::goal::{Goals, register_speed, slew};
+use crate::command::goal::{Goals, Solution, register_speed, slew};
+use crate::command::host_loss::HostLossBound;
 use crate::command::integrator::Addition;
-use crate::command::torque_limit::finish;
-use crate::controller::cold_paths::{Asked, Waiting, limit_deviation, strain};
+use crate::command::torque_limit::{Asked, finish};
+use crate::controller::Command;
 use crate::controller::diagnostics::Record;
-use crate::controller::input::{Input, readable, without_negligible};
-use crate::controller::solve::{Solved, solve, without_locked};
-use crate::controller::stages::Seen;
+use crate::controller::input::{Input, without_negligible};
 use crate::controller::state::Memory;
-use crate::controller::{Command, Controller, StepInput};
-use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::Filtered;
-use crate::kinematics::{Frames, LookScratch, Masses};
-use crate::law::Pacing;
-use crate::math::rows::{axes, rows_array, times, wide};
-use crate::math::simd::{Arithmetic, Axes, EveryJoint, Joints, Kernel, LANES, Machine};
+use crate::kinematics::{LookScratch, Masses};
+use crate::law::friction::Fed;
+use crate::law::nullspace::cost_gradient;
+use crate::law::redistribution::{redistribute, without_locked};
+use crate::law::singularity::{condition, row_damping};
+use crate::law::{Pacing, Tick, motion};
+use crate::math::rows::{axes, rows_array};
+use crate::math::simd::{Arithmetic, EveryJoint, Joints, Kernel, LANES, Machine};
 use crate::math::singular_values::SingularValues;
 use crate::model::Chain;
 use crate::params::{LimitRule, Plan, Settings};
 use crate::pose::Pose;
 use crate::task::demand::Wish;
-use crate::task::deviation_limit::Pushed;
-use crate::task::pose_error_by;
-use crate::task::reference_governor::Governor;
-use crate::{JointVec, MAX_AXES, MAX_JOINTS};
+use crate::task::deviation_limit::{Pushed, limit_deviation};
+use crate::task::reference_governor::{Governor, Waiting, strain};
+use crate::task::{Seen, pose_error_by};
+use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Longest time [s] by which one step advances a slew or the integrating goal: after a stall of the host the arm must
 /// not lunge.
@@ -39,69 +40,6 @@ struct Aim<W> {
     limited: [bool; MAX_AXES],
 }
 
-impl Controller {
-    pub(super) fn restart(&mut self, q: &JointVec) {
-        let mut frames = Frames::default();
-        self.model.chain().forward(q, &mut frames);
-        self.memory = Memory::at(q, frames.tool, true);
-        self.fade = None;
-    }
-
-    /// Runs a step; validates positions and target.
-    pub(crate) fn advance(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        if q.len() != self.plan.n {
-            return Err(Error::length("q", q.len(), self.plan.n));
-        }
-        if !self.memory.started {
-            return self.start(q, target, input);
-        }
-        let asked = input;
-        let mut input = Input::default();
-        self.read(asked, &mut input)?;
-        let instructions = self.instructions;
-        if instructions.run_single(self.cycle(q, target, &input)) {
-            if self.fade.is_some() {
-                self.fade_on(input.dt);
-            }
-            return Ok(&self.command);
-        }
-        Err(self.refusal(q, target))
-    }
-
-    /// Runs the first step, which resets the controller.
-    #[cold]
-    fn start(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        let before = self.memory;
-        self.restart(&self.positions("q", q)?);
-        if let Err(error) = self.advance(q, target, input).map(|_| ()) {
-            self.memory = before;
-            return Err(error);
-        }
-        Ok(&self.command)
-    }
-
-    fn cycle<'a>(&'a mut self, q: &'a [f64], target: &'a Pose, input: &'a Input) -> Cycle<'a> {
-        Cycle {
-            plan: &self.plan,
-            settings: &self.settings,
-            chain: self.model.chain(),
-            masses: match &self.fade {
-                Some(fade) => &fade.masses,
-                None => &self.masses,
-            },
-            gravity: &self.gravity,
-            delay: self.delay,
-            q,
-            target,
-            input,
-            memory: &mut self.memory,
-            scratch: &mut self.scratch,
-            record: &mut self.record,
-            command: &mut self.command,
-        }
-    }
-}
-
 /// Context of one step: its inputs and the state that it changes.
 pub(super) struct Cycle<'a> {
     pub(super) plan: &'a Plan,
@@ -109,15 +47,34 @@ pub(super) struct Cycle<'a> {
     pub(super) chain: &'a Chain,
     pub(super) masses: &'a Masses,
     pub(super) gravity: &'a [f64; 3],
-    delay: f64,
-    q: &'a [f64],
-    target: &'a Pose,
-    input: &'a Input,
-    memory: &'a mut Memory,
-    scratch: &'a mut LookScratch,
-    record: &'a mut Record,
-    command: &'a mut Command,
+    pub(super) delay: f64,
+    pub(super) q: &'a [f64],
+    pub(super) target: &'a Pose,
+    pub(super) input: &'a Input,
+    pub(super) memory: &'a mut Memory,
+    pub(super) scratch: &'a mut LookScratch,
+    pub(super) record: &'a mut Record,
+    pub(super) command: &'a mut Command,
 }
+
+/// Solution with the quantities that only the step of a single arm has.
+#[derive(Clone, Copy)]
+struct Solved<J: Joints> {
+    solution: Solution<J>,
+    gradient: J,
+    /// λ².
+    damping: f64,
+    /// γ: factor on feed-forward and prediction.
+    gamma: f64,
+    /// λ² of each row.
+    row_damping: J::Axes,
+    locked: [bool; MAX_JOINTS],
+}
+
+/// Marks its caller's branch as cold, so that the compiler places it behind the others.
+#[cold]
+#[inline(never)]
+fn rare() {}
 
 impl Kernel for Cycle<'_> {
     /// False if positions, target or command are invalid: state, record and command are then those of the last step.
@@ -143,7 +100,7 @@ impl Cycle<'_> {
         let dt = self.input.dt.min(LONGEST_SLEW);
 
         let measured = without_negligible(J::read(self.q));
-        if !readable(plan, measured) || self.target.is_refused::<J::One>(&plan.target_region) {
+        if !plan.is_readable(measured) || self.target.is_refused::<J::One>(&plan.target_region) {
             return false;
         }
         let filtered = self.filter(measured);
@@ -176,7 +133,7 @@ impl Cycle<'_> {
         let wish = Wish::new(plan, settings, aim.deviation, twist);
         let pacing = self.pacing(&seen, &filtered, &governor, dt);
         let mut singular = self.memory.singular;
-        let solved = solve(plan, settings, self.input, &seen, &wish, self.memory, &filtered, pacing, &mut singular);
+        let solved = self.solve(&seen, &wish, &filtered, pacing, &mut singular);
         let solution = &solved.solution;
 
         let wanted = self.wanted_limits(measured, &seen, &wish, &solved, &singular);
@@ -195,10 +152,20 @@ impl Cycle<'_> {
             waiting.of(&self.memory.governor.pose(), &mut governor);
         }
         if let Some(most) = plan.max_host_loss_force {
-            let (holding, in_limit) = (seen.view.holding.array(), seen.gravity_in_limit.array());
-            let at = [&measured.array(), &goal.array(), &limit.array()];
-            let spared = self.spare(most, at, [&holding, &in_limit], seen.base_from_task);
-            limit = J::load(&spared);
+            let bound = HostLossBound {
+                chain: self.chain,
+                plan,
+                masses: self.masses,
+                gravity: self.gravity,
+                gravity_scale: settings.paper_options.gravity_scale,
+                base_from_task: seen.base_from_task,
+                q: measured.array(),
+                goal: goal.array(),
+                limit: limit.array(),
+                holding: seen.view.holding.array(),
+                in_limit: seen.gravity_in_limit.array(),
+            };
+            limit = J::load(&bound.limits(most));
         }
         // Reject a command with an infinite or NaN entry: `x < ∞` is false for both.
         let (endless, nothing) = (J::splat(f64::INFINITY), J::splat(0.0));
@@ -225,6 +192,66 @@ impl Cycle<'_> {
         profile.store(&mut self.command.speed_limit);
         self.note(&seen, &aim, &wish, &solved, &filtered);
         true
+    }
+
+    /// Lines 7 to 11: the law, and the redistribution of motion to the other joints at position limits; updates
+    /// `singular` if the settings need it.
+    #[inline(always)]
+    fn solve<J: Joints>(
+        &self,
+        seen: &Seen<'_, J>,
+        wish: &Wish<J::Axes>,
+        filtered: &Filtered<J>,
+        pacing: Pacing<J::Axes>,
+        singular: &mut SingularValues,
+    ) -> Solved<J> {
+        let (plan, settings, input, memory) = (self.plan, self.settings, self.input, &*self.memory);
+        let scaled;
+        let scaled_rows = if plan.follows_sigma {
+            scaled = plan.scale_rows(seen.rows);
+            &scaled
+        } else {
+            seen.rows // scaled rows are not used
+        };
+        let condition = condition(plan, scaled_rows, singular, memory.cold);
+        let rest = input.rest.as_ref().or(plan.rest.as_ref()).unwrap_or(&memory.rest);
+        let gradient =
+            cost_gradient(plan, rest, input.gradient.as_ref(), seen, wish, scaled_rows, condition.mu_squared);
+        let damping = row_damping::<J>(plan, &condition);
+        let tick = Tick {
+            plan,
+            horizon: settings.paper_options.horizon,
+            rows: seen.rows,
+            scaled_rows,
+            condition: &condition,
+            damping,
+            pacing,
+            wish,
+            velocity: filtered.velocity,
+            gradient,
+            gravity: seen.gravity_in_goal,
+            fed: Fed::new::<J::One>(settings, condition.gamma),
+            integral: J::load(&memory.integral),
+        };
+        let mut solved = Solved {
+            solution: Solution::new(plan, &tick, seen, motion(&tick)),
+            gradient,
+            damping: condition.damping,
+            gamma: condition.gamma,
+            row_damping: damping,
+            locked: [false; MAX_JOINTS],
+        };
+        let solution = &mut solved.solution;
+        let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
+        if upper.any_less(solution.moving) | solution.moving.any_less(lower) {
+            rare();
+            let (moving, locked) = redistribute(&tick, seen, solution.feed_forward, &mut solution.motion);
+            solution.moving = moving;
+            for (slot, locked) in solved.locked.iter_mut().zip(locked.array()) {
+                *slot = locked > 0.0;
+            }
+        }
+        solved
     }
 
     /// Adds the lead of stiff axes and null space to the stored lead.
@@ -275,19 +302,13 @@ impl Cycle<'_> {
         governor: &Governor,
         dt: f64,
     ) -> Pacing<J::Axes> {
-        let (plan, pace) = (self.plan, &self.plan.pace);
         let governed = self.settings.max_tool_speed.iter().any(|speed| speed.is_finite());
-        if !(pace.on && governed) {
+        if !(self.plan.pace.on && governed) {
             return Pacing::none();
         }
         let (velocity, before) = (governor.own_velocity(), self.memory.governor.own_velocity());
         let change: [f64; 6] = std::array::from_fn(|i| (velocity[i] - before[i]) / dt);
-        let speed: J::Axes = plan.in_rows(&seen.base_from_task, &velocity);
-        let acceleration: J::Axes = plan.in_rows(&seen.base_from_task, &change);
-        let own: J::Axes = wide(&times(seen.rows, filtered.velocity));
-        let driven = J::Axes::constant(&pace.inertia) * J::Axes::clip(acceleration, J::Axes::constant(&pace.driven));
-        let displacement = J::Axes::fma(J::Axes::constant(&pace.damping), speed - own, driven);
-        Pacing { displacement, velocity: speed }
+        Pacing::new(self.plan, seen, filtered.velocity, &velocity, &change)
     }
 
     /// Line 12 before minimum, ceiling and slew, or (11).

@@ -127,6 +127,22 @@ impl Model {
         if fine { Ok(out) } else { Err(self.not_between(what, values, least, most)) }
     }
 
+    /// Reads one finite number per joint within ±`bound`; flushes negligibly small values to 0.
+    pub(crate) fn joints_within(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
+        if values.len() != self.n() {
+            return Err(Error::length(what, values.len(), self.n()));
+        }
+        let mut out = [0.0; MAX_JOINTS];
+        for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
+            if !(value.abs() <= bound) {
+                let name = self.joint_names().get(i).map_or("", String::as_str);
+                return Err(Error::out_of_range(format!("{what}[{i}] ({name})"), value, format!("±{bound:e}")));
+            }
+            *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
+        }
+        Ok(out)
+    }
+
     /// Returns the error for joint positions outside the bounds.
     #[cold]
     #[inline(never)]

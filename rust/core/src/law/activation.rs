@@ -2,8 +2,10 @@
 
 use nalgebra::DMatrix;
 
+use crate::law::nullspace::{step_projector, step_pseudo_inverse};
 use crate::math::rows::{JointMatrix, load_rows, transpose_times};
 use crate::math::simd::{Arithmetic, Axes, EveryJoint, Lanes};
+use crate::params::Plan;
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 /// Smallest sum that shares are divided by. Its inverse times any strength is finite. An axis whose joints move the
@@ -53,6 +55,24 @@ impl Activation<EveryJoint> {
     /// Creates the matrix from shares in memory.
     pub(crate) fn of(task: &Rows, null: &JointVec) -> Self {
         Self { sizes: load_rows(task), per_sum: <EveryJoint as Lanes>::Axes::splat(1.0), null: EveryJoint::load(null) }
+    }
+
+    /// Returns A of (10) over all joints for the task rows of a step, the gradient of its null-space cost and λ; `sigma`
+    /// gives the smallest and largest singular value of the scaled rows.
+    pub(crate) fn of_step(
+        plan: &Plan,
+        rows: &Rows,
+        gradient: &JointVec,
+        damping: f64,
+        sigma: impl FnOnce() -> [f64; 2],
+    ) -> Self {
+        let null = if plan.k < plan.n {
+            let projector = step_projector(plan, rows, damping, sigma);
+            null_column(EveryJoint::load(&product(&projector, gradient)), &projector)
+        } else {
+            EveryJoint::splat(0.0)
+        };
+        Self::new(&load_rows(&step_pseudo_inverse(plan, rows, damping)), null)
     }
 
     /// Returns the shares of one task axis.

@@ -1,7 +1,7 @@
 //! Friction and damping feed-forward: line 10.
 
-use crate::math::simd::{Lanes, Scalar, tanh};
-use crate::params::ServoArrays;
+use crate::math::simd::{Arithmetic, Lanes, Number, Scalar, tanh};
+use crate::params::{ServoArrays, Settings};
 
 /// Factors of the friction feed-forward.
 #[derive(Debug, Clone, Copy)]
@@ -11,6 +11,22 @@ pub(crate) struct Fed<S> {
     pub(crate) damping: S,
     /// v₀ [rad/s].
     pub(crate) speed: f64,
+}
+
+impl<S> Fed<S> {
+    /// Returns the factors for γ; not used by law `paper`.
+    #[inline(always)]
+    pub(crate) fn new<A: Arithmetic<Real = S>>(settings: &Settings, gamma: S) -> Self
+    where
+        S: Number,
+    {
+        let share = |of: f64| gamma * A::splat(of);
+        Self {
+            friction: share(settings.compensation.friction),
+            damping: share(settings.compensation.damping),
+            speed: settings.paper_options.friction_speed,
+        }
+    }
 }
 
 /// Friction torque of the joints, times the feed-forward factors.

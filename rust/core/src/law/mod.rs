@@ -13,15 +13,15 @@ pub(crate) mod singularity;
 pub(crate) mod wrench;
 
 use crate::law::friction::{Fed, Resistance};
-use crate::law::nullspace::{NullSpace, manipulability_gradient};
+use crate::law::nullspace::NullSpace;
 use crate::law::singularity::Condition;
 use crate::law::wrench::Wrench;
-use crate::math::ldlt6::pseudo_inverse;
-use crate::math::rows::{axes, transpose_times};
-use crate::math::simd::{Arithmetic, Axes, Lanes, Scalar};
+use crate::math::rows::{axes, times, transpose_times, wide};
+use crate::math::simd::{Arithmetic, Axes, Joints, Lanes, Scalar};
 use crate::params::{Law, Plan, Projector};
+use crate::task::Seen;
 use crate::task::demand::Wish;
-use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::{AxisVec, MAX_AXES};
 
 /// Input of every law: one step at the predicted positions, with the rows of the task's axes.
 ///
@@ -62,6 +62,28 @@ pub(crate) struct Pacing<W> {
 }
 
 impl<W: Axes> Pacing<W> {
+    /// Returns the terms that give the tool the velocity and acceleration of its reference: `velocity` and its `change`
+    /// per second, base axes, at the joint velocity `joints`.
+    #[inline(always)]
+    pub(crate) fn new<J: Joints<Axes = W>>(
+        plan: &Plan,
+        seen: &Seen<'_, J>,
+        joints: J,
+        velocity: &AxisVec,
+        change: &AxisVec,
+    ) -> Self
+    where
+        W: Axes<One: Arithmetic<Real = f64>>,
+    {
+        let pace = &plan.pace;
+        let speed: W = plan.in_rows(&seen.base_from_task, velocity);
+        let acceleration: W = plan.in_rows(&seen.base_from_task, change);
+        let own: W = wide(&times(seen.rows, joints));
+        let driven = W::constant(&pace.inertia) * W::clip(acceleration, W::constant(&pace.driven));
+        let displacement = W::fma(W::constant(&pace.damping), speed - own, driven);
+        Self { displacement, velocity: speed }
+    }
+
     /// Zero terms, for a reference without its own velocity.
     #[inline(always)]
     pub(crate) fn none() -> Self {
@@ -143,31 +165,4 @@ impl<J: Lanes> Tick<'_, J> {
         let step = self.plan.alpha * self.horizon;
         if step == 0.0 { J::splat(0.0) } else { self.null_space().project(self.gradient) * J::splat(-step) }
     }
-}
-
-/// Returns the gradient of the manipulability cost at the present rows, times its weight.
-///
-/// `world` is the 6 × n Jacobian in base axes; `p` the weights of its entries, see [`manipulability_gradient`].
-#[cold]
-#[inline(never)]
-pub(crate) fn weighted_manipulability(
-    plan: &Plan,
-    world: &Rows,
-    scaled_rows: &Rows,
-    base_from_task: &[[f64; 3]; 3],
-    mu_squared: f64,
-) -> JointVec {
-    let pinv = pseudo_inverse(scaled_rows, &[1.0; MAX_JOINTS], &[mu_squared; MAX_AXES]);
-    let mut p = [[0.0; MAX_JOINTS]; MAX_AXES];
-    for (r, &axis) in plan.axes.iter().enumerate().take(MAX_AXES) {
-        let (block, column) = if axis < 3 { (0, axis) } else { (3, axis - 3) };
-        for (i, factors) in base_from_task.iter().enumerate() {
-            let factor = factors[column % 3] * plan.row_scale[r];
-            for j in 0..MAX_JOINTS {
-                p[block + i][j] += factor * pinv[r][j];
-            }
-        }
-    }
-    let turning = matches!(plan.frame, crate::params::Frame::Tool);
-    manipulability_gradient(world, &p, turning, plan.n).map(|g| plan.cost.manipulability * g)
 }

@@ -1,10 +1,13 @@
 //! Redundancy: the projector of (4) and the null-space cost of line 9.
 
 use crate::law::activation::RowLengths;
-use crate::math::ldlt6::{Factor, factor_of};
-use crate::math::rows::{JointMatrix, load_rows, times, transpose_times};
-use crate::math::simd::{Arithmetic, EveryJoint, Lanes, Scalar};
-use crate::params::NullSpaceCost;
+use crate::law::posture_fade::posture_share;
+use crate::math::ldlt6::{Factor, factor_of, pseudo_inverse};
+use crate::math::rows::{JointMatrix, load_rows, rows_array, times, transpose_times};
+use crate::math::simd::{Arithmetic, EveryJoint, Joints, Lanes, Scalar};
+use crate::params::{Frame, NullSpaceCost, Plan, Projector};
+use crate::task::Seen;
+use crate::task::demand::Wish;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// The projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix.
@@ -150,12 +153,87 @@ impl NullSpaceCost {
     }
 }
 
+/// Returns the gradient of the null-space cost, all parts; `rest` is the posture, `added` the gradient of a
+/// user's cost.
+#[inline(always)]
+pub(crate) fn cost_gradient<J: Joints>(
+    plan: &Plan,
+    rest: &JointVec,
+    added: Option<&JointVec>,
+    seen: &Seen<'_, J>,
+    wish: &Wish<J::Axes>,
+    scaled: &[J; MAX_AXES],
+    mu_squared: f64,
+) -> J {
+    let rest = J::load(rest);
+    let mut gradient = plan.cost.gradient(seen.q, rest, posture_share(plan, seen.q, rest, wish));
+    if plan.cost.manipulability > 0.0 {
+        let (world, scaled) = (rows_array(&seen.view.world), rows_array(scaled));
+        let more = weighted_manipulability(plan, &world, &scaled, &seen.base_from_task, mu_squared);
+        gradient = gradient + J::load(&more);
+    }
+    match added {
+        Some(added) => gradient + J::load(added),
+        None => gradient,
+    }
+}
+
+/// Returns the gradient of the manipulability cost at the present rows, times its weight.
+///
+/// `world` is the 6 × n Jacobian in base axes; `p` the weights of its entries, see [`manipulability_gradient`].
+#[cold]
+#[inline(never)]
+fn weighted_manipulability(
+    plan: &Plan,
+    world: &Rows,
+    scaled_rows: &Rows,
+    base_from_task: &[[f64; 3]; 3],
+    mu_squared: f64,
+) -> JointVec {
+    let pinv = pseudo_inverse(scaled_rows, &[1.0; MAX_JOINTS], &[mu_squared; MAX_AXES]);
+    let mut p = [[0.0; MAX_JOINTS]; MAX_AXES];
+    for (r, &axis) in plan.axes.iter().enumerate().take(MAX_AXES) {
+        let (block, column) = if axis < 3 { (0, axis) } else { (3, axis - 3) };
+        for (i, factors) in base_from_task.iter().enumerate() {
+            let factor = factors[column % 3] * plan.row_scale[r];
+            for j in 0..MAX_JOINTS {
+                p[block + i][j] += factor * pinv[r][j];
+            }
+        }
+    }
+    let turning = matches!(plan.frame, Frame::Tool);
+    manipulability_gradient(world, &p, turning, plan.n).map(|g| plan.cost.manipulability * g)
+}
+
+/// Transposed damped pseudo-inverse of (3) for the task rows of a step and λ.
+pub(crate) fn step_pseudo_inverse(plan: &Plan, rows: &Rows, damping: f64) -> Rows {
+    pseudo_inverse(rows, &plan.inverse_weight, &plan.damping_scale.map(|scale| scale * damping * damping))
+}
+
+/// Returns N of the settings for the task rows of a step and λ; `sigma` gives the smallest and largest singular value
+/// of the scaled rows.
+pub(crate) fn step_projector(plan: &Plan, rows: &Rows, damping: f64, sigma: impl FnOnce() -> [f64; 2]) -> JointMatrix {
+    let size = (plan.k, plan.n);
+    match plan.projector {
+        Projector::Paper => {
+            let squared = plan.damping_scale.map(|scale| scale * damping * damping);
+            projector(rows, &plan.inverse_weight, &squared, size)
+        }
+        Projector::Exact => {
+            let scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(rows)));
+            let [smallest, largest] = sigma();
+            let mu_squared = fade_squared(smallest, largest);
+            projector(&scaled, &plan.inverse_weight, &[mu_squared; MAX_AXES], size)
+        }
+    }
+}
+
 /// Gradient of `−ln √det(JJᵀ)` over the task rows.
 ///
 /// `∂/∂q_i = −Σ_j P_j · ∂J_j/∂q_i` with `P = (JJᵀ)⁻¹ J`, both in base axes (6 × n). A column (v, ω) after joint i turns
 /// with it: `ω_i × v_j`, `ω_i × ω_j`. For a column before joint i only its tool point moves: `ω_j × v_i`. `turning`
 /// subtracts the rotation of the task frame, for rows in the tool's axes.
-pub(crate) fn manipulability_gradient(jacobian: &Rows, p: &Rows, turning: bool, n: usize) -> JointVec {
+fn manipulability_gradient(jacobian: &Rows, p: &Rows, turning: bool, n: usize) -> JointVec {
     let n = n.min(MAX_JOINTS);
     let column = |m: &Rows, j: usize, from: usize| [m[from][j], m[from + 1][j], m[from + 2][j]];
     let mut out = [0.0; MAX_JOINTS];

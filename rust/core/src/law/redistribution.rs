@@ -5,25 +5,27 @@
 
 use crate::law::cap::Demand;
 use crate::law::scaling::scale_to_fit;
+use crate::law::{Motion, Tick};
 use crate::math::ldlt6::factor_of;
-use crate::math::rows::{transpose_times, weighted_gram, wide};
+use crate::math::rows::{times, transpose_times, weighted_gram, wide};
 use crate::math::simd::{Arithmetic, Joints, Lanes, Packed};
 use crate::params::{Follow, Law, Plan};
-use crate::{AxisVec, MAX_AXES};
+use crate::task::Seen;
+use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Joints that have reached a position limit.
 #[derive(Clone, Copy)]
-pub(crate) struct Locks<J> {
+struct Locks<J> {
     /// 1 for locked joints, 0 for the others.
-    pub(crate) locked: J,
+    locked: J,
     /// Lead that brings each locked joint to its limit [rad].
-    pub(crate) lead: J,
+    lead: J,
 }
 
 impl<J: Lanes> Locks<J> {
     /// No locked joints.
     #[inline(always)]
-    pub(crate) fn none() -> Self {
+    fn none() -> Self {
         Self { locked: J::splat(0.0), lead: J::splat(0.0) }
     }
 
@@ -32,7 +34,7 @@ impl<J: Lanes> Locks<J> {
     /// A locked joint keeps the lead to its limit, and the others make the missing motion, so that the rest of the task
     /// stays correct. It is not unlocked within a step.
     #[inline(always)]
-    pub(crate) fn add(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
+    fn add(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
         let (zero, one) = (J::splat(0.0), J::splat(1.0));
         let beyond = J::if_less(upper, goal, one, J::if_less(goal, lower, one, zero));
         let new = beyond * (one - self.locked);
@@ -47,33 +49,33 @@ impl<J: Lanes> Locks<J> {
 
     /// Selects `value` for locked joints, `other` for the rest.
     #[inline(always)]
-    pub(crate) fn either(&self, value: J, other: J) -> J {
+    fn either(&self, value: J, other: J) -> J {
         J::if_less(J::splat(0.0), self.locked, value, other)
     }
 }
 
 /// Motion that locked joints leave to the others.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Takeover<'a, J: Joints> {
-    pub(crate) plan: &'a Plan,
-    pub(crate) horizon: f64,
+struct Takeover<'a, J: Joints> {
+    plan: &'a Plan,
+    horizon: f64,
     /// Task rows of all joints.
-    pub(crate) rows: &'a [J; MAX_AXES],
+    rows: &'a [J; MAX_AXES],
     /// 0 for locked joints, 1 for the others.
-    pub(crate) free: J,
+    free: J,
     /// Task motion that is missing, per row [m, rad].
-    pub(crate) lost: &'a AxisVec,
+    lost: &'a AxisVec,
     /// Softness of each row.
-    pub(crate) softness: J::Axes,
+    softness: J::Axes,
     /// Torque that each joint already exerts [N·m].
-    pub(crate) torque: J,
+    torque: J,
     /// Lead that each joint already has [rad].
-    pub(crate) lead: J,
+    lead: J,
 }
 
 /// Additional motion of the other joints.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Addition<J: Joints> {
+struct Addition<J: Joints> {
     /// [rad]
     lead: J,
     /// Wrench of the laws that are defined by forces [N, N·m].
@@ -84,7 +86,7 @@ impl<J: Joints> Takeover<'_, J> {
     /// Computes the additional motion. Soft rows keep their force and demand nothing more; ceilings and joint speeds
     /// hold.
     #[inline(always)]
-    pub(crate) fn addition(&self) -> Addition<J> {
+    fn addition(&self) -> Addition<J> {
         let (plan, nothing) = (self.plan, J::Axes::splat(0.0));
         let squared = &plan.takeover_damping;
         let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
@@ -120,25 +122,74 @@ impl<J: Joints> Takeover<'_, J> {
 
 /// Parts of a motion that locked joints change.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Share<J: Joints> {
+struct Share<J: Joints> {
     /// [rad]
-    pub(crate) lead: J,
+    lead: J,
     /// [rad]
-    pub(crate) null: J,
+    null: J,
     /// Wrench of the stiff axes [N, N·m].
-    pub(crate) stiff: J::Axes,
+    stiff: J::Axes,
 }
 
 impl<J: Joints> Share<J> {
     /// Returns the motion with locked joints at their remaining lead and the additional motion of the others.
     #[inline(always)]
-    pub(crate) fn with(&self, locks: &Locks<J>, addition: &Addition<J>) -> Self {
+    fn with(&self, locks: &Locks<J>, addition: &Addition<J>) -> Self {
         Self {
             lead: locks.either(locks.lead, self.lead + addition.lead),
             null: locks.either(J::splat(0.0), self.null),
             stiff: self.stiff + addition.wrench,
         }
     }
+}
+
+/// Locks the joints that would exceed their position limits until no other joint does, and changes `motion` accordingly.
+/// Returns the goals without force offsets [rad], and 1 for locked joints, 0 for the others.
+#[inline(always)]
+pub(crate) fn redistribute<J: Joints>(
+    tick: &Tick<'_, J>,
+    seen: &Seen<'_, J>,
+    feed_forward: J,
+    motion: &mut Motion<J>,
+) -> (J, J) {
+    let plan = tick.plan;
+    let all_joints = Share { lead: motion.lead, null: motion.null, stiff: motion.wrench.stiff };
+    let (without_lead, nothing) = (seen.q + tick.integral, J::splat(0.0));
+    let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
+    let all = all_joints.lead + all_joints.null;
+    let lead = all + motion.force_lead;
+    let carried = seen.gravity_in_goal + feed_forward;
+    let torque = J::fma(J::load(&plan.servos.kp), tick.integral + lead, carried);
+    let (mut share, mut locks) = (all_joints, Locks::none());
+    loop {
+        let goal = without_lead + share.lead + share.null;
+        if !locks.add(goal, without_lead, lower, upper) {
+            (motion.lead, motion.null, motion.wrench.stiff) = (share.lead, share.null, share.stiff);
+            return (goal, locks.locked);
+        }
+        let takeover = Takeover {
+            plan,
+            horizon: tick.horizon,
+            rows: seen.rows,
+            free: J::splat(1.0) - locks.locked,
+            lost: &times(seen.rows, locks.either(all - locks.lead, nothing)),
+            softness: tick.wish.softness,
+            torque,
+            lead,
+        };
+        share = all_joints.with(&locks, &takeover.addition());
+    }
+}
+
+/// Task rows, columns of locked joints zero.
+pub(crate) fn without_locked(rows: &Rows, locked: &[bool; MAX_JOINTS]) -> Rows {
+    let mut free = *rows;
+    for row in &mut free {
+        for (value, &locked) in row.iter_mut().zip(locked) {
+            *value = if locked { 0.0 } else { *value };
+        }
+    }
+    free
 }
 
 #[cfg(test)]

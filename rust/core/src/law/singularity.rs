@@ -1,6 +1,15 @@
 //! Singularity state of the task rows: damping, projector damping and the fade of feed-forward and prediction.
 
+use crate::law::nullspace::fade_squared;
 use crate::math::ldlt6::Factor;
+use crate::math::rows::{Square, rows_array, weighted_gram};
+use crate::math::simd::{Axes, Joints, Lanes, Scalar, Spread};
+use crate::math::singular_values::SingularValues;
+use crate::params::Plan;
+use crate::{MAX_AXES, Rows};
+
+/// Iterations for the extreme singular vectors: from scratch, and per step when tracked.
+const ITERATIONS: (usize, usize) = (30, 1);
 
 /// Singularity state of a step's task rows.
 #[derive(Debug, Clone, Copy)]
@@ -30,6 +39,54 @@ pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_ma
         squared += (1.0 - ratio * ratio) * lambda_max * lambda_max;
     }
     squared
+}
+
+/// λ² of each row.
+#[inline(always)]
+pub(crate) fn row_damping<J: Lanes>(plan: &Plan, condition: &Condition<Scalar<J>>) -> J::Axes {
+    J::Axes::constant(&plan.lanes.damping_scale) * J::Axes::spread(condition.damping)
+}
+
+/// Line 7: updates σ, sets γ, returns λ².
+#[inline(always)]
+pub(crate) fn condition<J: Joints>(
+    plan: &Plan,
+    scaled: &[J; MAX_AXES],
+    values: &mut SingularValues,
+    cold: bool,
+) -> Condition {
+    let limits = plan.damping;
+    if !plan.follows_sigma {
+        return Condition { damping: limits.lambda_0 * limits.lambda_0, mu_squared: 0.0, factor: None, gamma: 1.0 };
+    }
+    let (redundant, axes) = (plan.k <= plan.n, plan.k.min(plan.n));
+    let gram = if redundant { weighted_gram(scaled, J::splat(1.0)) } else { joint_gram(&rows_array(scaled)) };
+    let factor = Factor::new::<J::One>(&gram);
+    if cold {
+        values.restrict(axes);
+    }
+    values.update::<J::One>(&gram, &factor, axes, if cold { ITERATIONS.0 } else { ITERATIONS.1 });
+    let sigma = values.smallest;
+    Condition {
+        damping: damping_squared(sigma, limits.lambda_0, limits.sigma_0, limits.lambda_max),
+        mu_squared: fade_squared(sigma, values.largest),
+        factor: redundant.then_some(factor),
+        gamma: fade(sigma, limits.sigma_0),
+    }
+}
+
+/// Returns `JᵀJ`, for fewer joints than axes: it has the same nonzero singular values, without the zeros that `JJᵀ`
+/// always has.
+#[cold]
+#[inline(never)]
+fn joint_gram(scaled: &Rows) -> Square {
+    let mut gram = [[0.0; MAX_AXES]; MAX_AXES];
+    for (i, row) in gram.iter_mut().enumerate() {
+        for (j, value) in row.iter_mut().enumerate() {
+            *value = scaled.iter().map(|r| r[i] * r[j]).sum();
+        }
+    }
+    gram
 }
 
 #[cfg(test)]

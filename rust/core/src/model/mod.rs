@@ -8,15 +8,12 @@ use std::path::Path;
 
 mod bodies;
 mod chain;
-mod elements;
 mod names;
 mod options;
 mod parts;
 mod roles;
-mod text;
 mod tree;
 mod urdf;
-mod values;
 
 pub use chain::Chain;
 pub use options::{ModelOptions, Payload};
@@ -26,8 +23,8 @@ use crate::error::{Error, Position, Result};
 use names::some;
 pub(crate) use options::finite_vector;
 use options::{need_limits, override_limits};
-use text::Source;
 use tree::Tree;
+use urdf::text::{self, Source};
 
 /// One kinematic chain with all bodies that it carries; immutable.
 #[derive(Debug, Clone, PartialEq)]
@@ -126,7 +123,7 @@ impl Model {
             payload.validate()?;
         }
         let source = Source::new(name, text);
-        let mut tree = Tree::build(&source, urdf::read(&source)?)?;
+        let mut tree = Tree::read(&source)?;
         override_limits(&mut tree, &options.limits)?;
         let base = options.base.as_deref().map_or(Ok(tree.root), |name| tree.frame(name))?;
         let tip = match &options.tip {

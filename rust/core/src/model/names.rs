@@ -22,22 +22,12 @@ pub(super) fn listed<T>(things: &[T], name: impl Fn(&T) -> &String, wanted: &str
 
 /// Sorts names by similarity to `wanted`.
 pub(super) fn likeliest<'a>(mut names: Vec<&'a str>, wanted: &str) -> Vec<&'a str> {
-    names.sort_by_key(|candidate| distance(candidate, wanted));
+    names.sort_by_cached_key(|candidate| distance(candidate, wanted));
     names
 }
 
-/// Levenshtein distance of two names, from their first hundred characters.
+/// Levenshtein distance of two names without case, from their first hundred characters.
 fn distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().take(100).collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.chars().take(100).enumerate() {
-        let mut diagonal = i;
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let above = row[j + 1];
-            row[j + 1] = (diagonal + usize::from(!x.eq_ignore_ascii_case(y))).min(above + 1).min(row[j] + 1);
-            diagonal = above;
-        }
-    }
-    row.last().copied().unwrap_or(0)
+    let start = |name: &str| name.chars().take(100).collect::<String>().to_ascii_lowercase();
+    strsim::levenshtein(&start(a), &start(b))
 }

@@ -4,8 +4,8 @@ use std::collections::HashMap;
 
 use super::names::{SHOWN, likeliest, listed, some};
 use super::parts::{Joint, Link, Mimic};
-use super::text::Source;
-use super::urdf::Robot;
+use super::urdf::text::Source;
+use super::urdf::{guard, reader};
 use crate::error::{Error, Position, Result};
 
 /// All links and joints; a tree with one root, mimics resolved.
@@ -21,86 +21,58 @@ pub(super) struct Tree {
 }
 
 impl Tree {
-    /// Resolves names and checks that the links form one tree.
-    pub(super) fn build(source: &Source, robot: Robot) -> Result<Self> {
-        let link_index: HashMap<String, usize> =
-            robot.links.iter().enumerate().map(|(i, link)| (link.name.clone(), i)).collect();
-        let positions: Vec<Position> = robot.links.iter().map(|link| link.at).collect();
-        let mut links: Vec<Link> = robot
-            .links
-            .into_iter()
-            .map(|link| Link { name: link.name, parent_joint: None, inertial: link.inertial })
-            .collect();
+    /// Reads a text, resolves names and checks that the links form one tree.
+    pub(super) fn read(source: &Source) -> Result<Self> {
+        let document = source.parse()?;
+        let checked = guard::check(source, &document)?;
+        let robot = reader::parse(source, &checked)?;
+        let link_index: HashMap<&str, usize> =
+            robot.links.iter().enumerate().map(|(i, link)| (link.name.as_str(), i)).collect();
+        let mut links = Vec::with_capacity(robot.links.len());
+        for (link, &node) in robot.links.iter().zip(&checked.links) {
+            let inertial = reader::inertial(source, node, link)?;
+            links.push(Link { name: link.name.clone(), parent_joint: None, inertial });
+        }
         let mut children = vec![Vec::new(); links.len()];
         let mut joints = Vec::with_capacity(robot.joints.len());
-        let mut mimics = Vec::with_capacity(robot.joints.len());
-        for (j, raw) in robot.joints.into_iter().enumerate() {
+        for (j, (raw, &node)) in robot.joints.iter().zip(&checked.joints).enumerate() {
+            let error = |message: String| source.error_at(node, message);
             let find = |what: &str, name: &str| {
                 link_index.get(name).copied().ok_or_else(|| {
                     let links = listed(&links, |link| &link.name, name);
-                    source.error(
-                        raw.at,
-                        format!("joint '{}': {what} link '{name}' does not exist; links: {links}", raw.name),
-                    )
+                    error(format!("joint '{}': {what} link '{name}' does not exist; links: {links}", raw.name))
                 })
             };
-            let (parent, child) = (find("parent", &raw.parent)?, find("child", &raw.child)?);
+            let (parent, child) = (find("parent", &raw.parent.link)?, find("child", &raw.child.link)?);
             if parent == child {
-                let message = format!("joint '{}': link '{}' is its own parent", raw.name, raw.parent);
-                return Err(source.error(raw.at, message));
+                return Err(error(format!("joint '{}': link '{}' is its own parent", raw.name, raw.parent.link)));
             }
             if let Some(other) = links[child].parent_joint {
                 let other: &Joint = &joints[other];
-                let message = format!(
+                return Err(error(format!(
                     "link '{}' has two parents: joint '{}' and joint '{}'; a robot must be a tree",
-                    raw.child, other.name, raw.name
-                );
-                return Err(source.error(raw.at, message));
-            }
-            if let (Some(lower), Some(upper)) = (raw.lower, raw.upper)
-                && lower > upper
-            {
-                let message = format!("joint '{}': lower limit {lower} is above upper limit {upper}", raw.name);
-                return Err(source.error(raw.at, message));
+                    raw.child.link, other.name, raw.name
+                )));
             }
             links[child].parent_joint = Some(j);
             children[parent].push(j);
-            mimics.push(raw.mimic.clone().filter(|_| raw.kind.is_actuated()));
-            joints.push(Joint {
-                name: raw.name,
-                kind: raw.kind,
-                type_name: raw.type_name,
-                parent,
-                child,
-                origin: raw.origin,
-                axis: raw.axis,
-                lower: raw.lower,
-                upper: raw.upper,
-                velocity: raw.velocity,
-                effort: raw.effort,
-                damping: raw.damping,
-                friction: raw.friction,
-                mimic: None,
-                q_index: None,
-                locked_at: None,
-                at: raw.at,
-            });
+            joints.push(reader::joint(source, node, raw, [parent, child])?);
         }
-        let mut tree =
-            Self { name: robot.name, source_name: source.name().to_owned(), links, joints, children, root: 0 };
-        tree.root = tree.find_root(&positions)?;
-        tree.resolve_mimics(&mimics)?;
+        let source_name = source.name().to_owned();
+        let mut tree = Self { name: robot.name, source_name, links, joints, children, root: 0 };
+        tree.root = tree.find_root(|link| source.at(checked.links[link].range().start))?;
+        tree.resolve_mimics(&robot.joints)?;
         Ok(tree)
     }
 
     /// Returns the only link without a parent, from which every link must be reachable.
-    fn find_root(&self, positions: &[Position]) -> Result<usize> {
+    fn find_root(&self, position: impl Fn(usize) -> Position) -> Result<usize> {
         let roots: Vec<usize> = (0..self.links.len()).filter(|&l| self.links[l].parent_joint.is_none()).collect();
         let [root] = roots[..] else {
             if let Some(&second) = roots.get(1) {
                 let names = some(roots.iter().map(|&l| self.links[l].name.as_str()));
                 let message = format!("{} links have no parent joint ({names}); a robot has one root", roots.len());
-                return Err(self.error(positions[second], message));
+                return Err(self.error(position(second), message));
             }
             return Err(self.error(
                 Position(None),
@@ -118,20 +90,20 @@ impl Tree {
                 "link '{}' is not connected to the root '{}': its parents form a loop",
                 self.links[lost].name, self.links[root].name
             );
-            return Err(self.error(positions[lost], message));
+            return Err(self.error(position(lost), message));
         }
         Ok(root)
     }
 
     /// Resolves chains of mimic joints to their driving joint.
-    fn resolve_mimics(&mut self, raw: &[Option<(String, f64, f64)>]) -> Result<()> {
-        let index: HashMap<String, usize> =
-            self.joints.iter().enumerate().map(|(j, joint)| (joint.name.clone(), j)).collect();
+    fn resolve_mimics(&mut self, raw: &[urdf_rs::Joint]) -> Result<()> {
+        let index: HashMap<&str, usize> = raw.iter().enumerate().map(|(j, joint)| (joint.name.as_str(), j)).collect();
         // Direct drivers first, so that a chain can be followed by index.
         let mut direct: Vec<Option<Mimic>> = vec![None; raw.len()];
-        for (j, entry) in raw.iter().enumerate() {
-            let Some((leader, multiplier, offset)) = entry else { continue };
-            let Some(&joint) = index.get(leader) else {
+        for (j, raw) in raw.iter().enumerate() {
+            let Some(mimic) = raw.mimic.as_ref().filter(|_| self.joints[j].kind.is_actuated()) else { continue };
+            let (leader, multiplier) = (&mimic.joint, mimic.multiplier.unwrap_or(1.0));
+            let Some(&joint) = index.get(leader.as_str()) else {
                 let joints = listed(&self.joints, |joint| &joint.name, leader);
                 return Err(self.joint_error(j, format!("mimics '{leader}', which does not exist; joints: {joints}")));
             };
@@ -141,7 +113,7 @@ impl Tree {
                     format!("mimics '{leader}' with multiplier {multiplier}; make the joint fixed instead"),
                 ));
             }
-            direct[j] = Some(Mimic { joint, multiplier: *multiplier, offset: *offset });
+            direct[j] = Some(Mimic { joint, multiplier, offset: mimic.offset.unwrap_or(0.0) });
         }
         // A driver is resolved before its followers: each joint is visited once, however long the chains are.
         let mut resolved: Vec<Option<Mimic>> = vec![None; raw.len()];

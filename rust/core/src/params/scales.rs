@@ -1,5 +1,6 @@
 //! Scalings and bounds of the step that are constants of the plan.
 
+use crate::error::Result;
 use crate::math::simd::{Arithmetic, Axes, Lanes};
 use crate::math::spatial::{Mat3, splat_matrix};
 use crate::model::Model;
@@ -41,6 +42,20 @@ pub(super) fn follows_sigma(settings: &Settings, damping: &DampingPlan) -> bool 
 }
 
 impl Plan {
+    /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
+    pub(crate) fn positions(&self, model: &Model, what: &str, values: &[f64]) -> Result<JointVec> {
+        let [least, most] = &self.readable;
+        model.joints_between(what, values, least, most)
+    }
+
+    /// Returns true if positions are plausible for a real arm, by the bounds of [`Plan::positions`].
+    #[inline(always)]
+    pub(crate) fn is_readable<J: Lanes>(&self, q: J) -> bool {
+        let (nothing, one) = (J::splat(0.0), J::splat(1.0));
+        let below = J::if_less(q, J::load(&self.readable[1]), nothing, one);
+        !nothing.any_less(J::if_less(J::load(&self.readable[0]), q, below, one))
+    }
+
     /// Returns the task's axes as columns, for a given pose of the tool.
     #[inline(always)]
     pub(crate) fn base_from_task<A: Arithmetic>(&self, tool: &Pose<A::Real>) -> Mat3<A::Real> {

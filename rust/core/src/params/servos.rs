@@ -194,6 +194,19 @@ impl ServoArrays {
         self.friction[i] + self.stribeck[i] + (self.load_friction[i] + self.load_stribeck[i]) * torque.abs()
     }
 
+    /// Returns 1/k_g of each joint of an arm at rest: `lead / g` within 0.3…3 × the configured `k_p` if |g| exceeds three
+    /// times the torque that friction and one encoder count can hide, else the configured 1/`k_p`.
+    pub(crate) fn captured_compliance(&self, n: usize, q: &JointVec, goal: &JointVec, holding: &JointVec) -> JointVec {
+        let mut captured = self.compliance;
+        for i in 0..n {
+            if holding[i].abs() > 3.0 * self.friction[i].max(self.kp[i] * self.encoder_step[i]) {
+                let (compliance, believed) = ((goal[i] - q[i]) / holding[i], self.compliance[i]);
+                captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
+            }
+        }
+        captured
+    }
+
     /// Creates the arrays from servos expanded by [`Servos::for_joints`]; without servos from the effort limits of the
     /// model.
     pub(crate) fn new(n: usize, servos: Option<&Servos>, effort: &[Option<f64>]) -> Self {

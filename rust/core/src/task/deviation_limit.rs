@@ -5,9 +5,10 @@
 
 use crate::math::rotation::{into_frame, out_of_frame, rotation_matrix, rotation_vector};
 use crate::math::simd::Plain;
-use crate::params::{DeviationLimit, OnDeviationLimit};
+use crate::params::{DeviationLimit, OnDeviationLimit, Plan};
 use crate::pose::Pose;
 use crate::task::pose_error;
+use crate::task::reference_governor::Governor;
 use crate::{AxisVec, MAX_AXES};
 
 /// Change of a deviation [m or rad] that counts as no change: rounding must not release a stopped target.
@@ -93,6 +94,19 @@ impl Pushed<'_> {
         pose.rotation = product(&rotation_matrix([e[3], e[4], e[5]]), &self.tool.rotation);
         pose
     }
+}
+
+/// Bounds the deviation of stiff axes by moving the reference, and sets its velocity along these axes to zero.
+#[cold]
+#[inline(never)]
+pub(crate) fn limit_deviation(plan: &Plan, pushed: &Pushed<'_>, governor: &mut Governor) -> Option<Kept> {
+    let kept = pushed.keep(&plan.deviation_limits, &governor.pose())?;
+    let mut velocity = into_frame::<Plain>(pushed.base_from_task, &governor.own_velocity());
+    for (value, met) in velocity.iter_mut().zip(kept.met) {
+        *value *= if met { 0.0 } else { kept.advance };
+    }
+    governor.put(kept.reference, out_of_frame(pushed.base_from_task, &velocity));
+    Some(kept)
 }
 
 /// Interpolates two poses: straight line, and rotation about one axis.

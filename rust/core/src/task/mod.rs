@@ -1,6 +1,7 @@
 //! From pose to deviation, softness, compliance and strength: lines 3–6 of the control step.
 
 pub mod adapt;
+mod arm_state;
 pub mod compliance;
 mod pose_error;
 
@@ -8,6 +9,7 @@ pub(crate) mod demand;
 pub(crate) mod deviation_limit;
 pub(crate) mod reference_governor;
 
+pub(crate) use arm_state::Seen;
 pub use pose_error::pose_error;
 pub(crate) use pose_error::pose_error_by;
 
@@ -19,7 +21,7 @@ use crate::params::Frame;
 
 /// [`task_rows`](crate::kinematics::task_rows) of a task in `frame`; written to `room` unless they equal those of `world`.
 #[inline(always)]
-pub(crate) fn rows_in<'a, J: Lanes>(
+fn rows_in<'a, J: Lanes>(
     frame: &Frame,
     world: &'a [J; MAX_AXES],
     base_from_task: &Mat3<Scalar<J>>,

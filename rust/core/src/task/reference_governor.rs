@@ -1,9 +1,11 @@
 //! Reference governor: bounds speed and acceleration of the tool's target.
 
-use crate::math::rotation::{rotation_matrix, rotation_matrix_by};
+use crate::math::rotation::{out_of_frame, rotation_matrix, rotation_matrix_by};
 use crate::math::simd::Arithmetic;
+use crate::params::Plan;
 use crate::pose::Pose;
 use crate::task::{pose_error, pose_error_by};
+use crate::{AxisVec, MAX_AXES};
 
 /// Distance to the reference [m, rad] above which a target counts as a jump.
 const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
@@ -170,6 +172,41 @@ impl Governor {
         }
         self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];
         self.pose
+    }
+}
+
+/// Missing share of the stiff axes' wrench at which the reference stops completely.
+const STRAINED: f64 = 0.2;
+
+/// Returns how much the reference is held back, 0 to 1, if the arm can exert this `share` of its stiff axes' wrench.
+#[inline(always)]
+pub(crate) fn strain(share: f64) -> f64 {
+    ((1.0 - share) / STRAINED).min(1.0)
+}
+
+/// Holds back a reference that runs ahead of an arm whose stiff axes are at their limits.
+pub(crate) struct Waiting<'a> {
+    pub(crate) plan: &'a Plan,
+    /// Bounds of the tool, linear and angular: speed [m/s, rad/s] and acceleration [m/s², rad/s²].
+    pub(crate) bounds: [[f64; 2]; 2],
+    pub(crate) base_from_task: &'a [[f64; 3]; 3],
+    /// Deviation of each row, times its stiffness share [m, rad].
+    pub(crate) lag: &'a AxisVec,
+    /// Degree to which the reference is held back, 0 to 1.
+    pub(crate) strain: f64,
+    pub(crate) dt: f64,
+}
+
+impl Waiting<'_> {
+    /// Takes back the lead over the arm that the reference has gained since `before`.
+    #[cold]
+    #[inline(never)]
+    pub(crate) fn of(&self, before: &Pose, governor: &mut Governor) {
+        let mut lag = [0.0; MAX_AXES];
+        for (&axis, &value) in self.plan.axes.iter().zip(self.lag) {
+            lag[axis] = value;
+        }
+        governor.wait(before, &out_of_frame(self.base_from_task, &lag), self.strain, self.bounds, self.dt);
     }
 }
 

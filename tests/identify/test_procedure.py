@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.identify import Order, Procedure, drive
+from pliant.identify import Procedure, ServoCommand, run_procedure
 
 
 class Still:
@@ -27,7 +27,7 @@ def counting(ticks, left):
     def start(q):
         try:
             for k in range(ticks):
-                q = yield Order(q + 1.0, np.ones(2))
+                q = yield ServoCommand(q + 1.0, np.ones(2))
                 left.append(k)
             return q
         finally:
@@ -48,7 +48,7 @@ def test_positions_go_in_and_the_last_order_stays():
 
 def test_drive_runs_an_arm_that_advances():
     arm = Still()
-    result = drive(arm, Procedure(counting(4, []), 2))
+    result = run_procedure(arm, Procedure(counting(4, []), 2))
     np.testing.assert_array_equal(result, [4.0, 4.0])
     assert len(arm.sent) == 5  # the last command holds
 
@@ -61,14 +61,14 @@ def test_what_was_changed_is_put_back_when_the_arm_fails():
             raise pliant.ServoTimeoutError("gone")
 
     with pytest.raises(pliant.ServoTimeoutError):
-        drive(Failing(), Procedure(counting(3, left), 2))
+        run_procedure(Failing(), Procedure(counting(3, left), 2))
     assert left == ["put back"]
 
 
 def test_a_loop_that_ends_first_is_an_error():
     left = []
     with pytest.raises(pliant.ServoError, match="ended before"):
-        drive(Still(), Procedure(counting(3, left), 2), loop=[])
+        run_procedure(Still(), Procedure(counting(3, left), 2), loop=[])
     assert left == []
 
 

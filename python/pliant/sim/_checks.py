@@ -6,18 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant._core import ConfigError, Servos
+from pliant._core import ConfigError, Servos, ShapeError
 from pliant._servo_tables import spread
 from pliant._validation import format_value, instance, number
-from pliant.sim.imperfections import Overload
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from pliant.sim.hand import Hand
-    from pliant.sim.scene import Fixture
+    from numpy.typing import ArrayLike, NDArray
 
     Array = NDArray[np.float64]
 
@@ -53,12 +47,6 @@ def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
     return found
 
 
-def protection(overload: Any | None) -> Overload | None:
-    """Check the overload protection of the servos; None passes."""
-    kind = "e.g. Overload(threshold=0.95, seconds=3.0)"
-    return None if overload is None else instance(overload, Overload, "overload", kind)
-
-
 def off_chain(value: str) -> None:
     """Check the treatment of off-chain joints."""
     if value not in {"held", "welded"}:
@@ -68,31 +56,6 @@ def off_chain(value: str) -> None:
 def creep(value: float) -> float:
     """Check the creep factor; MuJoCo has no dry friction that holds a joint entirely."""
     return number(value, "creep", 1e-3, 1.0)
-
-
-def split(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
-    """Separate hands (force laws) from fixtures (things with bodies).
-
-    Raises:
-        TypeError: `scene` is not iterable, or an item is neither a hand nor a fixture.
-    """
-    hands: list[Hand] = []
-    fixtures: list[Fixture] = []
-    try:
-        items: list[Any] = list(scene)
-    except TypeError:
-        raise TypeError(
-            f"scene must be a list of hands and fixtures, got {format_value(scene)}"
-        ) from None
-    for i, item in enumerate(items):
-        if hasattr(item, "add"):
-            fixtures.append(item)
-        elif hasattr(item, "at"):
-            hands.append(item)
-        else:
-            known = "a hand (Drag, Push, Wall …) nor a fixture (door(), Surface …) of pliant.sim"
-            raise TypeError(f"scene[{i}] is neither {known}, got {format_value(item)}")
-    return hands, fixtures
 
 
 def load(payload: Any) -> tuple[float, Array] | None:
@@ -118,3 +81,37 @@ def _float(value: Any, name: str) -> float:
         return float(value)
     except (TypeError, ValueError):
         raise ConfigError(f"{name} must be a number, got {format_value(value)}") from None
+
+
+def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> NDArray[np.float64]:
+    """Broadcast a scalar or an array of shape (n,) to (n,) and check it.
+
+    Args:
+        value: The number or numbers.
+        n: Number of joints.
+        name: Name of the value in error messages.
+        low: Smallest value allowed.
+
+    Returns:
+        A fresh float64 array of shape (n,).
+
+    Raises:
+        ShapeError: The array has neither one nor n entries.
+        ConfigError: An entry is no number, not finite or below `low`.
+    """
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError(
+            f"{name} must be a number or {n} numbers, one per joint; got {value!r}"
+        ) from None
+    if array.shape not in {(), (1,), (n,)}:
+        raise ShapeError(
+            f"{name} has shape {array.shape}; give a number or an array of shape ({n},)"
+        )
+    array = np.broadcast_to(array, n).copy()
+    if not np.all(np.isfinite(array)):
+        raise ConfigError(f"{name} is not finite: {array.tolist()}")
+    if np.any(array < low):
+        raise ConfigError(f"{name} must be at least {low:g}, got {array.min():g}")
+    return array

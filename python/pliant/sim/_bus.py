@@ -1,7 +1,4 @@
-"""Imperfections of real servos and of their bus.
-
-All are off by default, and repeatable by seed.
-"""
+"""The simulated bus: encoders, delays, losses and outages."""
 
 from __future__ import annotations
 
@@ -12,36 +9,18 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 
 from pliant._core import ConfigError
-from pliant.sim.gains import per_joint
+from pliant.drive import State
+from pliant.sim._checks import per_joint
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import ArrayLike, NDArray
 
+    Array = NDArray[np.float64]
+
+
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Overload:
-    """Overload protection of a servo: cuts the torque until reset if it is too large for too long.
-
-    Attributes:
-        threshold: Share of the usable torque that counts as overload, in (0, 1].
-        seconds: Longest overload without a trip [s].
-        remains: Share of the usable torque left afterwards (0: none, as Dynamixels; 0.2: STS3215).
-    """
-
-    threshold: float = 0.95
-    seconds: float = 3.0
-    remains: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        if not 0.0 < self.threshold <= 1.0:
-            raise ConfigError(f"Overload.threshold must be in (0, 1], got {self.threshold:g}")
-        if not self.seconds >= 0.0:
-            raise ConfigError(f"Overload.seconds must be at least 0 s, got {self.seconds:g}")
-        if not 0.0 <= self.remains <= 1.0:
-            raise ConfigError(f"Overload.remains must be in [0, 1], got {self.remains:g}")
 
 
 class Encoder:
@@ -89,7 +68,7 @@ class Encoder:
         return q
 
 
-class Line(Generic[T]):
+class DelayLine(Generic[T]):
     """One direction of the bus: a fixed delay in ticks, and losses.
 
     Each tick delivers the item sent `delay` ticks ago. If that item was lost, the last delivered
@@ -104,7 +83,7 @@ class Line(Generic[T]):
         self._rng = rng
         self.fresh = True
 
-    def pass_on(self, item: T | None, *, silent: bool = False) -> T:
+    def shift(self, item: T | None, *, silent: bool = False) -> T:
         """Send one item (None: nothing in this tick) and return the item at the receiving end."""
         lost = silent or (self._loss > 0.0 and self._rng.random() < self._loss)
         self._queue.append(
@@ -114,31 +93,6 @@ class Line(Generic[T]):
         if self.fresh:
             self._last = arrived
         return self._last
-
-
-class Latch:
-    """Overload time of each joint, and the joints that have cut their torque."""
-
-    def __init__(self, n: int, rule: Overload | None) -> None:
-        """Start with no joint tripped."""
-        self._rule = rule
-        self._seconds = np.zeros(n)
-        self.tripped = np.zeros(n, dtype=bool)
-
-    def limit(
-        self,
-        limit: NDArray[np.float64],
-        torque: NDArray[np.float64],
-        usable: NDArray[np.float64],
-        period: float,
-    ) -> NDArray[np.float64]:
-        """Return the limits (n,) [N·m] in force after a period with this mean torque."""
-        if self._rule is None:
-            return limit
-        over = np.abs(torque) >= self._rule.threshold * usable - 1e-9
-        self._seconds = np.where(over, self._seconds + period, 0.0)
-        self.tripped |= self._seconds > self._rule.seconds
-        return np.where(self.tripped, np.minimum(limit, self._rule.remains * usable), limit)
 
 
 def is_whole(value: object) -> bool:
@@ -175,3 +129,81 @@ def share(value: float, name: str) -> float:
     if isinstance(value, (str, bytes)) or np.ndim(value) or not 0.0 <= float(value) <= 1.0:
         raise ConfigError(f"{name} must be in [0, 1], got {value!r}")
     return float(value)
+
+
+@dataclass(frozen=True)
+class Command:
+    """One write on its way to the servos."""
+
+    goal: Array
+    limit: Array
+    extra: Mapping[str, tuple[float, float]]
+
+
+class Bus:
+    """Carries orders and readings, each direction with its own delay, loss and random source.
+
+    Attributes:
+        state: State that a read returns in this tick.
+        sent: The last order sent, whether or not it arrives.
+    """
+
+    def __init__(
+        self,
+        n: int,
+        *,
+        delay: tuple[int, int],
+        count: ArrayLike,
+        flicker: int,
+        noise: ArrayLike,
+        read_loss: float,
+        write_loss: float,
+        silent: tuple[float, float] | None,
+        seed: int,
+    ) -> None:
+        """Check the numbers; see `Plant` for their meaning."""
+        self._n, self._delay, self._silent, self._seed = n, delays(delay), span(silent), seed
+        if not is_whole(seed):
+            raise ConfigError(f"seed must be a whole number, at least 0, got {seed!r}")
+        self._read_loss = share(read_loss, "read_loss")
+        self._write_loss = share(write_loss, "write_loss")
+        self._count, self._flicker, self._noise = count, flicker, noise
+
+    @property
+    def write_delay(self) -> int:
+        """Ticks from a write to the servos."""
+        return self._delay[1]
+
+    def reset(self, first: Command, extra: Mapping[str, float]) -> None:
+        """Restart, with all random sources, as if `first` had always been the order."""
+        seeds = np.random.SeedSequence(self._seed).spawn(3)
+        encoding, reading, writing = (np.random.default_rng(seed) for seed in seeds)
+        self._encoder = Encoder(
+            self._n, count=self._count, flicker=self._flicker, noise=self._noise, rng=encoding
+        )
+        self.sent = first
+        self._pending: Command | None = None
+        self._writes = DelayLine(first, delay=self._delay[1], loss=self._write_loss, rng=writing)
+        self.state = State(self._encoder.round(first.goal), extra=extra)
+        self._reads = DelayLine(self.state, delay=self._delay[0], loss=self._read_loss, rng=reading)
+
+    def send(self, command: Command) -> None:
+        """Put an order on the line; a second order in one tick replaces the first."""
+        goal = self._encoder.round(command.goal)
+        self.sent = self._pending = Command(goal, command.limit, command.extra)
+
+    def deliver(self, time: float) -> Command:
+        """Return the order in force in the tick that begins at `time` [s]."""
+        command = self._writes.shift(self._pending, silent=self._is_silent(time))
+        self._pending = None
+        return command
+
+    def sample(self, q: Array, extra: Mapping[str, float], time: float) -> None:
+        """Sample the true q (n,) [rad] at `time` [s] and advance the read line by one tick."""
+        now = State(self._encoder.read(q), time=time, extra=extra)
+        old = self._reads.shift(now, silent=self._is_silent(time))
+        age = np.full(self._n, time - old.time)
+        self.state = State(old.q.copy(), None, old.time, self._reads.fresh, old.extra, age)
+
+    def _is_silent(self, time: float) -> bool:
+        return self._silent is not None and self._silent[0] <= time < self._silent[1]

@@ -66,7 +66,7 @@ class Frame:
         return np.concatenate((self._twist[3:], self._twist[:3]))
 
 
-class Truth:
+class GroundTruth:
     """The frames of the simulation by name: every link, `tool` and `wrist`."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, aliases: dict[str, str]) -> None:

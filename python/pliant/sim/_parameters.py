@@ -11,13 +11,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pliant._core import ConfigError, Servos, ShapeError
+from pliant._core import ConfigError, Servos
 from pliant._servo_tables import spread
+from pliant.sim._checks import per_joint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
 
 LimitType = Literal["current", "pwm"]
 
@@ -59,40 +63,6 @@ class Gains:
             friction=self.friction * per_joint(friction, n, "friction_scale", low=0.0),
             damping=self.damping * per_joint(damping, n, "damping_scale", low=0.0),
         )
-
-
-def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> NDArray[np.float64]:
-    """Broadcast a scalar or an array of shape (n,) to (n,) and check it.
-
-    Args:
-        value: The number or numbers.
-        n: Number of joints.
-        name: Name of the value in error messages.
-        low: Smallest value allowed.
-
-    Returns:
-        A fresh float64 array of shape (n,).
-
-    Raises:
-        ShapeError: The array has neither one nor n entries.
-        ConfigError: An entry is no number, not finite or below `low`.
-    """
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ConfigError(
-            f"{name} must be a number or {n} numbers, one per joint; got {value!r}"
-        ) from None
-    if array.shape not in {(), (1,), (n,)}:
-        raise ShapeError(
-            f"{name} has shape {array.shape}; give a number or an array of shape ({n},)"
-        )
-    array = np.broadcast_to(array, n).copy()
-    if not np.all(np.isfinite(array)):
-        raise ConfigError(f"{name} is not finite: {array.tolist()}")
-    if np.any(array < low):
-        raise ConfigError(f"{name} must be at least {low:g}, got {array.min():g}")
-    return array
 
 
 def tabulate(model: Any, servos: Servos | None, limit_type: LimitType | None) -> Servos:

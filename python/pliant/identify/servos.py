@@ -8,38 +8,37 @@ import numpy as np
 
 from pliant._core import ConfigError, Model, ServoError, Servos
 from pliant._validation import instance, number
-from pliant.identify.delay import delay as fit_delay
-from pliant.identify.found import Identification
-from pliant.identify.poses import SPAN, SWING, pose_list, wanted
-from pliant.identify.regress import Beliefs, Solution, solve
-from pliant.identify.rig import Rig
-from pliant.identify.seam import Procedure, drive, guided
-from pliant.identify.slides import bare_gravity, payload_rows, slides
+from pliant.identify._excitation import Excitation
+from pliant.identify._poses import SPAN, SWING, check_poses, pose_list
+from pliant.identify._regression import Priors, Solution, fit_delay, solve
+from pliant.identify._segments import bare_gravity, find_segments, payload_rows
+from pliant.identify.procedure import Procedure, guided, run_procedure
+from pliant.identify.result import Identification
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant.identify.delay import Delay
-    from pliant.identify.rig import Record
-    from pliant.identify.seam import Arm, Steps, Tick
+    from pliant.identify._excitation import Record
+    from pliant.identify._regression import Delay
+    from pliant.identify.procedure import Arm, Steps, Tick
 
     Array = NDArray[np.float64]
 
 #: Swing in slow motion on top of the amplitude, as a multiple of friction over stiffness [1].
-BEYOND_FRICTION = 4.0
+FRICTION_SWING = 4.0
 #: Largest swing [rad], and how often it may grow if friction is higher than assumed.
-WIDEST, GROWTHS = 0.4, 2
+MAX_SWING, MAX_WIDENINGS = 0.4, 2
 #: Periods [s] and numbers of swings: at every pose, and at two more speeds at the first pose.
-SLOW, PACES = (2.6, 1.75), ((1.8, 2.25), (5.0, 1.25))
+SLOW_SWING, FASTER_SWINGS = (2.6, 1.75), ((1.8, 2.25), (5.0, 1.25))
 #: Periods [s] and numbers of swings of one joint driven by its limit.
-PUSHES = ((1.8, 2.25), (5.0, 1.25))
+LIMIT_SWINGS = ((1.8, 2.25), (5.0, 1.25))
 #: Steps of each joint's goal.
-JUMPS = 7
+STEP_COUNT = 7
 
 
-def _servos(
+def _make_procedure(
     model: Model,
     servos: Servos | None = None,
     *,
@@ -65,23 +64,23 @@ def _servos(
     Raises:
         ConfigError: There is no servo table. OutOfRangeError: A number is out of range.
     """
-    known = instance(model, Model, "model").servos
-    believed = known if servos is None else instance(servos, Servos, "servos")
-    if believed is None:
+    own = instance(model, Model, "model").servos
+    assumed = own if servos is None else instance(servos, Servos, "servos")
+    if assumed is None:
         raise ConfigError(
             "identification needs a servo table: give servos=pliant.Servos(kp=…, max_torque=…)"
         )
-    rig = Rig(model, believed, period, torque_share=torque_share)
+    rig = Excitation(model, assumed, period, torque_share=torque_share)
     numbers = (
         number(span, "span", 0.0, SPAN, "rad"),
         number(amplitude, "amplitude", *SWING, "rad"),
         number(limit_error, "limit_error", 1e-3, 1.0),
     )
-    chosen = wanted(poses, rig.n)
+    chosen = check_poses(poses, rig.n)
     return Procedure(lambda q: _identify(rig, q, chosen, numbers), rig.n)
 
 
-@guided(_servos)
+@guided(_make_procedure)
 def identify_servos(
     arm: Arm,
     model: Model,
@@ -116,18 +115,18 @@ def identify_servos(
     """
     own = rate if rate is not None else getattr(arm, "rate", 100.0)
     period = 1.0 / number(own, "rate", 10.0, 1000.0, "Hz")
-    procedure = _servos(
+    procedure = _make_procedure(
         model, servos, period=period, poses=poses, span=span, amplitude=amplitude, **options
     )
-    return drive(arm, procedure, loop, rate=1.0 / period)
+    return run_procedure(arm, procedure, loop, rate=1.0 / period)
 
 
-def swing(rig: Rig, amplitude: float) -> Array:
+def swing(rig: Excitation, amplitude: float) -> Array:
     """Return the swing of each joint that overcomes its friction (n,) [rad]."""
-    return amplitude + BEYOND_FRICTION * rig.friction / rig.kp
+    return amplitude + FRICTION_SWING * rig.friction / rig.kp
 
 
-def wide_enough(rig: Rig, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
+def widen_swing(rig: Excitation, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
     """Swing near q, wider until every joint moves by the amplitude; return swing and positions.
 
     A goal that reverses must first cross the friction of the joint, 2 f/k_p, before the joint
@@ -137,89 +136,91 @@ def wide_enough(rig: Rig, q: Array, amplitude: float) -> Steps[tuple[Array, Arra
         OutOfRangeError: The swing would leave the position limits.
     """
     start, size = q.copy(), swing(rig, amplitude)
-    for _ in range(GROWTHS + 1):
-        pose = rig.inside(start, size)
-        rig.begin()
+    for _ in range(MAX_WIDENINGS + 1):
+        pose = rig.fit_within_limits(start, size)
+        rig.start_record()
         q = yield from rig.travel(q, start, pose)
-        record = rig.begin()
-        q = yield from rig.sweep(q, pose, size, *SLOW)
-        moved = np.array(record.q)[-round(SLOW[0] / rig.period) :]
-        lack = amplitude - 0.5 * (moved.max(axis=0) - moved.min(axis=0))
-        rig.begin()
+        record = rig.start_record()
+        q = yield from rig.sweep(q, pose, size, *SLOW_SWING)
+        moved = np.array(record.q)[-round(SLOW_SWING[0] / rig.period) :]
+        deficit = amplitude - 0.5 * (moved.max(axis=0) - moved.min(axis=0))
+        rig.start_record()
         q = yield from rig.travel(q, pose, start)
-        if (lack < 0.3 * amplitude).all():
+        if (deficit < 0.3 * amplitude).all():
             break
         rig.records.remove(record)
-        size = np.minimum(size + 1.5 * np.maximum(lack, 0.0), WIDEST)
+        size = np.minimum(size + 1.5 * np.maximum(deficit, 0.0), MAX_SWING)
     return size, q
 
 
-def statics(rig: Rig, q: Array, route: list[Array], size: Array) -> Steps[Array]:
+def swing_at_poses(rig: Excitation, q: Array, route: list[Array], size: Array) -> Steps[Array]:
     """Swing slowly at each pose of the route, in order."""
     at = route[0]
     for pose in route:
-        rig.begin()
+        rig.start_record()
         q = yield from rig.travel(q, at, pose)
-        rig.begin()
-        q = yield from rig.sweep(q, pose, size, *SLOW)
+        rig.start_record()
+        q = yield from rig.sweep(q, pose, size, *SLOW_SWING)
         at = pose
     return q
 
 
 def _identify(
-    rig: Rig, q: Array, poses: int | Array, numbers: tuple[float, float, float]
+    rig: Excitation, q: Array, poses: int | Array, numbers: tuple[float, float, float]
 ) -> Steps[Identification]:
     span, amplitude, limit_error = numbers
     start = q
-    size, q = yield from wide_enough(rig, q, amplitude)
-    route = pose_list(rig, rig.inside(start, size), poses, span, size)
+    size, q = yield from widen_swing(rig, q, amplitude)
+    route = pose_list(rig, rig.fit_within_limits(start, size), poses, span, size)
     q = yield from rig.travel(q, start, route[-1])
-    q = yield from statics(rig, q, route[::-1], size)
+    q = yield from swing_at_poses(rig, q, route[::-1], size)
     home = route[0]
-    for seconds, turns in PACES:
-        rig.begin()
+    for seconds, turns in FASTER_SWINGS:
+        rig.start_record()
         q = yield from rig.sweep(q, home, size, seconds, turns)
-    rig.begin()
+    rig.start_record()
     q = yield from rig.travel(q, home, home)
 
-    first = _fit(rig, Beliefs(limit=limit_error))
+    first = _fit(rig, Priors(limit=limit_error))
     table = rig.kp, rig.friction
     rig.kp = np.clip(first.value["kp"], 0.3 * rig.kp, 3.0 * rig.kp)
     rig.friction = np.maximum(first.value["friction"], 0.0)
-    rig.carried = held(rig, home, first) - np.asarray(rig.model.gravity(home))
+    rig.extra_torque = holding_torque(rig, home, first) - np.asarray(rig.model.gravity(home))
     for joint in range(rig.n):
-        for pace in PUSHES:
-            rig.begin(joint)
+        for pace in LIMIT_SWINGS:
+            rig.start_record(joint)
             q = yield from rig.push(q, home, joint, float(size[joint]), pace)
-            rig.begin()
+            rig.start_record()
             q = yield from rig.travel(q, home, home)
-    jumps = []
+    steps = []
     for joint in range(rig.n):
-        jumps.append(rig.begin())
-        q = yield from rig.steps(q, home, joint, float(size[joint]), JUMPS)
+        steps.append(rig.start_record())
+        q = yield from rig.steps(q, home, joint, float(size[joint]), STEP_COUNT)
     rig.kp, rig.friction = table
-    return conclude(rig, home, jumps, limit_error)
+    return fit_all(rig, home, steps, limit_error)
 
 
-def conclude(rig: Rig, home: Array, jumps: list[Record], limit_error: float) -> Identification:
+def fit_all(
+    rig: Excitation, home: Array, steps: list[Record], limit_error: float
+) -> Identification:
     """Fit all unknowns to all records."""
-    free = _fit(rig, Beliefs(limit=limit_error, load=0.3))
-    by_load = free.value["load"] + free.value["motor"]
-    shown = by_load > 3.0 * np.hypot(free.sigma["load"], free.sigma["motor"])
-    solution = _fit(rig, Beliefs(limit=limit_error, load=np.where(shown, 0.3, 0.0)))
-    late: Delay = fit_delay(rig, jumps, solution, held(rig, home, solution))
-    return Identification.of(rig, home, solution, late)
+    first_fit = _fit(rig, Priors(limit=limit_error, load=0.3))
+    by_load = first_fit.value["load"] + first_fit.value["motor"]
+    significant = by_load > 3.0 * np.hypot(first_fit.sigma["load"], first_fit.sigma["motor"])
+    solution = _fit(rig, Priors(limit=limit_error, load=np.where(significant, 0.3, 0.0)))
+    delay: Delay = fit_delay(rig, steps, solution, holding_torque(rig, home, solution))
+    return Identification.of(rig, home, solution, delay)
 
 
-def held(rig: Rig, q: Array, solution: Solution) -> Array:
+def holding_torque(rig: Excitation, q: Array, solution: Solution) -> Array:
     """Return the torques that hold the arm with the identified payload (n,) [N·m]."""
     return bare_gravity(rig.model, q) + payload_rows(rig.model, q) @ solution.payload
 
 
-def _fit(rig: Rig, beliefs: Beliefs) -> Solution:
-    rows = [slide for record in rig.records for slide in slides(rig, record)]
+def _fit(rig: Excitation, priors: Priors) -> Solution:
+    rows = [segment for record in rig.records for segment in find_segments(rig, record)]
     if not rows:
         raise ServoError(
             "no joint ever moved steadily: raise amplitude, or look whether the servos are enabled"
         )
-    return solve(rig, rows, beliefs)
+    return solve(rig, rows, priors)

@@ -1,23 +1,79 @@
-"""Servos of an arm: goals and limits in, torques out, and their behaviour between writes."""
+"""Servos of a simulated arm: goals and limits in, torques out; overload protection."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pliant._core import ConfigError
+from pliant._validation import instance
 from pliant.sim._mujoco import mujoco
-from pliant.sim.imperfections import Latch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pliant.sim.gains import Gains
-    from pliant.sim.imperfections import Overload
-    from pliant.sim.spec import Build
-    from pliant.sim.state import Order
+    from pliant.sim._bus import Command
+    from pliant.sim._model_builder import Build
+    from pliant.sim._parameters import Gains
 
     Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overload:
+    """Overload protection of a servo: cuts the torque until reset if it is too large for too long.
+
+    Attributes:
+        threshold: Share of the usable torque that counts as overload, in (0, 1].
+        seconds: Longest overload without a trip [s].
+        remains: Share of the usable torque left afterwards (0: none, as Dynamixels; 0.2: STS3215).
+    """
+
+    threshold: float = 0.95
+    seconds: float = 3.0
+    remains: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if not 0.0 < self.threshold <= 1.0:
+            raise ConfigError(f"Overload.threshold must be in (0, 1], got {self.threshold:g}")
+        if not self.seconds >= 0.0:
+            raise ConfigError(f"Overload.seconds must be at least 0 s, got {self.seconds:g}")
+        if not 0.0 <= self.remains <= 1.0:
+            raise ConfigError(f"Overload.remains must be in [0, 1], got {self.remains:g}")
+
+
+class OverloadTrip:
+    """Overload time of each joint, and the joints that have cut their torque."""
+
+    def __init__(self, n: int, rule: Overload | None) -> None:
+        """Start with no joint tripped."""
+        self._rule = rule
+        self._seconds = np.zeros(n)
+        self.tripped = np.zeros(n, dtype=bool)
+
+    def limit(
+        self,
+        limit: NDArray[np.float64],
+        torque: NDArray[np.float64],
+        usable: NDArray[np.float64],
+        period: float,
+    ) -> NDArray[np.float64]:
+        """Return the limits (n,) [N·m] in force after a period with this mean torque."""
+        if self._rule is None:
+            return limit
+        over = np.abs(torque) >= self._rule.threshold * usable - 1e-9
+        self._seconds = np.where(over, self._seconds + period, 0.0)
+        self.tripped |= self._seconds > self._rule.seconds
+        return np.where(self.tripped, np.minimum(limit, self._rule.remains * usable), limit)
+
+
+def check_overload(overload: Any | None) -> Overload | None:
+    """Check the overload protection of the servos; None passes."""
+    kind = "e.g. Overload(threshold=0.95, seconds=3.0)"
+    return None if overload is None else instance(overload, Overload, "overload", kind)
 
 
 class ServoBank:
@@ -63,7 +119,7 @@ class ServoBank:
         for name, (rest, _) in self.held.items():
             self._data.qpos[self._model.joint(name).qposadr[0]] = rest
         self._place_followers()
-        self._latch = Latch(n, self._overload)
+        self._trip = OverloadTrip(n, self._overload)
         self._reference = q.copy()
         self.torque, self._sum, self._steps = np.zeros(n), np.zeros(n), 0
 
@@ -107,23 +163,23 @@ class ServoBank:
     @property
     def tripped(self) -> NDArray[np.bool_]:
         """Mask of the servos that have cut their torque (n,)."""
-        return self._latch.tripped.copy()
+        return self._trip.tripped.copy()
 
     def angles(self) -> dict[str, float]:
         """Positions of the off-chain joints by name [rad]."""
         return {name: float(self._data.joint(name).qpos[0]) for name in self.held}
 
-    def apply(self, order: Order, period: float) -> None:
+    def apply(self, command: Command, period: float) -> None:
         """Apply an order, limits first: a far goal must not meet an old, higher limit."""
         usable = self._gains.torque
-        limit = self._latch.limit(order.limit, self.torque, usable, period)
+        limit = self._trip.limit(command.limit, self.torque, usable, period)
         force = self._model.actuator_forcerange
         force[self._servo, 0], force[self._servo, 1] = -limit, limit
-        self._goal = order.goal
-        self._data.ctrl[self._servo] = order.goal
-        for name, (goal, most) in order.extra.items():
+        self._goal = command.goal
+        self._data.ctrl[self._servo] = command.goal
+        for name, (goal, max_limit) in command.extra.items():
             index = self._model.actuator(name).id
-            force[index] = (-most, most)
+            force[index] = (-max_limit, max_limit)
             self._data.ctrl[index] = goal
         self._sum[:] = 0.0
         self._steps = 0
@@ -138,8 +194,10 @@ class ServoBank:
         if self._speed is None:
             self._reference = self._goal
         else:
-            most = self._speed * dt
-            self._reference = self._reference + np.clip(self._goal - self._reference, -most, most)
+            max_limit = self._speed * dt
+            self._reference = self._reference + np.clip(
+                self._goal - self._reference, -max_limit, max_limit
+            )
         error = self._reference - self.q
         ctrl = self._reference - np.clip(error, -self._deadband, self._deadband)
         ctrl[self._play_of] -= self._data.qpos[self._play]

@@ -1,8 +1,8 @@
 """Interface of a procedure and an arm: positions in, goals and torque limits out, tick by tick.
 
-A procedure is a generator that starts with the first positions, yields orders, and receives the
-next positions. `Procedure` wraps it as `step(q) -> Order`, which any loop can call; `drive` runs
-it to its end on a connected or simulated arm.
+A procedure is a generator that starts with the first positions, yields commands, and receives the
+next positions. `Procedure` wraps it as `step(q) -> ServoCommand`, which any loop can call;
+`run_procedure` runs it to its end on a connected or simulated arm.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 @dataclass(frozen=True)
-class Order:
+class ServoCommand:
     """Goals and torque limits of one tick; names as in `pliant.Command`.
 
     Attributes:
@@ -44,7 +44,7 @@ class Order:
 
 
 #: A generator that yields orders, receives positions (n,), and returns its result.
-Steps = Generator[Order, "NDArray[np.float64]", T]
+Steps = Generator[ServoCommand, "NDArray[np.float64]", T]
 
 
 class Arm(Protocol):
@@ -64,7 +64,7 @@ class Tick(Protocol):
     def q(self) -> Array:
         """Positions (n,) [rad]."""
 
-    def write(self, command: Order) -> Any:
+    def write(self, command: ServoCommand) -> Any:
         """Send an order."""
 
 
@@ -90,11 +90,11 @@ class Procedure(Generic[T]):
     def __init__(self, start: Callable[[Array], Steps[T]], n: int) -> None:
         self._start, self._n = start, n
         self._steps: Steps[T] | None = None
-        self._order: Order | None = None
+        self._command: ServoCommand | None = None
         self._result: list[T] = []
         self.done = False
 
-    def step(self, q: ArrayLike, *, dt: float | None = None) -> Order:
+    def step(self, q: ArrayLike, *, dt: float | None = None) -> ServoCommand:
         """Return the order for the positions q (n,) [rad]; the last order once done.
 
         Args:
@@ -115,15 +115,15 @@ class Procedure(Generic[T]):
         try:
             if self._steps is None:
                 self._steps = self._start(q)
-                self._order = next(self._steps)
+                self._command = next(self._steps)
             elif not self.done:
-                self._order = self._steps.send(q)
+                self._command = self._steps.send(q)
         except StopIteration as end:
             self.done = True
             self._result = [end.value]
-        if self._order is None:
+        if self._command is None:
             raise ServoError("the procedure ended before it gave an order")
-        return self._order
+        return self._command
 
     def close(self) -> None:
         """End the procedure early and restore everything that it had changed."""
@@ -165,7 +165,7 @@ def guided(make: Callable[Q, Procedure[T]]) -> Callable[[Callable[P, T]], Guided
     return lambda function: Guided(function, make)
 
 
-def drive(
+def run_procedure(
     arm: Arm,
     procedure: Procedure[T],
     loop: Iterable[Tick] | None = None,
@@ -192,8 +192,8 @@ def drive(
         )
     try:
         for tick in _ticks(arm, rate) if loop is None else loop:
-            order = procedure.step(tick.q)
-            tick.write(order)
+            command = procedure.step(tick.q)
+            tick.write(command)
             if procedure.done:
                 return procedure.result
     finally:
@@ -202,11 +202,11 @@ def drive(
 
 
 @dataclass(frozen=True)
-class _Turn:
+class _PlantTick:
     q: NDArray[np.float64]
     arm: Arm
 
-    def write(self, command: Order) -> None:
+    def write(self, command: ServoCommand) -> None:
         self.arm.write(command.goal, command.torque_limit)
 
 
@@ -214,7 +214,7 @@ def _ticks(arm: Any, rate: float | None) -> Iterator[Tick]:
     """Yield ticks of an arm, by `advance()` if it has one, else by a `Loop`."""
     if hasattr(arm, "advance"):
         while True:
-            yield _Turn(np.asarray(arm.read().q), arm)
+            yield _PlantTick(np.asarray(arm.read().q), arm)
             arm.advance()
     else:
         from pliant.loop import Loop

@@ -9,7 +9,7 @@ import numpy as np
 
 from pliant._core import Compensation, ConfigError, Controller, Settings, Tracking
 from pliant._validation import instance, number
-from pliant.identify.seam import Order, Procedure, drive, guided
+from pliant.identify.procedure import Procedure, ServoCommand, guided, run_procedure
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -17,28 +17,28 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pliant._core import Command, Servos
-    from pliant.identify.seam import Arm, Steps, Tick
+    from pliant.identify.procedure import Arm, Steps, Tick
 
     Array = NDArray[np.float64]
 
 #: Rate at which the goal integrates while holding [1/s], and the share of the time averaged.
-INTEGRATE, AVERAGED = 4.0, 0.25
+INTEGRATE, AVERAGED_SHARE = 4.0, 0.25
 #: Shares of the feed-forward that are tried if the arm moves with all of it, and the time for which
 #: it is held stiffly in between [s].
-LESS, HELD = (0.5, 0.0), 0.5
+REDUCED_SHARES, HOLD_TIME = (0.5, 0.0), 0.5
 #: Speed of the tool below which the arm counts as at rest [m/s].
-STANDING = 2e-3
+REST_SPEED = 2e-3
 #: Least and largest share of the assumed k_p that `Controller.capture_gravity` accepts.
 CLIP = (0.3, 3.0)
 
 
 @dataclass(frozen=True)
-class Captured:
+class GravityCapture:
     """Result of a capture, per joint.
 
     Attributes:
         stiffness: k_g (n,) used for the gravity offset from now on [N·m/rad].
-        believed: Assumed k_p of the table (n,) [N·m/rad].
+        assumed: Assumed k_p of the table (n,) [N·m/rad].
         lead: Goal minus position that held the arm (n,) [rad].
         gravity: Torque that holds the arm, by the model (n,) [N·m].
         captured: Joints whose k_g was measured (n,).
@@ -53,7 +53,7 @@ class Captured:
     """
 
     stiffness: NDArray[np.float64]
-    believed: NDArray[np.float64]
+    assumed: NDArray[np.float64]
     lead: NDArray[np.float64]
     gravity: NDArray[np.float64]
     captured: NDArray[np.bool_]
@@ -73,7 +73,7 @@ class Captured:
         """Return one sentence per joint, then the result of the check."""
         out = []
         for i, name in enumerate(self.joint_names):
-            ratio = self.stiffness[i] / self.believed[i]
+            ratio = self.stiffness[i] / self.assumed[i]
             if self.clipped[i]:
                 out.append(
                     f"{name}: a lead of {self.lead[i]:+.4f} rad does not fit "
@@ -118,9 +118,9 @@ class Captured:
         return "\n".join(self.summary())
 
 
-def _gravity(
+def _make_procedure(
     controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
-) -> Procedure[Captured]:
+) -> Procedure[GravityCapture]:
     """Make the procedure of `capture_gravity`."""
     servos = instance(controller, Controller, "controller").servos
     if servos is None:
@@ -135,7 +135,7 @@ def _gravity(
     return Procedure(lambda q: _capture(controller, servos, q, numbers), controller.model.n)
 
 
-@guided(_gravity)
+@guided(_make_procedure)
 def capture_gravity(
     arm: Arm,
     controller: Controller,
@@ -144,7 +144,7 @@ def capture_gravity(
     check: float = 2.0,
     bound: float = 2e-3,
     loop: Iterable[Tick] | None = None,
-) -> Captured:
+) -> GravityCapture:
     """Capture the gravity offset at the present pose; 4 to 9 s, without touching the arm.
 
     It holds every axis with an integrating goal and without feed-forward of friction and damping
@@ -167,13 +167,13 @@ def capture_gravity(
             type.
         ShapeError: The arm has other joints than the controller's model.
     """
-    procedure = _gravity(controller, seconds=seconds, check=check, bound=bound)
-    return drive(arm, procedure, loop, rate=controller.settings.rate)
+    procedure = _make_procedure(controller, seconds=seconds, check=check, bound=bound)
+    return run_procedure(arm, procedure, loop, rate=controller.settings.rate)
 
 
 def _capture(
     controller: Controller, servos: Servos, q: Array, numbers: tuple[float, float, float]
-) -> Steps[Captured]:
+) -> Steps[GravityCapture]:
     seconds, check, bound = numbers
     model, before = controller.model, controller.settings
     stiff = Settings(
@@ -186,36 +186,36 @@ def _capture(
     controller.reset(q)
     target = model.forward_kinematics(q)
     ticks = round(seconds * before.rate)
-    kept: list[tuple[Array, Array]] = []
+    samples: list[tuple[Array, Array]] = []
     controller.update(stiff)
     try:
         for _ in range(ticks):
-            order = _order(controller.step(q, target))
-            kept.append((q, order.goal))
-            q = yield order
-        tail = kept[-max(round(AVERAGED * ticks), 1) :]
+            command = _command(controller.step(q, target))
+            samples.append((q, command.goal))
+            q = yield command
+        tail = samples[-max(round(AVERAGED_SHARE * ticks), 1) :]
         where, goal = (np.mean([pair[k] for pair in tail], axis=0) for k in (0, 1))
         stiffness = controller.capture_gravity(where, goal)
     finally:
         controller.update(before)
     first, last = (model.forward_kinematics(tail[k][0])[:3, 3] for k in (0, -1))
     counts = float(np.abs(model.jacobian(where)[:3] * np.asarray(servos.encoder_step)).sum())
-    still = float(np.linalg.norm(last - first)) < STANDING * seconds * AVERAGED + counts
+    still = float(np.linalg.norm(last - first)) < REST_SPEED * seconds * AVERAGED_SHARE + counts
     drift, remedy = np.nan, None
     if check > 0.0:
-        drift, q = yield from _watch(controller, q, round(check * before.rate), bound)
+        drift, q = yield from _hold_and_measure(controller, q, round(check * before.rate), bound)
         if drift > bound:
-            remedy = yield from _remedy(controller, q, (check, bound), stiff)
-    believed = np.array(servos.kp)
+            remedy = yield from _find_remedy(controller, q, (check, bound), stiff)
+    assumed = np.array(servos.kp)
     lead, gravity = (
         goal - where,
         np.asarray(controller.diagnostics.gravity if check else model.gravity(where)),
     )
     measured = np.abs(gravity) > 3.0 * np.asarray(servos.friction)
-    ratio = stiffness / believed
-    return Captured(
+    ratio = stiffness / assumed
+    return GravityCapture(
         stiffness=np.asarray(stiffness),
-        believed=believed,
+        assumed=assumed,
         lead=lead,
         gravity=gravity,
         captured=measured,
@@ -228,40 +228,40 @@ def _capture(
     )
 
 
-def _order(command: Command) -> Order:
+def _command(command: Command) -> ServoCommand:
     """Convert a command to an order with copies of its arrays."""
-    return Order(np.array(command.goal), np.array(command.torque_limit))
+    return ServoCommand(np.array(command.goal), np.array(command.torque_limit))
 
 
-def _remedy(
+def _find_remedy(
     controller: Controller, q: Array, numbers: tuple[float, float], stiff: Settings
 ) -> Steps[Settings | None]:
     """Find settings with less feed-forward under which the arm stays; restore those in force."""
     check, bound = numbers
     before = controller.settings
-    ticks, rest = round(check * before.rate), round(HELD * before.rate)
+    ticks, rest = round(check * before.rate), round(HOLD_TIME * before.rate)
     try:
-        for share in LESS:
+        for share in REDUCED_SHARES:
             controller.update(stiff)
-            _, q = yield from _watch(controller, q, rest)
-            less = before.replace(
+            _, q = yield from _hold_and_measure(controller, q, rest)
+            reduced = before.replace(
                 compensation=Compensation(
                     friction=share * before.compensation.friction,
                     damping=share * before.compensation.damping,
                 ),
             )
-            controller.update(less)
-            drift, q = yield from _watch(controller, q, ticks, bound)
+            controller.update(reduced)
+            drift, q = yield from _hold_and_measure(controller, q, ticks, bound)
             if drift <= bound:
-                return less
+                return reduced
         controller.update(stiff)
-        yield from _watch(controller, q, rest)
+        yield from _hold_and_measure(controller, q, rest)
     finally:
         controller.update(before)
     return None
 
 
-def _watch(
+def _hold_and_measure(
     controller: Controller, q: Array, ticks: int, bound: float = np.inf
 ) -> Steps[tuple[float, Array]]:
     """Hold the present pose under the settings in force; return the tool's motion [m] and q.
@@ -272,9 +272,9 @@ def _watch(
     target = model.forward_kinematics(q)
     drift = 0.0
     for _ in range(ticks):
-        q = yield _order(controller.step(q, target))
-        away = model.forward_kinematics(q)[:3, 3] - target[:3, 3]
-        drift = max(drift, float(np.linalg.norm(away)))
+        q = yield _command(controller.step(q, target))
+        offset = model.forward_kinematics(q)[:3, 3] - target[:3, 3]
+        drift = max(drift, float(np.linalg.norm(offset)))
         if drift > bound:
             break
     return drift, q

@@ -8,27 +8,27 @@ import numpy as np
 
 from pliant._core import OutOfRangeError, ShapeError
 from pliant._validation import format_value
-from pliant.identify.rig import ROOM
-from pliant.identify.slides import bare_gravity, payload_rows
+from pliant.identify._excitation import LIMIT_MARGIN
+from pliant.identify._segments import bare_gravity, payload_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from pliant.identify.rig import Rig
+    from pliant.identify._excitation import Excitation
 
     Array = NDArray[np.float64]
 
 #: Number of candidates, and largest share of the usable torque that may hold one of them.
-DRAWN, HOLDING = 200, 0.6
+CANDIDATES, MAX_HOLDING_SHARE = 200, 0.6
 #: Largest distance of a chosen pose from the present one, least and largest swing [rad].
 SPAN, SWING = np.pi, (0.01, 0.5)
 #: Largest descent of the tool below its first height [m].
-DROP = 0.05
+MAX_DROP = 0.05
 
 
-def wanted(poses: int | ArrayLike, n: int) -> int | Array:
+def check_poses(poses: int | ArrayLike, n: int) -> int | Array:
     """Check a number of poses, or postures (K, n) [rad].
 
     Raises:
@@ -50,13 +50,15 @@ def wanted(poses: int | ArrayLike, n: int) -> int | Array:
     return postures
 
 
-def pose_list(rig: Rig, q: Array, poses: int | Array, span: float, size: Array) -> list[Array]:
+def pose_list(
+    rig: Excitation, q: Array, poses: int | Array, span: float, size: Array
+) -> list[Array]:
     """Return the poses to visit, the present one first unless the poses are given.
 
     Args:
         rig: The arm.
         q: Present positions (n,) [rad].
-        poses: Postures (K, n) [rad], or how many to choose, as `wanted` returns them.
+        poses: Postures (K, n) [rad], or how many to choose, as `check_poses` returns them.
         span: Largest distance of a joint from q in a chosen pose [rad].
         size: Swing about each pose (n,) [rad], inside the position limits.
 
@@ -64,29 +66,29 @@ def pose_list(rig: Rig, q: Array, poses: int | Array, span: float, size: Array) 
         OutOfRangeError: A pose and its swing leave the position limits.
     """
     if isinstance(poses, int):
-        rig.check(q - size, q + size)
+        rig.check_range(q - size, q + size)
         return choose(rig, q, poses, span, size)
     for pose in poses:
-        rig.check(pose - size, pose + size)
+        rig.check_range(pose - size, pose + size)
     return list(poses)
 
 
-def choose(rig: Rig, q: Array, count: int, span: float, size: Array) -> list[Array]:
+def choose(rig: Excitation, q: Array, count: int, span: float, size: Array) -> list[Array]:
     """Return `count` poses within ±span of q that are most informative together, q first.
 
     Greedy choice: each step adds the candidate that raises the determinant of the information on
-    stiffness and payload most. Candidates that lower the tool by more than `DROP`, or need more
-    than `HOLDING` of a servo, are excluded.
+    stiffness and payload most. Candidates that lower the tool by more than `MAX_DROP`, or need more
+    than `MAX_HOLDING_SHARE` of a servo, are excluded.
     """
     model, rng = rig.model, np.random.default_rng(0)
-    low = np.maximum(q - span, model.lower + ROOM + size)
-    high = np.minimum(q + span, model.upper - ROOM - size)
+    low = np.maximum(q - span, model.lower + LIMIT_MARGIN + size)
+    high = np.minimum(q + span, model.upper - LIMIT_MARGIN - size)
     height = _height(rig, q)
     candidates = [
         pose
-        for pose in rng.uniform(np.minimum(low, q), np.maximum(high, q), (DRAWN, rig.n))
-        if _height(rig, pose) > height - DROP
-        and (np.abs(model.gravity(pose)) < HOLDING * rig.torque).all()
+        for pose in rng.uniform(np.minimum(low, q), np.maximum(high, q), (CANDIDATES, rig.n))
+        if _height(rig, pose) > height - MAX_DROP
+        and (np.abs(model.gravity(pose)) < MAX_HOLDING_SHARE * rig.torque).all()
     ]
     chosen = [q]
     information = np.eye(rig.n + 4) + _information(rig, q)
@@ -99,7 +101,7 @@ def choose(rig: Rig, q: Array, count: int, span: float, size: Array) -> list[Arr
     return _ordered(chosen)
 
 
-def _height(rig: Rig, q: Array) -> float:
+def _height(rig: Excitation, q: Array) -> float:
     """Return the height of the tool against gravity [m]."""
     down = np.asarray(rig.model.gravity_vector)
     size = float(np.linalg.norm(down))
@@ -107,7 +109,7 @@ def _height(rig: Rig, q: Array) -> float:
     return float(-tool @ down / size) if size > 0.0 else 0.0
 
 
-def _information(rig: Rig, q: Array) -> Array:
+def _information(rig: Excitation, q: Array) -> Array:
     """Return the information of one pose on the shares of k_p (n) and φ in kg and 0.1 kg m (4)."""
     gravity, rows = bare_gravity(rig.model, q), payload_rows(rig.model, q)
     design = np.hstack([np.diag(gravity), -rows * np.array([1.0, 0.1, 0.1, 0.1])])
@@ -118,8 +120,8 @@ def _information(rig: Rig, q: Array) -> Array:
 
 def _ordered(poses: Sequence[Array]) -> list[Array]:
     """Order the poses along a short path: always the nearest one next."""
-    rest, path = list(poses[1:]), [poses[0]]
-    while rest:
-        near = int(np.argmin([np.abs(pose - path[-1]).max() for pose in rest]))
-        path.append(rest.pop(near))
+    remaining, path = list(poses[1:]), [poses[0]]
+    while remaining:
+        nearest = int(np.argmin([np.abs(pose - path[-1]).max() for pose in remaining]))
+        path.append(remaining.pop(nearest))
     return path

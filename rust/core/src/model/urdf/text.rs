@@ -1,4 +1,4 @@
-//! XML layer: checks on the text before the URDF parser reads it.
+//! XML layer: size, depth, entities and root of a text, and its lines and columns.
 
 use std::cell::Cell;
 
@@ -7,15 +7,15 @@ use roxmltree::{Document, Node, ParsingOptions};
 use crate::error::{Error, Position, Result};
 
 /// Largest text [bytes]. Real robots stay below 1 MB.
-pub(super) const MAX_BYTES: usize = 16 << 20;
+pub(in crate::model) const MAX_BYTES: usize = 16 << 20;
 
-/// Maximum nesting depth. Real robots stay below 10; the URDF parser recurses, and thousands of levels would overflow
-/// its stack, which aborts the process.
-pub(super) const MAX_DEPTH: usize = 64;
+/// Maximum nesting depth. Real robots stay below 10; urdf-rs recurses, and thousands of levels would overflow its stack,
+/// which aborts the process.
+const MAX_DEPTH: usize = 64;
 
 /// Maximum number of attributes of one element. Real robots stay below 30; the XML parser compares each with all
 /// others.
-pub(super) const MAX_ATTRIBUTES: usize = 64;
+const MAX_ATTRIBUTES: usize = 64;
 
 /// Maximum numbers of XML nodes and of links: both bound the time for a hostile text to about a second.
 const MAX_NODES: u32 = 2_000_000;
@@ -23,7 +23,7 @@ pub(super) const MAX_LINKS: usize = 10_000;
 
 /// A text with its name, for messages with line and column.
 #[derive(Debug)]
-pub(super) struct Source<'a> {
+pub(in crate::model) struct Source<'a> {
     name: &'a str,
     text: &'a str,
     line_starts: Vec<usize>,
@@ -33,17 +33,17 @@ pub(super) struct Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    pub(super) fn new(name: &'a str, text: &'a str) -> Self {
+    pub(in crate::model) fn new(name: &'a str, text: &'a str) -> Self {
         let line_starts = std::iter::once(0).chain(text.match_indices('\n').map(|(i, _)| i + 1)).collect();
         Self { name, text, line_starts, last: Cell::new((0, 0, 1)) }
     }
 
-    pub(super) const fn name(&self) -> &'a str {
+    pub(in crate::model) const fn name(&self) -> &'a str {
         self.name
     }
 
     /// Returns line and column of a byte; the column counts characters.
-    pub(super) fn at(&self, offset: usize) -> Position {
+    pub(in crate::model) fn at(&self, offset: usize) -> Position {
         let line = self.line_starts.partition_point(|&start| start <= offset);
         let start = self.line_starts.get(line.wrapping_sub(1)).copied().unwrap_or(0);
         let (last, last_start, last_column) = self.last.get();
@@ -56,17 +56,17 @@ impl<'a> Source<'a> {
         }
     }
 
-    pub(super) fn error(&self, at: Position, message: impl Into<String>) -> Error {
+    pub(in crate::model) fn error(&self, at: Position, message: impl Into<String>) -> Error {
         Error::Urdf { source_name: self.name.to_owned(), at, message: message.into() }
     }
 
     /// Creates an error at the start of an element.
-    pub(super) fn error_at(&self, node: Node, message: impl Into<String>) -> Error {
+    pub(in crate::model) fn error_at(&self, node: Node, message: impl Into<String>) -> Error {
         self.error(self.at(node.range().start), message)
     }
 
     /// Parses a text after checking its size and depth, that it is not xacro, and that its root is a robot.
-    pub(super) fn parse(&self) -> Result<Document<'a>> {
+    pub(in crate::model) fn parse(&self) -> Result<Document<'a>> {
         if self.text.len() > MAX_BYTES {
             let message = format!("{} bytes of text, at most {MAX_BYTES}", self.text.len());
             return Err(self.error(Position(None), message));
@@ -138,25 +138,11 @@ impl<'a> Source<'a> {
     }
 
     fn refuse_deep(&self, document: &Document) -> Result<()> {
-        let (mut node, mut depth) = (document.root_element(), 1);
-        loop {
-            if depth > MAX_DEPTH {
-                return Err(self.error_at(node, format!("elements nested deeper than {MAX_DEPTH} levels")));
-            }
-            if let Some(child) = node.first_element_child() {
-                (node, depth) = (child, depth + 1);
-                continue;
-            }
-            loop {
-                if let Some(next) = node.next_sibling_element() {
-                    node = next;
-                    break;
-                }
-                match node.parent_element() {
-                    Some(parent) => (node, depth) = (parent, depth - 1),
-                    None => return Ok(()),
-                }
-            }
+        // In the order of the text, so no node before the first one too deep has more ancestors to count.
+        let is_deep = |node: &Node| node.is_element() && node.ancestors().nth(MAX_DEPTH + 1).is_some();
+        match document.descendants().find(is_deep) {
+            Some(node) => Err(self.error_at(node, format!("elements nested deeper than {MAX_DEPTH} levels"))),
+            None => Ok(()),
         }
     }
 
@@ -184,6 +170,11 @@ impl<'a> Source<'a> {
 /// Message for an xacro file, with the command that converts it.
 pub(super) fn xacro(what: &str) -> String {
     format!("{what} shows that xacro was not run; expand the file first: xacro robot.urdf.xacro > robot.urdf")
+}
+
+/// Returns true for a text that xacro would replace.
+pub(super) fn is_xacro(value: &str) -> bool {
+    value.contains("${") || value.contains("$(")
 }
 
 /// Truncates a text, so that a message stays readable.

@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant._core import Model
-    from pliant.identify.rig import Record, Rig
+    from pliant.identify._excitation import Excitation, Record
 
     Array = NDArray[np.float64]
 
 #: Time window of the speed measurement, and least length of a slide [s].
-WINDOW, LEAST = 0.12, 0.16
+WINDOW, MIN_LENGTH = 0.12, 0.16
 #: Ratio of measured to planned speed within which a joint slides steadily.
 STEADY = (0.5, 1.6)
 #: Share of the torque limit above which the limit may have cut the torque.
-CUT = 0.7
+LIMIT_SHARE = 0.7
 
 
 @dataclass(frozen=True)
-class Slide:
+class Segment:
     """One row of the regression.
 
     Attributes:
@@ -89,8 +89,8 @@ def first_moments(mass: float, com: ArrayLike) -> Array:
     return np.concatenate([[mass], mass * np.asarray(com, dtype=np.float64)])
 
 
-def slides(rig: Rig, record: Record) -> list[Slide]:
-    """Return all steady slides of a record, joint by joint."""
+def find_segments(rig: Excitation, record: Record) -> list[Segment]:
+    """Return all steady segments of a record, joint by joint."""
     q, goal, limit, planned = record.arrays()
     if len(q) < 3:
         return []
@@ -107,7 +107,7 @@ def slides(rig: Rig, record: Record) -> list[Slide]:
         ratio = speed[:, joint] / np.where(full, planned[:, joint], 1.0)
         good = full & (ratio > STEADY[0]) & (ratio < STEADY[1])
         for start, end in runs(good):
-            row = _slide(rig, record, joint, (start, end), (q, goal, limit))
+            row = _average(rig, record, joint, (start, end), (q, goal, limit))
             if row is not None:
                 out.append(row)
     return out
@@ -119,16 +119,16 @@ def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _slide(
-    rig: Rig,
+def _average(
+    rig: Excitation,
     record: Record,
     joint: int,
     ticks: tuple[int, int],
     data: tuple[Array, Array, Array],
-) -> Slide | None:
+) -> Segment | None:
     """Average ticks start … end of one joint; None if too short or cut by the limit."""
     (start, end), (q, goal, limit) = ticks, data
-    if (end - start) * rig.period < LEAST:
+    if (end - start) * rig.period < MIN_LENGTH:
         return None
     before, after = slice(start, end - 1), slice(start + 1, end)
     span = (end - 1 - start) * rig.period
@@ -138,15 +138,15 @@ def _slide(
         drive = float(np.mean(np.sign(lead) * limit[before, joint]))
     else:
         drive = float(lead.mean())
-        least = rig.kp[joint] / rig.doubt
-        if (least * np.abs(lead) > CUT * limit[before, joint]).any():
+        kp = rig.kp[joint] / rig.stiffness_uncertainty
+        if (kp * np.abs(lead) > LIMIT_SHARE * limit[before, joint]).any():
             return None
     middle = q[start:end].mean(axis=0)
     third = max((end - start) // 3, 2)
     first, last = q[start : start + third, joint], q[end - third : end, joint]
     pace = (third - 1) * rig.period
     rates = (first[-1] - first[0]) / pace, (last[-1] - last[0]) / pace
-    return Slide(
+    return Segment(
         joint=joint,
         by_limit=by_limit,
         drive=drive,

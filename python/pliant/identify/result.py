@@ -13,9 +13,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant._core import Model, Servos, Settings
-    from pliant.identify.delay import Delay
-    from pliant.identify.regress import Solution
-    from pliant.identify.rig import Rig
+    from pliant.identify._excitation import Excitation
+    from pliant.identify._regression import Delay, Solution
 
     Array = NDArray[np.float64]
 
@@ -112,7 +111,7 @@ class Identification:
             misses an effect.
         undriven: Joints that could not be driven by their limits: only gravity gives their k_p.
         joint_names: Names for the summary.
-        believed: The table assumed at the start.
+        assumed: The table assumed at the start.
     """
 
     servos: Servos
@@ -124,10 +123,12 @@ class Identification:
     spread: float
     undriven: tuple[str, ...]
     joint_names: tuple[str, ...]
-    believed: Servos
+    assumed: Servos
 
     @classmethod
-    def of(cls, rig: Rig, home: ArrayLike, solution: Solution, late: Delay) -> Identification:
+    def of(
+        cls, rig: Excitation, home: ArrayLike, solution: Solution, delay: Delay
+    ) -> Identification:
         """Convert a fit to a servo table.
 
         `damping` acts outside the limit. It excludes the back-EMF of PWM-limited servos, which is
@@ -135,16 +136,16 @@ class Identification:
         """
         value, sigma = solution.value, solution.sigma
         outer = np.maximum(value["outer"], 0.0)
-        kv = np.maximum(value["total"] - outer - value["kp"] * late.seconds, 0.0)
-        load = np.abs(np.asarray(rig.model.gravity(home)) + rig.carried)
+        kv = np.maximum(value["total"] - outer - value["kp"] * delay.seconds, 0.0)
+        load = np.abs(np.asarray(rig.model.gravity(home)) + rig.extra_torque)
         share = value["load"] + value["motor"]
         share_sigma = np.hypot(sigma["load"], sigma["motor"])
         share = np.where(share > 1e-6, share, 0.0)
         speed = rig.servos.no_load_speed
         if speed is not None:
             # Less damping than the table's back-EMF: the no-load speed is higher than in the table.
-            least = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
-            speed = np.where(outer < rig.back_emf, least, np.asarray(speed))
+            min_speed = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
+            speed = np.where(outer < rig.back_emf, min_speed, np.asarray(speed))
         servos = rig.servos.replace(
             no_load_speed=speed,
             kp=np.maximum(value["kp"], 0.05 * rig.kp),
@@ -162,20 +163,20 @@ class Identification:
             "load_friction": share_sigma,
             "damping": sigma["outer"],
             "kv": np.sqrt(
-                sigma["total"] ** 2 + sigma["outer"] ** 2 + (value["kp"] * late.sigma) ** 2
+                sigma["total"] ** 2 + sigma["outer"] ** 2 + (value["kp"] * delay.sigma) ** 2
             ),
         }
         return cls(
             servos=servos,
             errors=errors,
             load=load,
-            delay=late.seconds,
-            delay_sigma=late.sigma,
+            delay=delay.seconds,
+            delay_sigma=delay.sigma,
             payload=PayloadEstimate.of(solution),
             spread=solution.spread,
             undriven=tuple(rig.model.joint_names[i] for i in sorted(set(rig.undriven))),
             joint_names=tuple(rig.model.joint_names),
-            believed=rig.servos,
+            assumed=rig.servos,
         )
 
     @property
@@ -195,17 +196,17 @@ class Identification:
     def summary(self) -> list[str]:
         """Return one sentence per joint, then bus, payload and warnings."""
         out = []
-        servos, old = self.servos, self.believed
+        servos, old = self.servos, self.assumed
         n = len(self.joint_names)
-        were = [np.broadcast_to(np.asarray(x), n) for x in (old.kp, old.friction)]
+        assumed_values = [np.broadcast_to(np.asarray(x), n) for x in (old.kp, old.friction)]
         for i, name in enumerate(self.joint_names):
             kp, friction = float(servos.kp[i]), float(self.friction[i])
             text = (
                 f"{name}: k_p {kp:.3g} ± {2 * self.errors['kp'][i]:.2g} N·m/rad "
-                f"({kp / were[0][i]:.2f} × believed), "
+                f"({kp / assumed_values[0][i]:.2f} × believed), "
                 f"friction {friction:.3g} ± {2 * self.errors['friction'][i]:.2g} N·m "
-                f"(believed {were[1][i]:.3g}), damping {servos.damping[i]:.3g} outside the limit "
-                f"and {servos.kv[i]:.2g} N·m·s/rad inside"
+                f"(believed {assumed_values[1][i]:.3g}), damping {servos.damping[i]:.3g} outside "
+                f"the limit and {servos.kv[i]:.2g} N·m·s/rad inside"
             )
             if servos.load_friction[i]:
                 share = 100.0 * servos.load_friction[i]

@@ -1,0 +1,463 @@
+"""Conversion of a `pliant.Model` to a MuJoCo specification.
+
+Links without relative motion become one body. Every link stays as a site of its own name, so that
+frames can be read and pushed, among them fixed tool frames, which MuJoCo's own URDF import drops.
+Meshes are not needed: the arm is drawn as capsules between its joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from pliant._core import ConfigError, Servos
+from pliant.sim._mujoco import mujoco
+from pliant.sim._parameters import DAMPING_SHARE, FULL_EFFORT_ERROR, resolve
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from pliant.sim._parameters import Gains
+
+    Matrix = NDArray[np.float64]
+
+
+#: A `pliant.Model`: its tree (`links`, `joints`) and its chain (`joint_names`, `base`, `tip`).
+Robot = Any
+
+OffChain = Literal["held", "welded"]
+
+
+@dataclass
+class Group:
+    """Links without relative motion: one body, whose frame is that of its first link."""
+
+    link: int
+    joint: int | None
+    parent: int | None
+    pose: Matrix
+    members: list[tuple[int, Matrix]] = field(default_factory=list)
+
+
+def rigid_groups(model: Robot, off_chain: OffChain) -> list[Group]:
+    """Cut the tree into rigid groups, parents first."""
+    children: dict[int, list[int]] = {}
+    for index, joint in enumerate(model.joints):
+        children.setdefault(joint.parent, []).append(index)
+    root = next(i for i, link in enumerate(model.links) if link.parent_joint is None)
+    base = next(i for i, link in enumerate(model.links) if link.name == model.base)
+    rigid_groups = [Group(root, None, None, np.eye(4))]
+    stack = [(root, 0, np.eye(4), False)]
+    base_pose: Matrix = np.eye(4)
+    while stack:
+        link, group, pose, carried = stack.pop()
+        rigid_groups[group].members.append((link, pose))
+        if link == base:
+            base_pose = pose
+        for index in reversed(children.get(link, [])):
+            joint = model.joints[index]
+            at = pose @ as_matrix(joint.origin)
+            is_carried = carried or joint.q_index is not None
+            if _is_joint(model, joint, carried, off_chain):
+                rigid_groups.append(Group(joint.child, index, group, at))
+                stack.append((joint.child, len(rigid_groups) - 1, np.eye(4), is_carried))
+            else:
+                stack.append(
+                    (joint.child, group, at @ _locked_displacement(model, joint), is_carried)
+                )
+    rigid_groups[0].pose = np.asarray(np.linalg.inv(base_pose), dtype=np.float64)
+    return rigid_groups
+
+
+def _is_joint(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> bool:
+    """Return True if a joint stays a joint in the simulation."""
+    kind = kind_of(joint)
+    if kind == "fixed":
+        return False
+    if kind not in {"revolute", "continuous", "prismatic"}:
+        raise ConfigError(
+            f"joint {joint.name!r} is {kind!r}; "
+            "the simulator knows revolute, continuous, prismatic and fixed"
+        )
+    if joint.q_index is not None:
+        return True
+    if joint.mimic is not None and not carried:
+        return False
+    return carried and off_chain == "held"
+
+
+def locked_angle(joint: Any) -> float:
+    """Return the angle at which the model locks an off-chain joint [rad]."""
+    return float(getattr(joint, "locked_at", None) or 0.0)
+
+
+def _locked_displacement(model: Robot, joint: Any) -> Matrix:
+    """Return the displacement (4, 4) of a welded joint at its locked angle."""
+    pose = np.eye(4)
+    angle = locked_angle(joint)
+    if joint.mimic is not None:
+        driver = model.joints[joint.mimic.joint]
+        angle = joint.mimic.offset + joint.mimic.multiplier * locked_angle(driver)
+    if kind_of(joint) == "fixed" or angle == 0.0:
+        return pose
+    axis = unit_vector(joint.axis)
+    if kind_of(joint) == "prismatic":
+        pose[:3, 3] = angle * axis
+    else:
+        quat, matrix = np.zeros(4), np.zeros(9)
+        mujoco.mju_axisAngle2Quat(quat, axis, angle)
+        mujoco.mju_quat2Mat(matrix, quat)
+        pose[:3, :3] = matrix.reshape(3, 3)
+    return pose
+
+
+def as_matrix(pose: Any) -> Matrix:
+    """Return a pose as a (4, 4) array; accepts arrays and objects with a `matrix`."""
+    value = getattr(pose, "matrix", pose)
+    return np.asarray(value() if callable(value) else value, dtype=np.float64).reshape(4, 4)
+
+
+def kind_of(joint: Any) -> str:
+    """Return the joint kind in lower case: revolute, continuous, prismatic, fixed or other."""
+    return str(joint.kind).rsplit(".", maxsplit=1)[-1].lower()
+
+
+def unit_vector(axis: Any) -> NDArray[np.float64]:
+    """Return the unit vector (3,) of an axis."""
+    array = np.asarray(axis, dtype=np.float64)
+    return array / np.linalg.norm(array)
+
+
+def quat_of(pose: Matrix) -> NDArray[np.float64]:
+    """Return the quaternion wxyz of a pose (4, 4)."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).reshape(9))
+    return quat
+
+
+def last_moving(model: Robot) -> str:
+    """Return the name of the last link that the chain moves; its origin is the wrist centre."""
+    link = next(i for i, item in enumerate(model.links) if item.name == model.tip)
+    while model.links[link].parent_joint is not None:
+        joint = model.joints[model.links[link].parent_joint]
+        if joint.q_index is not None:
+            break
+        link = joint.parent
+    return str(model.links[link].name)
+
+
+#: Mass [kg] and inertia [kg·m²] of a moving group without inertial data.
+MIN_MASS, MIN_INERTIA = 1e-4, 1e-7
+#: Effort [N·m] of an off-chain joint without an effort in the description.
+OFF_CHAIN_EFFORT = 1.0
+#: Armature of an off-chain servo [kg·m²] per N·m of effort, and of a mimic joint [kg·m²].
+OFF_CHAIN_ARMATURE, FOLLOWER_ARMATURE = 2e-3, 1e-4
+#: Share of a joint's rotor inertia and damping on the link side of the backlash.
+PLAY_SHARE = 0.02
+#: Tooth contact: time constant [s] and MuJoCo's solimp.
+PLAY_TIME, PLAY_IMPEDANCE = 0.003, (0.99, 0.999, 1e-4)
+#: Time constant [s] of the equality constraint of a mimic joint.
+MIMIC_TIME = 0.005
+
+
+def add_joint(
+    out: Build,
+    body: mujoco.MjsBody,
+    index: int,
+    gains: Gains,
+    *,
+    backlash: NDArray[np.float64],
+    creep: float,
+) -> None:
+    """Add the joint that moves a group, its gears, and the backlash between gears and link."""
+    joint = out.model.joints[index]
+    sliding = kind_of(joint) == "prismatic"
+    mj = body.add_joint(name=joint.name, axis=unit_vector(joint.axis))
+    mj.type = mujoco.mjtJoint.mjJNT_SLIDE if sliding else mujoco.mjtJoint.mjJNT_HINGE
+    i = joint.q_index if joint.mimic is None else None
+    if i is None:
+        _limit(mj, joint.lower, joint.upper)
+        _loose_joint(out, mj, joint)
+        return
+    _limit(mj, out.model.lower[i], out.model.upper[i])
+    mj.armature = gains.armature[i]
+    mj.frictionloss = gains.friction[i]
+    mj.solimp_friction[:2] = sticking(creep)
+    set_damping(mj, gains.damping[i])
+    if backlash[i] > 0.0:
+        play = body.add_joint(name=f"play:{joint.name}", axis=unit_vector(joint.axis), type=mj.type)
+        _limit(play, -backlash[i] / 2, backlash[i] / 2)
+        play.solref_limit = (PLAY_TIME, 1.0)
+        play.solimp_limit[:3] = PLAY_IMPEDANCE
+        play.armature = PLAY_SHARE * gains.armature[i]
+        set_damping(play, PLAY_SHARE * gains.damping[i])
+        out.backlash.append(joint.name)
+
+
+def sticking(creep: float) -> tuple[float, float]:
+    """Return the least and largest impedance d (MuJoCo's solimp) of friction for this creep.
+
+    A joint held by friction against a torque τ slides at (1 - d)/d · τ/I · ½ d_max t. With
+    t = 0.02 s and MuJoCo's own d = 0.9, d_max = 0.95 this is 1.06 ms · τ/I. `creep` scales
+    (1 - d)/d.
+    """
+    d = 9.0 / (9.0 + creep)
+    return d, max(d, 0.95)
+
+
+def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
+    """Set up an off-chain joint: with a servo that holds its locked angle, or as a mimic joint."""
+    if joint.mimic is not None:
+        mj.armature = FOLLOWER_ARMATURE
+        return
+    table = out.extra.get(joint.name)
+    if table is None:
+        table = out.extra[joint.name] = off_chain_servo(joint.effort)
+    gains = resolve(table)
+    mj.armature = gains.armature[0]
+    mj.frictionloss = gains.friction[0]
+    set_damping(mj, gains.damping[0])
+    angle = locked_angle(joint)
+    limited = mj.limited == mujoco.mjtLimited.mjLIMITED_TRUE
+    out.held[joint.name] = float(np.clip(angle, *mj.range)) if limited else angle
+
+
+def off_chain_servo(effort: float | None) -> Servos:
+    """Return the servo of an off-chain joint from its effort alone [N·m]."""
+    torque = effort or OFF_CHAIN_EFFORT
+    return Servos(
+        kp=[torque / FULL_EFFORT_ERROR],
+        max_torque=[torque],
+        damping=[DAMPING_SHARE * torque],
+        armature=[OFF_CHAIN_ARMATURE * torque],
+    )
+
+
+def _limit(mj: mujoco.MjsJoint, lower: float | None, upper: float | None) -> None:
+    """Set the end stops of a joint, unless one is missing or infinite."""
+    if lower is None or upper is None or not np.isfinite([lower, upper]).all():
+        mj.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    else:
+        mj.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        mj.range = (lower, upper)
+
+
+def add_mass(
+    model: Robot,
+    body: mujoco.MjsBody,
+    group: Group,
+    moving: bool,
+    payload: tuple[float, NDArray[np.float64]] | None,
+) -> None:
+    """Add up the inertials of a group and its payloads, known and unknown to the controller."""
+    parts: list[tuple[float, Matrix, Matrix]] = []
+    for index, pose in group.members:
+        inertial = model.links[index].inertial
+        if inertial is not None:
+            turn = pose[:3, :3] @ np.asarray(inertial.rotation, dtype=np.float64)
+            spread = turn @ np.asarray(inertial.inertia, dtype=np.float64) @ turn.T
+            parts.append(
+                (
+                    float(inertial.mass),
+                    pose[:3, :3] @ np.asarray(inertial.com) + pose[:3, 3],
+                    spread,
+                )
+            )
+        if model.links[index].name == model.tip:
+            loads = [payload, own_payload(model)]
+            parts += [
+                (m, pose[:3, :3] @ c + pose[:3, 3], np.zeros((3, 3)))
+                for m, c in filter(None, loads)
+            ]
+    mass = sum(m for m, _, _ in parts)
+    if mass < MIN_MASS:
+        if not moving:
+            return
+        parts.append((MIN_MASS, np.zeros(3), np.zeros((3, 3))))
+        mass += MIN_MASS
+    com = sum(m * c for m, c, _ in parts) / mass
+    inertia = np.zeros((3, 3))
+    for m, c, spread in parts:
+        r = c - com
+        inertia += spread + m * (r @ r * np.eye(3) - np.outer(r, r))
+    if np.linalg.eigvalsh(inertia)[0] < MIN_INERTIA:
+        inertia += MIN_INERTIA * np.eye(3)
+    body.explicitinertial = True
+    body.mass = mass
+    body.ipos = com
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def own_payload(model: Robot) -> tuple[float, NDArray[np.float64]] | None:
+    """Return mass [kg] and centre (3,) [m] of the model's payload, None without one."""
+    load = getattr(model, "payload", None)
+    return None if load is None else (float(load.mass), np.asarray(load.com, dtype=np.float64))
+
+
+def add_skin(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
+    """Draw a group as capsules from its joint to its child joints."""
+    members = dict(group.members)
+    ends = [members[j.parent] @ as_matrix(j.origin) for j in model.joints if j.parent in members]
+    reach = [float(np.linalg.norm(end[:3, 3])) for end in ends]
+    thick = float(np.clip(0.12 * max(reach, default=0.0), 0.008, 0.035))
+    for end, length in zip(ends, reach, strict=True):
+        if length > thick:
+            geom = body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(thick, 0.0, 0.0), contype=0, conaffinity=0
+            )
+            geom.fromto = (0.0, 0.0, 0.0, *end[:3, 3])
+            geom.rgba = (0.75, 0.77, 0.80, 1.0)
+
+
+def add_mimics(out: Build, rigid_groups: list[Group]) -> None:
+    """Tie mimic joints to their drivers; with a fixed driver, the angle is constant."""
+    moving = {group.joint for group in rigid_groups}
+    for index in sorted(j for j in moving if j is not None):
+        joint = out.model.joints[index]
+        if joint.mimic is None:
+            continue
+        driver, rule = out.model.joints[joint.mimic.joint], joint.mimic
+        tie = out.spec.add_equality(name=f"mimic:{joint.name}", name1=joint.name)
+        tie.type, tie.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
+        offset = rule.offset
+        if rule.joint in moving:
+            tie.name2 = driver.name
+        else:
+            offset += rule.multiplier * locked_angle(driver)
+        tie.data[:5] = offset, rule.multiplier, 0.0, 0.0, 0.0
+        tie.solref = (MIMIC_TIME, 1.0)
+
+
+def add_servos(out: Build, gains: Gains) -> None:
+    """Add a position actuator per chain joint, and one per held off-chain joint.
+
+    `forcelimited` is fixed at compile time; without it MuJoCo ignores later changes of
+    `forcerange`.
+    """
+    out.chain = list(out.model.joint_names)
+    for name, kp, kv, torque in zip(out.chain, gains.kp, gains.kv, gains.torque, strict=True):
+        servo(out.spec, name, kp, kv, torque)
+    for name in out.held:
+        own = resolve(out.extra[name])
+        servo(out.spec, name, own.kp[0], own.kv[0], own.torque[0])
+
+
+def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) -> None:
+    """Add a position servo ``clip(kp (ctrl - q) - kv dq, ±torque)``."""
+    act = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    act.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    act.gainprm[0] = kp
+    act.biasprm[:3] = 0.0, -kp, -kv
+    act.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    act.forcerange = (-torque, torque)
+
+
+def set_damping(joint: mujoco.MjsJoint, value: float) -> None:
+    """Set a joint's linear damping: a polynomial in MuJoCo 4, one number in MuJoCo 3."""
+    if np.ndim(joint.damping):
+        joint.damping = (value, 0.0, 0.0)
+    else:
+        joint.damping = value
+
+
+@dataclass
+class Build:
+    """A specification under construction, and the names by which the plant finds its parts.
+
+    Attributes:
+        spec: The MuJoCo specification; scene objects add their bodies to it.
+        model: The robot.
+        chain: MuJoCo joint of each chain coordinate, length n.
+        held: Rest angle of each off-chain joint that has an actuator, by joint name.
+        extra: Servo of each off-chain joint, one entry each, by joint name.
+        backlash: Joints with backlash behind the gear.
+        rigid_groups: Groups of links without relative motion, parents first.
+        bodies: MuJoCo body of each group.
+    """
+
+    spec: mujoco.MjSpec
+    model: Robot
+    chain: list[str] = field(default_factory=list)
+    held: dict[str, float] = field(default_factory=dict)
+    extra: dict[str, Servos] = field(default_factory=dict)
+    backlash: list[str] = field(default_factory=list)
+    rigid_groups: list[Group] = field(default_factory=list)
+    bodies: list[mujoco.MjsBody] = field(default_factory=list)
+
+
+def build_spec(
+    model: Robot,
+    gains: Gains,
+    *,
+    dt: float,
+    off_chain: OffChain = "held",
+    payload: tuple[float, NDArray[np.float64]] | None = None,
+    backlash: NDArray[np.float64],
+    creep: float = 1.0,
+    extra: Mapping[str, Servos] | None = None,
+) -> Build:
+    """Build the specification of an arm with one torque-limited position servo per chain joint.
+
+    The world frame is the model's base frame. Off-chain joints carried by the chain (a gripper)
+    are `held` by actuators of their own at the model's locked angle, or `welded`. All others
+    (another arm) are welded.
+
+    Args:
+        model: The robot.
+        gains: Servos of the n chain joints.
+        dt: Physics step [s].
+        off_chain: Treatment of off-chain joints.
+        payload: Mass [kg] and centre (3,) [m] in the tool frame of a load that is fixed to the
+            tool.
+        backlash: Full backlash behind each gear (n,) [rad].
+        creep: Creep of joints held by friction, relative to MuJoCo's default.
+        extra: Servos of off-chain joints, one entry each, by name; others are guessed from their
+            efforts.
+
+    Returns:
+        The specification and its names; contacts are off, the integrator is `implicitfast`.
+
+    Raises:
+        ConfigError: The tree has a joint the simulator cannot represent.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = str(getattr(model, "name", "arm") or "arm")
+    spec.option.timestep = dt
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    gravity = getattr(model, "gravity_vector", None)
+    spec.option.gravity = (
+        (0.0, 0.0, -9.81) if gravity is None else np.asarray(gravity, dtype=np.float64)
+    )
+    spec.compiler.balanceinertia = True
+    spec.compiler.degree = False
+
+    out = Build(spec, model, extra=dict(extra or {}))
+    cut = out.rigid_groups = rigid_groups(model, off_chain)
+    made = out.bodies
+    for group in cut:
+        parent = spec.worldbody if group.parent is None else made[group.parent]
+        body = parent.add_body(
+            name=f"body:{model.links[group.link].name}",
+            pos=group.pose[:3, 3],
+            quat=quat_of(group.pose),
+        )
+        made.append(body)
+        moving = group.joint is not None
+        if group.joint is not None:
+            add_joint(out, body, group.joint, gains, backlash=backlash, creep=creep)
+        add_mass(model, body, group, moving, payload)
+        for index, pose in group.members:
+            link = model.links[index]
+            body.add_site(
+                name=link.name, pos=pose[:3, 3], quat=quat_of(pose), size=(0.004, 0.0, 0.0), group=4
+            )
+        add_skin(model, body, group)
+    add_mimics(out, cut)
+    add_servos(out, gains)
+    return out

@@ -1,0 +1,165 @@
+//! The order of the crate's modules: each imports only from those before it.
+//!
+//! Reads every path that begins with `crate::` in the sources, test modules included; comments are left out, so that
+//! documentation may link to later modules.
+#![allow(clippy::unwrap_used, reason = "a test may fail loudly, its helpers too")]
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Modules of the crate, the lowest first. The folder of a module counts as one.
+const ORDER: [&str; 14] = [
+    "error",
+    "math",
+    "pose",
+    "model",
+    "kinematics",
+    "params",
+    "task",
+    "law",
+    "command",
+    "batch",
+    "controller",
+    "analysis",
+    "contact",
+    "equations",
+];
+
+/// Modules that must not import each other, although one stands before the other.
+const APART: [&str; 2] = ["analysis", "contact"];
+
+fn source_files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files.extend(source_files(&path));
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            files.push(path);
+        }
+    }
+    files.sort();
+    files
+}
+
+/// Returns the source without comments.
+fn code(text: &str) -> String {
+    text.lines().map(|line| line.split("//").next().unwrap_or("")).collect::<Vec<_>>().join("\n")
+}
+
+/// Returns the first names after `crate::`, also those of a list in braces.
+fn imported(code: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    for (at, _) in code.match_indices("crate::") {
+        let rest = &code[at + "crate::".len()..];
+        if !rest.starts_with('{') {
+            names.push(rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect());
+            continue;
+        }
+        let (mut depth, mut fresh, mut name) = (0, true, String::new());
+        for c in rest.chars() {
+            match c {
+                '{' => depth += 1,
+                '}' => depth -= 1,
+                _ => {}
+            }
+            if depth == 1 && (c.is_alphanumeric() || c == '_') && fresh {
+                name.push(c);
+                continue;
+            }
+            if !name.is_empty() {
+                names.push(std::mem::take(&mut name));
+                fresh = false;
+            }
+            fresh |= depth == 1 && (c == ',' || c == '{');
+            if depth == 0 {
+                break;
+            }
+        }
+    }
+    names
+}
+
+/// Returns the module of a file, by the first folder or the file's name.
+fn module(file: &Path, root: &Path) -> String {
+    let first = file.strip_prefix(root).unwrap().components().next().unwrap();
+    Path::new(first.as_os_str()).file_stem().unwrap().to_string_lossy().into_owned()
+}
+
+/// Returns a sentence for every import that points upward.
+fn upward(from: &str, code: &str) -> Vec<String> {
+    let place = |name: &str| ORDER.iter().position(|module| *module == name);
+    let own = place(from);
+    let wrong = |name: &String| {
+        let other = place(name);
+        own.is_some()
+            && other.is_some()
+            && (other > own || (APART.contains(&from) && APART.contains(&&**name)))
+            && name != from
+    };
+    imported(code).into_iter().filter(wrong).map(|name| format!("{from} imports {name}")).collect()
+}
+
+#[test]
+fn modules_import_only_from_those_before_them() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut found = Vec::new();
+    for file in source_files(&root) {
+        let from = module(&file, &root);
+        let text = fs::read_to_string(&file).unwrap();
+        found.extend(upward(&from, &code(&text)).into_iter().map(|what| format!("{}: {what}", file.display())));
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn every_module_has_a_place_in_the_order() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let modules: BTreeSet<String> =
+        source_files(&root).iter().map(|file| module(file, &root)).filter(|name| name != "lib").collect();
+    assert_eq!(modules, ORDER.iter().map(|name| (*name).to_string()).collect());
+}
+
+/// A path through the crate's root would hide from where a thing comes: only its constants and array types are there.
+#[test]
+fn the_root_is_used_for_constants_and_array_types_only() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let allowed = ["MAX_AXES", "MAX_JOINTS", "AxisVec", "JointVec", "Rows"];
+    for file in source_files(&root) {
+        for name in imported(&code(&fs::read_to_string(&file).unwrap())) {
+            assert!(ORDER.contains(&&*name) || allowed.contains(&&*name), "{}: crate::{name}", file.display());
+        }
+    }
+}
+
+/// `super` in the file of a top module is the root.
+#[test]
+fn no_top_module_imports_through_super() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    for file in source_files(&root) {
+        let inside = file.strip_prefix(&root).unwrap();
+        if inside.components().count() == 1 || (inside.components().count() == 2 && inside.ends_with("mod.rs")) {
+            let text = code(&fs::read_to_string(&file).unwrap());
+            let found: Vec<_> =
+                text.lines().filter(|line| line.contains("super::") && !line.contains("super::*")).collect();
+            assert!(found.is_empty(), "{}: {found:?}", file.display());
+        }
+    }
+}
+
+#[test]
+fn an_upward_import_is_found_in_every_form() {
+    for source in [
+        "use crate::controller::Controller;",
+        "use crate::{MAX_AXES, controller::Controller, pose::Pose};",
+        "use crate::{\n    MAX_AXES,\n    controller::{Controller, StepInput},\n};",
+        "fn f() { crate::controller::f() }",
+        "#[cfg(test)]\nmod tests { use crate::controller::Controller; }",
+    ] {
+        assert_eq!(upward("law", &code(source)), ["law imports controller"], "{source}");
+        assert!(upward("contact", &code(source)).is_empty(), "{source}");
+    }
+    assert!(upward("law", &code("/// See [`crate::controller`].\nuse crate::{pose::Pose, task};")).is_empty());
+    assert_eq!(upward("contact", "use crate::analysis::report;"), ["contact imports analysis"]);
+}
