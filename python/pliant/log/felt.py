@@ -56,7 +56,7 @@ def feel(log: Log) -> Felt | None:
     """
     axes, ticks = log.run["axes"], len(log)
     if not axes or not ticks:
-        raise ConfigError("the log has no ticks of a controller: nothing to feel")
+        raise ConfigError("the log has no ticks of a controller, so no forces can be estimated")
     size = np.abs(log.deviation)
     farthest = size.argmax(axis=0)
     weight = [1.0 if name in "xyz" else 1.0 / RADIANS_PER_METRE for name in axes]
