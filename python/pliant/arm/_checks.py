@@ -12,11 +12,10 @@ from pliant._validation import format_value, real
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import ArmPoints, Model
-
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 #: Distance outside the position limits up to which a pose is clipped to them, and up to which a

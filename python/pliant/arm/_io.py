@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant._core import Model, Servos
+    from pliant._typing import Array, Mask
     from pliant.arm.thermal import Budget
     from pliant.drive import Clock, Drive, JointReadings, ServoStatus
 
-    Array = NDArray[np.float64]
     Orders = Mapping[str, tuple[float, float]]
 
 
@@ -72,7 +72,7 @@ class PositionFilter:
         self._rejected: NDArray[np.int_] = np.zeros(fastest.size, dtype=np.int_)
         self._jump: Array = np.zeros(fastest.size)
 
-    def update(self, sample: JointReadings) -> NDArray[np.bool_]:
+    def update(self, sample: JointReadings) -> Mask:
         """Accept the plausible positions of a sample; return a mask (N,) of the accepted joints."""
         read = np.asarray(sample.ok, dtype=bool) & np.isfinite(sample.position)
         first = np.isnan(self.position)
@@ -293,7 +293,7 @@ class ArmIO:
 
     # Reading.
 
-    def sample(self) -> NDArray[np.bool_]:
+    def sample(self) -> Mask:
         """Take a reading; return a mask (n,) of the chain's joints that have a new position.
 
         Raises:
@@ -319,10 +319,10 @@ class ArmIO:
             "current": None if sample.current is None else sample.current[chain],
         }
         self._update_thermal(sample.load)
-        is_new: NDArray[np.bool_] = ok[chain]
+        is_new: Mask = ok[chain]
         return is_new
 
-    def state(self, ok: NDArray[np.bool_]) -> State:
+    def state(self, ok: Mask) -> State:
         """Return the present state; `ok` (n,) marks joints read in the last sample."""
         positions, chain = self.positions, self.joints.chain
         time = positions.time[chain]

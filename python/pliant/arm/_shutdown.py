@@ -16,12 +16,9 @@ from pliant.arm._signals import name_of, signal_of
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.arm._io import ArmIO
     from pliant.arm._messages import Message
-
-    Array = NDArray[np.float64]
 
 
 #: Time between two progress messages [s].

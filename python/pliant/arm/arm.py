@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from types import TracebackType
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Model
+    from pliant._typing import Array
     from pliant.arm.gripper import GripperConfig
     from pliant.drive import Clock, Drive, State
 
-    Array = NDArray[np.float64]
     Exit = Literal["lower", "leave_enabled"]
 
 

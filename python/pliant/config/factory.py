@@ -415,10 +415,10 @@ class EmulatedBus(ServoBus):
 
     def __init__(self, config: Config, model: Model, *, q: ArrayLike | None = None) -> None:
         """Start the emulator with the arm at q (n,) [rad], by default near zero."""
-        from pliant.emulator.process import Remote
+        from pliant.emulator.process import EmulatorProcess
 
         at = None if q is None else vector(model, q, "q").tolist()
-        self.emulator = Remote(make_emulator, config, q=at)
+        self.emulator = EmulatorProcess(make_emulator, config, q=at)
         bauds = {self.emulator.ports[port.name]: port.baud for port in config.port}
         super().__init__(
             servo_specs(config, self.emulator.ports),

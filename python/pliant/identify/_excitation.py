@@ -13,11 +13,11 @@ from pliant._validation import number
 if TYPE_CHECKING:
     from collections.abc import Generator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Model, Servos
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
     Motion = Generator[Command, Array, Array]
 
 #: Peak speed of a joint between poses [rad/s].

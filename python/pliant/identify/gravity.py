@@ -14,12 +14,10 @@ from pliant.identify.procedure import Procedure, guided, run_procedure
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from pliant._core import Servos
+    from pliant._typing import Array, Mask
     from pliant.identify.procedure import Arm, Steps, Tick
 
-    Array = NDArray[np.float64]
 
 #: Rate at which the goal integrates while holding [1/s], and the share of the time averaged.
 INTEGRATE, AVERAGED_SHARE = 4.0, 0.25
@@ -52,12 +50,12 @@ class GravityCapture:
             damping, under which the arm stayed; else None.
     """
 
-    stiffness: NDArray[np.float64]
-    assumed: NDArray[np.float64]
-    lead: NDArray[np.float64]
-    gravity: NDArray[np.float64]
-    captured: NDArray[np.bool_]
-    clipped: NDArray[np.bool_]
+    stiffness: Array
+    assumed: Array
+    lead: Array
+    gravity: Array
+    captured: Mask
+    clipped: Mask
     still: bool
     drift: float
     bound: float

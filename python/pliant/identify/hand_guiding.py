@@ -26,12 +26,12 @@ from pliant.identify._segments import find_segments, first_moments, payload_rows
 from pliant.identify.servos import widen_swing
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from pliant._typing import Array
     from pliant.identify._segments import Segment
     from pliant.identify.procedure import Steps
 
-    Array = NDArray[np.float64]
 
 #: Factor by which a stiffness may be wrong in either direction: if known, and if not.
 KNOWN, UNKNOWN = 1.1, 2.2

@@ -20,9 +20,10 @@ from pliant._validation import format_value, vector
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
+
 
 P = ParamSpec("P")
 Q = ParamSpec("Q")
@@ -31,7 +32,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 #: A generator that yields commands, receives positions (n,), and returns its result.
-Steps = Generator[Command, "NDArray[np.float64]", T]
+Steps = Generator[Command, "Array", T]
 
 
 class Arm(Protocol):
@@ -190,7 +191,7 @@ def run_procedure(
 
 @dataclass(frozen=True)
 class _PlantTick:
-    q: NDArray[np.float64]
+    q: Array
     arm: Arm
 
     def write(self, command: Command) -> None:
