@@ -2667,6 +2667,10 @@ class HandGuidingLaw:
     def play(self) -> _Array:
         """Play of each joint in this tick (n,) [rad]."""
 
+    @property
+    def speed(self) -> _Array:
+        """Filtered joint speeds (n,) [rad/s]."""
+
     def step(self, q: ArrayLike, *, dt: float) -> Command:
         """Return goals and torque limits for measured positions q (n,) [rad] after dt [s].
 

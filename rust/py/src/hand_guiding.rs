@@ -61,6 +61,11 @@ impl HandGuidingLaw {
         new_array(py, &[self.n], self.core.play())
     }
 
+    #[getter]
+    fn speed<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        new_array(py, &[self.n], self.core.speed())
+    }
+
     #[pyo3(signature = (q, *, dt))]
     fn step(&mut self, q: &Bound<'_, PyAny>, dt: f64) -> PyResult<Py<Command>> {
         let command = self.core.step(&joints("q", q, self.n)?[..self.n], dt).or_raise()?;

@@ -194,6 +194,11 @@ impl HandGuiding {
         &self.play[..self.n]
     }
 
+    /// Filtered joint speeds (n) [rad/s].
+    pub fn speed(&self) -> &[f64] {
+        &self.speed[..self.n]
+    }
+
     /// Computes goals that follow the arm, and torque limits, for measured positions q (n) [rad]; `dt` is the time
     /// since the last step [s].
     ///
