@@ -254,9 +254,8 @@ class ServoBus:
 
         Those of the ports (`transactions`, `retries`, `timeouts`, `corrupt`, `stale`, `drains`,
         `refused`), and `mismatches`: limits that did not read back as written; `alerts`: errors
-        that appeared
-            in a status, even briefly; `trips`: bus watchdogs
-        that tripped and were cleared.
+        that appeared in a status, even briefly; `trips`: bus watchdogs that tripped and were
+        cleared.
         """
         kinds = ("mismatches", "alerts", "trips")
         total = {kind: sum(getattr(device, kind) for device in self._devices) for kind in kinds}

@@ -7,14 +7,15 @@ use crate::convert::{new_array, only_reference, overwrite, writable, write};
 use crate::error::wrong_type;
 use crate::read::{array_into, vector};
 
-#[pyclass(module = "pliant", frozen)]
+#[doc = stub!(Command)]
+#[pyclass(module = "pliant", frozen, get_all)]
 #[derive(Debug)]
 pub(crate) struct Command {
-    #[pyo3(get)]
+    #[doc = stub!(Command.goal)]
     goal: Py<PyAny>,
-    #[pyo3(get)]
+    #[doc = stub!(Command.torque_limit)]
     torque_limit: Py<PyAny>,
-    #[pyo3(get)]
+    #[doc = stub!(Command.speed_limit)]
     speed_limit: Py<PyAny>,
 }
 

@@ -1,8 +1,8 @@
 //! Python binding of `pliant-core`: every function converts, calls the core once, and converts back.
 #![deny(unsafe_code)]
 
-#[macro_use]
-mod docs;
+// The macro `stub!`: docstrings of the stub, made by build.rs.
+include!(concat!(env!("OUT_DIR"), "/stub.rs"));
 
 mod arguments;
 mod arm_points;
@@ -98,7 +98,6 @@ mod _core {
         crate::convert::initialise(py)?;
         crate::error::register(module)?;
         crate::pickle::register(module)?;
-        crate::docs::attach(module)?;
         if cfg!(debug_assertions) {
             let category = py.get_type::<PyRuntimeWarning>();
             let text = c"pliant was built without optimisation: steps take a hundred times as long as they should";
