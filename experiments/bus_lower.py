@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 #: The rows: name, unknown load at the tool [kg], and True for a table.
 CASES = (
-    ("nothing in the way", 0.0, False),
-    ("0.3 kg it does not know", LOAD, False),
-    ("load, and a table", LOAD, True),
+    ("no obstacle", 0.0, False),
+    ("unknown load of 0.3 kg", LOAD, False),
+    ("unknown load, table", LOAD, True),
 )
 
 

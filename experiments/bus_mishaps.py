@@ -151,9 +151,9 @@ def _far(scene: Scene) -> None:
 
 
 MISHAPS: tuple[Mishap, ...] = (
-    Mishap(title="nothing", act=lambda scene: scene.target),
+    Mishap(title="no fault", act=lambda scene: scene.target),
     Mishap(
-        title="one answer with a wrong checksum",
+        title="one reply with a wrong checksum",
         act=_once(lambda s: s.bus.faults.inject("corrupt", ELBOW)),
     ),
     Mishap(
@@ -165,7 +165,7 @@ MISHAPS: tuple[Mishap, ...] = (
         ),
     ),
     Mishap(
-        title="answers one request late for 1 s",
+        title="replies one request late for 1 s",
         act=_for(
             1.0, lambda bus: bus.faults.by_chance(late=1.0), lambda bus: bus.faults.by_chance()
         ),
@@ -175,7 +175,7 @@ MISHAPS: tuple[Mishap, ...] = (
         act=_once(lambda s: s.bus.faults.inject("deaf", ELBOW, count=8)),
     ),
     Mishap(
-        title="it does not answer any more, but has power",
+        title="it no longer answers, but has power",
         act=_once(lambda s: s.bus.faults.inject("lose", ELBOW, count=ALWAYS)),
     ),
     Mishap(
@@ -201,8 +201,8 @@ MISHAPS: tuple[Mishap, ...] = (
     Mishap(title="SIGKILL, Bus Watchdog", act=_die, state="host loss", family="x", watchdog=0.2),
     Mishap(title="the program stalls for 1 s", act=_stall),
     Mishap(title="an exception, Ctrl-C, SIGTERM", act=_interrupt),
-    Mishap(title="a policy gives NaN for a target", act=_nan_target),
-    Mishap(title="a policy gives NaN for goals", act=_nan_command),
+    Mishap(title="a policy returns NaN for a target", act=_nan_target),
+    Mishap(title="a policy returns NaN for goals", act=_nan_command),
     *(
         Mishap(title=f"the target jumps by 1 m for 1 s, {where}", act=_jump(axis, way))
         for where, axis, way in (
@@ -219,7 +219,7 @@ MISHAPS: tuple[Mishap, ...] = (
         act=_once(lambda s: s.bus.stick(ELBOW, "torque_limit", 1000)),
     ),
     Mishap(
-        title="somebody else writes a far goal to the elbow, once",
+        title="another program writes a far goal to the elbow, once",
         act=_once(_far),
     ),
     Mishap(
@@ -258,7 +258,7 @@ MISHAPS: tuple[Mishap, ...] = (
         state="no torque",
     ),
     Mishap(
-        title="the elbow's plug comes off",
+        title="the elbow's plug is pulled",
         act=_once(lambda s: s.bus.unplug(ELBOW)),
         state="no torque",
     ),

@@ -310,9 +310,7 @@ def main() -> None:
     options = tyro.cli(Options)
     print(text(table(options.only, options.creep)))
     if options.creep == 1.0:
-        print(
-            "\nDrag and door by rate, ticks of delay each way, and believed over true friction:\n"
-        )
+        print("\nDrag and door by rate, ticks of delay each way, and assumed over true friction:\n")
         print(rates.text(options.only))
 
 

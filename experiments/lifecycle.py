@@ -144,14 +144,14 @@ def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LO
 
 #: The rows of the first table: name, arguments of `lower`.
 CASES: tuple[tuple[str, dict[str, object]], ...] = (
-    ("nothing in the way", {}),
-    ("0.3 kg it does not know", {"load": LOAD}),
+    ("no obstacle", {}),
+    ("unknown load of 0.3 kg", {"load": LOAD}),
     ("over a table", {"over_table": True}),
     ("load, table, a tick each way", {"load": LOAD, "over_table": True, "ticks": 1}),
-    ("table, servos 25 % stiffer than believed", {"over_table": True, "kp_scale": 1.25}),
-    ("table, servos 20 % softer than believed", {"over_table": True, "kp_scale": 0.8}),
-    ("no positions any more", {"blind": True, "ticks": 1}),
-    ("no positions, load it does not know", {"blind": True, "load": LOAD, "ticks": 1}),
+    ("table, servos 25 % stiffer than assumed", {"over_table": True, "kp_scale": 1.25}),
+    ("table, servos 20 % softer than assumed", {"over_table": True, "kp_scale": 0.8}),
+    ("no more positions", {"blind": True, "ticks": 1}),
+    ("no positions, unknown load", {"blind": True, "load": LOAD, "ticks": 1}),
     ("no positions, table", {"blind": True, "over_table": True, "ticks": 1}),
     ("to a rest pose", {"rest": np.array((-0.4, -0.1, 0.0, -0.8, 0.0, 0.0, 0.0))}),
 )

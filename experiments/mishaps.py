@@ -227,7 +227,7 @@ def _interrupt(tick: Tick, drive: SickDrive, robot: Arm, since: float) -> Array:
 
 
 MISHAPS: tuple[Mishap, ...] = (
-    Mishap(title="nothing", act=lambda tick, drive, robot, since: GRASP),
+    Mishap(title="no fault", act=lambda tick, drive, robot, since: GRASP),
     Mishap(title="Ctrl-C, or any exception", act=_interrupt),
     Mishap(title="the program stalls for 1 s", act=_stall),
     Mishap(title="the same, `Loop(max_step_time=2.0)`", act=_stall, loop={"max_step_time": 2.0}),
@@ -237,8 +237,8 @@ MISHAPS: tuple[Mishap, ...] = (
     Mishap(title="target jumps by 1 m for 1 s", act=_jump),
     Mishap(title="no positions for 0.3 s", act=_silence(0.3)),
     Mishap(title="no positions for 1 s", act=_silence(1.0)),
-    Mishap(title="no positions any more", act=_silence(np.inf)),
+    Mishap(title="no more positions", act=_silence(np.inf)),
     Mishap(title="bus silent both ways for 1 s", act=_silence(1.0, deaf=True)),
-    Mishap(title="elbow does not answer any more", act=_lost(powerless=False)),
-    Mishap(title="elbow has no power any more", act=_lost(powerless=True)),
+    Mishap(title="elbow no longer answers", act=_lost(powerless=False)),
+    Mishap(title="elbow loses power", act=_lost(powerless=True)),
 )

@@ -24,7 +24,7 @@ from pliant.arm import Arm
 from pliant.config import factory
 from pliant.emulator import Faults
 from pliant.emulator.faults import KINDS
-from pliant.emulator.process import Remote
+from pliant.emulator.process import EmulatorProcess
 from pliant.loop import Loop
 from pliant.servo import ServoBus
 
@@ -229,8 +229,8 @@ def judge(
         loop={
             "ticks": len(loop.lateness),
             "missed": loop.missed,
-            "without news": loop.missing,
-            "refused": loop.rejected,
+            "without readings": loop.missing,
+            "rejected": loop.rejected,
             "restarts": loop.restarts,
         },
         bus=arm.counters,
@@ -277,7 +277,7 @@ def audited(family: str, seed: int) -> ArmEmulator:
 def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
     """Soak in real time, servos and arm in a process of their own."""
     read = configuration(family)
-    with Remote(audited, family, seed) as bus:
+    with EmulatorProcess(audited, family, seed) as bus:
         chain = Recorder(factory.servo_specs(read, bus.ports), rate=rate, patience=PATIENCE)
         try:
             arm = Arm(
@@ -316,16 +316,16 @@ def table(runs: list[Soaked]) -> str:
         row(f"of which `{kind}`", [run.struck.get(kind, 0) for run in runs])
     for name in dict.fromkeys(name for run in runs for name in run.bus):
         row(f"bus: {name}", [run.bus.get(name, 0) for run in runs])
-    row("positions compared with the truth", [run.positions for run in runs])
-    row("of which answers to an earlier request", [run.late for run in runs])
+    row("positions compared with true ones", [run.positions for run in runs])
+    row("of which replies to an earlier request", [run.late for run in runs])
     row("of which not true within 0.1 s", [run.stale for run in runs])
-    row("furthest from it [counts]", [run.furthest for run in runs])
+    row("largest difference [counts]", [run.furthest for run in runs])
     row("share that would be stale, were they 3 cycles old", [run.telling for run in runs])
-    row("limits compared with what was asked", [run.limits for run in runs])
-    row("furthest from it, below [counts]", [run.off for run in runs])
-    row("above it", [run.above for run in runs])
+    row("limits compared with requested ones", [run.limits for run in runs])
+    row("largest shortfall [counts]", [run.off for run in runs])
+    row("above the requested one", [run.above for run in runs])
     row("rules broken", [run.broken or "none" for run in runs])
-    row("ended early by", [run.ended or "nothing" for run in runs])
+    row("ended early by", [run.ended or "none" for run in runs])
     lines = ["| | " + " | ".join(FAMILIES[run.family].title for run in runs) + " |"]
     lines.append("|---" * (1 + len(runs)) + "|")
     lines += [f"| {name} | {' | '.join(values)} |" for name, values in rows.items()]
@@ -348,7 +348,7 @@ def main() -> None:
     ]
     print(table(runs))
     if not all(one.good for one in runs):
-        sys.exit("something happened that must not: see the table")
+        sys.exit("a rule was broken: see the table")
 
 
 if __name__ == "__main__":

@@ -204,7 +204,7 @@ class Job:
     law: Law
     speed: float
     count: int
-    case: tuple[str, float, float, int] = ("as believed", 1.0, 1.0, 0)
+    case: tuple[str, float, float, int] = ("as assumed", 1.0, 1.0, 0)
 
     def run(self) -> list[Outcome]:
         """Run them."""
@@ -216,7 +216,7 @@ class Job:
 
 def rows(robot: str, count: int, *, disturbed: bool = False) -> list[Job]:
     """Return the rows of the table of a robot."""
-    cases = DISTURBED if disturbed else (("as believed", 1.0, 1.0, 0),)
+    cases = DISTURBED if disturbed else (("as assumed", 1.0, 1.0, 0),)
     return [Job(robot, law, v, count, case) for case in cases for law in LAWS for v in SPEEDS]
 
 

@@ -125,7 +125,7 @@ def cases():
             gap, bench = contact_gap(case), contacts_bench.Bench(case)
             yield f"contact {case.name}", gap, lambda bench=bench: bench.contact(0)
     for name, one in presets.UNDER.items():
-        if "believed" not in name:
+        if "assumed" not in name:
             continue
         for preset, (law, scene) in presets.SCENES.items():
             yield f"{preset} {name}", under(one), lambda o=one, law=law, s=scene: s(law, o)

@@ -170,8 +170,8 @@ EXPECTED = {
     "no command for 1 s": ("is lowered", 0.01, 0.18),
     "no positions for 0.3 s": ("goes on", 0.01, 0.18),
     "no positions for 1 s": ("is lowered", 0.01, 0.18),
-    "no positions any more": ("is lowered", 0.01, 0.18),
-    "elbow does not answer any more": ("is lowered", 0.01, 0.20),
+    "no more positions": ("is lowered", 0.01, 0.18),
+    "elbow no longer answers": ("is lowered", 0.01, 0.20),
 }
 
 
@@ -179,7 +179,7 @@ EXPECTED = {
 SHORT = {
     "the same, `Loop(max_step_time=2.0)`",
     "no positions for 1 s",
-    "elbow does not answer any more",
+    "elbow no longer answers",
 }
 
 

@@ -15,7 +15,7 @@ STIFF = Settings.firm()
 conditions = pytest.mark.parametrize(
     "conditions",
     [NOMINAL, *(pytest.param(each, marks=pytest.mark.full) for each in HARDWARE)],
-    ids=["nominal", "believed 0.7", "believed 1.3"],
+    ids=["nominal", "assumed 0.7", "assumed 1.3"],
 )
 
 

@@ -133,7 +133,7 @@ def test_sentences_of_the_report(controller, q):
     assert any(
         line.startswith("±y gives way at") and "cannot be softer than" in line for line in said
     )
-    assert any(line.startswith("If the host dies now") for line in said)
+    assert any(line.startswith("After a host loss now") for line in said)
     assert all(line.endswith(".") for line in said)
     assert all(line in str(report) for line in said)
     assert "Report" in repr(report)

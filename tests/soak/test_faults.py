@@ -16,8 +16,8 @@ BY_TITLE = {mishap.title: mishap for mishap in MISHAPS}
 BUSY = 0.3
 #: A row, and the arm's reaction.
 POWERED = {
-    "one answer with a wrong checksum": "goes on",
-    "a policy gives NaN for goals": "is lowered",
+    "one reply with a wrong checksum": "goes on",
+    "a policy returns NaN for goals": "is lowered",
     "the line is shorted for 1 s": "is lowered",
     "the firmware does not take the elbow's limit": "is lowered",
 }
@@ -29,7 +29,7 @@ def test_there_are_twenty_and_more():
 
 
 def test_a_run_over_bytes_repeats_to_the_bit():
-    runs = [suffer(BY_TITLE["nothing"], held=True, patience=BUSY) for _ in range(2)]
+    runs = [suffer(BY_TITLE["no fault"], held=True, patience=BUSY) for _ in range(2)]
     assert runs[0] == runs[1]
 
 

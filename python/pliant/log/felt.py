@@ -18,11 +18,9 @@ from pliant.log.verify import steps
 from pliant.loop import PRIME
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.log.reader import Log
 
-    Array = NDArray[np.float64]
 
 #: Rotation that weighs as much as a deviation of one metre [rad].
 RADIANS_PER_METRE = 4.0
@@ -58,7 +56,7 @@ def feel(log: Log) -> Felt | None:
     """
     axes, ticks = log.run["axes"], len(log)
     if not axes or not ticks:
-        raise ConfigError("the log has no ticks of a controller: nothing to feel")
+        raise ConfigError("the log has no ticks of a controller, so no forces can be estimated")
     size = np.abs(log.deviation)
     farthest = size.argmax(axis=0)
     weight = [1.0 if name in "xyz" else 1.0 / RADIANS_PER_METRE for name in axes]

@@ -57,8 +57,7 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
         felt = feeling.feel(log)
         if felt is None:
             notes.append(
-                "Ticks and steps of this log do not pair, so forces are not shown: one step per "
-                "tick is what the controller can be asked about."
+                "Forces are not shown: they need exactly one step of the controller per tick."
             )
     except ConfigError as error:
         notes.append(f"Forces are not shown: {error}.")
@@ -103,9 +102,13 @@ def _notes(log: Log) -> list[str]:
     """Return notes for the top of the page."""
     notes = []
     if log.damage:
-        notes.append(f"The log is damaged: {log.damage}; this is what stands before that.")
+        notes.append(
+            f"The log is damaged: {log.damage}; this page shows the data before the damage."
+        )
     elif not log.whole:
-        notes.append("The log was not completed: program and writer died; this is what they wrote.")
+        notes.append(
+            "The log was not completed: program and writer died; this page shows the rest."
+        )
     if log.missing:
         notes.append(f"{log.missing} calls of the controller are missing from the log.")
     if any(call.what == "update" for call in log.calls):
@@ -131,8 +134,8 @@ def _soft(log: Log, felt: Felt | None, folder: Path) -> str:
             "softness",
             "Deviation and force per axis",
             "Left: target minus actual; dashed, where the axis counts as soft (inner) and as firm "
-            "(outer). Right: what the surroundings exert on the tool, as positions and commands "
-            "tell it, with the bound of that; the grey band is the cap in force. Friction of the "
+            "(outer). Right: force of the surroundings on the tool, estimated from positions "
+            "and commands, with its bound; the grey band is the cap in force. Friction of the "
             "gears comes on top of a cap.",
         )
     )
@@ -160,17 +163,17 @@ def _caps(log: Log, felt: Felt | None) -> Table:
         else:
             tick = findings.most_felt(felt, k)
             if tick is None:
-                row += ["within what the arm cannot tell"]
+                row += ["below its uncertainty"]
             else:
                 force, bound = felt.force[tick, k], felt.bound[tick, k]
                 row += [f"{force:+.2g} ± {bound:.2g} at {findings.since(log)[tick]:.2f} s"]
             row += [f"{felt.report.friction[k]:.2g}", f"{findings.above(log, felt, k):.1%}"]
         rows.append((*row, findings.unit(name, force=True)))
     return Table(
-        caption="Caps against the force that was felt. The last share is of ticks in which cap, "
-        "friction and doubt together were exceeded: a rigid contact, an impact, or servos that are "
-        "not as believed.",
-        columns=("axis", "asked", "cap", "most felt", "friction", "above all that", "unit"),
+        caption="Caps against estimated forces. The last column is the share of ticks in which cap "
+        "plus friction plus uncertainty were exceeded: a rigid contact, an impact, or servos "
+        "unlike their table.",
+        columns=("axis", "setting", "cap", "largest force", "friction", "above all", "unit"),
         rows=tuple(rows),
     )
 
@@ -198,7 +201,7 @@ def _strength(log: Log, bounds: list[Span], folder: Path) -> str:
     longest = sorted(bounds, key=lambda span: span.start - span.end)[:MOST_SPANS]
     table = Table(
         caption=f"The {len(longest)} longest of {len(bounds)} stretches.",
-        columns=("joint", "what", "from [s]", "for [s]", "asked most by"),
+        columns=("joint", "what", "from [s]", "for [s]", "main axis"),
         rows=tuple(
             (
                 s.joint,
@@ -221,10 +224,10 @@ def _loop(log: Log, folder: Path) -> str:
         told.append(
             f"From tick to tick {1e3 * middle:.2f} ms in the median, {1e3 * high:.2f} ms for 99 %, "
             f"{1e3 * most:.2f} ms at most; {of.late} of {len(log)} came more than "
-            f"{findings.LATE:g} periods of {1e3 * of.period:g} ms after the one before."
+            f"{findings.LATE:g} periods of {1e3 * of.period:g} ms after the previous one."
         )
     told.append(
-        f"Positions were {_age(*of.lag)}; the controller was told a delay of "
+        f"Positions were {_age(*of.lag)}; the controller assumed a delay of "
         f"{1e3 * of.delay:.1f} ms."
     )
     for name, count in of.old.items():
@@ -240,7 +243,7 @@ def _loop(log: Log, folder: Path) -> str:
     else:
         told.append("The log has no counters of the bus: it was not closed, or is an older one.")
     caption = "Time from one tick to the next" + (
-        "; what the servos said of themselves" if of.voltage or of.temperature else ""
+        "; values reported by the servos" if of.voltage or of.temperature else ""
     )
     return _list(told) + _figure(folder, "loop", "Loop and servos", f"{caption}.")
 

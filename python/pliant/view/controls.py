@@ -73,7 +73,7 @@ class Controls:
             self.law = gui.add_dropdown("Law", LAWS)
             self._edits(self.law, lambda n: orders.Law(n, self.law.value))
             self.firm = gui.add_checkbox(
-                "All firm", initial_value=False, hint="The same pose with nothing that gives way"
+                "All firm", initial_value=False, hint="The same pose, all axes stiff"
             )
             self._edits(self.firm, lambda n: orders.Firm(n, self.firm.value))
             self.eta = gui.add_slider(

@@ -105,7 +105,7 @@ class Link:
         self.close()
         if isinstance(first, Failed):
             raise PliantError(first.text)
-        raise PliantError("the page's process did not come up; its own words stand above")
+        raise PliantError("the page's process did not start; its output is above")
 
     def orders(self) -> list[Order]:
         """Return the next orders of the page: at most `orders.PER_TICK`, edits at a bounded rate.
@@ -114,9 +114,7 @@ class Link:
             PageGone: The page's process has ended.
         """
         if not self._listen():
-            raise PageGone(
-                "the page's process has ended, so nobody could stop the arm from there any more"
-            )
+            raise PageGone("the page's process has ended, so it could no longer stop the arm")
         now = time.perf_counter()
         out = self._waiting.take(edit=now >= self._edit_due)
         if any(isinstance(order, Edit) for order in out):

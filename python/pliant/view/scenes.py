@@ -16,11 +16,9 @@ from pliant.sim.postures import AT_DOOR, VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.sim import Fixture, Hand, Plant
 
-    Array = NDArray[np.float64]
 
 #: Speed of a scripted target [m/s], its distance [m], and its rest at the end [s].
 SPEED, WAY, REST = 0.06, 0.26, 1.5
@@ -88,7 +86,7 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
         way=(-WAY, 0.0, 0.0),
     )
     slides = Scene(
-        about="Its slide points 10° beside the pull; y and z follow it.",
+        about="Its slide is 10° off the pull; y and z follow it.",
         preset="drawer",
         q=AT_DOOR,
         make=lambda: [drawer(axis=_beside(10.0))],
@@ -104,7 +102,7 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
         way=(INTO, 0.0, 0.0),
     )
     gives = Scene(
-        about="It carries 0.3 kg that nobody told it of, and opens its hand once drawn 5 cm away.",
+        about="It carries an unknown 0.3 kg, and opens its hand once pulled 5 cm away.",
         preset="hand_over",
         q=VERTICAL,
         make=lambda: [HandoverObject(course=NEVER)],

@@ -113,7 +113,7 @@ impl PoseReport {
                 }
             }
         }
-        let mut dies = "If the host dies now, the servos keep their goals and limits".to_owned();
+        let mut dies = "After a host loss now, the servos keep their goals and limits".to_owned();
         if !meets.is_empty() {
             let _ = write!(
                 dies,
@@ -203,7 +203,7 @@ impl PoseReport {
         let far = length(if unit == "N" { 0 } else { 3 }, distance);
         let then = match self.stop_friction[row][side] {
             rub if rub.is_infinite() => "the stop takes what exceeds the cap".into(),
-            rub => format!("the stop takes its part and the other joints rub {} {unit}", number(rub)),
+            rub => format!("the stop takes its part and the other joints add {} {unit} of friction", number(rub)),
         };
         Some(format!("{}{}: {} {from} {far}, {then}.", SIDES[side], self.axes[row], self.joints[joint]))
     }
@@ -215,7 +215,7 @@ impl PoseReport {
         near.then(|| {
             let unit = self.unit(row);
             format!(
-                "{}{}: pushed by {} the arm is near a singular pose: σ_min is {} instead of {}, and the joints rub {} {unit}.",
+                "{}{}: pushed by {} the arm is near a singular pose: σ_min is {} instead of {}, and joint friction is {} {unit}.",
                 SIDES[side],
                 self.axes[row],
                 length(if unit == "N" { 0 } else { 3 }, far),
@@ -255,7 +255,7 @@ impl PoseReport {
 
 impl fmt::Display for PoseReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "axis      gives way    held by limits   torque ends   host dead   friction left  unit")?;
+        writeln!(f, "axis      gives way    held by limits   torque ends   host loss   friction left  unit")?;
         for (row, axis) in self.axes.iter().enumerate() {
             for side in [1, 0] {
                 let [small, large] = self.gives_way[row][side].map(number);

@@ -111,8 +111,8 @@ pub(super) fn way_findings(controller: &Controller, r: usize, past: [Past; 2], o
                 about: format!("{}{}", ["−", "+"][side], AXIS_NAMES[axis]),
                 required: false,
                 reason: format!(
-                    "pushed by {} the arm is near a singular pose (σ_min {}, below {}), where the joints rub {} {unit} \
-                     along the axis instead of {} {unit}",
+                    "pushed by {} the arm is near a singular pose (σ_min {}, below {}), where joint friction along \
+                     the axis is {} {unit} instead of {} {unit}",
                     length(axis, push.at),
                     number(push.sigma),
                     number(least),

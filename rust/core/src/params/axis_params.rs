@@ -149,7 +149,7 @@ fn resolve_row(
             format!("axes.{name}.adaptation"),
             given.adaptation,
             format!(
-                "[0, {ETA_UNPROVEN}] while k_p is not known within 10 %: a gravity error would walk the arm away. \
+                "[0, {ETA_UNPROVEN}] while k_p is not known within 10 %: a gravity error would make the arm drift. \
                  Identify k_p (Servos(..., stiffness_known=True)), capture gravity, or accept the risk: Settings(accept_high_adaptation=True)"
             ),
         ));
