@@ -24,8 +24,7 @@ from rich.table import Table
 import pliant
 from pliant import config
 from pliant.cli import program
-from pliant.cli.flags import Axes, File, Frame, OtherArm, OtherAxes
-from pliant.cli.soft import check_soft
+from pliant.cli._flags import Axes, File, Frame, OtherArm, OtherAxes, check_soft
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -30,7 +30,7 @@ dragged = Deviation("y", above=0.08)
 reactions = [
     Reaction(
         lifted,
-        [Call(lambda now: print(f"{now.time:.2f} s: felt {now.felt}")), Retract(0.05)],
+        [Call(lambda now: print(f"{now.time:.2f} s: felt {now.wrench}")), Retract(0.05)],
         until=Elapsed(1.0),
     ),
     Reaction(dragged & ~lifted, Hold()),

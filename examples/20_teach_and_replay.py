@@ -34,7 +34,7 @@ def grip(axis, distance, start, rise, end):
 # Teach: hand guiding; from 9 s on a hand moves the tool to the side and up, and lets go.
 hands = [grip("y", 0.08, 9.0, 3.0, 12.5), grip("z", 0.03, 9.0, 3.0, 12.5)]
 with pliant.connect("so101", backend="sim", q=START, scene=hands) as arm:
-    motion = pliant.teach.teach(arm, tell=print)
+    motion = pliant.teach.teach(arm, on_status=print)
 motion.save(folder / "wave.json")
 
 # Replay: y gives way to 2 N; a hand holds the tool from the start, then lets go.
@@ -62,7 +62,10 @@ with contextlib.ExitStack() as stack:
             print(f"at {tick.time:4.1f} s the motion is at {replay.time:.2f} s: {state}")
         if replay.done:
             break
-    print(f"the hand that held it felt at most {max(forces):.1f} N; waited {replay.waited:.1f} s")
+    print(
+        f"the hand that held it felt at most {max(forces):.1f} N; waited "
+        f"{replay.blocked_time:.1f} s"
+    )
     goal = arm.model.forward_kinematics(motion.q[-1])[:3, 3]
     print(f"off the end: {1e3 * np.linalg.norm(arm.drive.plant.tool[:3, 3] - goal):.1f} mm")
 

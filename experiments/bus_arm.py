@@ -10,7 +10,7 @@ from pliant import config
 from pliant.arm import Arm
 from pliant.config import factory
 from pliant.config.factory import make_emulator
-from pliant.emulator import StepClock, Timing
+from pliant.emulator import ManualClock, Timing
 from pliant.servo import ServoBus
 from pliant.sim.postures import VERTICAL
 
@@ -124,7 +124,7 @@ def stepped(
         drive = chain(
             factory.servo_specs(read, bus.ports),
             patience=patience,
-            clock=StepClock(bus),
+            clock=ManualClock(bus),
         )
         try:
             yield bus, Arm(read.model(), drive, **{"signals": False, **arm})

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant.emulator.log import GOALS, LIMITS, SWITCH
-from pliant.emulator.wire import Framer
+from pliant.emulator.packets import Framer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

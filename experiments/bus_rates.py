@@ -19,7 +19,7 @@ import pliant
 from experiments.bus_arm import FAMILIES, configuration, emulator
 from pliant.arm import Arm
 from pliant.config import factory
-from pliant.emulator import Device, Emulator, Remote, Timing
+from pliant.emulator import Device, Emulator, EmulatorProcess, Timing
 from pliant.loop import Loop
 from pliant.servo import ServoBus, ServoSpec, wire_time
 
@@ -74,7 +74,7 @@ def measure(family: str, cycles: int, *, timed: bool) -> Rate:
     model = MODELS[family]
     own: dict[str, Any] = {"operating_mode": 5} if family == "x" else {}
     devices = [Device(model, id, return_delay_time=0, **own) for id in range(1, SERVOS + 1)]
-    with Remote(Emulator, devices, timing=Timing(wire=timed)) as bus:
+    with EmulatorProcess(Emulator, devices, timing=Timing(wire=timed)) as bus:
         specs = [ServoSpec(name=f"j{d.id}", model=model, id=d.id, port=bus.port) for d in devices]
         with ServoBus(specs, baudrate=BAUD, patience=0.05) as chain:
             limit = 0.2 * np.asarray(chain.servos.max_torque)
@@ -95,7 +95,7 @@ def measure(family: str, cycles: int, *, timed: bool) -> Rate:
 def share(family: str, seconds: float) -> float:
     """Return the processor share of control of the arm at 100 Hz in the host's process."""
     read = configuration(family)
-    with Remote(emulator, family) as bus:
+    with EmulatorProcess(emulator, family) as bus:
         chain = ServoBus(factory.servo_specs(read, bus.ports), patience=0.05)
         arm = Arm(read.model(), chain, comm_timeout=5.0, signals=False)
         with chain:

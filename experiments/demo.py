@@ -18,7 +18,7 @@ from experiments.runner import draw_off_screen
 from pliant import ConfigError, PliantError
 from pliant._extras import missing
 from pliant.cli import program
-from pliant.cli.flags import File, Frame
+from pliant.cli._flags import File, Frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

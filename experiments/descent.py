@@ -23,7 +23,7 @@ from pliant import config
 from pliant.arm.arm import Arm
 from pliant.config import factory
 from pliant.config.factory import PATIENCE, make_emulator
-from pliant.emulator import StepClock, Timing
+from pliant.emulator import ManualClock, Timing
 from pliant.servo import ServoBus
 from pliant.sim import Plant, SimDrive, table
 from pliant.sim.postures import VERTICAL
@@ -278,7 +278,7 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
     bus.world.physics.step = watched  # type: ignore[method-assign]
     with bus:
         drive = ServoBus(
-            factory.servo_specs(own, bus.ports), patience=PATIENCE, clock=StepClock(bus)
+            factory.servo_specs(own, bus.ports), patience=PATIENCE, clock=ManualClock(bus)
         )
         arm = Arm(model, drive, grippers=factory.gripper_configs(own), signals=False)
         try:

@@ -24,7 +24,7 @@ from pliant.arm import Arm
 from pliant.config import factory
 from pliant.emulator import Faults
 from pliant.emulator.faults import KINDS
-from pliant.emulator.process import Remote
+from pliant.emulator.process import EmulatorProcess
 from pliant.loop import Loop
 from pliant.servo import ServoBus
 
@@ -277,7 +277,7 @@ def audited(family: str, seed: int) -> ArmEmulator:
 def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
     """Soak in real time, servos and arm in a process of their own."""
     read = configuration(family)
-    with Remote(audited, family, seed) as bus:
+    with EmulatorProcess(audited, family, seed) as bus:
         chain = Recorder(factory.servo_specs(read, bus.ports), rate=rate, patience=PATIENCE)
         try:
             arm = Arm(

@@ -1520,8 +1520,17 @@ class Settings:
 
 @final
 class Command:
-    """What the servos get. The arrays of a command that is kept never change."""
+    """Goals and limits of the servos for one tick. Arrays of a stored command never change.
 
+    Args:
+        goal: Goals of the position servos (n,) [rad].
+        torque_limit: Magnitude of the torque each servo may use (n,) [N m].
+        speed_limit: Speed for a servo's speed register (n,) [rad/s]; None: no limit.
+    """
+
+    def __new__(
+        cls, goal: ArrayLike, torque_limit: ArrayLike, speed_limit: ArrayLike | None = None
+    ) -> Command: ...
     @property
     def goal(self) -> _Array:
         """Goals of the position servos (n,) [rad]."""
@@ -2508,6 +2517,228 @@ def adapt_target(
 
 def pose_error(actual: _PoseLike, target: _PoseLike) -> _Array:
     """Deviation target - actual (6,), base axes [m, rad]; rotation vector of R_d R^T."""
+
+@final
+class ArmPoints:
+    """Origins of the joints between base and tip, and the tool: m points, base to tip.
+
+    Joints off the chain are fixed at the model's values. The payload is a point mass.
+
+    Args:
+        model: The arm.
+        armature: Inertia of the servos' rotors at the joints (n,) [kg m^2]; None: 0.
+    """
+
+    def __new__(cls, model: Model, armature: ArrayLike | None = None) -> ArmPoints: ...
+    def position(self, q: ArrayLike) -> _Array:
+        """Return the positions (m, 3) [m] at q (n,) [rad], base axes."""
+
+    def velocity(self, q: ArrayLike, dq: ArrayLike) -> _Array:
+        """Return the velocities (m, 3) [m/s] for joint velocities dq (n,) [rad/s]."""
+
+    def inertia(self, q: ArrayLike) -> _Array:
+        """Return the joint-space inertia matrix with the rotors (n, n) [kg m^2]."""
+
+    def effective_mass(self, q: ArrayLike, dq: ArrayLike) -> _Array:
+        """Return the mass (m,) [kg] of each point along its velocity; 0 for a point at rest.
+
+        ``1 / (d' J M^-1 J' d)`` with d the direction of the velocity (Khatib 1995).
+        """
+
+@final
+class Lowering:
+    """One descent, from the present pose until the torque limits are zero.
+
+    The goals start at their present values and move toward the joints, in proportion to the
+    measured distance between them, so the arm descends without an exact stiffness or payload:
+
+    - `rest`: if there is a rest pose, move toward it first;
+    - `down`: descend until no joint carries a load;
+    - `ramp`: reduce the limits to zero, and wait while anything moves.
+
+    If positions no longer arrive, a model of the arm replaces the measured one. See
+    `docs/lifecycle.md` for the equations.
+
+    Args:
+        model: The arm; its `gravity` gives the downward direction of each joint.
+        servos: Its servo parameters, n entries.
+        q: Last good joint positions (n,) [rad].
+        goal: Last goals sent (n,) [rad]; None: holding goals by the servo table.
+        limit: Last limits sent (n,) [N m]; None: the weight and a margin.
+        rest: Rest pose (n,) [rad]; None: straight down.
+        speed: Largest speed of any point of the arm [m/s].
+
+    Raises:
+        ShapeError: A vector does not have n entries. OutOfRangeError: A number is not finite, or
+            `speed` is not above 0. ConfigError: The servos do not fit the model.
+    """
+
+    def __new__(
+        cls,
+        model: Model,
+        servos: Servos,
+        q: ArrayLike,
+        *,
+        goal: ArrayLike | None = None,
+        limit: ArrayLike | None = None,
+        rest: ArrayLike | None = None,
+        speed: float = 0.15,
+    ) -> Lowering: ...
+    @property
+    def phase(self) -> Literal["rest", "down", "ramp", "done"]:
+        """Present phase; `done`: the arm rests and torque can be switched off."""
+
+    @property
+    def blind(self) -> bool:
+        """True if positions have been missing for so long that the model's replace them."""
+
+    def step(
+        self,
+        q: ArrayLike,
+        ok: Sequence[bool] | NDArray[np.bool_] | None = None,
+        *,
+        dt: float,
+        age: float = 0.0,
+    ) -> Command | None:
+        """Compute goals, torque limits and speed limits of one tick.
+
+        Args:
+            q: Joint positions (n,) [rad]; NaN and inf count as lost.
+            ok: Mask of the new positions (n,); None: all.
+            dt: Time since the last tick [s], at most 0.1.
+            age: Age of the goals that were in force when q was sampled [s].
+
+        Returns:
+            The command to write; None if the arm rests and torque can be switched off. Its speed
+            limits are finite only while blind, so that a joint does not jump to a goal after lost
+            packets.
+
+        Raises:
+            ShapeError: `q` or `ok` does not have n entries; nothing has changed.
+        """
+
+#: Holding torque over gravity torque, wherever an arm is held without a controller.
+SUPPORT: Final[float]
+
+def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
+    """Return the torque margin (n,) [N m] of joints over their gravity torque (n,) [N m]."""
+
+@final
+class HandGuidingLaw:
+    """Goals that follow a weightless arm after its first swing; see `pliant.HandGuiding`.
+
+    Args:
+        model: The arm.
+        servos: Assumed servo parameters, n entries.
+        q: Positions at the end of the swing (n,) [rad].
+        goal: Goals at the end of the swing (n,) [rad].
+        swung: Joints that swung (n,).
+        lead: Mean of the leads that move a joint up and down (n,) [rad].
+        friction: Half the difference of these leads (n,) [rad].
+        damping: Viscous damping, derivative gain and back-EMF together (n,) [N m s/rad].
+        stiffness_error: Factor by which k_p may be wrong in either direction, at least 1.
+        delay: Time from the reading to the arrival of the goal [s].
+        torque_share: Torque allowed on top of gravity, as a share of the usable torque.
+        payload_moments: Mass [kg] and mass times centre in the tool frame [kg m] (4,) of a payload
+            in addition to the model's.
+    """
+
+    def __new__(
+        cls,
+        model: Model,
+        servos: Servos,
+        *,
+        q: ArrayLike,
+        goal: ArrayLike,
+        swung: Sequence[bool],
+        lead: ArrayLike,
+        friction: ArrayLike,
+        damping: ArrayLike,
+        stiffness_error: float,
+        delay: float,
+        torque_share: float,
+        payload_moments: Sequence[float],
+    ) -> HandGuidingLaw: ...
+    @property
+    def stiffness(self) -> _Array:
+        """Interval of k_p after all rests so far (2, n) [N m/rad]."""
+
+    @property
+    def play(self) -> _Array:
+        """Play of each joint in this tick (n,) [rad]."""
+
+    @property
+    def speed(self) -> _Array:
+        """Filtered joint speeds (n,) [rad/s]."""
+
+    def step(self, q: ArrayLike, *, dt: float) -> Command:
+        """Return goals and torque limits for measured positions q (n,) [rad] after dt [s].
+
+        Raises:
+            ShapeError: `q` does not have n entries. OutOfRangeError: A number is not finite, or
+                `dt` is not above 0. Nothing has changed.
+        """
+
+@final
+class ThermalModel:
+    """Thermal model of N servos, and the torque limits that follow from it.
+
+    ``dh/dt = ((torque / max_torque)^2 / continuous^2 - h) / seconds``, where h is the share of the
+    thermal budget in use; h = 1 in steady state at the continuous torque.
+
+    Args:
+        max_torque: Usable torques (N,) [N m].
+        stall_current: Currents at these torques (N,) [A]; None: unknown.
+        continuous: Share of the usable torque that a servo can exert continuously, in (0, 1].
+        seconds: Thermal time constant of the winding [s].
+        supply: Largest current of the supply [A]; None: no limit.
+        hottest: Temperature at which the servos switch off [deg C].
+
+    Raises:
+        ConfigError: An option is out of range, or a supply is given and the currents are unknown.
+    """
+
+    def __new__(
+        cls,
+        max_torque: Sequence[float] | _Array,
+        stall_current: Sequence[float] | _Array | None = None,
+        *,
+        continuous: float,
+        seconds: float,
+        supply: float | None,
+        hottest: float,
+    ) -> ThermalModel: ...
+    @property
+    def heat(self) -> _Array:
+        """Share of the thermal budget in use (N,)."""
+
+    @property
+    def temperature(self) -> _Array:
+        """Last known temperatures (N,) [deg C]; NaN where unknown."""
+
+    @property
+    def last_temperature(self) -> float:
+        """Temperature at which a torque limit reaches zero [deg C]."""
+
+    def set_temperature(self, servo: int, temperature: float) -> None:
+        """Store the measured temperature of a servo [deg C]."""
+
+    def update(self, torque: ArrayLike, dt: float) -> None:
+        """Update the heat with torques (N,) [N m] exerted over dt [s]."""
+
+    def torque_ceiling(self) -> _Array:
+        """Return the largest torque limits (N,) [N m] at the present heat and temperature."""
+
+    def limit_current(self, torque: ArrayLike, least: ArrayLike, limit: ArrayLike) -> _Array:
+        """Return torque limits (N,) [N m] that keep the current within the supply.
+
+        ``least + s (limit - least)`` with the largest s in [0, 1] that the supply allows.
+
+        Args:
+            torque: Expected torques without limits (N,) [N m].
+            least: Limits that are never reduced (N,) [N m]: those of the arm's weight.
+            limit: Requested limits (N,) [N m].
+        """
 
 def _model(text: str, options: dict[str, Any]) -> Model:
     """What a pickle of a model calls."""

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant._core import Servos
+    from pliant._typing import Array
 
 #: Fields of a servo table with one number per joint.
 COLUMNS = (
@@ -60,7 +61,7 @@ def join(first: Servos, rest: Sequence[Servos]) -> Servos:
     tables = [first, *rest]
     sizes = [np.size(table.kp) for table in tables]
 
-    def column(name: str) -> NDArray[np.float64]:
+    def column(name: str) -> Array:
         values = [getattr(table, name) for table in tables]
         values = [UNREACHABLE if value is None else value for value in values]
         rows = zip(values, sizes, strict=True)

@@ -11,7 +11,9 @@ import numpy as np
 from pliant._core import ConfigError, Model, OutOfRangeError, Servos, ShapeError
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+
+    from pliant._typing import Array
 
 T = TypeVar("T")
 
@@ -90,7 +92,7 @@ def positive(value: Any, name: str, unit: str = "") -> float:
     return out
 
 
-def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> NDArray[np.float64]:
+def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> Array:
     """Return a new array (n,) of finite numbers.
 
     Raises:

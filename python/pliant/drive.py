@@ -16,11 +16,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from pliant._core import Servos
-
-    Array = NDArray[np.float64]
+    from pliant._typing import Array, Mask
 
 
 #: Last part of a wait that is spent in a busy loop [s], because sleep wakes up this late.
@@ -43,7 +40,7 @@ class JointReadings:
     """
 
     position: Array
-    ok: NDArray[np.bool_]
+    ok: Mask
     time: Array | float
     velocity: Array | None = None
     load: Array | None = None

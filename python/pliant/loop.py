@@ -15,12 +15,9 @@ from pliant.arm._checks import vector
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.arm.arm import Arm
     from pliant.drive import State
-
-    Array = NDArray[np.float64]
 
 
 LOG = logging.getLogger("pliant")

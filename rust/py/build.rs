@@ -1,6 +1,6 @@
-//! Docstrings of the stub `python/pliant/_core.pyi` as Rust tables: what `help()` shows is written once.
+//! Docstrings of the stub `python/pliant/_core.pyi` for the compiled module: what `help()` shows is written once.
 //!
-//! Leaves `stub.rs` in `OUT_DIR`: the table `CLASSES` and the macro `stub!`, the docstring of a function.
+//! Writes `stub.rs` into `OUT_DIR`: the macro `stub!` returns the docstring of a class, a member or a function.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -75,21 +75,10 @@ fn word(text: &str) -> String {
     text.chars().take_while(|letter| letter.is_alphanumeric() || *letter == '_').collect()
 }
 
-/// The docstrings as Rust.
+/// The macro `stub!`.
 fn written(docs: &Docs) -> Result<String, std::fmt::Error> {
-    let mut out = String::from("const CLASSES: &[Class] = &[\n");
-    let is_class = |name: &str| name.starts_with(char::is_uppercase) && !name.contains('.');
-    for (class, doc) in docs.iter().filter(|(name, _)| is_class(name)) {
-        writeln!(out, "({class:?}, {doc:?}, &[")?;
-        for (name, doc) in docs {
-            if let Some((_, member)) = name.split_once('.').filter(|(of, _)| of == class) {
-                writeln!(out, "({member:?}, c{doc:?}),")?;
-            }
-        }
-        out.push_str("]),\n");
-    }
-    out.push_str("];\n\nmacro_rules! stub {\n");
-    for (name, doc) in docs.iter().filter(|(name, _)| name.starts_with(char::is_lowercase)) {
+    let mut out = String::from("macro_rules! stub {\n");
+    for (name, doc) in docs {
         writeln!(out, "({name}) => {{ {doc:?} }};")?;
     }
     out.push_str("}\n");

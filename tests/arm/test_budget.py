@@ -5,11 +5,11 @@ import pytest
 
 import pliant
 from pliant.arm import Budget, ServoStatus
-from pliant.arm.thermal import ThermalModel
+from pliant.arm.thermal import thermal_faults
 
 
 def meter(**options):
-    return ThermalModel(Budget(**options), np.array([10.0, 10.0]), np.array([2.0, 2.0]))
+    return Budget(**options).thermal_model([10.0, 10.0], [2.0, 2.0])
 
 
 def test_full_torque_is_over_after_five_seconds_and_continuous_torque_never():
@@ -20,38 +20,37 @@ def test_full_torque_is_over_after_five_seconds_and_continuous_torque_never():
     for _ in range(60000):
         it.update(np.array([0.0, 4.0]), 0.01)
     assert it.heat[1] == pytest.approx(1.0)
-    assert it.ceiling()[1] == pytest.approx(4.0)
-    assert it.faults(("a", "b")) == []
+    assert it.torque_ceiling()[1] == pytest.approx(4.0)
+    assert thermal_faults(it, ("a", "b")) == []
 
 
 def test_a_hot_servo_gets_less_then_none():
     it = meter(hottest=70.0)
-    it.temperature[:] = 64.0, 69.0
-    assert it.ceiling() == pytest.approx([5.0, 0.0])
-    assert "b has 69" in it.faults(("a", "b"))[0]
+    it.set_temperature(0, 64.0)
+    it.set_temperature(1, 69.0)
+    assert it.torque_ceiling() == pytest.approx([5.0, 0.0])
+    assert "b has 69" in thermal_faults(it, ("a", "b"))[0]
 
 
 def test_the_supply_is_shared_above_the_weight():
     it = meter(supply=2.0)
-    limit = it.limit_current(np.array([10.0, -10.0]), np.array([10.0, 10.0]), np.array([3.0, 1.0]))
+    limit = it.limit_current([10.0, -10.0], [3.0, 1.0], [10.0, 10.0])
     assert 0.2 * limit.sum() == pytest.approx(2.0, abs=0.01)
     assert np.all(limit >= [3.0, 1.0])
     # Joints that draw nothing are not cut.
-    assert it.limit_current(np.array([4.0, 4.0]), np.full(2, 10.0), np.zeros(2)) == pytest.approx(
-        [10, 10]
-    )
+    assert it.limit_current([4.0, 4.0], [0.0, 0.0], [10.0, 10.0]) == pytest.approx([10, 10])
 
 
 def test_a_supply_needs_known_currents():
     with pytest.raises(pliant.ConfigError, match="stall currents"):
-        ThermalModel(Budget(supply=5.0), np.ones(2), np.array([1.0, np.nan]))
+        Budget(supply=5.0).thermal_model(np.ones(2), [1.0, np.nan])
     with pytest.raises(pliant.ConfigError, match="continuous"):
         Budget(continuous=0.0)
 
 
 @pytest.mark.parametrize("name", ["continuous", "seconds", "supply", "hottest"])
 def test_what_is_not_a_number_is_no_budget(name):
-    with pytest.raises(pliant.ConfigError, match=f"{name} must be"):
+    with pytest.raises(pliant.ConfigError, match=f"Budget.{name}: must be"):
         Budget(**{name: np.nan})
 
 
@@ -62,7 +61,9 @@ def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
         for heat, share in ((0.5, 1.0), (0.9, 0.7), (1.1, 0.4)):
             arm.clock.wait_until(arm.clock.now() + 0.6)  # limits have risen
             arm.read()
-            arm._io.thermal.heat[:] = heat
+            # At this constant torque the heat ends at this value.
+            constant = np.sqrt(heat) * Budget().continuous * arm._io._usable
+            arm._io.thermal.update(constant, 1e9)
             arm.write(q, torque)
             _, _, sent = arm.drive.diary[-1]
             weight = 1.1 * np.abs(arm.model.gravity(q))

@@ -6,8 +6,8 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from experiments.lifecycle import LOAD, lower, postures
+from pliant._core import ArmPoints
 from pliant.arm import Lowering
-from pliant.arm._points import Points
 
 #: Delays of sampling and of writing by one tick each [s].
 TICKS = 0.02
@@ -83,10 +83,10 @@ def descend(model, grasp, reading, ticks=400, dt=0.01):
     lowering = Lowering(model, model.servos, grasp)
     orders = []
     for tick in range(ticks):
-        order = lowering.step(reading(tick), dt)
+        order = lowering.step(reading(tick), dt=dt)
         if order is None:
             break
-        orders.append((lowering.phase, *order))
+        orders.append((lowering.phase, order.goal, order.torque_limit))
     return lowering, orders
 
 
@@ -176,8 +176,8 @@ def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicke
 def test_a_joint_with_a_short_lever_presses_with_no_more_force_than_the_others():
     model = pliant.robots.load("so101")
     q = np.array([0.0, 0.3, 0.3, 1.5, 0.0])
-    kp, points = np.asarray(model.servos.kp), Points(model)
-    lever = np.abs(points(q).jacobian[-1, 2])
+    kp = np.asarray(model.servos.kp)
+    lever = np.abs(model.jacobian(q)[2])
     assert 0.02 < lever[2] < 0.04
     _, orders = descend(model, q, lambda tick: q, ticks=1500)
     pressing = -kp * (np.array([goal for _, goal, _ in orders]) - q) * np.sign(model.gravity(q))
@@ -189,27 +189,27 @@ def test_a_joint_with_a_short_lever_presses_with_no_more_force_than_the_others()
 def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
     """A leaning arm loses its support while its limits fall: it is caught, and lowered slowly."""
     model = pliant.robots.arm7()
-    q, kp, points = STRETCHED.copy(), np.asarray(model.servos.kp), Points(model)
+    q, kp, points = STRETCHED.copy(), np.asarray(model.servos.kp), ArmPoints(model)
     lowering = Lowering(model, model.servos, q)
     limits = []
     while len(limits) < 100:
-        _, limit = lowering.step(q, 0.01)
+        command = lowering.step(q, dt=0.01)
         if lowering.phase == "ramp":
-            limits.append(limit)
+            limits.append(command.torque_limit)
         if len(limits) == 40:
             break
     assert np.all(limits[-1] < 0.7 * limits[0] + 1e-9)
     most = 0.0
     for tick in range(6000):
-        order = lowering.step(q, 0.01)
+        order = lowering.step(q, dt=0.01)
         if order is None:
             break
-        goal, limit = order
+        goal, limit = order.goal, order.torque_limit
         weight = np.asarray(model.gravity(q))
         # Without inertia: gears turn as slowly as their damping allows.
         torque = np.clip(kp * (goal - q), -limit, limit) - weight
         new = q + 0.01 * torque / (np.asarray(model.servos.damping) + 0.1 * kp)
-        moved = np.linalg.norm(points(new).position - points(q).position, axis=1).max()
+        moved = np.linalg.norm(points.position(new) - points.position(q), axis=1).max()
         # It sinks into its servos' springs at first.
         most = max(most, moved if tick > 50 else 0.0)
         q = new
@@ -221,24 +221,25 @@ def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
 def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(model, grasp):
     lowering = Lowering(model, model.servos, grasp)
     for _ in range(50):
-        first, _ = lowering.step(grasp, 0.01)
-    second, _ = lowering.step(grasp, 5.0)
+        first = lowering.step(grasp, dt=0.01).goal
+    second = lowering.step(grasp, dt=5.0).goal
     assert np.abs(second - first).max() < 0.05
 
 
 def test_goals_of_a_blind_descent_are_caught_up_with_no_faster_than_it_goes(model, grasp):
     lowering = Lowering(model, model.servos, grasp)
     for _ in range(10):  # It would count as resting later: it does not move.
-        before, _ = lowering.step(grasp, 0.01)
-        assert lowering.velocity is None
+        command = lowering.step(grasp, dt=0.01)
+        before = command.goal
+        assert np.all(np.isinf(command.speed_limit))
     seen = []
     for _ in range(100):
-        goal, _ = lowering.step(np.full(model.n, np.nan), 0.01)
+        command = lowering.step(np.full(model.n, np.nan), dt=0.01)
+        goal = command.goal
         if lowering.blind:
-            way = np.sign(goal - before) * lowering.velocity
+            way = np.sign(goal - before) * command.speed_limit
             seen.append(np.linalg.norm(model.jacobian(goal)[:3] @ way))
         before = goal
     assert len(seen) > 70
     assert 0.02 < max(seen) < 0.15
-    lowering.step(grasp, 0.01)
-    assert lowering.velocity is None
+    assert np.all(np.isinf(lowering.step(grasp, dt=0.01).speed_limit))

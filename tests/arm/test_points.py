@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pliant.robots
-from pliant.arm._points import Points
+from pliant._core import ArmPoints
 from pliant.sim import Plant
 
 
@@ -12,22 +12,21 @@ from pliant.sim import Plant
 def test_tool_and_its_speed_are_the_cores(name):
     model = pliant.robots.load(name)
     rng = np.random.default_rng(0)
-    points = Points(model)
+    points = ArmPoints(model)
     for _ in range(20):
         q, u = rng.uniform(-2, 2, model.n), rng.normal(size=model.n)
-        here = points(q)
         pose, jacobian = model.kinematics(q)
-        np.testing.assert_allclose(here.position[-1], pose[:3, 3], atol=1e-12)
-        np.testing.assert_allclose(here.velocity(u)[-1], jacobian[:3] @ u, atol=1e-11)
+        np.testing.assert_allclose(points.position(q)[-1], pose[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(points.velocity(q, u)[-1], jacobian[:3] @ u, atol=1e-11)
 
 
 def test_speeds_are_differences_of_positions():
     model = pliant.robots.arm7()
     rng = np.random.default_rng(1)
-    points = Points(model)
+    points = ArmPoints(model)
     q, u = rng.uniform(-2, 2, 7), rng.normal(size=7)
-    difference = (points(q + 1e-6 * u).position - points(q - 1e-6 * u).position) / 2e-6
-    np.testing.assert_allclose(points(q).velocity(u), difference, atol=1e-8)
+    difference = (points.position(q + 1e-6 * u) - points.position(q - 1e-6 * u)) / 2e-6
+    np.testing.assert_allclose(points.velocity(q, u), difference, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", pliant.robots.names())
@@ -35,7 +34,7 @@ def test_inertia_is_that_of_the_simulated_arm(name):
     mujoco = pytest.importorskip("mujoco")
     model = pliant.robots.load(name, payload=(0.2, (0.01, 0.0, 0.03)))
     plant = Plant(model, off_chain="welded")
-    points = Points(model, model.servos.armature)
+    points = ArmPoints(model, model.servos.armature)
     rng = np.random.default_rng(2)
     dofs = [plant.mj_model.joint(name).dofadr[0] for name in model.joint_names]
     full = np.zeros((plant.mj_model.nv, plant.mj_model.nv))
@@ -45,18 +44,18 @@ def test_inertia_is_that_of_the_simulated_arm(name):
         mujoco.mj_forward(plant.mj_model, plant.mj_data)
         mujoco.mj_fullM(plant.mj_model, plant.mj_data, full)
         own = full[np.ix_(dofs, dofs)]
-        here = points(plant.q)
-        np.testing.assert_allclose(here.inertia, own, atol=1e-6 * np.abs(own).max())
+        inertia = points.inertia(plant.q)
+        np.testing.assert_allclose(inertia, own, atol=1e-6 * np.abs(own).max())
 
 
 def test_effective_mass_is_what_an_impulse_at_the_point_meets():
     model = pliant.robots.arm7()
-    points = Points(model, model.servos.armature)
+    points = ArmPoints(model, model.servos.armature)
     rng = np.random.default_rng(3)
     q, u = rng.uniform(-1, 1, 7), rng.normal(size=7)
-    here = points(q)
-    speed = here.velocity(u)
-    push = speed[-1] / np.linalg.norm(speed[-1])
-    gained = here.velocity(np.linalg.solve(here.inertia, here.jacobian[-1].T @ push))[-1]
-    assert here.effective_mass(speed)[-1] == pytest.approx(1.0 / (push @ gained), rel=1e-9)
-    assert here.effective_mass(np.zeros_like(speed)).max() == 0.0
+    jacobian, inertia = model.jacobian(q)[:3], points.inertia(q)
+    speed = points.velocity(q, u)[-1]
+    push = speed / np.linalg.norm(speed)
+    gained = jacobian @ np.linalg.solve(inertia, jacobian.T @ push)
+    assert points.effective_mass(q, u)[-1] == pytest.approx(1.0 / (push @ gained), rel=1e-9)
+    assert points.effective_mass(q, np.zeros(7)).max() == 0.0

@@ -3,7 +3,7 @@
 import pytest
 
 import pliant
-from pliant.cli.soft import softened
+from pliant.cli._flags import apply_soft
 
 MODEL = pliant.robots.so101()
 TASK = pliant.Task(axes="xyz")
@@ -14,7 +14,7 @@ SETTINGS = pliant.Settings(
 
 
 def soft(words, *, holds):
-    return softened(SETTINGS, words, MODEL, holds=holds)
+    return apply_soft(SETTINGS, words, MODEL, holds=holds)
 
 
 @pytest.mark.parametrize("holds", [True, False])
@@ -49,7 +49,7 @@ def test_an_axis_without_a_cap_takes_the_arms_own():
 
 def test_everything_else_of_the_settings_is_kept():
     own = SETTINGS.replace(rate=50.0, max_tool_speed=(0.1, 0.5))
-    made = softened(own, "y=2", MODEL, holds=True)
+    made = apply_soft(own, "y=2", MODEL, holds=True)
     assert made == own.replace(axes={"y": pliant.Axis(soft=2.0, profile="constant")})
 
 

@@ -13,8 +13,7 @@ import pytest
 
 import pliant
 from pliant.cli import main
-from pliant.cli._target import Target
-from pliant.cli._targets import LONGEST, Stream, open_targets
+from pliant.cli._targets import MAX_LINE, StreamTargets, Target, open_targets
 
 MODEL = pliant.robots.so101()
 GOOD = b'{"position": [0.2, 0.0, 0.2]}\n'
@@ -90,7 +89,7 @@ def test_joints_may_be_a_little_beyond_their_limits():
 def pipe():
     """Return a stream, and a function that writes to it and waits until it was read."""
     ends = os.pipe()
-    source = Stream(ends[0], MODEL)
+    source = StreamTargets(ends[0], MODEL)
 
     def write(*lines):
         for line in lines:
@@ -192,7 +191,7 @@ def test_datagrams_come_from_this_machine_only(capsys):
             sender.sendto(text, ("127.0.0.1", PORT))
         time.sleep(0.1)
         assert source.latest() == TARGET
-        for line in (*WRONG[:3], b" " * LONGEST + GOOD):
+        for line in (*WRONG[:3], b" " * MAX_LINE + GOOD):
             sender.sendto(line, ("127.0.0.1", PORT))
             time.sleep(0.1)
             assert source.latest() is None

@@ -14,7 +14,7 @@ import pytest
 import pliant
 from pliant import config
 from pliant.cli import main
-from pliant.cli.servos._watch import joint_directions
+from pliant.cli.servos._joint_monitor import joint_directions
 from pliant.config.factory import make_emulator
 
 UP = (0.0, 0.0, 1.0)
@@ -151,11 +151,11 @@ def test_ready_points_to_what_no_program_sees(monkeypatch, capsys):
 def test_the_table_names_units_and_is_not_read_as_markup():
     from rich.console import Console
 
-    from pliant.cli.servos._watch import Watch, _table
+    from pliant.cli.servos._joint_monitor import JointMonitor, _table
 
     read = config.load("so101")
     model = read.model()
-    look = Watch(read, model, tuple(model.joint_names))
+    look = JointMonitor(read, model, tuple(model.joint_names))
     look.update(np.zeros(model.n), np.ones(model.n, dtype=bool))
     console = Console(width=140, force_terminal=True, record=True)
     console.print(_table(look))

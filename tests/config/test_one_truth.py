@@ -12,7 +12,7 @@ from pliant import config
 from pliant._servo_tables import COLUMNS
 from pliant.config import factory
 from pliant.config.factory import make_emulator
-from pliant.emulator import StepClock
+from pliant.emulator import ManualClock
 from pliant.servo import ServoBus
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
@@ -52,7 +52,7 @@ def read(name, tmp_path, backend):
 def on_bytes(own, model):
     """Return the values that the driver of a real bus reads from such servos."""
     with make_emulator(own, clock="steps") as bus:
-        chain = ServoBus(factory.servo_specs(own, bus.ports), patience=0.5, clock=StepClock(bus))
+        chain = ServoBus(factory.servo_specs(own, bus.ports), patience=0.5, clock=ManualClock(bus))
         arm = pliant.Arm(model, chain, grippers=factory.gripper_configs(own), signals=False)
         arm.open()
         try:

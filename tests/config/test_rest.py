@@ -10,8 +10,8 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 from pliant import config
+from pliant._core import ArmPoints
 from pliant.arm._checks import STEPS, path_obstacle
-from pliant.arm._points import Points
 from pliant.config import factory
 from pliant.config.factory import ARM_OPTIONS, PLANT_OPTIONS
 from pliant.sim import Plant, Tabletop
@@ -94,10 +94,10 @@ BARRED = [0.0, 1.24, 1.23, 1.24, 0.0]
 
 def test_a_way_through_the_table_is_found():
     model = pliant.robots.so101()
-    points, rest = Points(model), pliant.robots.rest("so101")
+    points, rest = ArmPoints(model), pliant.robots.rest("so101")
 
     def lowest(share):
-        return points(np.array(BARRED) + share * (rest - BARRED)).position[:, 2].min()
+        return points.position(np.array(BARRED) + share * (rest - BARRED))[:, 2].min()
 
     way = [lowest(share) for share in np.linspace(0.0, 1.0, STEPS)]
     assert min(way[0], way[-1]) > 0.0 > -0.008 > min(way)
@@ -107,7 +107,7 @@ def test_a_way_through_the_table_is_found():
         assert path_obstacle(model, points, free, rest, table) is None
     # A point that starts below the table may move out, but no deeper.
     inside, out = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
-    assert points(inside).position[:, 2].min() < -0.09
+    assert points.position(inside)[:, 2].min() < -0.09
     assert path_obstacle(model, points, inside, out, 0.0) is None
     assert "the tool 0.1" in path_obstacle(
         model, points, inside, np.array([0.0, 1.3, 0.3, 0, 0]), 0.0

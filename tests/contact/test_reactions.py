@@ -34,10 +34,10 @@ def moment(felt=None, **more):
         "dt": 0.01,
         "q": VERTICAL,
         "tool": TARGET,
-        "wanted": TARGET,
-        "felt": felt or Felt(),
+        "target": TARGET,
+        "wrench": felt or Felt(),
     }
-    return rx.Moment(**{**fields, **more})
+    return rx.TickContext(**{**fields, **more})
 
 
 def push(z):
@@ -45,15 +45,15 @@ def push(z):
 
 
 def test_force_counts_beyond_threshold_and_uncertainty():
-    judge = rx.Force("z", above=8.0).judge()
+    judge = rx.Force("z", above=8.0).evaluator()
     assert judge(push(-9.0))
     assert not judge(push(7.0))
     assert not judge(moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6)))
-    assert rx.Force("z", above=8.0, accept=("thresholds",)).judge()(
+    assert rx.Force("z", above=8.0, accept=("thresholds",)).evaluator()(
         moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6))
     )
-    assert not rx.Force("z", above=8.0, toward="+").judge()(push(-9.0))
-    assert rx.Force("xyz", below=2.0).judge()(push(1.0))
+    assert not rx.Force("z", above=8.0, toward="+").evaluator()(push(-9.0))
+    assert rx.Force("xyz", below=2.0).evaluator()(push(1.0))
 
 
 def test_conditions_join_and_print():
@@ -62,19 +62,19 @@ def test_conditions_join_and_print():
         "(Force('z', above=8).lasting(0.05) & ~Deviation('xy', above=0.02))"
     )
     assert eval(repr(one | other), vars(rx)) == (one | other)
-    assert (rx.Elapsed(0.0) | rx.Evidence()).judge()(push(0.0))
+    assert (rx.Elapsed(0.0) | rx.ResidualAbove()).evaluator()(push(0.0))
     with pytest.raises(TypeError, match="join conditions with &"):
         _ = one and other
 
 
 def test_lasting_needs_its_time_without_a_break():
-    judge = rx.Force("z", above=8.0).lasting(0.02).judge()
+    judge = rx.Force("z", above=8.0).lasting(0.02).evaluator()
     assert [judge(push(z)) for z in (9, 9, 0, 9, 9, 9, 9)] == [False] * 5 + [True] * 2
 
 
 def test_one_condition_serves_two_reactions():
     lasting = rx.Force("z", above=8.0).lasting(0.02)
-    first, second = lasting.judge(), lasting.judge()
+    first, second = lasting.evaluator(), lasting.evaluator()
     assert [first(push(9.0)) or second(push(9.0)) for _ in range(2)] == [False, False]
 
 
@@ -84,19 +84,22 @@ def test_one_condition_serves_two_reactions():
         (lambda: rx.Force("z"), "either above or below"),
         (lambda: rx.Force("w", above=1.0), "'w' is not an axis"),
         (lambda: rx.Force("z", above=1.0, toward="up"), "toward"),
-        (lambda: rx.Evidence(above=-1.0), r"Evidence\.above"),
+        (lambda: rx.ResidualAbove(above=-1.0), r"ResidualAbove\.above"),
         (lambda: rx.Retract(0.0), r"Retract\.distance"),
-        (lambda: rx.Follow("x", float("nan")), r"Follow\.leash"),
-        (lambda: rx.Evidence(above="1"), r"Evidence\.above must be a number, got '1' \(str\)"),
+        (lambda: rx.Follow("x", float("nan")), r"Follow\.max_deviation"),
+        (
+            lambda: rx.ResidualAbove(above="1"),
+            r"ResidualAbove\.above must be a number, got '1' \(str\)",
+        ),
         (lambda: rx.Elapsed(float("nan")), r"Elapsed\.seconds"),
         (lambda: rx.Saturated("elbow_pitch"), r"must be names, as in \('elbow_pitch',\)"),
         (lambda: rx.Yield("z", {"sofft": 1.0}), "did you mean 'soft'"),
-        (lambda: rx.Call(None), "function of a Moment, got None"),
-        (lambda: rx.Evidence() & 3, "what follows & must be a condition, as .* got 3"),
+        (lambda: rx.Call(None), "function of a TickContext, got None"),
+        (lambda: rx.ResidualAbove() & 3, "what follows & must be a condition, as .* got 3"),
         (lambda: rx.Reaction(3, rx.Hold()), r"Reaction\.when must be a condition"),
-        (lambda: rx.Reaction(rx.Evidence(), ()), r"an action, as Hold\(\)"),
+        (lambda: rx.Reaction(rx.ResidualAbove(), ()), r"an action, as Hold\(\)"),
         (lambda: rx.ReactionMonitor("arm7", []), "controller must be a Controller, got 'arm7'"),
-        (lambda: rx.Reaction(rx.Evidence(), rx.Stop(), until=rx.Elapsed(1.0)), "resume"),
+        (lambda: rx.Reaction(rx.ResidualAbove(), rx.Stop(), until=rx.Elapsed(1.0)), "resume"),
     ],
 )
 def test_what_cannot_be_is_refused(make, text):
@@ -111,7 +114,7 @@ def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
     with pytest.raises(pliant.ConfigError, match="no joint elbow"):
         rx.ReactionMonitor(ctl, [rx.Reaction(rx.Saturated(("elbow",)), rx.Hold())])
     with pytest.raises(pliant.PliantError, match="soft"):
-        rx.ReactionMonitor(ctl, [rx.Reaction(rx.Evidence(), rx.Yield("z", {"soft": -1.0}))])
+        rx.ReactionMonitor(ctl, [rx.Reaction(rx.ResidualAbove(), rx.Yield("z", {"soft": -1.0}))])
     few = pliant.Controller(arm(), pliant.Settings(task="xyz"))
     with pytest.raises(pliant.ConfigError, match="axes yaw are not of this task"):
         rx.ReactionMonitor(few, [rx.Reaction(rx.Deviation("yaw", above=0.1), rx.Hold())])
@@ -209,15 +212,15 @@ def test_calls_come_once_and_the_first_reaction_matters_most():
 
 
 def test_bad_readings_change_nothing():
-    watch = watched(rx.Hold(), rx.Evidence())
+    watch = watched(rx.Hold(), rx.ResidualAbove())
     targets(watch, 5)
-    felt = watch.felt
+    felt = watch.wrench
     for bad in (np.full(7, np.nan), np.zeros(3)):
         with pytest.raises(pliant.PliantError):
             watch.update(bad, TARGET)
     with pytest.raises(pliant.PliantError):
         watch.update(VERTICAL, np.full((4, 4), np.nan))
-    assert watch.felt == felt
+    assert watch.wrench == felt
 
 
 def test_names_at_the_top():

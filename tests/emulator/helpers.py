@@ -8,14 +8,14 @@ import time
 import tty
 
 from pliant._extras import missing
-from pliant.emulator import Device, Line
+from pliant.emulator import Device, SerialLine
 
 BAUD = 1_000_000
 
 
 def wire(*devices, **options):
     """Return servos on a bare line."""
-    return Line([device.build(BAUD) for device in devices], **options)
+    return SerialLine([device.build(BAUD) for device in devices], **options)
 
 
 def one(model, **registers):

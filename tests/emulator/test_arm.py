@@ -12,7 +12,7 @@ from emulator.helpers import BAUD, four, p1, two
 import pliant.robots
 from pliant import ConfigError
 from pliant.emulator import Mount, emulate
-from pliant.emulator.wire import packet_2
+from pliant.emulator.packets import packet_2
 
 POSE = np.array([0.2, 0.3, 0.4, 0.1, 0.0])
 NAMES = list(pliant.robots.so101().joint_names)

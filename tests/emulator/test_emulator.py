@@ -12,8 +12,8 @@ import pytest
 from emulator.helpers import Host, p1, two
 
 from pliant import ConfigError, ServoError
-from pliant.emulator import Device, Emulator, StepClock, Timing
-from pliant.emulator.line import Line
+from pliant.emulator import Device, Emulator, ManualClock, Timing
+from pliant.emulator.serial_line import SerialLine
 
 
 def sts(count=1, **options):
@@ -73,7 +73,7 @@ def test_wire_time_passes_under_the_clock_of_steps():
 
 def test_the_clock_of_steps_includes_all_writes_and_stops_on_time():
     with sts(timing=Timing(wire=True)) as emulator, Host(emulator.port) as host:
-        clock, packet = StepClock(emulator), p1(0xFE, 3, 42, *two(2100), *[0] * 200)
+        clock, packet = ManualClock(emulator), p1(0xFE, 3, 42, *two(2100), *[0] * 200)
         for k in range(1, 21):
             before = clock.now()
             os.write(host.fd, packet)
@@ -85,13 +85,13 @@ def test_the_clock_of_steps_includes_all_writes_and_stops_on_time():
 
 def test_threads_that_wait_at_once_leave_nothing_on_the_wires(monkeypatch):
     devices = [Device("STS3215", 1, port="left"), Device("STS3215", 1, port="right")]
-    heard, feed = [], Line.feed
+    heard, feed = [], SerialLine.feed
 
     def listening(line, data, *rest):
         heard.append(data)
         return feed(line, data, *rest)
 
-    monkeypatch.setattr(Line, "feed", listening)
+    monkeypatch.setattr(SerialLine, "feed", listening)
     with Emulator(devices, clock="steps") as emulator, ThreadPoolExecutor(4) as threads:
         paths = emulator.ports
         with Host(paths["left"]) as left, Host(paths["right"]) as right:

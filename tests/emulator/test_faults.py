@@ -7,7 +7,7 @@ from emulator.helpers import BAUD, ask, p1, two, wire
 
 from pliant import ConfigError
 from pliant.emulator import Device, Faults
-from pliant.emulator.wire import crc16, packet_2
+from pliant.emulator.packets import crc16, packet_2
 
 READ_ALL = p1(0xFE, 0x82, 56, 2, 1, 2, 3)
 

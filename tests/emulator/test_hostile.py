@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pliant.emulator import Device
-from pliant.emulator.wire import packet_2
+from pliant.emulator.packets import packet_2
 
 MODELS = ["MX-64", "RX-64", "XM430-W350", "XL330-M077", "STS3215"]
 INSTRUCTIONS = st.sampled_from([1, 2, 3, 4, 5, 6, 8, 16, 0x82, 0x83, 0x8A, 0x92, 0x93, 0x9A, 200])

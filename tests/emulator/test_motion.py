@@ -10,11 +10,11 @@ from emulator.helpers import two
 from pliant import ConfigError
 from pliant.emulator import MODELS, Device, Load
 from pliant.emulator.models import ALIASES
-from pliant.emulator.world import World
+from pliant.emulator.simulation import Simulation
 
 
 def world(model, **registers):
-    made = World([Device(model, 1, **registers).build(None)])
+    made = Simulation([Device(model, 1, **registers).build(None)])
     return made, made.servos[0]
 
 

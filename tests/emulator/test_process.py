@@ -9,12 +9,12 @@ import pytest
 from emulator.helpers import Host, p1, two, without_extra
 
 from pliant import ConfigError, ServoError
-from pliant.emulator import Device, Emulator, Remote
+from pliant.emulator import Device, Emulator, EmulatorProcess
 
 
 @pytest.fixture(scope="module")
 def remote():
-    with Remote(Emulator, [Device("STS3215", 1)], clock="steps") as made:
+    with EmulatorProcess(Emulator, [Device("STS3215", 1)], clock="steps") as made:
         yield made
 
 
@@ -36,16 +36,16 @@ def test_errors_come_back(remote):
 
 def test_a_failing_factory_gives_the_reason():
     with pytest.raises(ConfigError, match="at least one"):
-        Remote(Emulator, [])
+        EmulatorProcess(Emulator, [])
 
 
 def test_a_missing_extra_is_said_in_its_own_words():
     with pytest.raises(ImportError, match=r'^pliant\.sim needs the extra "sim": \S.* install'):
-        Remote(without_extra)
+        EmulatorProcess(without_extra)
 
 
 def test_killed_it_hangs_up():
-    made = Remote(Emulator, [Device("STS3215", 1)])
+    made = EmulatorProcess(Emulator, [Device("STS3215", 1)])
     folder = Path(made.port).parent
     with Host(made.port) as host:
         made.kill()

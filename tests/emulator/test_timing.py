@@ -6,8 +6,8 @@ import pytest
 from emulator.helpers import p1, two
 
 from pliant import ConfigError
-from pliant.emulator import Device, Line, Timing
-from pliant.emulator.wire import packet_2
+from pliant.emulator import Device, SerialLine, Timing
+from pliant.emulator.packets import packet_2
 
 IDS = list(range(1, 8))
 
@@ -16,7 +16,7 @@ def cycle(model, requests, baud=1_000_000, delay=0, **timing):
     """Return the frequency of a cycle of these requests on the wire [Hz]."""
     name = "return_delay_time"
     servos = [Device(model, id, **{name: delay}).build(baud) for id in IDS]
-    line = Line(servos, timing=Timing(wire=True, **timing))
+    line = SerialLine(servos, timing=Timing(wire=True, **timing))
     for request in requests:
         line.feed(request, baud)
     return 1.0 / sum(transaction.duration for transaction in line.log)
@@ -75,7 +75,7 @@ def test_a_short_answer_waits_for_the_latency_timer():
 
 
 def test_seven_single_reads_through_a_16_ms_timer_take_a_tenth_of_a_second():
-    line = Line(
+    line = SerialLine(
         [Device("RX-64", id, return_delay_time=0).build(1_000_000) for id in IDS],
         timing=Timing(wire=True, usb_latency=0.016),
     )
@@ -84,7 +84,7 @@ def test_seven_single_reads_through_a_16_ms_timer_take_a_tenth_of_a_second():
 
 
 def test_a_request_waits_until_the_wire_is_free():
-    line = Line(
+    line = SerialLine(
         [Device("STS3215", id).build(1_000_000) for id in IDS],
         timing=Timing(wire=True, turnaround=0.0),
     )
@@ -95,7 +95,7 @@ def test_a_request_waits_until_the_wire_is_free():
 
 
 def test_off_means_at_once():
-    line = Line([Device("STS3215", 1).build(None)])
+    line = SerialLine([Device("STS3215", 1).build(None)])
     assert [d.after for d in line.feed(p1(1, 1))] == [0.0]
 
 

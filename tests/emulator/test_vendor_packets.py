@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from pliant.emulator import Device, Line
-from pliant.emulator.wire import crc16, stuff, unstuff
+from pliant.emulator import Device, SerialLine
+from pliant.emulator.packets import crc16, stuff, unstuff
 
 
 def line(*devices, **values):
     """Return servos on a bare line; `values` are written to the first one's memory."""
     servos = [device.build(1_000_000) for device in devices]
-    made = Line(servos)
+    made = SerialLine(servos)
     for name, value in values.items():
         servos[0].put(name, value)
     return made

@@ -6,7 +6,7 @@ import pytest
 from emulator.helpers import ask, four, one, pass_time, two, wire
 
 from pliant.emulator import MODELS, Device
-from pliant.emulator.wire import packet_2
+from pliant.emulator.packets import packet_2
 
 RANGE, LENGTH, LIMIT, ACCESS, ALERT = 4, 5, 6, 7, 0x80
 CURRENT_POSITION = 5

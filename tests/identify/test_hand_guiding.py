@@ -65,7 +65,7 @@ def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
         for _ in range(round(0.5 / step)):
             q[0] += 0.2 * step
             floating.step(q, dt=step)
-        speeds.append(floating._speed[0])
+        speeds.append(floating._law.speed[0])
     assert times[0] == pytest.approx(times[1], abs=0.5)
     assert speeds == pytest.approx([0.2, 0.2], rel=0.02)
     with pytest.raises(pliant.OutOfRangeError, match="dt"):

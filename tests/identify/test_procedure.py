@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.identify import Procedure, ServoCommand, run_procedure
+from pliant import Command
+from pliant.identify import Procedure, run_procedure
 
 
 class Still:
@@ -27,7 +28,7 @@ def counting(ticks, left):
     def start(q):
         try:
             for k in range(ticks):
-                q = yield ServoCommand(q + 1.0, np.ones(2))
+                q = yield Command(q + 1.0, np.ones(2))
                 left.append(k)
             return q
         finally:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.cli._target import Target
+from pliant.cli._targets import Target
 
 ARMS = ["arm7", "so101", "koch"]
 #: Feet, inches, decimetres, centimetres, millimetres.

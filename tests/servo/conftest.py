@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
-from pliant.emulator import Device, Emulator, StepClock
+from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec
 
 
@@ -117,7 +117,7 @@ def emulated():
                 )
                 for i in range(n)
             ]
-            clock = StepClock(bus) if options.get("clock") == "steps" else None
+            clock = ManualClock(bus) if options.get("clock") == "steps" else None
             chain = ServoBus(specs, rate=rate, patience=0.1, clock=clock)
             try:
                 if is_open:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pliant import ConfigError, ServoError, ShapeError
-from pliant.emulator import Device, Emulator, StepClock
+from pliant.emulator import Device, Emulator, ManualClock
 from pliant.servo import ServoBus, ServoSpec
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
@@ -189,7 +189,7 @@ def test_families_share_a_port_and_ports_an_arm(enabled):
             ServoSpec(name="lift", model="XM540-W270", id=1, port=two, secondary=(2, -1), **bounds),
             ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=one, **bounds),
         ]
-        with ServoBus(specs, patience=0.1, clock=StepClock(bus)) as chain:
+        with ServoBus(specs, patience=0.1, clock=ManualClock(bus)) as chain:
             limit = enabled(chain)
             goal = np.array([0.2, 0.3, -0.1])
             sample = settle(bus, chain, goal, limit)

@@ -9,7 +9,7 @@ from pliant import config
 from pliant.config import factory
 from pliant.config.doctor import examine
 from pliant.config.factory import make_emulator, make_mounts
-from pliant.emulator import StepClock, emulate
+from pliant.emulator import ManualClock, emulate
 from pliant.servo import ServoBus
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -40,7 +40,9 @@ def opened(name, folder, **wrong):
     theirs = config.load(name, backend="emulator", calibration=lerobot_file(folder, **wrong))
     with make_emulator(good, clock="steps") as bus:
         before = bus.log.order(1)
-        chain = ServoBus(factory.servo_specs(theirs, bus.ports), patience=0.5, clock=StepClock(bus))
+        chain = ServoBus(
+            factory.servo_specs(theirs, bus.ports), patience=0.5, clock=ManualClock(bus)
+        )
         try:
             chain.open()
             return [note for found in chain.found for note in found.notes], chain

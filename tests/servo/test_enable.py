@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pliant import ServoError
-from pliant.emulator import Emulator, StepClock
+from pliant.emulator import Emulator, ManualClock
 from pliant.servo import ServoBus, ServoSpec
 from tests.servo.conftest import JOINTS, devices
 
@@ -22,7 +22,7 @@ def chain_on(bus, kind, n, patience=0.005):
         )
         for i in range(n)
     ]
-    return ServoBus(specs, patience=patience, clock=StepClock(bus))
+    return ServoBus(specs, patience=patience, clock=ManualClock(bus))
 
 
 def strike(bus, fault, place):

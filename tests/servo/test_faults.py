@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pliant import ServoError, ServoFaultError
-from pliant.emulator import Emulator, StepClock
+from pliant.emulator import Emulator, ManualClock
 from pliant.servo import BusError, ServoBus, ServoSpec
 from tests.servo.conftest import devices
 
@@ -135,7 +135,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
             )
             for i, port in enumerate(ports)
         ]
-        with ServoBus(specs, patience=0.1, clock=StepClock(bus)) as chain:
+        with ServoBus(specs, patience=0.1, clock=ManualClock(bus)) as chain:
             limit = enabled(chain)
             bus.pull("b")
             found = []

@@ -8,7 +8,7 @@ pytest.importorskip("mujoco", reason="an arm behind the emulator needs the extra
 import pliant
 import pliant.robots
 from pliant.arm import Arm
-from pliant.emulator import Faults, Mount, StepClock, emulate
+from pliant.emulator import Faults, ManualClock, Mount, emulate
 from pliant.servo import ServoBus, ServoSpec
 
 START = np.array([0.0, -0.5, 0.8, 0.3, 0.0])
@@ -33,7 +33,7 @@ def test_an_arm_is_enabled_held_and_lowered(shares):
     ]
     faults = Faults(seed=1, **shares)
     with emulate(model, mounts, q=START, clock="steps", faults=faults) as bus:
-        chain = so101(bus, model, clock=StepClock(bus))
+        chain = so101(bus, model, clock=ManualClock(bus))
         with Arm(model, chain, rate=50.0, signals=False) as arm:
             controller = pliant.Controller(
                 model, pliant.Settings(task=pliant.Task(axes="xyz"), rate=50.0), chain.servos

@@ -16,7 +16,7 @@ pytest.importorskip("pydantic", reason="the configurations need the extra config
 
 from soak.watched import so101
 
-from pliant.emulator import Remote
+from pliant.emulator import EmulatorProcess
 
 # A test run in the background ignores Ctrl-C, and its children would inherit that.
 PROGRAM = """
@@ -34,7 +34,7 @@ with pliant.connect("so101", port=sys.argv[1], comm_timeout=20.0) as arm:
 
 @pytest.fixture
 def bus():
-    with Remote(so101) as made:
+    with EmulatorProcess(so101) as made:
         yield made
 
 

@@ -13,7 +13,8 @@ import pliant
 import pliant.robots
 from pliant.cli import main
 from pliant.sim import Course, Drag
-from pliant.teach import Motion, Replay, Teacher, bounded, lead, teach
+from pliant.teach import Motion, Replay, Teacher, retime, teach
+from pliant.teach import _scripted_hand as lead
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 MODEL = pliant.robots.so101()
@@ -70,13 +71,13 @@ def test_a_blocked_replay_waits_without_force_and_goes_on():
     wall = Drag(axis="y", distance=0.0, stiffness=3000.0, limit=60.0, at="tool", course=course)
     replay, rows, _ = play(wave(4.0, 0.6), [wall])
     blocked = (rows[:, 0] > 5.0) & (rows[:, 0] < 7.0)
-    assert free.waited == 0.0
+    assert free.blocked_time == 0.0
     assert np.ptp(rows[blocked, 1]) < 1e-9  # the clock stands
     assert 0.5 < np.median(rows[blocked, 2]) < 3.0  # the cap is 2 N
     assert np.ptp(rows[blocked, 2]) < 0.5
     assert replay.done
     assert np.linalg.norm(rows[-1, 3:6] - rows[-1, 6:9]) < 0.006
-    assert replay.waited > 1.5
+    assert replay.blocked_time > 1.5
 
 
 def test_speed_and_gripper():
@@ -121,7 +122,7 @@ def test_a_press_of_the_gripper_counts_once():
         jaw = arm.gripper
         shares = [0.5, 0.1, 0.05, 0.5, 0.0]
         places = [jaw.closed + share * (jaw.opened - jaw.closed) for share in shares]
-        pressed = [teacher.pressed(replace(state, extra={"gripper": at})) for at in places]
+        pressed = [teacher.gripper_pressed(replace(state, extra={"gripper": at})) for at in places]
         assert pressed == [False, True, False, False, True]
         assert teacher.extra(state)["gripper"][1] < 0.5 * jaw.limit
 
@@ -187,21 +188,21 @@ def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
 
 
 def test_an_arm_whose_joints_have_the_same_names_is_told_apart_by_its_tool(tmp_path):
-    wave().of(MODEL).save(tmp_path / "m.json")
+    wave().for_model(MODEL).save(tmp_path / "m.json")
     loaded = Motion.load(tmp_path / "m.json")
-    loaded.fits(MODEL)
+    loaded.validate_for(MODEL)
     with pytest.raises(pliant.ConfigError, match=r"another arm's.* koch_like"):
-        loaded.fits(pliant.robots.koch())
-    wave().fits(pliant.robots.koch())  # the start of the tool is not given
+        loaded.validate_for(pliant.robots.koch())
+    wave().validate_for(pliant.robots.koch())  # the start of the tool is not given
 
 
 def test_bounds_are_kept_and_what_is_slower_stays():
     pytest.importorskip("ruckig")
     rate, (speed, acceleration, jerk) = 50.0, (1.0, 3.0, 30.0)
-    calm = bounded(wave(), (speed, acceleration, jerk), rate)
+    calm = retime(wave(), (speed, acceleration, jerk), rate)
     assert np.abs(calm.q - [wave().at(t) for t in calm.time]).max() < 0.001
     fast = replace(wave(), time=0.25 * wave().time)
-    kept = bounded(fast, (speed, acceleration, jerk), rate)
+    kept = retime(fast, (speed, acceleration, jerk), rate)
     first = np.diff(kept.q, axis=0) * rate
     second = np.diff(first, axis=0) * rate
     third = np.diff(second, axis=0) * rate
@@ -214,7 +215,7 @@ def test_bounds_are_kept_and_what_is_slower_stays():
     back = np.maximum.accumulate(kept.q[:, 0]) - kept.q[:, 0]
     assert back.max() < 0.001  # no run-up, and no overshoot at the end
     with pytest.raises(pliant.ConfigError, match="above 0"):
-        bounded(fast, (1.0, 0.0, 1.0))
+        retime(fast, (1.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
+
     Grid = NDArray[np.object_]
 
 INK, MUTED, GRID, CARD = "#1b1f24", "#67707b", "#e3e6ea", "#ffffff"

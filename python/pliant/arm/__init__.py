@@ -1,8 +1,8 @@
 """Life cycle of an arm over any drive: torque on, read and write, lower, torque off."""
 
+from pliant._core import Lowering
 from pliant.arm.arm import Arm
 from pliant.arm.gripper import Gripper, GripperConfig
-from pliant.arm.lowering import Lowering
 from pliant.arm.thermal import Budget
 from pliant.drive import Clock, Drive, JointReadings, MonotonicClock, ServoStatus, State
 

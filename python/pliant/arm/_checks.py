@@ -12,12 +12,10 @@ from pliant._validation import format_value, real
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    from pliant._core import Model
-    from pliant.arm._points import Points
-
-    Array = NDArray[np.float64]
+    from pliant._core import ArmPoints, Model
+    from pliant._typing import Array
 
 
 #: Distance outside the position limits up to which a pose is clipped to them, and up to which a
@@ -101,7 +99,7 @@ STEPS = 60
 TOLERANCE = 0.005
 
 
-def check_rest(model: Model, points: Points, rest: Array, table: float | None) -> None:
+def check_rest(model: Model, points: ArmPoints, rest: Array, table: float | None) -> None:
     """Check that the arm is above its table in a rest pose (n,) [rad].
 
     Raises:
@@ -109,7 +107,7 @@ def check_rest(model: Model, points: Points, rest: Array, table: float | None) -
     """
     if table is None:
         return
-    height = points(rest).position[:, 2]
+    height = points.position(rest)[:, 2]
     lowest = int(height.argmin())
     if height[lowest] < table - TOLERANCE:
         raise OutOfRangeError(
@@ -120,7 +118,7 @@ def check_rest(model: Model, points: Points, rest: Array, table: float | None) -
 
 
 def path_obstacle(
-    model: Model, points: Points, q: Array, rest: Array, table: float | None
+    model: Model, points: ArmPoints, q: Array, rest: Array, table: float | None
 ) -> str | None:
     """Return why the straight joint-space path from q to the rest pose is blocked, or None.
 
@@ -136,9 +134,9 @@ def path_obstacle(
     """
     if table is None:
         return None
-    start = points(q).position[:, 2]
+    start = points.position(q)[:, 2]
     heights = np.array(
-        [points(q + s * (rest - q)).position[:, 2] for s in np.linspace(0.0, 1.0, STEPS)]
+        [points.position(q + s * (rest - q))[:, 2] for s in np.linspace(0.0, 1.0, STEPS)]
     )
     depth = np.where(heights < np.minimum(table - TOLERANCE, start) - 1e-9, table - heights, 0.0)
     if not depth.any():

@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ConfigError, OutOfRangeError, ServoError, ServoTimeoutError
+from pliant._core import (
+    SUPPORT,
+    ConfigError,
+    OutOfRangeError,
+    ServoError,
+    ServoTimeoutError,
+    torque_margin,
+)
 from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
 from pliant.arm._checks import vector
-from pliant.arm.lowering import SUPPORT, margin
-from pliant.arm.thermal import ThermalModel
+from pliant.arm.thermal import thermal_faults
 from pliant.drive import MonotonicClock, State
 
 if TYPE_CHECKING:
@@ -23,10 +29,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from pliant._core import Model, Servos
+    from pliant._typing import Array, Mask
     from pliant.arm.thermal import Budget
     from pliant.drive import Clock, Drive, JointReadings, ServoStatus
 
-    Array = NDArray[np.float64]
     Orders = Mapping[str, tuple[float, float]]
 
 
@@ -66,7 +72,7 @@ class PositionFilter:
         self._rejected: NDArray[np.int_] = np.zeros(fastest.size, dtype=np.int_)
         self._jump: Array = np.zeros(fastest.size)
 
-    def update(self, sample: JointReadings) -> NDArray[np.bool_]:
+    def update(self, sample: JointReadings) -> Mask:
         """Accept the plausible positions of a sample; return a mask (N,) of the accepted joints."""
         read = np.asarray(sample.ok, dtype=bool) & np.isfinite(sample.position)
         first = np.isnan(self.position)
@@ -269,7 +275,7 @@ class ArmIO:
             _per_joint(drive.servos.kp, size),
             _per_joint(drive.servos.max_torque, size),
         )
-        self.thermal = ThermalModel(budget, self._usable, getattr(drive, "stall_current", None))
+        self.thermal = budget.thermal_model(self._usable, getattr(drive, "stall_current", None))
         self.positions = PositionFilter(self.joints.fastest(model))
         self._low_torque = LowTorqueWarning(model, self.servos)
         self.goal, self.limit = np.zeros(model.n), np.zeros(model.n)
@@ -287,7 +293,7 @@ class ArmIO:
 
     # Reading.
 
-    def sample(self) -> NDArray[np.bool_]:
+    def sample(self) -> Mask:
         """Take a reading; return a mask (n,) of the chain's joints that have a new position.
 
         Raises:
@@ -313,10 +319,10 @@ class ArmIO:
             "current": None if sample.current is None else sample.current[chain],
         }
         self._update_thermal(sample.load)
-        is_new: NDArray[np.bool_] = ok[chain]
+        is_new: Mask = ok[chain]
         return is_new
 
-    def state(self, ok: NDArray[np.bool_]) -> State:
+    def state(self, ok: Mask) -> State:
         """Return the present state; `ok` (n,) marks joints read in the last sample."""
         positions, chain = self.positions, self.joints.chain
         time = positions.time[chain]
@@ -337,7 +343,7 @@ class ArmIO:
         """Return the present faults of the servos, one sentence each."""
         reported = [text for found in self._reported.values() for text in found]
         jumped = self.positions.faults(self.joints.names)
-        return (*reported, *jumped, *self.thermal.faults(self.joints.names))
+        return (*reported, *jumped, *thermal_faults(self.thermal, self.joints.names))
 
     def delay(self, now: float) -> float:
         """Return the age at `now` of the goals that were in force at the last reading [s]."""
@@ -438,15 +444,15 @@ class ArmIO:
         chain, support = self.joints.chain, SUPPORT * np.abs(gravity)
         usable = self._usable[chain]
         holding = np.minimum(
-            np.maximum(support + margin(self.servos, gravity), self._min_limit), usable
+            np.maximum(support + torque_margin(self.servos, gravity), self._min_limit), usable
         )
         share = min(max((self.clock.now() - self._ramp_start) / EASE, 0.0), 1.0)
         limit = np.minimum(limit, holding + share * (usable - holding))
-        limit = np.minimum(limit, np.maximum(self.thermal.ceiling()[chain], support))
+        limit = np.minimum(limit, np.maximum(self.thermal.torque_ceiling()[chain], support))
         goals, limits = self._in_drive_order(goal, limit)
         floor = self.joints.join(support, np.zeros(self.joints.off_chain.size))
         pull = self._kp * np.nan_to_num(goals - self.positions.position)
-        limited: Array = self.thermal.limit_current(pull, limits, floor)[chain]
+        limited: Array = self.thermal.limit_current(pull, floor, limits)[chain]
         return limited
 
     def start(self, goal: Array, limit: Array) -> None:
@@ -483,7 +489,8 @@ class ArmIO:
         """Return goals and limits (N,) in drive order; limits off the chain are bounded by heat."""
         off_chain = self.joints.off_chain
         orders = [self.orders[name] for name in self.joints.extra]
-        max_lead = np.minimum([order[1] for order in orders], self.thermal.ceiling()[off_chain])
+        ceiling = self.thermal.torque_ceiling()[off_chain]
+        max_lead = np.minimum([order[1] for order in orders], ceiling)
         goals = self.joints.join(goal, np.array([order[0] for order in orders]))
         return goals, self.joints.join(limit, max_lead)
 
@@ -507,7 +514,7 @@ class ArmIO:
         if status.voltage is not None:
             self._voltage[index] = status.voltage
         if status.temperature is not None:
-            self.thermal.temperature[index] = status.temperature
+            self.thermal.set_temperature(index, status.temperature)
         self._reported[status.name] = status.faults
 
 

@@ -9,21 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ServoError
+from pliant._core import SUPPORT, Lowering, ServoError, torque_margin
 from pliant.arm._messages import MESSAGES
 from pliant.arm._signals import name_of, signal_of
-from pliant.arm.lowering import SUPPORT, Lowering, margin
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.arm._io import ArmIO
     from pliant.arm._messages import Message
-    from pliant.arm._points import Points
-
-    Array = NDArray[np.float64]
 
 
 #: Time between two progress messages [s].
@@ -205,7 +200,6 @@ MAX_RESTARTS = 2
 
 def descend(
     io: ArmIO,
-    points: Points,
     rest: Array | None,
     rate: float,
     is_aborted: Callable[[], bool],
@@ -219,7 +213,6 @@ def descend(
 
     Args:
         io: The arm.
-        points: The arm's points.
         rest: Rest pose to move to first (n,) [rad]; None: straight down.
         rate: Rate of this loop [Hz].
         is_aborted: Returns True to abort the descent, with torque as it is.
@@ -236,15 +229,7 @@ def descend(
     with contextlib.suppress(ServoError):
         io.set_watchdog(0.0)
     refused = 0
-    lowering = Lowering(
-        model,
-        io.servos,
-        io.q,
-        goal=io.goal,
-        limit=io.limit,
-        rest=rest,
-        points=points,
-    )
+    lowering = Lowering(model, io.servos, io.q, goal=io.goal, limit=io.limit, rest=rest)
     before = deadline = heard = clock.now()
     while not is_aborted():
         now = clock.now()
@@ -258,7 +243,7 @@ def descend(
                     "the bus is gone while the arm was being lowered: servos that have power keep "
                     "their last goal and limit; support the arm before you cut the supply"
                 ) from error
-        order = lowering.step(io.q, now - before, ok, io.delay(now))
+        order = lowering.step(io.q, ok, dt=now - before, age=io.delay(now))
         if order is None and not io.is_refused():
             return True
         if order is None:
@@ -268,12 +253,13 @@ def descend(
                     "servos do not take the goals that lower the arm, and torque stays on: support "
                     "the arm, then cut the supply"
                 )
-            lowering = Lowering(model, io.servos, io.q, rest=rest, points=points)
+            lowering = Lowering(model, io.servos, io.q, rest=rest)
             continue
         if on_tick is not None:
             on_tick(lowering)
         with contextlib.suppress(ServoError):
-            io.send(*order, lowering.velocity)
+            speed_limit = order.speed_limit if lowering.blind else None
+            io.send(order.goal, order.torque_limit, speed_limit)
         before, deadline = now, max(deadline + 1.0 / rate, now)
         clock.wait_until(deadline)
     return False
@@ -282,7 +268,7 @@ def descend(
 def hold_position(io: ArmIO) -> None:
     """Send goals and limits that hold the present pose, and disable the watchdog."""
     kp, gravity = np.asarray(io.servos.kp), io.gravity()
-    push, need = margin(io.servos, gravity), gravity / kp
+    push, need = torque_margin(io.servos, gravity), gravity / kp
     # Servos stiffer or softer than assumed need a smaller or larger lead for the weight.
     ends = np.sort((need / STIFFER, need * SOFTER), axis=0)
     lead = np.clip(io.goal - io.q, ends[0] - push / kp, ends[1] + push / kp)

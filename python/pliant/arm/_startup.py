@@ -6,17 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ServoError, ServoTimeoutError
+from pliant._core import SUPPORT, ServoError, ServoTimeoutError, torque_margin
 from pliant.arm._checks import outside
 from pliant.arm._io import EASE
-from pliant.arm.lowering import SUPPORT, margin
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array, Mask
     from pliant.arm._io import ArmIO
 
-    Array = NDArray[np.float64]
 
 #: Number of cycles within which every joint must answer before torque on.
 ATTEMPTS = 10
@@ -65,7 +62,7 @@ def wait_for_all(io: ArmIO, rate: float) -> None:
     )
 
 
-def check_within_limits(io: ArmIO, on: NDArray[np.bool_]) -> None:
+def check_within_limits(io: ArmIO, on: Mask) -> None:
     """Check before torque on that every joint of the chain reads within its limits.
 
     A reading far outside the limits means a wrong zero, so gravity torques and paths would be wrong
@@ -91,7 +88,7 @@ def check_within_limits(io: ArmIO, on: NDArray[np.bool_]) -> None:
         )
 
 
-def initial_commands(io: ArmIO, on: NDArray[np.bool_]) -> tuple[Array, Array, NDArray[np.bool_]]:
+def initial_commands(io: ArmIO, on: Mask) -> tuple[Array, Array, Mask]:
     """Return first goals (n,) [rad], first limits (n,) [N·m], and a mask (n,) of joints taken over.
 
     Joints without torque start at their present positions. Joints with torque keep the goals and
@@ -117,7 +114,7 @@ def initial_commands(io: ArmIO, on: NDArray[np.bool_]) -> tuple[Array, Array, ND
     return goal, limit, taken
 
 
-def transfer_weight(io: ArmIO, start_q: Array, taken: NDArray[np.bool_], rate: float) -> Array:
+def transfer_weight(io: ArmIO, start_q: Array, taken: Mask, rate: float) -> Array:
     """Transfer the weight of a standing arm to its servos, and measure the leads that carry it.
 
     A servo with a goal far ahead exerts its limit, whatever its stiffness. So goals first lead by
@@ -199,7 +196,7 @@ def transfer_weight(io: ArmIO, start_q: Array, taken: NDArray[np.bool_], rate: f
         # A joint that sank earlier is held by the stiffness of its servo.
         found = np.where(shrinking & (lead == 0.0) & (away > 0.5 * still), 0.0, found)
         known = np.isfinite(found) | (lead == 0.0)
-        spare = np.where(known | trusted, margin(servos, weight), 0.5 * friction)
+        spare = np.where(known | trusted, torque_margin(servos, weight), 0.5 * friction)
         firm = np.abs(weight) + spare
         firm = np.where(
             taken, first + min(passed / STAY, 1.0) * np.maximum(firm - first, 0.0), firm
@@ -220,7 +217,7 @@ def transfer_weight(io: ArmIO, start_q: Array, taken: NDArray[np.bool_], rate: f
     return np.where(np.isfinite(found), io.goal - io.q, np.nan)
 
 
-def _joint_names(io: ArmIO, joints: NDArray[np.bool_]) -> str:
+def _joint_names(io: ArmIO, joints: Mask) -> str:
     return ", ".join(io.model.joint_names[i] for i in np.flatnonzero(joints))
 
 

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant._core import ConfigError, ServoError
+from pliant._core import ArmPoints, ConfigError, ServoError
 from pliant._validation import instance, real
 from pliant.arm._checks import check_rest, path_obstacle, posture, times
 from pliant.arm._io import ArmIO
 from pliant.arm._messages import MESSAGES
-from pliant.arm._points import Points
 from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
 from pliant.arm._signals import Signals, is_interrupted
 from pliant.arm._startup import (
@@ -35,13 +34,13 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from types import TracebackType
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Model
+    from pliant._typing import Array
     from pliant.arm.gripper import GripperConfig
     from pliant.drive import Clock, Drive, State
 
-    Array = NDArray[np.float64]
     Exit = Literal["lower", "leave_enabled"]
 
 
@@ -126,7 +125,7 @@ class Arm:
         self.servos = self._io.servos
         # The model's own servo parameters may differ from the drive's.
         self.model = self.model.with_servos(self.servos)
-        self._points = Points(self.model, self.servos.armature)
+        self._points = ArmPoints(self.model, self.servos.armature)
         self.grippers = make_grippers(self._io, self._gripper_configs, self._send_gripper)
 
     # Life.
@@ -285,7 +284,6 @@ class Arm:
         try:
             down = descend(
                 self._io,
-                self._points,
                 rest,
                 self.rate,
                 self._supervisor.abort.is_set,

@@ -1,7 +1,8 @@
-"""Sources of external targets: a file, standard input, UDP datagrams on this machine."""
+"""External targets: parsing, checks, and sources: a file, standard input, or UDP datagrams."""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import socket
@@ -10,24 +11,122 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
-from pliant._core import ConfigError
+import numpy as np
+
+from pliant._core import ConfigError, PliantError, Pose
 from pliant._files import LARGE, read_text
-from pliant.cli._target import Target
 
 if TYPE_CHECKING:
     from pliant._core import Model
+    from pliant._typing import Array
+
+
+KEYS = ("position", "wxyz", "xyzw", "q")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A parsed target.
+
+    Attributes:
+        position: (3,) [m], base axes; None: unchanged.
+        rotation: Quaternion and its order; None: unchanged.
+        q: Joint positions (n,) [rad] whose tool pose is the target.
+    """
+
+    position: tuple[float, ...] | None = None
+    rotation: tuple[str, tuple[float, ...]] | None = None
+    q: tuple[float, ...] | None = None
+
+    @classmethod
+    def parse(cls, line: str, model: Model) -> Target:
+        """Parse a line for an arm.
+
+        Raises:
+            ConfigError: The line is no JSON object of the known keys with finite numbers, or its
+                target is far out of the arm's reach or limits.
+        """
+        try:
+            data: Any = json.loads(line)
+        except RecursionError:
+            raise ConfigError(f"target {_short(line)} is nested too deeply") from None
+        except ValueError as error:  # also an integer of more digits than Python reads
+            raise ConfigError(f"target {_short(line)} is no JSON: {error}") from error
+        if not isinstance(data, dict) or not data or set(data) - set(KEYS):
+            raise ConfigError(f"a target is an object of {', '.join(KEYS)}; got {_short(line)}")
+        numbers = {key: _numbers(key, value, line) for key, value in data.items()}
+        if len({"wxyz", "xyzw"} & set(numbers)) == 2 or ("q" in numbers and len(numbers) > 1):
+            raise ConfigError(f"a target is q, or position with one quaternion; got {_short(line)}")
+        order = next((key for key in ("wxyz", "xyzw") if key in numbers), None)
+        rotation = None if order is None else (order, numbers[order])
+        target = cls(numbers.get("position"), rotation, numbers.get("q"))
+        try:
+            target.check(model)
+        except PliantError as error:
+            raise ConfigError(f"target {_short(line)}: {error}") from error
+        return target
+
+    def check(self, model: Model) -> None:
+        """Check that the arm can plausibly reach the target.
+
+        Raises:
+            OutOfRangeError: The position is far out of reach, or a joint far beyond its limits.
+            ShapeError, ConfigError: It is no pose, or has other joints.
+        """
+        if self.q is not None:
+            model.check_joint_target(np.array(self.q))
+        pose = self.pose(model, np.eye(4))
+        if self.position is not None:
+            model.check_target(pose)
+
+    def pose(self, model: Model, before: Array) -> Array:
+        """Return the pose (4, 4); missing parts are taken from `before`."""
+        if self.q is not None:
+            return model.forward_kinematics(np.array(self.q))
+        pose = before.copy()
+        if self.position is not None:
+            pose[:3, 3] = self.position
+        if self.rotation is not None:
+            order, quaternion = self.rotation
+            make = Pose.from_wxyz if order == "wxyz" else Pose.from_xyzw
+            pose[:3, :3] = make(pose[:3, 3], quaternion).rotation
+        return pose
+
+
+def _numbers(key: str, value: object, line: str) -> tuple[float, ...]:
+    size = {"position": 3, "wxyz": 4, "xyzw": 4}.get(key)
+    if not (
+        isinstance(value, list)
+        and all(type(v) in (int, float) for v in value)
+        and (size is None or len(value) == size)
+    ):
+        raise ConfigError(f"{key} is a list of {size or 'n'} numbers, got {_short(line)}")
+    try:
+        numbers = tuple(map(float, value))
+    except OverflowError:
+        raise ConfigError(f"{key} is larger than any number: {_short(line)}") from None
+    if not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"{key} is not finite: {_short(line)}")
+    return numbers
+
+
+def _short(text: str) -> str:
+    text = text.strip()
+    return repr(text if len(text) < 60 else f"{text[:57]}...")
+
 
 #: Longest line and largest datagram [bytes].
-LONGEST = 4096
+MAX_LINE = 4096
 #: Bytes per read of a pipe, and the pause after a read [s].
 CHUNK, PAUSE = 65536, 0.001
 #: Largest number of datagrams read per tick.
-MOST = 256
+MAX_DATAGRAMS = 256
 #: Least time between two messages on refused targets [s].
-QUIET = 0.5
+REPORT_PERIOD = 0.5
 
 
 class Targets(Protocol):
@@ -49,7 +148,7 @@ class Targets(Protocol):
         """Close."""
 
 
-class Nothing:
+class NoTargets:
     """No targets: the arm holds."""
 
     done = False
@@ -65,7 +164,7 @@ class Nothing:
         """Do nothing."""
 
 
-class Lines(Nothing):
+class FileTargets(NoTargets):
     """A file with one line per tick; the whole file is checked before the arm moves."""
 
     def __init__(self, path: Path, model: Model) -> None:
@@ -95,39 +194,41 @@ class Lines(Nothing):
         return self._targets[self._next - 1]
 
 
-class Refusals:
+class RejectedTargets:
     """Reports invalid targets at a bounded rate, without stopping the loop."""
 
     def __init__(self) -> None:
         self._next = -math.inf
-        self._more = 0
+        self._unreported = 0
 
     def parse(self, line: bytes, model: Model) -> Target | None:
         """Parse a line; report an invalid one and return None."""
         try:
-            if len(line) > LONGEST:
-                raise ConfigError(f"a target is longer than {LONGEST} bytes")
+            if len(line) > MAX_LINE:
+                raise ConfigError(f"a target is longer than {MAX_LINE} bytes")
             return Target.parse(line.decode("utf-8", errors="replace"), model)
         except ConfigError as error:
-            self._say(error)
+            self._report(error)
             return None
 
-    def _say(self, error: ConfigError) -> None:
+    def _report(self, error: ConfigError) -> None:
         now = time.monotonic()
         if now < self._next:
-            self._more += 1
+            self._unreported += 1
             return
-        more = f" ({self._more} more since the last that was said)" if self._more else ""
+        more = (
+            f" ({self._unreported} more since the last that was said)" if self._unreported else ""
+        )
         print(f"target refused: {error}{more}", file=sys.stderr)
-        self._next, self._more = now + QUIET, 0
+        self._next, self._unreported = now + REPORT_PERIOD, 0
 
     def close(self) -> None:
         """Report the number of unreported errors."""
-        if self._more:
-            print(f"{self._more} more targets were refused", file=sys.stderr)
+        if self._unreported:
+            print(f"{self._unreported} more targets were refused", file=sys.stderr)
 
 
-class Stream(Nothing):
+class StreamTargets(NoTargets):
     """Lines of a pipe, such as standard input, read in a thread; only the newest counts.
 
     An invalid line is reported and skipped.
@@ -140,7 +241,7 @@ class Stream(Nothing):
 
     def __init__(self, pipe: int, model: Model) -> None:
         self._model = model
-        self._refusals = Refusals()
+        self._rejected = RejectedTargets()
         self._newest: deque[bytes] = deque(maxlen=1)
         self._ended = False
         threading.Thread(
@@ -153,7 +254,7 @@ class Stream(Nothing):
             while data := os.read(pipe, CHUNK):
                 *lines, rest = (rest + data).split(b"\n")
                 # Keep just enough of an unfinished line to detect that it is too long.
-                rest = rest[: LONGEST + 1]
+                rest = rest[: MAX_LINE + 1]
                 self._newest.extend(line for line in lines if line.strip())
                 # A fast sender must not take the loop's CPU time.
                 time.sleep(PAUSE)
@@ -167,18 +268,18 @@ class Stream(Nothing):
     def latest(self) -> Target | None:
         """Return the newest target if it is valid."""
         self.done = self._ended  # read first, so that all lines before the end are in the queue
-        return self._refusals.parse(self._newest.pop(), self._model) if self._newest else None
+        return self._rejected.parse(self._newest.pop(), self._model) if self._newest else None
 
     def __exit__(self, *_: object) -> None:
-        self._refusals.close()
+        self._rejected.close()
 
 
-class Datagrams(Nothing):
+class UdpTargets(NoTargets):
     """Datagrams on the loopback interface: other machines cannot control the arm."""
 
     def __init__(self, port: int, model: Model) -> None:
         self._model = model
-        self._refusals = Refusals()
+        self._rejected = RejectedTargets()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -191,13 +292,13 @@ class Datagrams(Nothing):
         """Return the newest target if it is valid."""
         newest = b""
         with suppress(BlockingIOError):
-            for _ in range(MOST):
-                newest = self._socket.recv(LONGEST + 1)
-        return self._refusals.parse(newest, self._model) if newest.strip() else None
+            for _ in range(MAX_DATAGRAMS):
+                newest = self._socket.recv(MAX_LINE + 1)
+        return self._rejected.parse(newest, self._model) if newest.strip() else None
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
-        self._refusals.close()
+        self._rejected.close()
 
 
 def open_targets(source: str, model: Model) -> Targets:
@@ -208,14 +309,14 @@ def open_targets(source: str, model: Model) -> Targets:
         FileNotFoundError: The file does not exist.
     """
     if not source:
-        return Nothing()
+        return NoTargets()
     if source == "-":
         if sys.stdin is None:
             raise ConfigError("--targets - reads standard input, and it is closed")
-        return Stream(sys.stdin.fileno(), model)
+        return StreamTargets(sys.stdin.fileno(), model)
     if source.startswith("udp:"):
         number = source.removeprefix("udp:")
         if not (number.isdecimal() and 1024 <= int(number) <= 65535):
             raise ConfigError(f"--targets udp:PORT needs a port from 1024 to 65535, got {number!r}")
-        return Datagrams(int(number), model)
-    return Lines(Path(source), model)
+        return UdpTargets(int(number), model)
+    return FileTargets(Path(source), model)

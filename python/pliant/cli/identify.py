@@ -9,7 +9,8 @@ from rich.console import Console
 
 from pliant import identify
 from pliant._core import ConfigError, Controller, Settings
-from pliant.cli.flags import ArmName, Override
+from pliant.cli._console import print_line
+from pliant.cli._flags import ArmName, ConfigFlags
 from pliant.config import connect
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def run(
     procedure: Annotated[Procedure, tyro.conf.Positional],
     *,
     span: Annotated[float | None, tyro.conf.arg(metavar="RADIANS")] = None,
-    override: Override,
+    override: ConfigFlags,
 ) -> None:
     """Measure the arm, print what was found and the lines for its file, and lower the arm.
 
@@ -56,7 +57,7 @@ def run(
     # Errors of the configuration appear before torque comes on.
     Controller(connected.model, settings, connected.servos)
     console = Console()
-    _say(console, f"{procedure}: {ANNOUNCED[procedure]}; do not touch the arm")
+    print_line(f"{procedure}: {ANNOUNCED[procedure]}; do not touch the arm", console)
     made: list[list[str]] = []
     try:
         with connected as live:
@@ -64,7 +65,7 @@ def run(
     finally:
         # After the descent of the arm: a terminal may block.
         for line in (line for lines in made for line in lines):
-            _say(console, line)
+            print_line(line, console)
 
 
 def _measure(
@@ -136,8 +137,3 @@ def _toml(value: Any) -> str:
     if isinstance(value, float):
         return repr(float(f"{value:.{DIGITS}g}"))
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _say(console: Console, line: str) -> None:
-    """Print a line as it is: not wrapped, without markup."""
-    console.print(line, highlight=False, soft_wrap=True, markup=False)

@@ -10,10 +10,17 @@ from rich.console import Console
 
 from pliant import teach
 from pliant._core import ConfigError, Controller
-from pliant.cli._files import check_log, recorder_of
-from pliant.cli._keys import Keys
-from pliant.cli.flags import ArmName, Axes, File, MotionFile, Override
-from pliant.cli.soft import softened
+from pliant.cli._console import EnterKey, print_line
+from pliant.cli._flags import (
+    ArmName,
+    Axes,
+    ConfigFlags,
+    File,
+    MotionFile,
+    apply_soft,
+    check_log,
+    recorder_of,
+)
 from pliant.config import connect
 from pliant.loop import Loop
 
@@ -35,7 +42,7 @@ def run(
     stop: Annotated[float | None, tyro.conf.arg(metavar="NEWTONS")] = None,
     times: int = 1,
     log: File = None,
-    override: Override,
+    override: ConfigFlags,
 ) -> None:
     """Go to where the motion begins, play it, and lower the arm.
 
@@ -56,11 +63,11 @@ def run(
     """
     read = override.load(arm)
     check_log(log, [*override.inputs(arm, read), motion])
-    settings = softened(read.settings(), soft, read.model(), holds=True)
+    settings = apply_soft(read.settings(), soft, read.model(), holds=True)
     if times < 1:
         raise ConfigError(f"--times must be at least 1, got {times}")
     loaded = _load(motion)
-    loaded.fits(read.model())
+    loaded.validate_for(read.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
     made = connect(read)
     # Check that controller and motion fit before torque comes on.
@@ -85,16 +92,11 @@ def _load(path: Path) -> teach.Motion:
 
     log = read(path)
     try:
-        made = teach.Motion.logged(log)
+        made = teach.Motion.from_log(log)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
     if not log.whole:
-        Console().print(
-            f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends",
-            highlight=False,
-            soft_wrap=True,
-            markup=False,
-        )
+        print_line(f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends")
     return made
 
 
@@ -109,14 +111,14 @@ class _Play:
 
     def run(self, loop: Loop, arm: Arm, make: Callable[..., Replay]) -> None:
         """Play the motion."""
-        keys, replay, said = Keys(), make(loop.controller), ""
+        keys, replay, said = EnterKey(), make(loop.controller), ""
         begun: float | None = None
         for tick in loop:
             begun = tick.time if begun is None else begun
             self._took = tick.time - begun
             command = replay.step(tick.q, dt=tick.dt, load=tick.state.load)
             tick.write(command, replay.extra(arm))
-            if keys.enter():
+            if keys.pressed():
                 replay.resume()
             if replay.state != said:
                 said = replay.state
@@ -125,7 +127,7 @@ class _Play:
                     f"{replay.time:6.2f} s  {said}{hint.get(said, '')}", highlight=False
                 )
             if replay.done:
-                self._played, self._waited = self._played + 1, self._waited + replay.waited
+                self._played, self._waited = self._played + 1, self._waited + replay.blocked_time
                 if self._played == self._times:
                     break
                 replay = make(loop.controller)

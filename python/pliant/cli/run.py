@@ -13,16 +13,23 @@ from rich.table import Table
 
 from pliant._core import Command, ConfigError, Controller, Model
 from pliant._validation import AXES
-from pliant.cli._files import check_log, recorder_of
+from pliant.cli._console import print_line
+from pliant.cli._flags import (
+    ArmName,
+    Axes,
+    ConfigFlags,
+    File,
+    Seconds,
+    apply_soft,
+    check_log,
+    recorder_of,
+)
 from pliant.cli._targets import Targets, open_targets
-from pliant.cli.flags import ArmName, Axes, File, Override, Seconds
-from pliant.cli.soft import softened
 from pliant.config import connect
 from pliant.loop import Loop
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.arm import Arm
     from pliant.loop import Tick
 
@@ -40,7 +47,7 @@ def run(
     soft: Axes = "",
     targets: Annotated[str, tyro.conf.arg(metavar="FILE|-|udp:PORT")] = "",
     duration: Seconds = None,
-    override: Override,
+    override: ConfigFlags,
     log: File = None,
     quiet: bool = False,
 ) -> None:
@@ -67,7 +74,7 @@ def run(
     if duration is not None and not duration > 0.0:
         raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
     model = read.model()
-    settings = softened(settings, soft, model, holds=False)
+    settings = apply_soft(settings, soft, model, holds=False)
     connected = connect(read)
     # Check the settings before torque comes on.
     Controller(connected.model, settings, connected.servos)
@@ -97,7 +104,7 @@ def _follow(
     notes: list[str] = []
     made.append((arm, loop, notes))
     every = max(round(1.0 / (FRAMES * loop.period)), 1)
-    pose: NDArray[np.float64] | None = None
+    pose: Array | None = None
     told, is_led = 0.0, False
     with Live(console=Console(), auto_refresh=False, transient=True) as live:
         for tick in loop:
@@ -116,7 +123,7 @@ def _follow(
         notes += _missed(arm.model, tick.q, pose)
 
 
-def _missed(model: Model, q: NDArray[np.float64], target: NDArray[np.float64]) -> list[str]:
+def _missed(model: Model, q: Array, target: Array) -> list[str]:
     """Return a sentence on a missed target, with the joints at their limits."""
     off = float(np.linalg.norm((model.forward_kinematics(q) - target)[:3, 3]))
     if off <= MISSED:
@@ -132,7 +139,7 @@ def _missed(model: Model, q: NDArray[np.float64], target: NDArray[np.float64]) -
 
 def _summary(arm: Arm, loop: Loop, notes: list[str]) -> None:
     for note in notes:
-        Console().print(note, highlight=False, markup=False, soft_wrap=True)
+        print_line(note)
     counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)
     Console().print(
         f"{len(loop.lateness)} ticks, late by {loop.lateness}; {loop.missed} missed; bus: {counts}",
@@ -145,7 +152,7 @@ def _table(
     controller: Controller,
     tick: Tick,
     command: Command,
-    here: NDArray[np.float64],
+    here: Array,
 ) -> Table:
     """Return the table: tool, compliance of each axis, torque limits, temperatures."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{arm.model.name}, {tick.time:.0f} s")

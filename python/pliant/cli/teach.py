@@ -10,12 +10,11 @@ from rich.console import Console
 
 from pliant import teach
 from pliant._core import ConfigError
-from pliant.cli._files import check_written
-from pliant.cli._keys import Keys
-from pliant.cli.flags import ArmName, Duration, MotionFile, Override
+from pliant.cli._console import EnterKey, print_line
+from pliant.cli._flags import ArmName, ConfigFlags, Duration, MotionFile, check_written
 from pliant.config import connect
-from pliant.teach.bounded import ready
-from pliant.teach.lead import prepare
+from pliant.teach._retiming import import_ruckig
+from pliant.teach._scripted_hand import prepare
 from pliant.teach.teacher import RECORDING
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ def run(
         tuple[float, float, float] | None, tyro.conf.arg(metavar="SPEED ACCELERATION JERK")
     ] = None,
     note: str = "",
-    override: Override,
+    override: ConfigFlags,
 ) -> None:
     """Float the arm, record how it is led, trim and smooth it, and lower the arm.
 
@@ -60,7 +59,7 @@ def run(
     if not duration > 0.0:
         raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
     if bounds is not None:
-        ready(bounds)
+        import_ruckig(bounds)
     read = override.load(arm)
     check_written(motion, "motion", override.inputs(arm, read))
     if by == "gripper" and read.gripper is None:
@@ -68,12 +67,12 @@ def run(
     if hand and read.backend == "bus":
         raise ConfigError("--hand leads simulated arms only: add --backend sim or emulator")
     console = Console()
-    keys = Keys() if by == "enter" else None
+    keys = EnterKey() if by == "enter" else None
 
-    def said(teacher: Teacher, state: State) -> bool:
-        return teacher.pressed(state) if keys is None else keys.enter()
+    def should_toggle(teacher: Teacher, state: State) -> bool:
+        return teacher.gripper_pressed(state) if keys is None else keys.pressed()
 
-    def tell(line: str) -> None:
+    def on_status(line: str) -> None:
         console.print(line, highlight=False, markup=False)
         if line == RECORDING:
             lead()
@@ -83,15 +82,10 @@ def run(
         # Save the unbounded motion first, so that it is not lost if the bounds fail.
         taken.save(motion)
         if bounds is not None:
-            teach.bounded(taken, bounds).save(motion)
+            teach.retime(taken, bounds).save(motion)
         files = map(shlex.quote, (arm, str(motion)))
         again = " ".join(["pliant replay", *files, *override.words()])
-        console.print(
-            f"{motion}: {taken.duration:.1f} s; {again}",
-            highlight=False,
-            soft_wrap=True,
-            markup=False,
-        )
+        print_line(f"{motion}: {taken.duration:.1f} s; {again}", console)
 
     made: list[Motion] = []
     cut: list[Motion] = []
@@ -103,13 +97,13 @@ def run(
                 teach.teach(
                     live,
                     seconds=duration,
-                    said=None if by == "rest" else said,
-                    tell=tell,
+                    should_toggle=None if by == "rest" else should_toggle,
+                    on_status=on_status,
                     interrupted=cut.append,
                 )
             )
     finally:
         # After the descent of the arm: writing a file can be slow.
-        made.extend(motion.trimmed().smoothed().of(live.model) for motion in cut)
+        made.extend(motion.trimmed().smoothed().for_model(live.model) for motion in cut)
         for taken in made:
             save(taken)

@@ -10,8 +10,7 @@ from rich.console import Console
 import pliant.robots
 from pliant._core import ConfigError, PliantError
 from pliant._extras import missing
-from pliant.cli._files import check_log
-from pliant.cli.flags import ArmName, File, HttpPort, Override
+from pliant.cli._flags import ArmName, ConfigFlags, File, HttpPort, check_log
 
 if TYPE_CHECKING:
     from pliant.view.source import Source
@@ -31,7 +30,7 @@ def run(
     http_port: HttpPort = 8080,
     browser: bool = False,
     log: File = None,
-    override: Override,
+    override: ConfigFlags,
 ) -> None:
     """Show an arm on a page, control it from there until Ctrl-C, and lower it.
 
@@ -86,7 +85,7 @@ def run(
         Session(source, link, log).run()
 
 
-def _simulated(robot: str, scene: str, rate: float, override: Override) -> Source:
+def _simulated(robot: str, scene: str, rate: float, override: ConfigFlags) -> Source:
     """Return a built-in simulated arm; reject flags of configurations."""
     from pliant.view.source import Simulated
 
@@ -101,7 +100,7 @@ def _simulated(robot: str, scene: str, rate: float, override: Override) -> Sourc
     return source
 
 
-def _configured(arm: str, override: Override) -> Source:
+def _configured(arm: str, override: ConfigFlags) -> Source:
     """Return the arm of a configuration."""
     from pliant.view.source import Configured
 

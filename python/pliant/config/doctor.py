@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant._core import Controller, PliantError, ServoError
+from pliant._core import ArmPoints, Controller, PliantError, ServoError
 from pliant.arm._checks import check_rest, outside, posture
-from pliant.arm._points import Points
 from pliant.config import factory
 from pliant.config.schema import servos, zeros
 from pliant.drive import MonotonicClock
@@ -107,7 +106,7 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
     else:
         try:
             pose = posture(model, rest, "life.rest_q")
-            check_rest(model, Points(model), pose, config.robot.table)
+            check_rest(model, ArmPoints(model), pose, config.robot.table)
         except PliantError as error:
             yield Diagnosis("bad", "rest pose", str(error))
     if config.servo:

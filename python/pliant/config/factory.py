@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
-from pliant._core import ConfigError, OutOfRangeError, ServoError, ShapeError
+from pliant._core import ArmPoints, ConfigError, OutOfRangeError, ServoError, ShapeError
 from pliant._validation import real
 from pliant.arm import Arm, Budget, GripperConfig
 from pliant.arm._checks import posture, vector
-from pliant.arm._points import Points
 from pliant.config._messages import suggest
 from pliant.config.loader import load
 from pliant.config.schema import (
@@ -395,7 +394,7 @@ def start_pose(config: Config, model: Model) -> Any:
     table, rest = config.robot.table, config.life.rest_q
     if rest is None or len(rest) != model.n:
         return zero
-    if table is None or Points(model)(zero).position[:, 2].min() >= table:
+    if table is None or ArmPoints(model).position(zero)[:, 2].min() >= table:
         return zero
     return np.array(rest)
 
@@ -416,10 +415,10 @@ class EmulatedBus(ServoBus):
 
     def __init__(self, config: Config, model: Model, *, q: ArrayLike | None = None) -> None:
         """Start the emulator with the arm at q (n,) [rad], by default near zero."""
-        from pliant.emulator.process import Remote
+        from pliant.emulator.process import EmulatorProcess
 
         at = None if q is None else vector(model, q, "q").tolist()
-        self.emulator = Remote(make_emulator, config, q=at)
+        self.emulator = EmulatorProcess(make_emulator, config, q=at)
         bauds = {self.emulator.ports[port.name]: port.baud for port in config.port}
         super().__init__(
             servo_specs(config, self.emulator.ports),

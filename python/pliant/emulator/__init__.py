@@ -12,13 +12,13 @@ from pliant.emulator.arm import ArmEmulator, ArmPhysics, Mount, emulate
 from pliant.emulator.device import Device
 from pliant.emulator.emulator import Emulator
 from pliant.emulator.faults import Faults
-from pliant.emulator.line import Delivery, Line
 from pliant.emulator.log import Log, Transaction, Write
+from pliant.emulator.manual_clock import ManualClock
 from pliant.emulator.models import MODELS
 from pliant.emulator.motion import Joints, Physics
-from pliant.emulator.process import Remote
+from pliant.emulator.process import EmulatorProcess
+from pliant.emulator.serial_line import Delivery, SerialLine
 from pliant.emulator.servo import Drive, Load, Servo, Shaft
-from pliant.emulator.steps import StepClock
 from pliant.emulator.timing import Timing
 
 __all__ = [
@@ -29,17 +29,17 @@ __all__ = [
     "Device",
     "Drive",
     "Emulator",
+    "EmulatorProcess",
     "Faults",
     "Joints",
-    "Line",
     "Load",
     "Log",
+    "ManualClock",
     "Mount",
     "Physics",
-    "Remote",
+    "SerialLine",
     "Servo",
     "Shaft",
-    "StepClock",
     "Timing",
     "Transaction",
     "Write",

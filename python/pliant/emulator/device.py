@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pliant._core import ConfigError
-from pliant.emulator.dxl1 import Dxl1Servo
+from pliant.emulator._dynamixel1 import Dxl1Servo
+from pliant.emulator._feetech import StsServo
+from pliant.emulator._x_series import XServo
 from pliant.emulator.models import find
-from pliant.emulator.sts import StsServo
-from pliant.emulator.x import XServo
 
 if TYPE_CHECKING:
     from pliant.emulator.servo import Servo

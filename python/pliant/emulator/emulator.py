@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Literal, Self
 from pliant._core import ConfigError
 from pliant.emulator.device import Device
 from pliant.emulator.faults import Faults
-from pliant.emulator.line import Line
 from pliant.emulator.log import Log
+from pliant.emulator.serial_line import SerialLine
 from pliant.emulator.server import Clock, Server
 from pliant.emulator.servo import BIT_HEAT, BIT_OVERLOAD, BIT_VOLTAGE
+from pliant.emulator.simulation import Simulation
 from pliant.emulator.timing import Timing
-from pliant.emulator.world import World
 
 if TYPE_CHECKING:
     import threading
@@ -71,9 +71,9 @@ class Emulator:
         self.timing, self.faults = timing or Timing(), faults or Faults()
         self.log, self._clock = Log(log), clock
         built = [(device.port, device.build(baud)) for device in devices]
-        self.world = World([servo for _, servo in built], physics)
+        self.world = Simulation([servo for _, servo in built], physics)
         self.lines = {
-            name: Line(
+            name: SerialLine(
                 [servo for port, servo in built if port == name],
                 name=name,
                 timing=self.timing,

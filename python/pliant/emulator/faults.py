@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from pliant._core import ConfigError
-from pliant.emulator.wire import HEADER_2, STATUS, packet_1, packet_2
+from pliant.emulator.packets import HEADER_2, STATUS, packet_1, packet_2
 
 Kind = Literal["deaf", "lose", "late", "corrupt", "truncate", "wrong_id", "noise"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

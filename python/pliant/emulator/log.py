@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pliant.emulator.registers import Table
+    from pliant.emulator.control_tables import Table
 
 #: Registers that carry a goal, a torque limit, and the torque switch, in every family.
 GOALS = frozenset({"goal_position"})

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from pliant._core import ConfigError
-from pliant.emulator import tables
+from pliant.emulator import control_tables as tables
 
 if TYPE_CHECKING:
-    from pliant.emulator.registers import Table
+    from pliant.emulator.control_tables import Table
 
 Family = Literal["dxl1", "x", "sts"]
 

@@ -24,7 +24,7 @@ START_TIME = 60.0
 STOP_TIME = 5.0
 
 
-class Remote:
+class EmulatorProcess:
     """An emulator in another process.
 
     It ends with this object, or when the process that made it ends.
@@ -39,7 +39,7 @@ class Remote:
         ServoError: The process did not start.
 
     Example:
-        >>> with Remote(Emulator, [Device("STS3215", id=1)]) as bus:
+        >>> with EmulatorProcess(Emulator, [Device("STS3215", id=1)]) as bus:
         ...     bus.call("faults.inject", "lose", id=1)
         ...     host = rustypot.Sts3215PyController(bus.port, 1_000_000, 0.1)
     """

@@ -17,8 +17,8 @@ from pliant.emulator.pty import Pty
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pliant.emulator.line import Line
-    from pliant.emulator.world import World
+    from pliant.emulator.serial_line import SerialLine
+    from pliant.emulator.simulation import Simulation
 
 Clock = Literal["real", "steps"]
 
@@ -38,7 +38,7 @@ SYNC_TIME = 10.0
 class Port:
     """A port with its line and pseudo-terminal."""
 
-    line: Line
+    line: SerialLine
     pty: Pty
     marker: bytes = b""
     waiting: threading.Event = field(default_factory=threading.Event)
@@ -58,7 +58,7 @@ class Server:
         late: Largest latency of a reply due to a busy computer, under the real clock [s].
     """
 
-    def __init__(self, world: World, lines: Mapping[str, Line], clock: Clock) -> None:
+    def __init__(self, world: Simulation, lines: Mapping[str, SerialLine], clock: Clock) -> None:
         """Store the lines to serve."""
         self._world, self._lines, self._clock = world, dict(lines), clock
         self._ports: dict[str, Port] = {}

@@ -11,9 +11,9 @@ from pliant._core import ConfigError
 from pliant.emulator.log import Write
 
 if TYPE_CHECKING:
+    from pliant.emulator.control_tables import Register
     from pliant.emulator.models import Model
-    from pliant.emulator.registers import Register
-    from pliant.emulator.wire import Protocol
+    from pliant.emulator.packets import Protocol
 
 #: Winding temperature rise above ambient at continuous stall [K], and its time constant [s]: a
 #: guess that overheats a stalled servo in half a minute and allows 30 % of the stall torque

@@ -14,7 +14,7 @@ of your own.
 from pliant.identify.gravity import GravityCapture, capture_gravity
 from pliant.identify.hand_guiding import HandGuiding
 from pliant.identify.payload import estimate_payload
-from pliant.identify.procedure import Guided, Procedure, ServoCommand, run_procedure
+from pliant.identify.procedure import Guided, Procedure, run_procedure
 from pliant.identify.result import Identification, PayloadEstimate
 from pliant.identify.servos import identify_servos
 
@@ -25,7 +25,6 @@ __all__ = [
     "Identification",
     "PayloadEstimate",
     "Procedure",
-    "ServoCommand",
     "capture_gravity",
     "estimate_payload",
     "identify_servos",

@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ConfigError, OutOfRangeError, ServoError
+from pliant._core import Command, ConfigError, OutOfRangeError, ServoError
 from pliant._validation import number
-from pliant.identify.procedure import ServoCommand
 
 if TYPE_CHECKING:
     from collections.abc import Generator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Model, Servos
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
-    Motion = Generator[ServoCommand, Array, Array]
+    Motion = Generator[Command, Array, Array]
 
 #: Peak speed of a joint between poses [rad/s].
 TRAVEL_SPEED = 0.4
@@ -172,7 +171,7 @@ class Excitation:
             (record.speed, speed),
         ):
             rows.append(value)
-        return (yield ServoCommand(goal, limit))
+        return (yield Command(goal, limit))
 
     def follow(self, q: Array, path: Array, speed: Array) -> Motion:
         """Follow positions (N, n) [rad] with planned speeds (N, n) [rad/s]."""

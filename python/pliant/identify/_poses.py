@@ -14,11 +14,11 @@ from pliant.identify._segments import bare_gravity, payload_rows
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from pliant._typing import Array
     from pliant.identify._excitation import Excitation
 
-    Array = NDArray[np.float64]
 
 #: Number of candidates, and largest share of the usable torque that may hold one of them.
 CANDIDATES, MAX_HOLDING_SHARE = 200, 0.6

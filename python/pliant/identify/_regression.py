@@ -15,12 +15,9 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.identify._excitation import Excitation, Record
     from pliant.identify._segments import Segment
-
-    Array = NDArray[np.float64]
 
 
 #: Unknowns of each joint, in the order of their columns: k_p [N·m/rad], f [N·m], l and m [1],
@@ -53,7 +50,7 @@ class Priors:
     friction: float = 3.0
     damping: float = 3.0
     limit: float = 0.05
-    load: float | NDArray[np.float64] = 0.0
+    load: float | Array = 0.0
     payload: bool = True
 
 
@@ -72,11 +69,11 @@ class Solution:
         rows: Slides used.
     """
 
-    value: dict[str, NDArray[np.float64]]
-    sigma: dict[str, NDArray[np.float64]]
-    payload: NDArray[np.float64]
-    payload_covariance: NDArray[np.float64]
-    separated: NDArray[np.float64]
+    value: dict[str, Array]
+    sigma: dict[str, Array]
+    payload: Array
+    payload_covariance: Array
+    separated: Array
     spread: float
     rows: int
 
@@ -235,7 +232,7 @@ class Delay:
 
     seconds: float
     sigma: float
-    joints: NDArray[np.float64]
+    joints: Array
 
 
 def fit_delay(

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Model
+    from pliant._typing import Array, Mask
     from pliant.identify._excitation import Excitation, Record
 
-    Array = NDArray[np.float64]
 
 #: Time window of the speed measurement, and least length of a slide [s].
 WINDOW, MIN_LENGTH = 0.12, 0.16
@@ -53,7 +53,7 @@ class Segment:
     by_limit: bool
     drive: float
     gravity: float
-    payload: NDArray[np.float64]
+    payload: Array
     speed: float
     acceleration: float
     samples: int
@@ -113,7 +113,7 @@ def find_segments(rig: Excitation, record: Record) -> list[Segment]:
     return out
 
 
-def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def runs(mask: Mask) -> list[tuple[int, int]]:
     """Return start and end (exclusive) of each stretch of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -9,17 +9,15 @@ import numpy as np
 
 from pliant._core import Compensation, ConfigError, Controller, Settings, Tracking
 from pliant._validation import instance, number
-from pliant.identify.procedure import Procedure, ServoCommand, guided, run_procedure
+from pliant.identify.procedure import Procedure, guided, run_procedure
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
-    from pliant._core import Command, Servos
+    from pliant._core import Servos
+    from pliant._typing import Array, Mask
     from pliant.identify.procedure import Arm, Steps, Tick
 
-    Array = NDArray[np.float64]
 
 #: Rate at which the goal integrates while holding [1/s], and the share of the time averaged.
 INTEGRATE, AVERAGED_SHARE = 4.0, 0.25
@@ -52,12 +50,12 @@ class GravityCapture:
             damping, under which the arm stayed; else None.
     """
 
-    stiffness: NDArray[np.float64]
-    assumed: NDArray[np.float64]
-    lead: NDArray[np.float64]
-    gravity: NDArray[np.float64]
-    captured: NDArray[np.bool_]
-    clipped: NDArray[np.bool_]
+    stiffness: Array
+    assumed: Array
+    lead: Array
+    gravity: Array
+    captured: Mask
+    clipped: Mask
     still: bool
     drift: float
     bound: float
@@ -190,7 +188,7 @@ def _capture(
     controller.update(stiff)
     try:
         for _ in range(ticks):
-            command = _command(controller.step(q, target))
+            command = controller.step(q, target)
             samples.append((q, command.goal))
             q = yield command
         tail = samples[-max(round(AVERAGED_SHARE * ticks), 1) :]
@@ -226,11 +224,6 @@ def _capture(
         joint_names=tuple(model.joint_names),
         remedy=remedy,
     )
-
-
-def _command(command: Command) -> ServoCommand:
-    """Convert a command to an order with copies of its arrays."""
-    return ServoCommand(np.array(command.goal), np.array(command.torque_limit))
 
 
 def _find_remedy(
@@ -272,7 +265,7 @@ def _hold_and_measure(
     target = model.forward_kinematics(q)
     drift = 0.0
     for _ in range(ticks):
-        q = yield _command(controller.step(q, target))
+        q = yield controller.step(q, target)
         offset = model.forward_kinematics(q)[:3, 3] - target[:3, 3]
         drift = max(drift, float(np.linalg.norm(offset)))
         if drift > bound:

@@ -19,41 +19,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ConfigError, Model, Payload, Servos
+from pliant._core import Command, ConfigError, HandGuidingLaw, Model, Payload, Servos
 from pliant._validation import format_value, instance, number, vector
 from pliant.identify._excitation import Excitation
 from pliant.identify._segments import find_segments, first_moments, payload_rows
-from pliant.identify.procedure import ServoCommand
 from pliant.identify.servos import widen_swing
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from pliant._typing import Array
     from pliant.identify._segments import Segment
     from pliant.identify.procedure import Steps
 
-    Array = NDArray[np.float64]
 
 #: Factor by which a stiffness may be wrong in either direction: if known, and if not.
 KNOWN, UNKNOWN = 1.1, 2.2
-#: Fed-forward shares of friction and damping, and share of the delay for prediction.
-FRICTION, DAMPING, PREDICTION = 0.8, 0.8, 0.9
-#: Speed at which the friction feed-forward saturates [rad/s], and time constant of the speed [s].
-SLOW, FILTER = 0.05, 0.02
-#: Share of its play that a moving joint loses.
-MOVING = 0.9
-#: Time without motion beyond a count until the arm counts as at rest [s]; least motion [rad].
-REST, MOTION = 0.4, 5e-4
-#: Period of the first swing [s], and number of swings.
-SWING, TURNS = 2.6, 1.75
-#: Error of the lead from the swing, as a share of the friction that it averages out.
-AVERAGED = 0.15
-#: Motion time in which the play shrinks to its value learnt at rest [s].
-SHRINK = 0.5
-#: Least play at rest: in rad, in encoder counts, and as a share of the friction ρ.
-MIN_PLAY, COUNTS, FRICTION_SHARE = 2e-3, 1.5, 0.15
-#: Largest speed of the goals [rad/s].
-SLEW = 3.0
+#: Time at rest after the first swing [s].
+REST_TIME = 0.4
+#: Play of a joint before the first swing [rad].
+INITIAL_PLAY = 2e-3
 
 
 class HandGuiding:
@@ -69,10 +54,6 @@ class HandGuiding:
         swing: Size of the first swing [rad], without the part that friction takes.
         torque_share: Torque allowed on top of gravity, as a share of the usable torque. A hand must
             overcome this torque if the arm resists.
-
-    Attributes:
-        ready: True once the first swing is over; do not touch the arm before.
-        play: Play of each joint in this tick (n,) [rad].
 
     Raises:
         ConfigError: There is no servo table, or `payload` is invalid.
@@ -106,7 +87,7 @@ class HandGuiding:
         )
         swing = number(swing, "swing", 0.01, 0.3, "rad")
         torque_share = number(torque_share, "torque_share", 0.05, 1.0)
-        n = self._n = model.n
+        self._n = model.n
         self._model, self._period, self._delay, self._share = model, 1.0 / rate, delay, torque_share
         self._dt = self._period
         self._table, self._swing = table, swing
@@ -116,7 +97,6 @@ class HandGuiding:
             self._dt,
             stiffness_uncertainty=KNOWN if table.stiffness_known else UNKNOWN,
         )
-        self._torque, self._count = self._rig.torque, self._rig.count
         self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
         self._stiffness_factor = KNOWN if table.stiffness_known else UNKNOWN
         self._moments = np.zeros(4)
@@ -127,17 +107,25 @@ class HandGuiding:
         if model.payload is not None:
             self._total_moments += first_moments(model.payload.mass, model.payload.com)
         self._first_swing: Steps[Array] | None = None
-        self.ready = False
-        self.play = np.full(n, MIN_PLAY)
+        self._law: HandGuidingLaw | None = None
+
+    @property
+    def ready(self) -> bool:
+        """True once the first swing is over; do not touch the arm before."""
+        return self._law is not None
+
+    @property
+    def play(self) -> Array:
+        """Play of each joint in this tick (n,) [rad]."""
+        return np.full(self._n, INITIAL_PLAY) if self._law is None else self._law.play
 
     @property
     def stiffness(self) -> Array:
         """Interval of k_p after all rests so far (2, n) [N·m/rad]."""
-        if not self.ready:
-            return np.array(
-                [self._rig.kp / self._stiffness_factor, self._rig.kp * self._stiffness_factor]
-            )
-        return np.array([1.0 / self._high, 1.0 / self._low])
+        if self._law is not None:
+            return self._law.stiffness
+        factor = self._stiffness_factor
+        return np.array([self._rig.kp / factor, self._rig.kp * factor])
 
     def reset(self, q: ArrayLike) -> None:
         """Restart at q (n,) [rad] with a swing; all learnt values are cleared."""
@@ -148,10 +136,10 @@ class HandGuiding:
             self._model, self._table, period, stiffness_uncertainty=self._stiffness_factor
         )
         self._rig.extra_torque = payload_rows(self._model, q) @ self._moments
-        self._first_swing, self.ready = self._swing_procedure(q), False
+        self._first_swing, self._law = self._swing_procedure(q), None
         self._command = next(self._first_swing)
 
-    def step(self, q: ArrayLike, *, dt: float | None = None) -> ServoCommand:
+    def step(self, q: ArrayLike, *, dt: float | None = None) -> Command:
         """Return goals and torque limits for measured positions q (n,) [rad].
 
         The first call resets to q. The swing keeps the `dt` of its first tick.
@@ -170,8 +158,8 @@ class HandGuiding:
         self._dt = self._period if dt is None else number(dt, "dt", 1e-6, 1.0, "s")
         if self._first_swing is None:
             self.reset(q)
-        elif self.ready:
-            self._command = self._follow(q)
+        elif self._law is not None:
+            self._command = self._law.step(q, dt=self._dt)
         else:
             try:
                 self._command = self._first_swing.send(q)
@@ -183,24 +171,21 @@ class HandGuiding:
         """Swing slowly, return to the start, and rest."""
         rig, home = self._rig, q
         _, q = yield from widen_swing(rig, q, self._swing)
-        for _ in range(round(REST / rig.period)):
+        for _ in range(round(REST_TIME / rig.period)):
             q = yield from rig.send(
                 q, home + rig.gravity_lead(home), rig.limits(home), np.zeros(self._n)
             )
         return q
 
     def _finish_swing(self, q: Array) -> None:
-        """Compute the carrying lead, the friction, and the interval of 1/k_p from the swing."""
+        """Compute each joint's carrying lead and friction from the swing, and start to follow."""
         rig, n = self._rig, self._n
-        self._low, self._high = (
-            1.0 / (self._stiffness_factor * rig.kp),
-            self._stiffness_factor / rig.kp,
-        )
-        middle = 0.5 * (self._low + self._high)
+        factor = self._stiffness_factor
+        middle = 0.5 * (1.0 / (factor * rig.kp) + factor / rig.kp)
         base = self._holding(q)
         rows = [segment for record in rig.records for segment in find_segments(rig, record)]
-        # A joint that did not swing uses the table, with its full uncertainty: g_0 = lead_0 = 0.
-        self._lead, self._rub = np.zeros(n), rig.friction * middle
+        # A joint that did not swing uses the table, with its full uncertainty.
+        lead, friction = np.zeros(n), rig.friction * middle
         swung = np.zeros(n, dtype=bool)
         for i in range(n):
             sides = [
@@ -213,92 +198,27 @@ class HandGuiding:
                 for side in sides
             )
             speed = np.mean([abs(s.speed) for side in sides for s in side])
-            self._lead[i], half = 0.5 * (up + down), 0.5 * (up - down)
+            lead[i], half = 0.5 * (up + down), 0.5 * (up - down)
             swung[i] = True
-            self._rub[i] = max(half - middle[i] * self._damping[i] * speed, 0.3 * half, 0.0)
-        error = AVERAGED * self._rub + 0.5 * self._count + MOTION
-        load = np.where(swung & (np.abs(base) > 0.0), base, np.nan)
-        self._narrow((self._lead - error) / load, (self._lead + error) / load)
-        self._gravity = np.where(swung, base, 0.0)
-        self._min_play = np.maximum(
-            np.maximum(MIN_PLAY, COUNTS * self._count), FRICTION_SHARE * self._rub
-        )
-        self._goal, self._filtered_q, self._speed = self._command.goal.copy(), q.copy(), np.zeros(n)
-        carried = self._lead + 0.5 * (self._low + self._high) * (base - self._gravity)
-        # A joint that swung rests in the middle of its friction band; another keeps its goal.
-        self._anchor = np.where(swung, q, self._goal - carried)
-        self._excess = np.maximum(np.abs(self._anchor - q) - self._min_play, 0.0)
-        self._rest_at, self._learnt, self._still, self._moved = q, q, 0.0, False
-        self.ready = True
-
-    def _follow(self, q: Array) -> ServoCommand:
-        """Return goals that follow the arm."""
-        self._estimate(q)
-        ahead = q + PREDICTION * self._delay * self._speed
-        gravity = self._holding(ahead)
-        self._narrow_at_rest(q)
-        change = gravity - self._gravity
-        lead = self._lead + 0.5 * (self._low + self._high) * change
-        uncertainty = 0.5 * (self._high - self._low) * np.abs(change)
-        pace = np.tanh(self._speed / SLOW)
-        # No goal moves at rest; a correction learnt at rest takes effect with the motion.
-        self._excess = self._excess * (1.0 - np.abs(pace) * min(self._dt / SHRINK, 1.0))
-        self.play = self._min_play * (1.0 - MOVING * np.abs(pace)) + uncertainty + self._excess
-        self._anchor = np.clip(self._anchor, ahead - self.play, ahead + self.play)
-        helping = FRICTION * self._rub * pace + DAMPING * self._low * self._damping * self._speed
-        goal = self._anchor + lead + helping
-        goal = np.clip(goal, self._model.lower + lead, self._model.upper + lead)
-        max_change = SLEW * self._dt
-        self._goal = self._goal + np.clip(goal - self._goal, -max_change, max_change)
-        needed = np.maximum(1.1 * np.abs(gravity), self._rig.kp * np.abs(lead))
-        limit = np.minimum(self._torque, needed + self._share * self._torque)
-        return ServoCommand(self._goal.copy(), limit)
-
-    def _narrow_at_rest(self, q: Array) -> None:
-        """At rest after a motion, narrow the interval of 1/k_p; the goal does not move."""
-        if (np.abs(q - self._rest_at) > np.maximum(1.1 * self._count, MOTION)).any():
-            self._moved |= bool((np.abs(q - self._learnt) > 3.0 * self._min_play).any())
-            self._rest_at, self._still = q, 0.0
-            return
-        self._still += self._dt
-        if self._still < REST or not self._moved:
-            return
-        self._moved, self._learnt = False, q
-        change = self._holding(q) - self._gravity
-        before, uncertainty = (
-            self._low + self._high,
-            0.5 * (self._high - self._low) * np.abs(change),
-        )
-        lead, band = self._goal - q, self._rub + self._min_play
-        moved = np.where(np.abs(change) > 0.0, change, np.nan)
-        self._narrow((lead - self._lead - band) / moved, (lead - self._lead + band) / moved)
-        # The anchor compensates the change of the lead, so that the goal stays.
-        self._anchor += 0.5 * (before - self._low - self._high) * change
-        self._excess = np.maximum(self._excess, uncertainty)
-
-    def _narrow(self, one: Array, other: Array) -> None:
-        """Intersect the interval of 1/k_p with these ends (n,), NaN for none.
-
-        If the intersection is empty (a hand leans on the arm, a payload), the interval stays.
-        """
-        low = np.maximum(self._low, np.fmin(one, other))
-        high = np.minimum(self._high, np.fmax(one, other))
-        is_valid = low < high
-        self._low, self._high = (
-            np.where(is_valid, low, self._low),
-            np.where(is_valid, high, self._high),
+            friction[i] = max(half - middle[i] * self._damping[i] * speed, 0.3 * half, 0.0)
+        self._law = HandGuidingLaw(
+            self._model,
+            self._table,
+            q=q,
+            goal=self._command.goal,
+            swung=swung.tolist(),
+            lead=lead,
+            friction=friction,
+            damping=self._damping,
+            stiffness_error=factor,
+            delay=self._delay,
+            torque_share=self._share,
+            payload_moments=self._moments.tolist(),
         )
 
     def _load(self, segment: Segment) -> float:
         """Return the torque that holds the arm in a segment with the given payload [N·m]."""
         return segment.gravity + float(segment.payload @ self._total_moments)
-
-    def _estimate(self, q: Array) -> None:
-        """Update the filtered speed, from readings with a hysteresis of one count."""
-        filtered = np.clip(self._filtered_q, q - self._count, q + self._count)
-        rate = (filtered - self._filtered_q) / self._dt
-        self._speed = self._speed + (rate - self._speed) * self._dt / (FILTER + self._dt)
-        self._filtered_q = filtered
 
     def _holding(self, q: Array) -> Array:
         """Return the torques that hold the arm with its payload (n,) [N·m]."""

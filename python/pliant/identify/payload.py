@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pliant._core import ConfigError, Controller, ServoError
 from pliant._validation import instance, number
 from pliant.identify._excitation import Excitation
@@ -19,11 +17,11 @@ from pliant.identify.servos import swing_at_poses, widen_swing
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from pliant._typing import Array
     from pliant.identify.procedure import Arm, Steps, Tick
 
-    Array = NDArray[np.float64]
 
 #: Relative standard deviation of a stiffness: if known by the table, and if not.
 KNOWN, UNKNOWN = 0.05, 0.3

@@ -1,7 +1,7 @@
 """Interface of a procedure and an arm: positions in, goals and torque limits out, tick by tick.
 
 A procedure is a generator that starts with the first positions, yields commands, and receives the
-next positions. `Procedure` wraps it as `step(q) -> ServoCommand`, which any loop can call;
+next positions. `Procedure` wraps it as `step(q) -> Command`, which any loop can call;
 `run_procedure` runs it to its end on a connected or simulated arm.
 """
 
@@ -14,15 +14,16 @@ from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
-from pliant._core import ConfigError, ServoError, ShapeError
+from pliant._core import Command, ConfigError, ServoError, ShapeError
 from pliant._validation import format_value, vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
+
 
 P = ParamSpec("P")
 Q = ParamSpec("Q")
@@ -30,21 +31,8 @@ T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
 
-@dataclass(frozen=True)
-class ServoCommand:
-    """Goals and torque limits of one tick; names as in `pliant.Command`.
-
-    Attributes:
-        goal: Joint goals (n,) [rad].
-        torque_limit: Torque limits (n,) [N·m].
-    """
-
-    goal: NDArray[np.float64]
-    torque_limit: NDArray[np.float64]
-
-
-#: A generator that yields orders, receives positions (n,), and returns its result.
-Steps = Generator[ServoCommand, "NDArray[np.float64]", T]
+#: A generator that yields commands, receives positions (n,), and returns its result.
+Steps = Generator[Command, "Array", T]
 
 
 class Arm(Protocol):
@@ -64,7 +52,7 @@ class Tick(Protocol):
     def q(self) -> Array:
         """Positions (n,) [rad]."""
 
-    def write(self, command: ServoCommand) -> Any:
+    def write(self, command: Command) -> Any:
         """Send an order."""
 
 
@@ -90,11 +78,11 @@ class Procedure(Generic[T]):
     def __init__(self, start: Callable[[Array], Steps[T]], n: int) -> None:
         self._start, self._n = start, n
         self._steps: Steps[T] | None = None
-        self._command: ServoCommand | None = None
+        self._command: Command | None = None
         self._result: list[T] = []
         self.done = False
 
-    def step(self, q: ArrayLike, *, dt: float | None = None) -> ServoCommand:
+    def step(self, q: ArrayLike, *, dt: float | None = None) -> Command:
         """Return the order for the positions q (n,) [rad]; the last order once done.
 
         Args:
@@ -203,10 +191,10 @@ def run_procedure(
 
 @dataclass(frozen=True)
 class _PlantTick:
-    q: NDArray[np.float64]
+    q: Array
     arm: Arm
 
-    def write(self, command: ServoCommand) -> None:
+    def write(self, command: Command) -> None:
         self.arm.write(command.goal, command.torque_limit)
 
 

@@ -10,13 +10,13 @@ import numpy as np
 from pliant._core import Controller, Payload
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Model, Servos, Settings
+    from pliant._typing import Array
     from pliant.identify._excitation import Excitation
     from pliant.identify._regression import Delay, Solution
 
-    Array = NDArray[np.float64]
 
 #: Share of its standard deviation that a payload direction must lose to count as separated.
 SEPARATED = 0.5
@@ -39,11 +39,11 @@ class PayloadEstimate:
 
     mass: float
     mass_sigma: float
-    com: NDArray[np.float64]
-    com_sigma: NDArray[np.float64]
-    moments: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    separated: NDArray[np.float64]
+    com: Array
+    com_sigma: Array
+    moments: Array
+    covariance: Array
+    separated: Array
 
     @classmethod
     def of(cls, solution: Solution) -> PayloadEstimate:
@@ -115,8 +115,8 @@ class Identification:
     """
 
     servos: Servos
-    errors: dict[str, NDArray[np.float64]]
-    load: NDArray[np.float64]
+    errors: dict[str, Array]
+    load: Array
     delay: float
     delay_sigma: float
     payload: PayloadEstimate

@@ -18,13 +18,13 @@ from pliant.identify.result import Identification
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from pliant._typing import Array
     from pliant.identify._excitation import Record
     from pliant.identify._regression import Delay
     from pliant.identify.procedure import Arm, Steps, Tick
 
-    Array = NDArray[np.float64]
 
 #: Swing in slow motion on top of the amplitude, as a multiple of friction over stiffness [1].
 FRICTION_SWING = 4.0

@@ -18,11 +18,9 @@ from pliant.log.verify import steps
 from pliant.loop import PRIME
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.log.reader import Log
 
-    Array = NDArray[np.float64]
 
 #: Rotation that weighs as much as a deviation of one metre [rad].
 RADIANS_PER_METRE = 4.0

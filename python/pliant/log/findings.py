@@ -13,13 +13,11 @@ import numpy as np
 from pliant._report.words import listed
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pliant._core import Axis
+    from pliant._typing import Array, Mask
     from pliant.log.felt import Felt
     from pliant.log.reader import Log
 
-    Array = NDArray[np.float64]
 
 #: Compliance above which an axis counts as soft, and below which as firm.
 SOFT, FIRM = 0.99, 0.01
@@ -70,7 +68,7 @@ def spans(log: Log) -> list[Span]:
     return sorted(found, key=lambda span: span.start)
 
 
-def _runs(time: Array, on: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(time: Array, on: Mask) -> list[tuple[int, int]]:
     """Return first and last tick of every stretch; stretches with a small gap are merged."""
     out: list[tuple[int, int]] = []
     for tick in np.flatnonzero(on):

@@ -12,12 +12,12 @@ from pliant._core import Settings
 from pliant.log import frames, layout, words
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Command, Controller
+    from pliant._typing import Array
     from pliant.log.frames import Sender
 
-    Array = NDArray[np.float64]
 
 #: Sequence number of the call, and 1 for `step_joints`, else 0.
 STEP = struct.Struct("<QB")

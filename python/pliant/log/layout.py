@@ -10,9 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
 
 #: Format version; changes when older files can no longer be read.
 VERSION = "1"

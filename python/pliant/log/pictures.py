@@ -13,12 +13,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
 
+    from pliant._typing import Array
     from pliant.log.felt import Felt
     from pliant.log.reader import Log
 
-    Array = NDArray[np.float64]
 
 #: Height of a row of axes [inch].
 ROW = 1.45

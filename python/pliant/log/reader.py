@@ -17,9 +17,8 @@ from pliant.log._mcap import Attachment, Channel, DecoderFactory, Message, Schem
 from pliant.log.records import CutShortError, DamagedError, records
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
 
 #: Fields of the description of a run: name, types, and True if it may be None.
 RUN: tuple[tuple[str, Any, bool], ...] = (

@@ -13,9 +13,8 @@ from pliant.log.reader import Log, arguments
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from numpy.typing import NDArray
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
 
 #: Calls of a controller other than steps.
 CALLS = ("reset", "update", "set_payload", "set_gravity", "set_delay", "capture_gravity")

@@ -24,9 +24,8 @@ from pliant.log.journal import STEP
 if TYPE_CHECKING:
     from typing import BinaryIO
 
-    from numpy.typing import NDArray
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
 
 #: Duration of a chunk [s].
 CHUNK = 0.5

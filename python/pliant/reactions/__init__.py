@@ -2,46 +2,46 @@
 
     >>> from pliant.reactions import Deviation, Force, Reaction, Retract, ReactionMonitor
     >>> bumped = Force("z", above=9.0).lasting(0.05) & ~Deviation("xy", above=0.02)
-    >>> watch = ReactionMonitor(controller, [Reaction(bumped, Retract(0.05))])
+    >>> monitor = ReactionMonitor(controller, [Reaction(bumped, Retract(0.05))])
     >>> for tick in loop:
-    ...     command = controller.step(tick.q, watch.update(tick.q, target))
+    ...     command = controller.step(tick.q, monitor.update(tick.q, target))
 
 Call `update` before the step of its tick: it returns the target for the step.
 """
 
 from pliant.reactions.actions import Action, Call, Follow, Hold, Retract, Running, Stop, Yield
-from pliant.reactions.conditions import Condition
-from pliant.reactions.measures import (
+from pliant.reactions.conditions import (
+    Condition,
+    ContactEvent,
     Deviation,
     Elapsed,
-    Evidence,
     Force,
+    ResidualAbove,
     Saturated,
     Speed,
-    Touched,
+    TickContext,
 )
-from pliant.reactions.moment import Moment
-from pliant.reactions.monitor import Noted, Reaction, ReactionMonitor
+from pliant.reactions.monitor import Reaction, ReactionEvent, ReactionMonitor
 
 __all__ = [
     "Action",
     "Call",
     "Condition",
+    "ContactEvent",
     "Deviation",
     "Elapsed",
-    "Evidence",
     "Follow",
     "Force",
     "Hold",
-    "Moment",
-    "Noted",
     "Reaction",
+    "ReactionEvent",
     "ReactionMonitor",
+    "ResidualAbove",
     "Retract",
     "Running",
     "Saturated",
     "Speed",
     "Stop",
-    "Touched",
+    "TickContext",
     "Yield",
 ]

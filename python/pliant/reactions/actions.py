@@ -14,31 +14,48 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant import functional
-from pliant._core import Axis, ConfigError, Controller, Settings
+from pliant._core import Axis, ConfigError, Controller, Pose, Settings
 from pliant._validation import format_value, positive, vector
-from pliant.reactions.moment import indices
-from pliant.reactions.poses import moved
+from pliant.reactions.conditions import indices
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from pliant._typing import Array
+    from pliant.reactions.conditions import TickContext
 
-    from pliant.reactions.moment import Moment
 
-    Array = NDArray[np.float64]
+def offset_pose(pose: Array, shift: Array, turn: Array) -> Array:
+    """Move a pose (4, 4) by `shift` (3,) [m] and turn it by `turn` (3,) [rad], in base axes."""
+    out = pose.copy()
+    out[:3, 3] += shift
+    out[:3, :3] = Pose.from_rotvec(np.zeros(3), turn).rotation @ pose[:3, :3]
+    return out
+
+
+def step_toward(pose: Array, target: Array, distance: float, angle: float) -> Array:
+    """Return a pose (4, 4) nearer to a target, by at most `distance` [m] and `angle` [rad]."""
+    error = functional.pose_error(pose, target)
+    shift, turn = error[:3], error[3:]
+    shares = [
+        min(1.0, limit / size) if (size := float(np.linalg.norm(part))) > 0.0 else 1.0
+        for part, limit in ((shift, distance), (turn, angle))
+    ]
+    if min(shares) >= 1.0:
+        return target
+    return offset_pose(pose, shares[0] * shift, shares[1] * turn)
 
 
 class Running:
     """An action in force."""
 
-    def target(self, now: Moment, target: Array) -> Array:
+    def target(self, now: TickContext, target: Array) -> Array:
         """Return the pose (4, 4) that replaces `target` in the step."""
         return target
 
-    def over(self, now: Moment) -> bool | None:
+    def over(self, now: TickContext) -> bool | None:
         """Return True once the action is complete; None: its condition decides."""
         return None
 
-    def end(self, now: Moment) -> None:
+    def end(self, now: TickContext) -> None:
         """Undo temporary changes."""
 
 
@@ -46,13 +63,13 @@ class Action(ABC):
     """An action that starts when a condition becomes true."""
 
     #: True if, without `until`, it stays in force until `ReactionMonitor.resume()`.
-    latched = False
+    is_latching = False
     #: True if it completes immediately.
-    momentary = False
+    is_one_shot = False
     #: True if it needs a force estimate.
-    feels = False
+    needs_force = False
 
-    def check(self, controller: Controller) -> None:  # noqa: B027 - most refuse nothing
+    def validate(self, controller: Controller) -> None:  # noqa: B027 - most refuse nothing
         """Check that the action is possible with this controller.
 
         Raises:
@@ -60,17 +77,17 @@ class Action(ABC):
         """
 
     @abstractmethod
-    def begin(self, now: Moment) -> Running:
+    def begin(self, now: TickContext) -> Running:
         """Put the action in force."""
 
 
 @dataclass
-class _Frozen(Running):
+class _FixedTarget(Running):
     """A constant target pose."""
 
     pose: Array
 
-    def target(self, now: Moment, target: Array) -> Array:
+    def target(self, now: TickContext, target: Array) -> Array:
         return self.pose
 
 
@@ -82,30 +99,30 @@ class Hold(Action):
     to the caller's at the monitor's `resume_speed`.
     """
 
-    def begin(self, now: Moment) -> Running:
+    def begin(self, now: TickContext) -> Running:
         """Store the pose."""
-        return _Frozen(now.tool.copy())
+        return _FixedTarget(now.tool.copy())
 
 
 @dataclass(frozen=True)
 class Stop(Action):
     """Act as `Hold` until `ReactionMonitor.resume()`; `ReactionMonitor.stopped` is then True."""
 
-    latched = True
+    is_latching = True
 
-    def begin(self, now: Moment) -> Running:
+    def begin(self, now: TickContext) -> Running:
         """Store the pose."""
-        return _Frozen(now.tool.copy())
+        return _FixedTarget(now.tool.copy())
 
 
-class _Yielding(Running):
+class _ChangedSettings(Running):
     """Changed settings until the end."""
 
     def __init__(self, controller: Controller, settings: Settings) -> None:
         self._before, self._changed = controller.settings, settings
         controller.update(settings)
 
-    def end(self, now: Moment) -> None:
+    def end(self, now: TickContext) -> None:
         # Do not undo settings that were changed elsewhere in the meantime.
         if now.controller.settings == self._changed:
             now.controller.update(self._before)
@@ -142,14 +159,14 @@ class Yield(Action):
             axes[name] = settings.axes[name].replace(**{"yields": "both", **self.fields})
         return settings.replace(axes=axes)
 
-    def check(self, controller: Controller) -> None:
+    def validate(self, controller: Controller) -> None:
         """Try the settings on a controller of the same arm."""
         settings = self._settings(controller.settings)
         Controller(controller.model, settings, controller.servos)
 
-    def begin(self, now: Moment) -> Running:
+    def begin(self, now: TickContext) -> Running:
         """Apply the settings."""
-        return _Yielding(now.controller, self._settings(now.controller.settings))
+        return _ChangedSettings(now.controller, self._settings(now.controller.settings))
 
     def __repr__(self) -> str:
         more = f", {dict(self.fields)!r}" if self.fields else ""
@@ -157,64 +174,64 @@ class Yield(Action):
 
 
 @dataclass
-class _Leashed(Running):
+class _FollowingTool(Running):
     """A target that follows the tool on some axes."""
 
     axes: tuple[int, ...]
-    leash: float
+    max_deviation: float
     back: float
 
-    def _off(self, now: Moment, target: Array) -> tuple[Array, Array]:
+    def _off(self, now: TickContext, target: Array) -> tuple[Array, Array]:
         frame = now.base_from_task
         error = functional.pose_error(now.tool, target)
         return frame, np.concatenate((frame.T @ error[:3], frame.T @ error[3:]))
 
-    def target(self, now: Moment, target: Array) -> Array:
+    def target(self, now: TickContext, target: Array) -> Array:
         frame, error = self._off(now, target)
         chosen = list(self.axes)
-        error[chosen] = np.clip(error[chosen], -self.leash, self.leash)
-        return moved(now.tool, frame @ error[:3], frame @ error[3:])
+        error[chosen] = np.clip(error[chosen], -self.max_deviation, self.max_deviation)
+        return offset_pose(now.tool, frame @ error[:3], frame @ error[3:])
 
-    def over(self, now: Moment) -> bool | None:
-        _, error = self._off(now, now.wanted)
+    def over(self, now: TickContext) -> bool | None:
+        _, error = self._off(now, now.target)
         return bool(np.all(np.abs(error[list(self.axes)]) <= self.back))
 
 
 @dataclass(frozen=True)
 class Follow(Action):
-    """Let the target follow the tool on some axes, at most `leash` away from it.
+    """Let the target follow the tool on some axes, at most `max_deviation` away from it.
 
-    A stiff axis pushed farther than `leash` thus yields at the force it has there. The action ends
-    when the tool is within nine tenths of `leash` of the caller's target.
+    A stiff axis pushed farther than `max_deviation` thus yields at the force it has there. The
+    action ends when the tool is within nine tenths of `max_deviation` of the caller's target.
 
     Args:
         axes: Axis key of the task frame.
-        leash: Largest deviation [m], for rotations [rad].
+        max_deviation: Largest deviation [m], for rotations [rad].
     """
 
     axes: str
-    leash: float
+    max_deviation: float
 
     def __post_init__(self) -> None:
         """Check the numbers once."""
         indices(self.axes)
-        positive(self.leash, "Follow.leash", "m, rad")
+        positive(self.max_deviation, "Follow.max_deviation", "m, rad")
 
-    def begin(self, now: Moment) -> Running:
+    def begin(self, now: TickContext) -> Running:
         """Start following."""
-        return _Leashed(indices(self.axes), self.leash, 0.9 * self.leash)
+        return _FollowingTool(indices(self.axes), self.max_deviation, 0.9 * self.max_deviation)
 
 
-class _Retracting(Running):
+class _MovingAway(Running):
     """A target that moves away from a pose in one direction."""
 
     def __init__(self, pose: Array, direction: Array, distance: float, speed: float) -> None:
         self._pose, self._direction = pose, direction
-        self._distance, self._speed, self._way = distance, speed, 0.0
+        self._distance, self._speed, self._travelled = distance, speed, 0.0
 
-    def target(self, now: Moment, target: Array) -> Array:
-        self._way = min(self._way + self._speed * now.dt, self._distance)
-        return moved(self._pose, self._way * self._direction, np.zeros(3))
+    def target(self, now: TickContext, target: Array) -> Array:
+        self._travelled = min(self._travelled + self._speed * now.dt, self._distance)
+        return offset_pose(self._pose, self._travelled * self._direction, np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -230,7 +247,7 @@ class Retract(Action):
     distance: float
     speed: float = 0.1
     along: tuple[float, float, float] | None = None
-    latched = True
+    is_latching = True
 
     def __post_init__(self) -> None:
         """Check the numbers once."""
@@ -241,33 +258,34 @@ class Retract(Action):
             positive(np.linalg.norm(along), "length of Retract.along")
 
     @property
-    def feels(self) -> bool:  # type: ignore[override]
+    def needs_force(self) -> bool:  # type: ignore[override]
         """True if the direction comes from the force estimate."""
         return self.along is None
 
-    def begin(self, now: Moment) -> Running:
+    def begin(self, now: TickContext) -> Running:
         """Choose the direction; without a force the arm holds."""
         way = now.force().force_base[:3] if self.along is None else np.asarray(self.along, float)
         size = float(np.linalg.norm(way))
         direction = way / size if size > 0.0 else np.zeros(3)
-        return _Retracting(now.tool.copy(), direction, self.distance, self.speed)
+        return _MovingAway(now.tool.copy(), direction, self.distance, self.speed)
 
 
 @dataclass(frozen=True)
 class Call(Action):
-    """Call a function once, with the `Moment`."""
+    """Call a function once, with the `TickContext`."""
 
-    function: Callable[[Moment], object]
-    momentary = True
+    function: Callable[[TickContext], object]
+    is_one_shot = True
 
     def __post_init__(self) -> None:
         """Check that it is callable."""
         if not callable(self.function):
             raise TypeError(
-                f"Call.function must be a function of a Moment, got {format_value(self.function)}"
+                "Call.function must be a function of a TickContext, got "
+                f"{format_value(self.function)}"
             )
 
-    def begin(self, now: Moment) -> Running:
+    def begin(self, now: TickContext) -> Running:
         """Call the function."""
         self.function(now)
         return Running()

@@ -12,15 +12,13 @@ import numpy as np
 from pliant import functional
 from pliant._core import ConfigError, ContactEstimator, Controller, WrenchEstimate
 from pliant._validation import format_value, instance, number
-from pliant.reactions.actions import Action, Running, Stop
-from pliant.reactions.conditions import Condition, Judge, condition
-from pliant.reactions.moment import Moment
-from pliant.reactions.poses import toward
+from pliant.reactions.actions import Action, Running, Stop, step_toward
+from pliant.reactions.conditions import Condition, Evaluator, TickContext, condition
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 @dataclass(frozen=True)
@@ -61,64 +59,64 @@ class Reaction:
         return (self.then,) if isinstance(self.then, Action) else tuple(self.then)
 
     @property
-    def momentary(self) -> bool:
+    def is_one_shot(self) -> bool:
         """True if no action stays in force."""
-        return all(one.momentary for one in self.actions)
+        return all(one.is_one_shot for one in self.actions)
 
     @property
-    def feels(self) -> bool:
+    def needs_force(self) -> bool:
         """True if a part of it needs a force estimate."""
-        ends = self.until is not None and self.until.feels
-        return self.when.feels or ends or any(action.feels for action in self.actions)
+        ends = self.until is not None and self.until.needs_force
+        return self.when.needs_force or ends or any(action.needs_force for action in self.actions)
 
 
 @dataclass(frozen=True)
-class Noted:
+class ReactionEvent:
     """An entry of the monitor's log.
 
     Attributes:
         time: Time since the first update [s]; equal to `Tick.time` if updated in every tick.
         what: `began`, `ended` or `called`.
         reaction: The reaction.
-        felt: Estimated wrench on the tool at that time.
+        wrench: Estimated wrench on the tool at that time.
     """
 
     time: float
     what: Literal["began", "ended", "called"]
     reaction: Reaction
-    felt: WrenchEstimate | None
+    wrench: WrenchEstimate | None
 
 
 class _InForce:
     """A reaction in force."""
 
-    def __init__(self, index: int, reaction: Reaction, now: Moment) -> None:
+    def __init__(self, index: int, reaction: Reaction, now: TickContext) -> None:
         self.index, self.reaction = index, reaction
         self._running: list[Running] = [action.begin(now) for action in reaction.actions]
-        self._latched = any(action.latched for action in reaction.actions)
-        self._until = None if reaction.until is None else reaction.until.judge()
+        self._is_latching = any(action.is_latching for action in reaction.actions)
+        self._until = None if reaction.until is None else reaction.until.evaluator()
         self._quiet = 0.0
 
-    def target(self, now: Moment) -> Array:
+    def target(self, now: TickContext) -> Array:
         """Return the caller's target, changed by all actions in turn."""
-        pose = now.wanted
+        pose = now.target
         for running in self._running:
             pose = running.target(now, pose)
         return pose
 
-    def over(self, now: Moment, holds: bool) -> bool:
+    def over(self, now: TickContext, holds: bool) -> bool:
         """Return True if it ends with this tick."""
         if self._until is not None:
             return self._until(now)
-        if self._latched:
+        if self._is_latching:
             return False
-        said = [answer for one in self._running if (answer := one.over(now)) is not None]
-        if said:
-            return all(said)
+        answers = [answer for one in self._running if (answer := one.over(now)) is not None]
+        if answers:
+            return all(answers)
         self._quiet = 0.0 if holds else self._quiet + now.dt
         return self._quiet > self.reaction.clear
 
-    def end(self, now: Moment) -> None:
+    def end(self, now: TickContext) -> None:
         """End the actions, last action first."""
         for running in reversed(self._running):
             running.end(now)
@@ -160,7 +158,7 @@ class ReactionMonitor:
         if not isinstance(reactions, Iterable):
             raise TypeError(f"reactions must be a list of Reaction, got {format_value(reactions)}")
         self.reactions = tuple(instance(one, Reaction, "a reaction") for one in reactions)
-        if contact is None and any(reaction.feels for reaction in self.reactions):
+        if contact is None and any(reaction.needs_force for reaction in self.reactions):
             contact = ContactEstimator(controller)
         if contact is not None and contact.controller is not controller:
             raise ConfigError("contact is another controller's: make it of this one")
@@ -168,12 +166,12 @@ class ReactionMonitor:
             raise ConfigError(f"resume_speed is two numbers > 0, got {resume_speed!r}")
         self.contact, self._resume_speed = contact, resume_speed
         for reaction in self.reactions:
-            reaction.when.check(contact, controller)
+            reaction.when.validate(contact, controller)
             if reaction.until is not None:
-                reaction.until.check(contact, controller)
+                reaction.until.validate(contact, controller)
             for action in reaction.actions:
-                action.check(controller)
-        self.log: deque[Noted] = deque(maxlen=1000)
+                action.validate(controller)
+        self.log: deque[ReactionEvent] = deque(maxlen=1000)
         self._in_force: _InForce | None = None
         self.reset()
 
@@ -183,7 +181,9 @@ class ReactionMonitor:
         Call it with the controller's `reset`. Settings changed by a `Yield` stay changed: call
         `resume` and `update` before, or `controller.update`.
         """
-        self._judges: list[Judge] = [reaction.when.judge() for reaction in self.reactions]
+        self._evaluators: list[Evaluator] = [
+            reaction.when.evaluator() for reaction in self.reactions
+        ]
         self._armed = [True] * len(self.reactions)
         self._in_force, self._resuming, self._ending = None, False, False
         self._out: Array | None = None
@@ -209,7 +209,7 @@ class ReactionMonitor:
         return self._resuming
 
     @property
-    def felt(self) -> WrenchEstimate | None:
+    def wrench(self) -> WrenchEstimate | None:
         """Estimated wrench on the tool at the last tick; None without a contact estimator."""
         return None if self.contact is None else self.contact.estimate
 
@@ -244,8 +244,8 @@ class ReactionMonitor:
             ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
             Exception: Error of a called function.
         """
-        now = self._look(q, target, dt, load, current, sent)
-        holds = [judge(now) for judge in self._judges]
+        now = self._collect(q, target, dt, load, current, sent)
+        holds = [evaluator(now) for evaluator in self._evaluators]
         self._finish(now, holds)
         self._start(now, holds)
         if self._in_force is not None:
@@ -253,27 +253,27 @@ class ReactionMonitor:
             return self._out
         if self._resuming and self._out is not None:
             way, angle = (speed * now.dt for speed in self._resume_speed)
-            self._out = toward(self._out, now.wanted, way, angle)
-            self._resuming = self._out is not now.wanted
+            self._out = step_toward(self._out, now.target, way, angle)
+            self._resuming = self._out is not now.target
             return self._out if self._resuming else target
         return target
 
-    def _look(self, q: Any, target: Any, dt: float | None, *measured: Any) -> Moment:
+    def _collect(self, q: Any, target: Any, dt: float | None, *measured: Any) -> TickContext:
         """Collect the data of this tick."""
         controller = self.controller
-        wanted = functional.as_pose(target).matrix
+        pose = functional.as_pose(target).matrix
         tool = controller.model.forward_kinematics(q)
-        felt, guard = None, 1.0
+        wrench, guard = None, 1.0
         if self.contact is not None:
             load, current, sent = measured
-            felt = self.contact.update(q, dt=dt, load=load, current=current, sent=sent)
+            wrench = self.contact.update(q, dt=dt, load=load, current=current, sent=sent)
             guard = self.contact.guard
         step = 1.0 / controller.settings.rate if dt is None else dt
         self._time = 0.0 if self._time < 0.0 else self._time + step
         reading = np.asarray(q, dtype=np.float64)
-        return Moment(controller, self._time, step, reading, tool, wanted, felt, guard)
+        return TickContext(controller, self._time, step, reading, tool, pose, wrench, guard)
 
-    def _finish(self, now: Moment, holds: list[bool]) -> None:
+    def _finish(self, now: TickContext, holds: list[bool]) -> None:
         """End the reaction in force if it is over."""
         running = self._in_force
         if running is not None and (self._ending or running.over(now, holds[running.index])):
@@ -281,14 +281,14 @@ class ReactionMonitor:
             self._resuming = True
         self._ending = False
 
-    def _start(self, now: Moment, holds: list[bool]) -> None:
+    def _start(self, now: TickContext, holds: list[bool]) -> None:
         """Begin reactions whose condition has become true."""
         for index, reaction in enumerate(self.reactions):
             if not holds[index]:
                 self._armed[index] = True
-            elif self._armed[index] and reaction.momentary:
+            elif self._armed[index] and reaction.is_one_shot:
                 self._armed[index] = False
-                self.log.append(Noted(now.time, "called", reaction, now.felt))
+                self.log.append(ReactionEvent(now.time, "called", reaction, now.wrench))
                 for action in reaction.actions:
                     action.begin(now)
             elif self._armed[index] and (self._in_force is None or index < self._in_force.index):
@@ -297,12 +297,12 @@ class ReactionMonitor:
                     self._end(now, self._in_force)
                 self._in_force = _InForce(index, reaction, now)
                 self._resuming = False
-                self.log.append(Noted(now.time, "began", reaction, now.felt))
+                self.log.append(ReactionEvent(now.time, "began", reaction, now.wrench))
 
-    def _end(self, now: Moment, running: _InForce) -> None:
+    def _end(self, now: TickContext, running: _InForce) -> None:
         self._in_force = None
         running.end(now)
-        self.log.append(Noted(now.time, "ended", running.reaction, now.felt))
+        self.log.append(ReactionEvent(now.time, "ended", running.reaction, now.wrench))
 
     def __repr__(self) -> str:
         active = "nothing in force" if self.active is None else f"in force: {self.active!r}"

@@ -23,7 +23,7 @@ from pliant._core import ConfigError, Model, Servos
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from pliant._typing import Array
 
 
 #: One encoder count of a 12-bit servo [rad].
@@ -86,7 +86,7 @@ _REST: dict[str, tuple[float, ...]] = {
 _TABLE: dict[str, float] = {"so101": 0.0, "koch": 0.0}
 
 
-def rest(name: str) -> NDArray[np.float64]:
+def rest(name: str) -> Array:
     """Return the rest pose (n,) [rad] of a built-in arm: folded on its table, or hanging.
 
     Raises:

@@ -14,13 +14,10 @@ from pliant.servo.transport import BusError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.servo._device import Device
     from pliant.servo._port import Port
 
-    Array = NDArray[np.float64]
     Ports = Mapping[int, Port]
 
 #: A joint that moves farther than this during torque on is switched off again [rad].

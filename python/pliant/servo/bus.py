@@ -23,14 +23,13 @@ from pliant.servo.transport import BusError, RustypotTransport
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Servos
+    from pliant._typing import Array, Mask
     from pliant.servo._transactions import Counters
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
-
-    Array = NDArray[np.float64]
 
 
 #: Difference between two servos of a joint from which on they work against each other [rad].
@@ -223,7 +222,7 @@ class ServoBus:
         return servos_from_units([d.units for d in first], [d.gain for d in first], ceilings)
 
     @property
-    def stiffness_known(self) -> NDArray[np.bool_]:
+    def stiffness_known(self) -> Mask:
         """Mask (n,) of joints whose k_p was identified on this arm (`ServoSpec.kp`)."""
         return np.array([spec.kp is not None for spec in self.specs])
 
@@ -255,9 +254,8 @@ class ServoBus:
 
         Those of the ports (`transactions`, `retries`, `timeouts`, `corrupt`, `stale`, `drains`,
         `refused`), and `mismatches`: limits that did not read back as written; `alerts`: errors
-        that appeared
-            in a status, even briefly; `trips`: bus watchdogs
-        that tripped and were cleared.
+        that appeared in a status, even briefly; `trips`: bus watchdogs that tripped and were
+        cleared.
         """
         kinds = ("mismatches", "alerts", "trips")
         total = {kind: sum(getattr(device, kind) for device in self._devices) for kind in kinds}
@@ -267,7 +265,7 @@ class ServoBus:
         return total
 
     @property
-    def enabled(self) -> NDArray[np.bool_]:
+    def enabled(self) -> Mask:
         """Mask (n,) of joints with torque on: enabled here, or already at open."""
         return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
 
@@ -283,7 +281,7 @@ class ServoBus:
         return goals, limits
 
     @property
-    def refusing(self) -> NDArray[np.bool_]:
+    def refusing(self) -> Mask:
         """Mask (n,) of joints known to reject goals: watchdog tripped, or wrong read-back."""
         return np.array([any(d.is_refusing for d in joint) for joint in self._joints])
 

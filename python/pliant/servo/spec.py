@@ -17,12 +17,9 @@ from pliant.servo.models import by_number, find
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.servo.calibration import Calibration
     from pliant.servo.models import ServoModel
-
-    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

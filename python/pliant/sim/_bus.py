@@ -15,9 +15,9 @@ from pliant.sim._checks import per_joint
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 T = TypeVar("T")
@@ -54,11 +54,11 @@ class Encoder:
         self._rng = rng
         self._grid = np.where(self.count > 0.0, self.count, 1.0)
 
-    def round(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def round(self, q: Array) -> Array:
         """Return q (n,) [rad] on the grid of counts, as a servo stores readings and goals."""
         return np.where(self.count > 0.0, np.round(q / self._grid) * self._grid, q)
 
-    def read(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def read(self, q: Array) -> Array:
         """Return the readings for the true q (n,) [rad]."""
         if self._noise.any():
             q = q + self._noise * self._rng.standard_normal(q.size)

@@ -11,9 +11,9 @@ from pliant._servo_tables import spread
 from pliant._validation import format_value, instance, number
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 def physics_steps(dt: float, rate: float) -> int:
@@ -83,7 +83,7 @@ def _float(value: Any, name: str) -> float:
         raise ConfigError(f"{name} must be a number, got {format_value(value)}") from None
 
 
-def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> NDArray[np.float64]:
+def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> Array:
     """Broadcast a scalar or an array of shape (n,) to (n,) and check it.
 
     Args:

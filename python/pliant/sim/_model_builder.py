@@ -19,11 +19,8 @@ from pliant.sim._parameters import DAMPING_SHARE, FULL_EFFORT_ERROR, resolve
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.sim._parameters import Gains
-
-    Matrix = NDArray[np.float64]
 
 
 #: A `pliant.Model`: its tree (`links`, `joints`) and its chain (`joint_names`, `base`, `tip`).
@@ -39,8 +36,8 @@ class Group:
     link: int
     joint: int | None
     parent: int | None
-    pose: Matrix
-    members: list[tuple[int, Matrix]] = field(default_factory=list)
+    pose: Array
+    members: list[tuple[int, Array]] = field(default_factory=list)
 
 
 def rigid_groups(model: Robot, off_chain: OffChain) -> list[Group]:
@@ -52,7 +49,7 @@ def rigid_groups(model: Robot, off_chain: OffChain) -> list[Group]:
     base = next(i for i, link in enumerate(model.links) if link.name == model.base)
     rigid_groups = [Group(root, None, None, np.eye(4))]
     stack = [(root, 0, np.eye(4), False)]
-    base_pose: Matrix = np.eye(4)
+    base_pose: Array = np.eye(4)
     while stack:
         link, group, pose, carried = stack.pop()
         rigid_groups[group].members.append((link, pose))
@@ -95,7 +92,7 @@ def locked_angle(joint: Any) -> float:
     return float(getattr(joint, "locked_at", None) or 0.0)
 
 
-def _locked_displacement(model: Robot, joint: Any) -> Matrix:
+def _locked_displacement(model: Robot, joint: Any) -> Array:
     """Return the displacement (4, 4) of a welded joint at its locked angle."""
     pose = np.eye(4)
     angle = locked_angle(joint)
@@ -115,7 +112,7 @@ def _locked_displacement(model: Robot, joint: Any) -> Matrix:
     return pose
 
 
-def as_matrix(pose: Any) -> Matrix:
+def as_matrix(pose: Any) -> Array:
     """Return a pose as a (4, 4) array; accepts arrays and objects with a `matrix`."""
     value = getattr(pose, "matrix", pose)
     return np.asarray(value() if callable(value) else value, dtype=np.float64).reshape(4, 4)
@@ -126,13 +123,13 @@ def kind_of(joint: Any) -> str:
     return str(joint.kind).rsplit(".", maxsplit=1)[-1].lower()
 
 
-def unit_vector(axis: Any) -> NDArray[np.float64]:
+def unit_vector(axis: Any) -> Array:
     """Return the unit vector (3,) of an axis."""
     array = np.asarray(axis, dtype=np.float64)
     return array / np.linalg.norm(array)
 
 
-def quat_of(pose: Matrix) -> NDArray[np.float64]:
+def quat_of(pose: Array) -> Array:
     """Return the quaternion wxyz of a pose (4, 4)."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).reshape(9))
@@ -170,7 +167,7 @@ def add_joint(
     index: int,
     gains: Gains,
     *,
-    backlash: NDArray[np.float64],
+    backlash: Array,
     creep: float,
 ) -> None:
     """Add the joint that moves a group, its gears, and the backlash between gears and link."""
@@ -251,10 +248,10 @@ def add_mass(
     body: mujoco.MjsBody,
     group: Group,
     moving: bool,
-    payload: tuple[float, NDArray[np.float64]] | None,
+    payload: tuple[float, Array] | None,
 ) -> None:
     """Add up the inertials of a group and its payloads, known and unknown to the controller."""
-    parts: list[tuple[float, Matrix, Matrix]] = []
+    parts: list[tuple[float, Array, Array]] = []
     for index, pose in group.members:
         inertial = model.links[index].inertial
         if inertial is not None:
@@ -292,7 +289,7 @@ def add_mass(
     body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def own_payload(model: Robot) -> tuple[float, NDArray[np.float64]] | None:
+def own_payload(model: Robot) -> tuple[float, Array] | None:
     """Return mass [kg] and centre (3,) [m] of the model's payload, None without one."""
     load = getattr(model, "payload", None)
     return None if load is None else (float(load.mass), np.asarray(load.com, dtype=np.float64))
@@ -396,8 +393,8 @@ def build_spec(
     *,
     dt: float,
     off_chain: OffChain = "held",
-    payload: tuple[float, NDArray[np.float64]] | None = None,
-    backlash: NDArray[np.float64],
+    payload: tuple[float, Array] | None = None,
+    backlash: Array,
     creep: float = 1.0,
     extra: Mapping[str, Servos] | None = None,
 ) -> Build:

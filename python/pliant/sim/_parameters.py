@@ -18,9 +18,9 @@ from pliant.sim._checks import per_joint
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 LimitType = Literal["current", "pwm"]
@@ -47,12 +47,12 @@ class Gains:
         armature: Rotor inertia seen at the joint [kg·m²].
     """
 
-    kp: NDArray[np.float64]
-    kv: NDArray[np.float64]
-    torque: NDArray[np.float64]
-    friction: NDArray[np.float64]
-    damping: NDArray[np.float64]
-    armature: NDArray[np.float64]
+    kp: Array
+    kv: Array
+    torque: Array
+    friction: Array
+    damping: Array
+    armature: Array
 
     def scaled(self, kp: ArrayLike, friction: ArrayLike, damping: ArrayLike) -> Gains:
         """Return a copy with parameters multiplied by these factors, scalars or (n,)."""

@@ -14,11 +14,10 @@ from pliant.sim._mujoco import mujoco
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from pliant._typing import Array, Mask
     from pliant.sim._bus import Command
     from pliant.sim._model_builder import Build
     from pliant.sim._parameters import Gains
-
-    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,11 +55,11 @@ class OverloadTrip:
 
     def limit(
         self,
-        limit: NDArray[np.float64],
-        torque: NDArray[np.float64],
-        usable: NDArray[np.float64],
+        limit: Array,
+        torque: Array,
+        usable: Array,
         period: float,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """Return the limits (n,) [N·m] in force after a period with this mean torque."""
         if self._rule is None:
             return limit
@@ -161,7 +160,7 @@ class ServoBank:
         return dq
 
     @property
-    def tripped(self) -> NDArray[np.bool_]:
+    def tripped(self) -> Mask:
         """Mask of the servos that have cut their torque (n,)."""
         return self._trip.tripped.copy()
 

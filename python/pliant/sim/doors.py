@@ -19,8 +19,7 @@ from pliant.sim.grasp import GraspedObject
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.sim._model_builder import Build
     from pliant.sim.plant import Plant
 
@@ -121,7 +120,7 @@ class Door(GraspedObject):
         self._weigh(leaf, arm)
         self.add_grip(build_spec, leaf, -arm)
 
-    def _weigh(self, leaf: mujoco.MjsBody, arm: NDArray[np.float64]) -> None:
+    def _weigh(self, leaf: mujoco.MjsBody, arm: Array) -> None:
         """Give the leaf the mass of a plate between hinge and handle, and a drawing."""
         axis = np.asarray(self.axis, dtype=np.float64)
         across = -(arm - (arm @ axis) * axis)

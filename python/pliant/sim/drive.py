@@ -13,12 +13,9 @@ from pliant.drive import JointReadings, MonotonicClock, ServoStatus
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from pliant._core import Servos
+    from pliant._typing import Array, Mask
     from pliant.sim import Plant
-
-    Array = NDArray[np.float64]
 
 
 class SimClock:
@@ -106,7 +103,7 @@ class SimDrive:
         self._on = np.ones(len(self.names), dtype=bool)
 
     @property
-    def enabled(self) -> NDArray[np.bool_]:
+    def enabled(self) -> Mask:
         """Mask of the joints with torque on (N,)."""
         return self._on.copy()
 

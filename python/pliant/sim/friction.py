@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    Array = NDArray[np.float64]
+    from pliant._typing import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from pliant._core import FrameNotFoundError
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from pliant._typing import Array
 
 #: Frame names that every robot has besides its links: tip of the chain, and its last moving body.
 TOOL, WRIST = "tool", "wrist"
@@ -24,8 +24,8 @@ class Frame:
         self._model, self._data, self.site = model, data, site
         self.body = int(model.site_bodyid[site])
         #: Position (3,) [m], a live view.
-        self.position: NDArray[np.float64] = data.site_xpos[site]
-        self._matrix: NDArray[np.float64] = data.site_xmat[site]
+        self.position: Array = data.site_xpos[site]
+        self._matrix: Array = data.site_xmat[site]
         self._twist = np.zeros(6)
         self.remember()
 
@@ -35,30 +35,30 @@ class Frame:
         self.start_rotation = self.rotation.copy()
 
     @property
-    def rotation(self) -> NDArray[np.float64]:
+    def rotation(self) -> Array:
         """Rotation matrix (3, 3), a live view."""
         return self._matrix.reshape(3, 3)
 
     @property
-    def pose(self) -> NDArray[np.float64]:
+    def pose(self) -> Array:
         """Pose (4, 4), a copy."""
         pose = np.eye(4)
         pose[:3, :3] = self.rotation
         pose[:3, 3] = self.position
         return pose
 
-    def shift(self) -> NDArray[np.float64]:
+    def shift(self) -> Array:
         """Return the displacement from the start (3,) [m]."""
         return self.position - self.start
 
-    def turn(self) -> NDArray[np.float64]:
+    def turn(self) -> Array:
         """Return the rotation vector (3,) [rad] from the start, in base axes."""
         quat, vector = np.zeros(4), np.zeros(3)
         mujoco.mju_mat2Quat(quat, (self.rotation @ self.start_rotation.T).reshape(9))
         mujoco.mju_quat2Vel(vector, quat, 1.0)
         return vector
 
-    def twist(self) -> NDArray[np.float64]:
+    def twist(self) -> Array:
         """Velocity (6,) in base axes: linear [m/s] at the frame's origin, then angular [rad/s]."""
         mujoco.mj_objectVelocity(
             self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self.site, self._twist, 0

@@ -18,12 +18,10 @@ from pliant.sim.ground_truth import TOOL, WRIST
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.sim.ground_truth import GroundTruth
 
-    Vector = NDArray[np.float64]
-    Wrench = tuple[Vector, Vector, Vector]
+    Wrench = tuple[Array, Array, Array]
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _TURNS = {"roll": _AXES["x"], "pitch": _AXES["y"], "yaw": _AXES["z"]}
@@ -54,8 +52,8 @@ class AppliedForce:
     """
 
     hand: Hand
-    force: Vector = field(default_factory=lambda: np.zeros(3))
-    torque: Vector = field(default_factory=lambda: np.zeros(3))
+    force: Array = field(default_factory=lambda: np.zeros(3))
+    torque: Array = field(default_factory=lambda: np.zeros(3))
     peak_force: float = 0.0
     peak_torque: float = 0.0
 
@@ -63,7 +61,7 @@ class AppliedForce:
         """Start a period."""
         self.force, self.torque = np.zeros(3), np.zeros(3)
 
-    def add(self, force: Vector, torque: Vector) -> None:
+    def add(self, force: Array, torque: Array) -> None:
         """Add one physics step."""
         self.force += force
         self.torque += torque
@@ -271,7 +269,7 @@ def tap(force: Sequence[float], *, at: str = TOOL, start: float = 1.0) -> Push:
     return Push(force_vector=force, at=at, course=Course(start=start, rise=0.02, end=start + 0.12))
 
 
-def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float, float]]) -> Vector:
+def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float, float]]) -> Array:
     """Return the unit vector (3,) of an axis given by name or by numbers."""
     if isinstance(axis, str):
         if axis not in names:

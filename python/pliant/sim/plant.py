@@ -26,15 +26,14 @@ from pliant.sim.hand import AppliedForce
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Servos
+    from pliant._typing import Array, Mask
     from pliant.sim._model_builder import Build, OffChain, Robot
     from pliant.sim._parameters import LimitType
     from pliant.sim._servos import Overload
     from pliant.sim.hand import Hand
-
-    Array = NDArray[np.float64]
 
 
 class Fixture(Protocol):
@@ -336,7 +335,7 @@ class Plant:
         return self._bank.torque.copy()
 
     @property
-    def tripped(self) -> NDArray[np.bool_]:
+    def tripped(self) -> Mask:
         """Mask of the servos that have cut their torque by overload (n,)."""
         return self._bank.tripped
 

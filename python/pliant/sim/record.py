@@ -9,8 +9,9 @@ import numpy as np
 from pliant._core import ShapeError
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from pliant._typing import Array
     from pliant.sim.plant import Plant
 
 
@@ -30,7 +31,7 @@ class Recorder:
     def __init__(self, plant: Plant) -> None:
         """Start empty."""
         self._plant = plant
-        self._rows: dict[str, list[NDArray[np.float64]]] = {}
+        self._rows: dict[str, list[Array]] = {}
         self._count = 0
 
     def add(self, **signals: ArrayLike) -> None:
@@ -66,7 +67,7 @@ class Recorder:
         """Rows so far."""
         return self._count
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
+    def __getitem__(self, name: str) -> Array:
         """Return one signal, shape (rows, ...).
 
         Raises:
@@ -76,6 +77,6 @@ class Recorder:
             raise KeyError(f"no signal {name!r}; there are {', '.join(self._rows) or 'none yet'}")
         return np.stack(self._rows[name])
 
-    def arrays(self) -> dict[str, NDArray[np.float64]]:
+    def arrays(self) -> dict[str, Array]:
         """Return all signals by name, each of shape (rows, ...)."""
         return {name: np.stack(rows) for name, rows in self._rows.items()}

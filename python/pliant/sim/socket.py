@@ -13,12 +13,10 @@ from pliant.sim._mujoco import mujoco
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.sim._model_builder import Build
     from pliant.sim.plant import Plant
 
-    Array = NDArray[np.float64]
 
 #: contype and conaffinity of plug and walls: they touch only each other.
 TOUCHING = {"contype": 2, "conaffinity": 2}

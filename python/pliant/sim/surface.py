@@ -11,12 +11,9 @@ from pliant._core import ConfigError
 from pliant.sim.ground_truth import TOOL
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pliant.sim.ground_truth import GroundTruth
     from pliant.sim.hand import Wrench
 
-    Array = NDArray[np.float64]
 
 #: Speed scale of the friction [m/s]: friction is smooth below it, and nearly full above it.
 CREEP = 0.005

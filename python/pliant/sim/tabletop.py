@@ -12,7 +12,8 @@ from pliant.sim._model_builder import as_matrix, unit_vector
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
-    from pliant.sim._model_builder import Build, Group, Matrix, Robot
+    from pliant._typing import Array
+    from pliant.sim._model_builder import Build, Group, Robot
     from pliant.sim.plant import Plant
 
 #: Contact bit of the plane and the arm's links; plugs and sockets use another.
@@ -127,7 +128,7 @@ def can_rise(model: Robot, rigid_groups: list[Group], index: int) -> bool:
     while at is not None and rigid_groups[at].joint is not None:
         chain.append(at)
         at = rigid_groups[at].parent
-    pose: Matrix = rigid_groups[0].pose.copy()
+    pose: Array = rigid_groups[0].pose.copy()
     for number in reversed(chain):
         pose = pose @ as_matrix(rigid_groups[number].pose)
         joint = rigid_groups[number].joint

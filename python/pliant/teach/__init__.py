@@ -9,9 +9,9 @@
 ...         break
 """
 
-from pliant.teach.bounded import bounded
+from pliant.teach._retiming import retime
 from pliant.teach.motion import Motion
 from pliant.teach.replay import Replay
 from pliant.teach.teacher import Teacher, teach
 
-__all__ = ["Motion", "Replay", "Teacher", "bounded", "teach"]
+__all__ = ["Motion", "Replay", "Teacher", "retime", "teach"]

@@ -15,12 +15,10 @@ from pliant._files import LARGE, check_output, read_text, replacing
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from pliant._core import Model
+    from pliant._typing import Array, Mask
     from pliant.log import Log
 
-    Array = NDArray[np.float64]
 
 #: First field of a file.
 FORMAT = "pliant motion 1"
@@ -124,7 +122,7 @@ class Motion:
         between: Array = low + u * (m + u * (b + u * a))
         return between
 
-    def beside(self, time: float) -> dict[str, float]:
+    def extra_at(self, time: float) -> dict[str, float]:
         """Return the positions of the off-chain joints at a time [rad]."""
         return {name: float(np.interp(time, self.time, row)) for name, row in self.extra.items()}
 
@@ -135,7 +133,7 @@ class Motion:
         rise: Array = (self.q[k + 1] - self.q[k - 1]) / (self.time[k + 1] - self.time[k - 1])
         return rise
 
-    def fits(self, model: Model) -> None:
+    def validate_for(self, model: Model) -> None:
         """Check that an arm can execute the motion.
 
         Raises:
@@ -165,7 +163,7 @@ class Motion:
                     'take "start" out of the file'
                 )
 
-    def of(self, model: Model) -> Motion:
+    def for_model(self, model: Model) -> Motion:
         """Return a copy with the start position of this model's tool."""
         q = np.clip(self.q[0], model.lower, model.upper)
         x, y, z = model.forward_kinematics(q)[:3, 3].tolist()
@@ -227,7 +225,7 @@ class Motion:
         extra = {name: smooth(row) for name, row in self.extra.items()}
         return replace(self, time=time, q=q, extra=extra)
 
-    def _of(self, chosen: NDArray[np.bool_]) -> Motion:
+    def _of(self, chosen: Mask) -> Motion:
         extra = {name: row[chosen] for name, row in self.extra.items()}
         return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra, start=None)
 
@@ -253,11 +251,11 @@ class Motion:
         }
         samples = ",\n  ".join(json.dumps([round(x, DIGITS) for x in row]) for row in rows.tolist())
         text = json.dumps(head, indent=1, ensure_ascii=False)[:-2]
-        with replacing(path) as beside:
-            beside.write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
+        with replacing(path) as extra_at:
+            extra_at.write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
 
     @classmethod
-    def logged(cls, log: Log) -> Motion:
+    def from_log(cls, log: Log) -> Motion:
         """Return the joint positions of a log.
 
         Raises:
@@ -267,7 +265,7 @@ class Motion:
             raise ConfigError(f"the log is damaged and is not played: {log.damage}")
         extra = dict(zip(log.run["extra"], log.extra.T, strict=True))
         made = cls(tuple(log.run["joints"]), log.time, log.q, extra, log.run["note"])
-        return made.of(log.model())
+        return made.for_model(log.model())
 
     @classmethod
     def load(cls, path: str | Path) -> Motion:
@@ -281,7 +279,7 @@ class Motion:
         if path.suffix == ".mcap":
             from pliant.log import read
 
-            return cls.logged(read(path))
+            return cls.from_log(read(path))
         try:
             data: Any = json.loads(read_text(path, LARGE))
             if data["format"] != FORMAT:
@@ -291,12 +289,12 @@ class Motion:
             n = len(joints)
             if rows.ndim != 2 or rows.shape[1] != 1 + n + len(names):
                 raise ConfigError(f"a sample needs a time, {n} joints and {len(names)} extra")
-            beside = dict(zip(names, rows[:, 1 + n :].T, strict=True))
+            extra_at = dict(zip(names, rows[:, 1 + n :].T, strict=True))
             note, start = str(data.get("note", "")), data.get("start")
             if start is not None:
                 x, y, z = map(float, start)
                 start = x, y, z
-            return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], beside, note, start)
+            return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], extra_at, note, start)
         except KeyError as error:
             raise ConfigError(f"{path} is no motion file: it has no {error}") from error
         except RecursionError as error:

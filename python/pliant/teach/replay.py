@@ -12,13 +12,13 @@ from pliant._core import ContactEstimator, OutOfRangeError
 from pliant._validation import AXES, rounded_up
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Command, Controller
+    from pliant._typing import Array
     from pliant.arm import Arm
     from pliant.teach.motion import Motion
 
-    Array = NDArray[np.float64]
 
 #: Speed toward the start of the motion, and back to the motion after a stop [rad/s].
 APPROACH = 0.4
@@ -29,7 +29,7 @@ SLOW = 0.5
 #: The clock counts as blocked below the first share of its speed, until above the second.
 BLOCKED, FREE = 0.05, 0.3
 #: Shortest duration of a contact [s], and time after a resume in which contacts are ignored [s].
-LASTING, DEAF = 0.05, 1.0
+MIN_CONTACT, IGNORE_TIME = 0.05, 1.0
 
 State = Literal["approaching", "playing", "blocked", "stopped", "done"]
 
@@ -54,7 +54,7 @@ class Replay:
     Attributes:
         time: Time of the motion's clock [s].
         pace: Rate of the clock in this tick, 0 to 1.
-        waited: Total time for which the clock has been blocked [s].
+        blocked_time: Total time for which the clock has been blocked [s].
         stops: Number of stops by a contact.
 
     Raises:
@@ -75,7 +75,7 @@ class Replay:
             raise OutOfRangeError(f"speed must be in [0.05, 3], got {speed:g}")
         if not (min(wait) > 0.0 and math.isfinite(max(wait))):
             raise OutOfRangeError(f"wait must be two numbers above 0 [m], [rad], got {wait!r}")
-        motion.fits(controller.model)
+        motion.validate_for(controller.model)
         self.motion, self.speed = motion, speed
         self._controller, self._model = controller, controller.model
         names = controller.settings.task.names
@@ -86,31 +86,31 @@ class Replay:
             axes = "".join(name for name in names if name in "xyz")
             inner = getattr(controller, "inner", controller)
             contact = ContactEstimator(inner)
-            felt = contact.typical_uncertainty()[[AXES.index(name) for name in axes]]
-            least = rounded_up(contact.guard * felt.max(initial=1e-3))
-            if not float(least) <= stop < math.inf:
+            estimate = contact.typical_uncertainty()[[AXES.index(name) for name in axes]]
+            minimum = rounded_up(contact.guard * estimate.max(initial=1e-3))
+            if not float(minimum) <= stop < math.inf:
                 raise OutOfRangeError(
-                    f"stop [N] = {stop:g} is outside [{least}, ∞): this arm, at rest in the median "
-                    "pose, cannot tell a smaller force from friction, k_p and gravity"
+                    f"stop [N] = {stop:g} is outside [{minimum}, ∞): this arm, at rest in the "
+                    "median pose, cannot tell a smaller force from friction, k_p and gravity"
                 )
-            self._contact = ContactEstimator(inner, touch={axes: stop}, min_time=LASTING)
-        self.time, self.pace, self.waited, self.stops = 0.0, 1.0, 0.0, 0
+            self._contact = ContactEstimator(inner, touch={axes: stop}, min_time=MIN_CONTACT)
+        self.time, self.pace, self.blocked_time, self.stops = 0.0, 1.0, 0.0, 0
         self._offset: Array | None = None
-        self._left = self._way = 0.0
-        self._held: Array | None = None
+        self._remaining = self._transition_time = 0.0
+        self._stopped_q: Array | None = None
         self._blocked = False
-        self._deaf = 0.0
+        self._ignore_time = 0.0
 
     @property
     def state(self) -> State:
         """Present state of the replay."""
-        if self._held is not None:
+        if self._stopped_q is not None:
             return "stopped"
         if self.time >= self.motion.duration:
             return "done"
         if self._blocked:
             return "blocked"
-        return "approaching" if self._left > 0.0 else "playing"
+        return "approaching" if self._remaining > 0.0 else "playing"
 
     @property
     def done(self) -> bool:
@@ -133,10 +133,10 @@ class Replay:
         q = np.asarray(q, dtype=np.float64)
         span = 1.0 / self._controller.settings.rate if dt is None else dt
         if self._offset is None:
-            self._from(q)
-        self._feel(q, dt, load, span)
-        if self._held is not None:
-            goal = self._held
+            self._start_transition(q)
+        self._check_contact(q, dt, load, span)
+        if self._stopped_q is not None:
+            goal = self._stopped_q
         else:
             self._advance(q, span)
             goal = self._target()
@@ -147,29 +147,29 @@ class Replay:
         """Return goals and torque limits of the off-chain joints with a gripper, by name."""
         return {
             name: (position, arm.grippers[name].limit)
-            for name, position in self.motion.beside(self.time).items()
+            for name, position in self.motion.extra_at(self.time).items()
             if name in arm.grippers
         }
 
     def resume(self) -> None:
         """Continue after a contact: return to the motion, then along it."""
-        if self._held is not None:
-            held, self._held, self._deaf = self._held, None, DEAF
-            self._from(held)
+        if self._stopped_q is not None:
+            q, self._stopped_q, self._ignore_time = self._stopped_q, None, IGNORE_TIME
+            self._start_transition(q)
 
-    def _from(self, q: Array) -> None:
+    def _start_transition(self, q: Array) -> None:
         """Start a transition from q to the present point of the motion."""
         self._offset = q - self.motion.at(self.time)
         # The peak speed of a smooth step is 15/8 of its mean speed.
-        self._way = 1.875 * float(np.abs(self._offset).max()) / APPROACH
-        self._left, self.pace = self._way, 0.0
+        self._transition_time = 1.875 * float(np.abs(self._offset).max()) / APPROACH
+        self._remaining, self.pace = self._transition_time, 0.0
 
     def _target(self) -> Array:
         """Return the present target (n,) [rad]: the motion plus the rest of the transition."""
         goal = self.motion.at(self.time)
-        if self._left <= 0.0 or self._offset is None:
+        if self._remaining <= 0.0 or self._offset is None:
             return goal
-        s = self._left / self._way
+        s = self._remaining / self._transition_time
         return goal + s**3 * (10.0 - 15.0 * s + 6.0 * s * s) * self._offset
 
     def _advance(self, q: Array, dt: float) -> None:
@@ -177,21 +177,23 @@ class Replay:
         here, there = (self._model.forward_kinematics(at) for at in (q, self._target()))
         error = functional.pose_error(here, there)[self._rows]
         share = float(np.abs(error / self._bound).max())
-        wanted = min(max((1.0 - share) / (1.0 - SLOW), 0.0), 1.0)
-        self.pace = min(wanted, self.pace + dt / RISE)
-        self._blocked = wanted < (FREE if self._blocked else BLOCKED)
-        self.waited += dt * self._blocked
-        if self._left > 0.0:
-            self._left = max(self._left - self.pace * dt, 0.0)
+        scale = min(max((1.0 - share) / (1.0 - SLOW), 0.0), 1.0)
+        self.pace = min(scale, self.pace + dt / RISE)
+        self._blocked = scale < (FREE if self._blocked else BLOCKED)
+        self.blocked_time += dt * self._blocked
+        if self._remaining > 0.0:
+            self._remaining = max(self._remaining - self.pace * dt, 0.0)
         else:
             self.time = min(self.time + self.pace * self.speed * dt, self.motion.duration)
 
-    def _feel(self, q: Array, dt: float | None, load: ArrayLike | None, span: float) -> None:
+    def _check_contact(
+        self, q: Array, dt: float | None, load: ArrayLike | None, span: float
+    ) -> None:
         """Stop on contact."""
         if self._contact is None:
             return
-        felt = self._contact.update(q, dt=dt, load=load)
-        self._deaf = max(self._deaf - span, 0.0)
-        if felt.touch.any() and self._held is None and self._deaf == 0.0:
-            self._held = q.copy()
+        estimate = self._contact.update(q, dt=dt, load=load)
+        self._ignore_time = max(self._ignore_time - span, 0.0)
+        if estimate.touch.any() and self._stopped_q is None and self._ignore_time == 0.0:
+            self._stopped_q = q.copy()
             self.stops += 1

@@ -14,12 +14,10 @@ from pliant.teach.motion import Motion
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from pliant._core import Command
+    from pliant._typing import Array
     from pliant.arm import Arm, State
-    from pliant.identify.procedure import ServoCommand
 
-    Array = NDArray[np.float64]
 
 #: Message of `teach` when the recording begins.
 RECORDING = "recording"
@@ -28,9 +26,9 @@ STARTS_AND_STOPS = "Enter starts and stops"
 #: Share of a gripper's range from its closed end within which it counts as pressed.
 PRESSED = 0.15
 #: Share of its torque limit for a gripper that follows the hand.
-LIGHT = 0.3
+FOLLOW_SHARE = 0.3
 #: Motion of every joint below which the arm counts as at rest [rad].
-MOVED = 0.02
+MIN_MOTION = 0.02
 
 
 class Teacher:
@@ -57,7 +55,7 @@ class Teacher:
         self._rows: list[tuple[float, Array, dict[str, float]]] = []
         self.recording = False
         self.still, self.moved = 0.0, False
-        self._where: Array | None = None
+        self._rest_q: Array | None = None
         self._closed = False
 
     @property
@@ -65,17 +63,17 @@ class Teacher:
         """True once the first swing is over and the arm may be touched."""
         return self._float.ready
 
-    def step(self, state: State, *, dt: float | None = None) -> ServoCommand:
+    def step(self, state: State, *, dt: float | None = None) -> Command:
         """Return goals and limits that let a hand lead the arm.
 
         Args:
             state: State reported by the arm.
             dt: Time since the last step [s]; None: 1/rate.
         """
-        order = self._float.step(state.q, dt=dt)
+        command = self._float.step(state.q, dt=dt)
         if self.recording:
-            self._keep(state, self._dt if dt is None else dt)
-        return order
+            self._append(state, self._dt if dt is None else dt)
+        return command
 
     def start(self) -> None:
         """Start recording; an earlier recording is cleared.
@@ -86,7 +84,7 @@ class Teacher:
         if not self.ready:
             raise PliantError("the arm still swings to find its weight: wait until it is ready")
         self._rows.clear()
-        self.recording, self.still, self.moved, self._where = True, 0.0, False, None
+        self.recording, self.still, self.moved, self._rest_q = True, 0.0, False, None
 
     def stop(self) -> Motion:
         """Stop recording and return the motion, neither trimmed nor smoothed.
@@ -97,33 +95,33 @@ class Teacher:
         self.recording = False
         if len(self._rows) < 2:
             raise PliantError("nothing was recorded")
-        times, positions, beside = zip(*self._rows, strict=True)
-        extra = {name: np.array([row[name] for row in beside]) for name in beside[0]}
+        times, positions, others = zip(*self._rows, strict=True)
+        extra = {name: np.array([row[name] for row in others]) for name in others[0]}
         names = tuple(self._arm.model.joint_names)
         return Motion(names, np.array(times), np.array(positions), extra)
 
     def extra(self, state: State) -> dict[str, tuple[float, float]]:
         """Return goals and torque limits of the grippers, which follow the hand."""
         return {
-            name: (state.extra[name], LIGHT * gripper.limit)
+            name: (state.extra[name], FOLLOW_SHARE * gripper.limit)
             for name, gripper in self._arm.grippers.items()
         }
 
-    def pressed(self, state: State) -> bool:
+    def gripper_pressed(self, state: State) -> bool:
         """Return True if a gripper has just been pressed shut, a signal to start or stop."""
         closed = False
         for name, gripper in self._arm.grippers.items():
             share = (state.extra[name] - gripper.closed) / (gripper.opened - gripper.closed)
             closed |= bool(share < PRESSED)
-        just, self._closed = closed and not self._closed, closed
-        return just
+        is_new, self._closed = closed and not self._closed, closed
+        return is_new
 
-    def _keep(self, state: State, dt: float) -> None:
+    def _append(self, state: State, dt: float) -> None:
         if not self._rows or state.time > self._rows[-1][0]:
             self._rows.append((state.time, state.q.copy(), dict(state.extra)))
-        if self._where is None or (np.abs(state.q - self._where) > MOVED).any():
-            self.moved |= self._where is not None
-            self._where, self.still = state.q.copy(), 0.0
+        if self._rest_q is None or (np.abs(state.q - self._rest_q) > MIN_MOTION).any():
+            self.moved |= self._rest_q is not None
+            self._rest_q, self.still = state.q.copy(), 0.0
         self.still += dt
 
 
@@ -134,14 +132,14 @@ def teach(
     rest: float = 3.0,
     wait: float = 60.0,
     rate: float | None = None,
-    said: Callable[[Teacher, State], bool] | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    should_toggle: Callable[[Teacher, State], bool] | None = None,
+    on_status: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[Motion], None] = lambda _: None,
 ) -> Motion:
     """Float an enabled arm, record how a hand leads it, trim and smooth the motion.
 
-    The recording begins when the arm is ready, or when `said` returns True. It ends after
-    `seconds`, after a rest that follows a motion, or when `said` returns True.
+    The recording begins when the arm is ready, or when `should_toggle` returns True. It ends after
+    `seconds`, after a rest that follows a motion, or when `should_toggle` returns True.
 
     Args:
         arm: The arm, enabled.
@@ -149,8 +147,8 @@ def teach(
         rest: Rest that ends a recording with motion [s].
         wait: Longest time to wait for a first motion [s].
         rate: Ticks per second [Hz]; None: the arm's.
-        said: Called at every tick; True if the user has just asked to start or stop.
-        tell: Gets a line at every change, for a screen.
+        should_toggle: Called at every tick; True if the user has just asked to start or stop.
+        on_status: Gets a line at every change, for a screen.
         interrupted: Gets the motion so far if an exception (also Ctrl-C) ends the recording; the
             exception propagates. It should return immediately: the arm is lowered after it.
 
@@ -163,7 +161,7 @@ def teach(
     """
     rate = arm.rate if rate is None else rate
     teacher = Teacher(arm, rate=rate)
-    tell("do not touch: the arm swings a little to find its weight")
+    on_status("do not touch: the arm swings a little to find its weight")
     try:
         _record(
             arm,
@@ -172,15 +170,15 @@ def teach(
             seconds=seconds,
             rest=rest,
             wait=wait,
-            said=said,
-            tell=tell,
+            should_toggle=should_toggle,
+            on_status=on_status,
         )
     except BaseException:
         if teacher.recording and teacher.moved:
             interrupted(teacher.stop())
         raise
-    motion = teacher.stop().trimmed().smoothed().of(arm.model)
-    tell(f"kept {motion.duration:.1f} s")
+    motion = teacher.stop().trimmed().smoothed().for_model(arm.model)
+    on_status(f"kept {motion.duration:.1f} s")
     return motion
 
 
@@ -192,8 +190,8 @@ def _record(
     seconds: float | None,
     rest: float,
     wait: float,
-    said: Callable[[Teacher, State], bool] | None,
-    tell: Callable[[str], None],
+    should_toggle: Callable[[Teacher, State], bool] | None,
+    on_status: Callable[[str], None],
 ) -> None:
     """Run the ticks from the first swing to the end of the recording."""
     begun = 0.0
@@ -203,19 +201,23 @@ def _record(
         if not teacher.ready:
             continue
         if not before:
-            ends = f"a rest of {rest:g} s ends the recording" if said is None else STARTS_AND_STOPS
-            tell(f"ready: lead the arm; {ends}")
+            ends = (
+                f"a rest of {rest:g} s ends the recording"
+                if should_toggle is None
+                else STARTS_AND_STOPS
+            )
+            on_status(f"ready: lead the arm; {ends}")
             begun = tick.time
-        now = said is not None and said(teacher, tick.state)
-        if not teacher.recording and (said is None or now):
+        now = should_toggle is not None and should_toggle(teacher, tick.state)
+        if not teacher.recording and (should_toggle is None or now):
             teacher.start()
             begun = tick.time
-            tell(RECORDING)
+            on_status(RECORDING)
             continue
         late = tick.time - begun
         if teacher.recording and (
             now
-            or (teacher.moved and said is None and teacher.still > rest)
+            or (teacher.moved and should_toggle is None and teacher.still > rest)
             or (seconds is not None and late > seconds)
         ):
             break

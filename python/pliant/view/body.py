@@ -13,12 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from pliant._core import Model
+    from pliant._typing import Array
     from pliant.arm import Arm
-
-    Array = NDArray[np.float64]
 
 
 class Body:

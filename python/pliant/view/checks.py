@@ -10,12 +10,10 @@ import numpy as np
 from pliant._core import ConfigError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pliant._core import Model
+    from pliant._typing import Array
     from pliant.view.orders import Grab, Push, Target
 
-    Array = NDArray[np.float64]
 
 #: Longest push per order [s].
 LONGEST = 10.0

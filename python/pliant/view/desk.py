@@ -11,12 +11,9 @@ from pliant.view.snapshot import Shown
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from pliant._core import Controller
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
 
 LAWS = ("cap", "impedance", "paper")
 #: Preset with the settings of a configuration file.

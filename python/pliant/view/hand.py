@@ -9,13 +9,13 @@ import numpy as np
 from pliant.sim.ground_truth import TOOL
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from pliant._typing import Array
     from pliant.sim import Plant
     from pliant.sim.ground_truth import GroundTruth
     from pliant.sim.hand import Wrench
 
-    Vector = NDArray[np.float64]
 
 #: Rise and fall time of a push [s].
 RISE = 0.1
@@ -42,10 +42,10 @@ class VisitorHand:
     def let_go(self) -> None:
         """Release: no force, at the tool."""
         self.at, self._local = TOOL, self._zero
-        self._toward: Vector | None = None
+        self._toward: Array | None = None
         self._wrench, self._now, self._until = np.zeros(6), np.zeros(6), -np.inf
         self._before = 0.0
-        self.felt: tuple[Vector, Vector] | None = None
+        self.felt: tuple[Array, Array] | None = None
 
     def push(self, force: ArrayLike, torque: ArrayLike, until: float) -> None:
         """Push the tool with a force (3,) [N] and a torque (3,) [N·m] until a time [s]."""
@@ -90,7 +90,7 @@ class VisitorHand:
         self.felt = place, pull
         return pull, self._zero, place
 
-    def _ease(self, t: float, place: Vector) -> None:
+    def _ease(self, t: float, place: Array) -> None:
         """Ramp the push at a point (3,) up or down."""
         wish = self._wrench if t < self._until else np.zeros(6)
         most = np.abs(self._wrench).max() * min(max(t - self._before, 0.0) / RISE, 1.0)

@@ -13,9 +13,8 @@ from pliant.view.link import PageGone
 from pliant.view.snapshot import Felt, Health, Shown, Snapshot, Step
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pliant._core import Command, Controller
+    from pliant._typing import Array
     from pliant.arm import Arm
     from pliant.loop import Loop, Tick
     from pliant.view.body import Body
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from pliant.view.snapshot import Phase
     from pliant.view.tap import Tap
 
-    Array = NDArray[np.float64]
 
 #: Cause of a message: a refused order of one kind, or the error that ended a run.
 Cause = Literal["target", "hand", "settings", "fault"]

@@ -11,11 +11,9 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.view.snapshot import Felt, Health, Shown, Snapshot, Stage, Step
 
-    Array = NDArray[np.float64]
 
 #: Colours shared by texts, bars and plots.
 SOFT, STIFF, FULL, TRACK = "#1c64c8", "#5b6675", "#d9480f", "rgba(130,140,155,0.18)"

@@ -12,11 +12,10 @@ from pliant.view.meters import COLOURS, caption
 
 if TYPE_CHECKING:
     import viser
-    from numpy.typing import NDArray
 
+    from pliant._typing import Array
     from pliant.view.snapshot import Snapshot, Stage
 
-    Array = NDArray[np.float64]
 
 #: Length of a curve [s], and points per second.
 LENGTH, POINTS = 20.0, 10.0

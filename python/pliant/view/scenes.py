@@ -16,11 +16,9 @@ from pliant.sim.postures import AT_DOOR, VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.sim import Fixture, Hand, Plant
 
-    Array = NDArray[np.float64]
 
 #: Speed of a scripted target [m/s], its distance [m], and its rest at the end [s].
 SPEED, WAY, REST = 0.06, 0.26, 1.5

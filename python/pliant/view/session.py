@@ -21,15 +21,12 @@ from pliant.view.tap import Tap
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from pliant._core import Command
     from pliant.arm import Arm
     from pliant.loop import Tick
     from pliant.view.link import Link
     from pliant.view.source import Source
 
-    Array = NDArray[np.float64]
     Next = Literal["stop", "start", "scene"]
 
 #: Polling period of orders while no loop runs [s].

@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array, Mask
     from pliant.view.visuals import Visual
 
-    Array = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
     Phase = Literal["starting", "running", "lowering", "down"]
 
 
@@ -121,8 +118,8 @@ class Step:
     wrench: Array
     activation: Array
     limit: Array
-    saturated: Flags
-    locked: Flags
+    saturated: Mask
+    locked: Mask
 
 
 @dataclass(frozen=True, kw_only=True)

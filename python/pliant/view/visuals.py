@@ -15,11 +15,9 @@ import trimesh
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from pliant._core import Model
+    from pliant._typing import Array
 
-    Array = NDArray[np.float64]
 
 #: Default colour of a shape: red, green, blue, opacity, 0 to 1.
 PLAIN = (0.42, 0.48, 0.56, 1.0)

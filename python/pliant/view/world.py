@@ -16,11 +16,9 @@ from pliant.view import orders
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from pliant._typing import Array
     from pliant.view.snapshot import Snapshot, Stage
 
-    Array = NDArray[np.float64]
     Tell = Callable[[orders.Order], None]
 
 #: Reach of an arm [m] for the lengths given here; smaller arms scale them down.

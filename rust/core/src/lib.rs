@@ -46,6 +46,7 @@
 #![deny(unsafe_code)]
 
 pub mod analysis;
+pub mod arm;
 pub mod batch;
 mod command;
 pub mod contact;
@@ -66,6 +67,7 @@ pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate
 pub use nalgebra;
 
 pub use analysis::{FeasibilityReport, Issue, PoseReport};
+pub use arm::{HandGuiding, Lowering, ThermalModel};
 pub use controller::{Carried, Command, Controller, Record, StepInput};
 pub use equations::{
     activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,

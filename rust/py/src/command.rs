@@ -5,20 +5,40 @@ use pyo3::prelude::*;
 
 use crate::convert::{new_array, only_reference, overwrite, writable, write};
 use crate::error::wrong_type;
+use crate::read::{array_into, vector};
 
-#[pyclass(module = "pliant", frozen)]
+#[doc = stub!(Command)]
+#[pyclass(module = "pliant", frozen, get_all)]
 #[derive(Debug)]
 pub(crate) struct Command {
-    #[pyo3(get)]
+    #[doc = stub!(Command.goal)]
     goal: Py<PyAny>,
-    #[pyo3(get)]
+    #[doc = stub!(Command.torque_limit)]
     torque_limit: Py<PyAny>,
-    #[pyo3(get)]
+    #[doc = stub!(Command.speed_limit)]
     speed_limit: Py<PyAny>,
 }
 
 #[pymethods]
 impl Command {
+    #[new]
+    #[pyo3(signature = (goal, torque_limit, speed_limit=None))]
+    fn from_arrays(
+        goal: &Bound<'_, PyAny>,
+        torque_limit: &Bound<'_, PyAny>,
+        speed_limit: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let py = goal.py();
+        let goal = vector("goal", goal)?;
+        let mut limit = vec![0.0; goal.len()];
+        array_into("torque_limit", torque_limit, &[goal.len()], &mut limit)?;
+        let mut speed = vec![f64::INFINITY; goal.len()];
+        if let Some(speed_limit) = speed_limit {
+            array_into("speed_limit", speed_limit, &[goal.len()], &mut speed)?;
+        }
+        Ok(Self::of([goal, limit, speed].map(|values| new_array(py, &[values.len()], &values).unbind())))
+    }
+
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let text = |array: &Py<PyAny>| array.bind(py).repr().map(|repr| repr.to_string());
         let (goal, limit, speed_limit) = (text(&self.goal)?, text(&self.torque_limit)?, text(&self.speed_limit)?);

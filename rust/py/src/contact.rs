@@ -19,6 +19,7 @@ use crate::{arguments, in_use};
 /// Name with which a caller accepts thresholds below the uncertainty.
 const THRESHOLDS: &str = "thresholds";
 
+#[doc = stub!(WrenchEstimate)]
 #[pyclass(module = "pliant", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct WrenchEstimate(CoreEstimate);
@@ -28,45 +29,23 @@ macro_rules! attributes {
     (axes: $($axis:ident),*; joints: $($joint:ident),*; flags: $($flag:ident),*;) => {
         #[pymethods]
         impl WrenchEstimate {
-            $(#[getter]
+            $(#[doc = stub!(WrenchEstimate.$axis)]
+            #[getter]
             fn $axis<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
                 new_array(py, &[self.0.$axis.len()], &self.0.$axis)
             })*
 
-            $(#[getter]
+            $(#[doc = stub!(WrenchEstimate.$joint)]
+            #[getter]
             fn $joint<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
                 new_array(py, &[self.0.n], &self.0.$joint)
             })*
 
-            $(#[getter]
+            $(#[doc = stub!(WrenchEstimate.$flag)]
+            #[getter]
             fn $flag<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
                 PyArray1::from_slice(py, &self.0.$flag).into_any()
             })*
-
-            #[getter]
-            fn residual_ratio(&self) -> f64 {
-                self.0.residual_ratio
-            }
-
-            #[getter]
-            fn saturated<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-                PyArray1::from_slice(py, &self.0.saturated[..self.0.n]).into_any()
-            }
-
-            fn __str__(&self) -> String {
-                let felt = AXIS_NAMES.iter().enumerate().filter(|(axis, _)| self.0.uncertainty[*axis].is_finite());
-                let texts: Vec<String> = felt
-                    .map(|(axis, name)| {
-                        let unit = if axis < 3 { "N" } else { "N·m" };
-                        format!("{name} {:+.1} ± {:.1} {unit}", self.0.force[axis], self.0.uncertainty[axis])
-                    })
-                    .collect();
-                if texts.is_empty() { "nothing known yet".into() } else { texts.join(", ") }
-            }
-
-            fn __repr__(&self) -> String {
-                format!("<WrenchEstimate: {}>", self.__str__())
-            }
         }
     };
 }
@@ -77,6 +56,37 @@ attributes! {
     flags: touch, stop;
 }
 
+#[pymethods]
+impl WrenchEstimate {
+    #[doc = stub!(WrenchEstimate.residual_ratio)]
+    #[getter]
+    fn residual_ratio(&self) -> f64 {
+        self.0.residual_ratio
+    }
+
+    #[doc = stub!(WrenchEstimate.saturated)]
+    #[getter]
+    fn saturated<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        PyArray1::from_slice(py, &self.0.saturated[..self.0.n]).into_any()
+    }
+
+    fn __str__(&self) -> String {
+        let felt = AXIS_NAMES.iter().enumerate().filter(|(axis, _)| self.0.uncertainty[*axis].is_finite());
+        let texts: Vec<String> = felt
+            .map(|(axis, name)| {
+                let unit = if axis < 3 { "N" } else { "N·m" };
+                format!("{name} {:+.1} ± {:.1} {unit}", self.0.force[axis], self.0.uncertainty[axis])
+            })
+            .collect();
+        if texts.is_empty() { "nothing known yet".into() } else { texts.join(", ") }
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<WrenchEstimate: {}>", self.__str__())
+    }
+}
+
+#[doc = stub!(ContactEstimator)]
 #[pyclass(module = "pliant")]
 pub(crate) struct ContactEstimator {
     core: CoreContact,
@@ -192,6 +202,7 @@ impl ContactEstimator {
         Ok(Self { core, controller, n })
     }
 
+    #[doc = stub!(ContactEstimator.update)]
     #[pyo3(signature = (q, *, dt = None, dq = None, load = None, current = None, sent = None))]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
     fn update(
@@ -223,6 +234,7 @@ impl ContactEstimator {
         core.update(&controller.core, &q[..n], &input).or_raise().map(|felt| WrenchEstimate(*felt))
     }
 
+    #[doc = stub!(ContactEstimator.uncertainty_at)]
     fn uncertainty_at<'py>(slf: &Bound<'py, Self>, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let (py, n) = (q.py(), in_use::shared(slf)?.n);
         let at = joints("q", q, n)?;
@@ -231,49 +243,59 @@ impl ContactEstimator {
         Ok(new_array(py, &[bound.len()], &bound))
     }
 
+    #[doc = stub!(ContactEstimator.typical_uncertainty)]
     fn typical_uncertainty<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let bound = self.core.typical_uncertainty(&in_use::shared(self.controller.bind(py))?.core);
         Ok(new_array(py, &[bound.len()], &bound))
     }
 
+    #[doc = stub!(ContactEstimator.reset)]
     fn reset(&mut self) {
         self.core.reset();
     }
 
+    #[doc = stub!(ContactEstimator.tare)]
     fn tare(&mut self) -> PyResult<()> {
         self.core.tare().or_raise()
     }
 
+    #[doc = stub!(ContactEstimator.clear_tare)]
     fn clear_tare(&mut self) {
         self.core.clear_tare();
     }
 
+    #[doc = stub!(ContactEstimator.tared)]
     #[getter]
     fn tared(&self) -> bool {
         self.core.is_tared()
     }
 
+    #[doc = stub!(ContactEstimator.estimate)]
     #[getter]
     fn estimate(&self) -> WrenchEstimate {
         WrenchEstimate(*self.core.estimate())
     }
 
+    #[doc = stub!(ContactEstimator.guard)]
     #[getter]
     fn guard(&self) -> f64 {
         let options = self.core.options();
         if options.accept_thresholds { 0.0 } else { options.guard }
     }
 
+    #[doc = stub!(ContactEstimator.latency)]
     #[getter]
     fn latency(&self, py: Python<'_>) -> PyResult<f64> {
         Ok(self.core.latency(&in_use::shared(self.controller.bind(py))?.core))
     }
 
+    #[doc = stub!(ContactEstimator.axes)]
     #[getter]
     fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(py, self.core.axes())
     }
 
+    #[doc = stub!(ContactEstimator.controller)]
     #[getter]
     fn controller(&self, py: Python<'_>) -> Py<Controller> {
         self.controller.clone_ref(py)

@@ -27,6 +27,7 @@ use crate::step_batch::{BatchCall, BatchState};
 use crate::task::Axis;
 use crate::{arguments, pickle, read};
 
+#[doc = stub!(Controller)]
 #[pyclass(module = "pliant")]
 pub(crate) struct Controller {
     pub(crate) core: CoreController,
@@ -95,6 +96,7 @@ impl Controller {
         Self::made(py, model, settings, servos, None)
     }
 
+    #[doc = stub!(Controller.step)]
     #[pyo3(signature = (q, target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
     fn step(
@@ -121,6 +123,7 @@ impl Controller {
         hand_out(py, pool, command, out)
     }
 
+    #[doc = stub!(Controller.step_joints)]
     #[pyo3(signature = (q, q_target, *, dt = None, dq = None, twist = None, gradient = None, out = None))]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
     fn step_joints(
@@ -144,6 +147,7 @@ impl Controller {
         hand_out(py, pool, command, out)
     }
 
+    #[doc = stub!(Controller.step_batch)]
     #[pyo3(
         signature = (Q, targets, *, state = None, dt = None, dq = None, invalid = None, out = None),
         text_signature = "($self, Q, targets, *, state=None, dt=None, dq=None, invalid='raise', out=None)"
@@ -167,16 +171,19 @@ impl Controller {
         call.run(py, &self.core, Q, state.map(BatchState::given).transpose()?)
     }
 
+    #[doc = stub!(Controller.batch_state)]
     fn batch_state(&self, count: &Bound<'_, PyAny>) -> PyResult<BatchState> {
         BatchState::of(self.n, read::count("count", count)?)
     }
 
+    #[doc = stub!(Controller.reset)]
     fn reset(slf: &Bound<'_, Self>, q: &Bound<'_, PyAny>) -> PyResult<()> {
         let (n, _) = sizes(slf)?;
         let q = joints("q", q, n)?;
         exclusive(slf)?.core.reset(&q[..n]).or_raise()
     }
 
+    #[doc = stub!(Controller.update)]
     fn update(
         slf: &Bound<'_, Self>,
         #[pyo3(from_py_with = arguments::settings)] settings: Py<Settings>,
@@ -188,6 +195,7 @@ impl Controller {
         Ok(())
     }
 
+    #[doc = stub!(Controller.set_payload)]
     #[pyo3(signature = (mass, com = None), text_signature = "($self, mass, com=(0.0, 0.0, 0.0))")]
     fn set_payload(slf: &Bound<'_, Self>, mass: &Bound<'_, PyAny>, com: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mass = real("mass", "a number [kg]; 0 for no payload", mass)?;
@@ -195,16 +203,19 @@ impl Controller {
         exclusive(slf)?.core.set_payload(Some(&CorePayload { mass, com })).or_raise()
     }
 
+    #[doc = stub!(Controller.set_gravity)]
     fn set_gravity(slf: &Bound<'_, Self>, vector: &Bound<'_, PyAny>) -> PyResult<()> {
         let vector = vector3("vector", vector)?;
         exclusive(slf)?.core.set_gravity(vector).or_raise()
     }
 
+    #[doc = stub!(Controller.set_delay)]
     fn set_delay(slf: &Bound<'_, Self>, delay: &Bound<'_, PyAny>) -> PyResult<()> {
         let delay = real("delay", SECONDS, delay)?;
         exclusive(slf)?.core.set_delay(delay).or_raise()
     }
 
+    #[doc = stub!(Controller.capture_gravity)]
     fn capture_gravity<'py>(
         slf: &Bound<'py, Self>,
         q: &Bound<'py, PyAny>,
@@ -216,6 +227,7 @@ impl Controller {
         Ok(new_array(q.py(), &[n], &stiffness))
     }
 
+    #[doc = stub!(Controller.report)]
     #[pyo3(signature = (q = None))]
     fn report(&self, q: Option<&Bound<'_, PyAny>>) -> PyResult<PoseReport> {
         let report = match q {
@@ -225,6 +237,7 @@ impl Controller {
         report.or_raise().map(PoseReport)
     }
 
+    #[doc = stub!(Controller.check)]
     #[pyo3(signature = (path_or_pose, *, q0 = None))]
     pub(crate) fn check(
         &self,
@@ -234,21 +247,25 @@ impl Controller {
         check_with(&self.core, self.position_only, path_or_pose, q0)
     }
 
+    #[doc = stub!(Controller.model)]
     #[getter]
     fn model(&self, py: Python<'_>) -> Py<Model> {
         self.model.clone_ref(py)
     }
 
+    #[doc = stub!(Controller.settings)]
     #[getter]
     fn settings(&self, py: Python<'_>) -> Py<Settings> {
         self.settings.clone_ref(py)
     }
 
+    #[doc = stub!(Controller.servos)]
     #[getter]
     fn servos(&self, py: Python<'_>) -> Option<Py<Servos>> {
         self.servos.as_ref().map(|servos| servos.clone_ref(py))
     }
 
+    #[doc = stub!(Controller.axes)]
     #[getter]
     fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let settings = self.core.settings();
@@ -274,16 +291,19 @@ impl Controller {
         Ok(out)
     }
 
+    #[doc = stub!(Controller.diagnostics)]
     #[getter]
     fn diagnostics(&self) -> Diagnostics {
         Diagnostics::new(&self.core)
     }
 
+    #[doc = stub!(Controller.instructions)]
     #[getter]
     fn instructions(&self) -> &'static str {
         self.core.instructions().name()
     }
 
+    #[doc = stub!(Controller.commands_made)]
     #[getter]
     fn commands_made(&self) -> u64 {
         self.pool.made

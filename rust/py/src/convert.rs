@@ -1,4 +1,4 @@
-//! Access to NumPy arrays through their C structure: with [`crate::docs`] the only unsafe code of the binding.
+//! Access to NumPy arrays through their C structure: the only unsafe code of the binding.
 //!
 //! Every access first checks for the exact type `numpy.ndarray`, native float64, alignment, C order and the expected
 //! shape. Other objects are rejected here; [`crate::read`] converts them or raises an error. The safe functions copy
@@ -6,13 +6,15 @@
 #![expect(unsafe_code, reason = "NumPy's C structure is read directly: a checked borrow costs four times as much")]
 #![expect(clippy::cast_ptr_alignment, reason = "the flag ALIGNED of the array is checked before its data are cast")]
 
+use std::convert::Infallible;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use nalgebra::DMatrix;
 use numpy::npyffi::{
     NPY_ARRAY_ALIGNED, NPY_ARRAY_C_CONTIGUOUS, NPY_ARRAY_OWNDATA, NPY_ARRAY_WRITEABLE, NPY_TYPES, PyArrayObject,
     PyArrayObject_fields,
 };
-use numpy::{PyArray2, PyArrayDyn, PyArrayMethods};
+use numpy::{PyArray1, PyArray2, PyArrayDyn, PyArrayMethods};
 use pliant_core::MAX_JOINTS;
 use pyo3::exceptions::PyValueError;
 use pyo3::ffi::Py_REFCNT;
@@ -302,6 +304,51 @@ pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
 pub(crate) fn only_reference(object: &Bound<'_, PyAny>) -> bool {
     // SAFETY: the pointer is that of a live object.
     unsafe { Py_REFCNT(object.as_ptr()) == 1 && !FREE_THREADED.load(Ordering::Relaxed) }
+}
+
+/// Numbers with a shape; each access from Python creates a new array.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Array {
+    shape: Vec<usize>,
+    values: Vec<f64>,
+}
+
+impl Array {
+    pub(crate) fn vector(values: &[f64]) -> Self {
+        Self { shape: vec![values.len()], values: values.to_vec() }
+    }
+
+    pub(crate) fn rows<const C: usize>(rows: &[[f64; C]]) -> Self {
+        Self { shape: vec![rows.len(), C], values: rows.as_flattened().to_vec() }
+    }
+
+    pub(crate) fn matrix(m: &DMatrix<f64>) -> Self {
+        Self { shape: vec![m.nrows(), m.ncols()], values: m.transpose().as_slice().to_vec() }
+    }
+}
+
+impl<'py> IntoPyObject<'py> for &Array {
+    type Target = PyAny;
+    type Output = Bound<'py, PyAny>;
+    type Error = Infallible;
+
+    fn into_pyobject(self, py: Python<'py>) -> Result<Self::Output, Infallible> {
+        Ok(new_array(py, &self.shape, &self.values))
+    }
+}
+
+/// Flags; each access from Python creates a new array.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Flags(pub(crate) Vec<bool>);
+
+impl<'py> IntoPyObject<'py> for &Flags {
+    type Target = PyArray1<bool>;
+    type Output = Bound<'py, PyArray1<bool>>;
+    type Error = Infallible;
+
+    fn into_pyobject(self, py: Python<'py>) -> Result<Self::Output, Infallible> {
+        Ok(PyArray1::from_slice(py, &self.0))
+    }
 }
 
 /// Creates an array with these numbers, row by row.

@@ -1,186 +1,103 @@
 //! `Diagnostics`: the intermediate values of a controller's last step.
 
-use nalgebra::DMatrix;
-use numpy::PyArray1;
-use pliant_core::{Controller as CoreController, Record};
+use pliant_core::Controller as CoreController;
 use pyo3::prelude::*;
 
-use crate::convert::new_array;
-use crate::functions::table;
+use crate::convert::{Array, Flags};
 
-#[pyclass(module = "pliant", frozen)]
+#[doc = stub!(Diagnostics)]
+#[pyclass(module = "pliant", frozen, get_all)]
 pub(crate) struct Diagnostics {
-    record: Record,
-    n: usize,
-    axes: usize,
-    sigma: [f64; 2],
+    #[doc = stub!(Diagnostics.deviation)]
+    deviation: Array,
+    #[doc = stub!(Diagnostics.adapted_deviation)]
+    adapted_deviation: Array,
+    #[doc = stub!(Diagnostics.task_velocity)]
+    task_velocity: Array,
+    #[doc = stub!(Diagnostics.softness)]
+    softness: Array,
+    #[doc = stub!(Diagnostics.compliance)]
+    compliance: Array,
+    #[doc = stub!(Diagnostics.axis_strength)]
+    axis_strength: Array,
+    #[doc = stub!(Diagnostics.wrench)]
+    wrench: Array,
+    #[doc = stub!(Diagnostics.deviation_limited)]
+    deviation_limited: Flags,
+    #[doc = stub!(Diagnostics.reference)]
+    reference: Array,
+    #[doc = stub!(Diagnostics.activation)]
+    activation: Array,
+    #[doc = stub!(Diagnostics.responsibility)]
+    responsibility: Array,
+    #[doc = stub!(Diagnostics.task_jacobian)]
+    task_jacobian: Array,
+    #[doc = stub!(Diagnostics.singular_values)]
+    singular_values: Array,
+    #[doc = stub!(Diagnostics.sigma_min)]
+    sigma_min: f64,
+    #[doc = stub!(Diagnostics.sigma_max)]
+    sigma_max: f64,
+    #[doc = stub!(Diagnostics.damping)]
+    damping: f64,
+    #[doc = stub!(Diagnostics.damping_constants)]
     damping_constants: (f64, f64, f64),
+    #[doc = stub!(Diagnostics.gain_factor)]
     gain_factor: f64,
-    singular_values: Vec<f64>,
-    activation: DMatrix<f64>,
-    responsibility: DMatrix<f64>,
-    task_jacobian: DMatrix<f64>,
+    #[doc = stub!(Diagnostics.gamma)]
+    gamma: f64,
+    #[doc = stub!(Diagnostics.factors)]
+    factors: (f64, f64, f64),
+    #[doc = stub!(Diagnostics.q_predicted)]
+    q_predicted: Array,
+    #[doc = stub!(Diagnostics.velocity)]
+    velocity: Array,
+    #[doc = stub!(Diagnostics.gravity)]
+    gravity: Array,
+    #[doc = stub!(Diagnostics.feed_forward)]
+    feed_forward: Array,
+    #[doc = stub!(Diagnostics.gradient)]
+    gradient: Array,
+    #[doc = stub!(Diagnostics.saturated)]
+    saturated: Flags,
+    #[doc = stub!(Diagnostics.locked)]
+    locked: Flags,
 }
 
 impl Diagnostics {
     pub(crate) fn new(core: &CoreController) -> Self {
+        let (record, n, axes, [sigma_min, sigma_max]) =
+            (core.record(), core.model().n(), core.task_len(), core.sigma());
+        let per_axis = |values: &[f64]| Array::vector(&values[..axes]);
+        let per_joint = |values: &[f64]| Array::vector(&values[..n]);
         Self {
-            record: core.record(),
-            n: core.model().n(),
-            axes: core.task_len(),
-            sigma: core.sigma(),
+            deviation: per_axis(&record.deviation),
+            adapted_deviation: per_axis(&record.adapted_deviation),
+            task_velocity: per_axis(&record.task_velocity),
+            softness: per_axis(&record.softness),
+            compliance: per_axis(&record.compliance),
+            axis_strength: per_axis(&record.axis_strength),
+            wrench: per_axis(&record.wrench),
+            deviation_limited: Flags(record.deviation_limited[..axes].to_vec()),
+            reference: Array::rows(&record.reference.to_rows()),
+            activation: Array::matrix(&core.activation()),
+            responsibility: Array::matrix(&core.responsibility()),
+            task_jacobian: Array::matrix(&core.task_jacobian()),
+            singular_values: Array::vector(core.singular_values().as_slice()),
+            sigma_min,
+            sigma_max,
+            damping: record.damping,
             damping_constants: core.damping().into(),
             gain_factor: core.gain_factor(),
-            singular_values: core.singular_values().as_slice().to_vec(),
-            activation: core.activation(),
-            responsibility: core.responsibility(),
-            task_jacobian: core.task_jacobian(),
+            gamma: record.gamma,
+            factors: record.factors.into(),
+            q_predicted: per_joint(&record.q),
+            velocity: per_joint(&record.velocity),
+            gravity: per_joint(&record.gravity),
+            feed_forward: per_joint(&record.feed_forward),
+            gradient: per_joint(&record.gradient),
+            saturated: Flags(record.saturated[..n].to_vec()),
+            locked: Flags(record.locked[..n].to_vec()),
         }
-    }
-
-    fn per_axis<'py>(&self, py: Python<'py>, values: &[f64]) -> Bound<'py, PyAny> {
-        new_array(py, &[self.axes], values)
-    }
-
-    fn per_joint<'py>(&self, py: Python<'py>, values: &[f64]) -> Bound<'py, PyAny> {
-        new_array(py, &[self.n], values)
-    }
-}
-
-#[pymethods]
-impl Diagnostics {
-    #[getter]
-    fn deviation<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, &self.record.deviation)
-    }
-
-    #[getter]
-    fn adapted_deviation<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, &self.record.adapted_deviation)
-    }
-
-    #[getter]
-    fn task_velocity<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, &self.record.task_velocity)
-    }
-
-    #[getter]
-    fn softness<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, &self.record.softness)
-    }
-
-    #[getter]
-    fn compliance<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, &self.record.compliance)
-    }
-
-    #[getter]
-    fn axis_strength<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, &self.record.axis_strength)
-    }
-
-    #[getter]
-    fn wrench<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_axis(py, &self.record.wrench)
-    }
-
-    #[getter]
-    fn deviation_limited<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        PyArray1::from_slice(py, &self.record.deviation_limited[..self.axes]).into_any()
-    }
-
-    #[getter]
-    fn reference<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[4, 4], &self.record.reference.to_rows().concat())
-    }
-
-    #[getter]
-    fn activation<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        table(py, &self.activation)
-    }
-
-    #[getter]
-    fn responsibility<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        table(py, &self.responsibility)
-    }
-
-    #[getter]
-    fn task_jacobian<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        table(py, &self.task_jacobian)
-    }
-
-    #[getter]
-    fn singular_values<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[self.singular_values.len()], &self.singular_values)
-    }
-
-    #[getter]
-    fn sigma_min(&self) -> f64 {
-        self.sigma[0]
-    }
-
-    #[getter]
-    fn sigma_max(&self) -> f64 {
-        self.sigma[1]
-    }
-
-    #[getter]
-    fn damping(&self) -> f64 {
-        self.record.damping
-    }
-
-    #[getter]
-    fn damping_constants(&self) -> (f64, f64, f64) {
-        self.damping_constants
-    }
-
-    #[getter]
-    fn gain_factor(&self) -> f64 {
-        self.gain_factor
-    }
-
-    #[getter]
-    fn gamma(&self) -> f64 {
-        self.record.gamma
-    }
-
-    #[getter]
-    fn factors(&self) -> (f64, f64, f64) {
-        self.record.factors.into()
-    }
-
-    #[getter]
-    fn q_predicted<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, &self.record.q)
-    }
-
-    #[getter]
-    fn velocity<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, &self.record.velocity)
-    }
-
-    #[getter]
-    fn gravity<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, &self.record.gravity)
-    }
-
-    #[getter]
-    fn feed_forward<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, &self.record.feed_forward)
-    }
-
-    #[getter]
-    fn gradient<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        self.per_joint(py, &self.record.gradient)
-    }
-
-    #[getter]
-    fn saturated<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        PyArray1::from_slice(py, &self.record.saturated[..self.n]).into_any()
-    }
-
-    #[getter]
-    fn locked<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        PyArray1::from_slice(py, &self.record.locked[..self.n]).into_any()
     }
 }

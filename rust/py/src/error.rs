@@ -20,8 +20,9 @@ static CLASSES: PyOnceLock<Classes> = PyOnceLock::new();
 /// Creates the classes and adds them to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
-    let class = |name: &str, bases: &[&Bound<'_, PyType>], facts: &[&str]| -> PyResult<Py<PyType>> {
+    let class = |name: &str, doc: &str, bases: &[&Bound<'_, PyType>], facts: &[&str]| -> PyResult<Py<PyType>> {
         let namespace = PyDict::new(py);
+        namespace.set_item("__doc__", doc)?;
         for fact in facts {
             namespace.set_item(fact, py.None())?;
         }
@@ -31,18 +32,28 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add(name, &made)?;
         Ok(made.unbind())
     };
-    let base = class("PliantError", &[&py.get_type::<PyException>()], &[])?;
+    let base = class("PliantError", stub!(PliantError), &[&py.get_type::<PyException>()], &[])?;
     let base = base.bind(py);
-    let servo = class("ServoError", &[base], &[])?;
-    class("ServoTimeoutError", &[servo.bind(py), &py.get_type::<PyTimeoutError>()], &[])?;
-    class("ServoFaultError", &[servo.bind(py)], &[])?;
+    let servo = class("ServoError", stub!(ServoError), &[base], &[])?;
+    class("ServoTimeoutError", stub!(ServoTimeoutError), &[servo.bind(py), &py.get_type::<PyTimeoutError>()], &[])?;
+    class("ServoFaultError", stub!(ServoFaultError), &[servo.bind(py)], &[])?;
     let value_error = &py.get_type::<PyValueError>();
     let classes = Classes {
-        urdf: class("UrdfError", &[base, value_error], &["source", "line", "column"])?,
-        frame: class("FrameNotFoundError", &[base, &py.get_type::<PyLookupError>()], &["frame", "available"])?,
-        out_of_range: class("OutOfRangeError", &[base, value_error], &["what", "value", "bound"])?,
-        shape: class("ShapeError", &[base, value_error], &["what", "got", "expected"])?,
-        config: class("ConfigError", &[base, value_error], &["key"])?,
+        urdf: class("UrdfError", stub!(UrdfError), &[base, value_error], &["source", "line", "column"])?,
+        frame: class(
+            "FrameNotFoundError",
+            stub!(FrameNotFoundError),
+            &[base, &py.get_type::<PyLookupError>()],
+            &["frame", "available"],
+        )?,
+        out_of_range: class(
+            "OutOfRangeError",
+            stub!(OutOfRangeError),
+            &[base, value_error],
+            &["what", "value", "bound"],
+        )?,
+        shape: class("ShapeError", stub!(ShapeError), &[base, value_error], &["what", "got", "expected"])?,
+        config: class("ConfigError", stub!(ConfigError), &[base, value_error], &["key"])?,
     };
     CLASSES.get_or_init(py, || classes);
     Ok(())

@@ -93,14 +93,12 @@ pub(crate) fn differ<T: PartialEq>(a: &T, b: &T) -> bool {
     a != b
 }
 
-/// Implements [`Fields`] and the standard Python methods, and adds those in `methods`.
+/// Implements [`Fields`], the getters and the standard Python methods.
 macro_rules! fields {
     (
         $class:ident($name:literal $(, $prefix:literal)?) of $core:ty {
             $($field:ident: $kind:ty,)*
         }
-        $(#[$attribute:meta])*
-        methods { $($methods:tt)* }
     ) => {
         impl $crate::fields::Fields for $class {
             type Core = $core;
@@ -154,11 +152,13 @@ macro_rules! fields {
 
         #[pymethods]
         impl $class {
-            $(#[getter]
+            $(#[doc = stub!($class.$field)]
+            #[getter]
             fn $field<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
                 $crate::kinds::show::<$kind>(&self.0.$field, py)
             })*
 
+            #[doc = stub!($class.replace)]
             #[pyo3(signature = (**changes))]
             fn replace(&self, changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
                 let made = <Self as $crate::fields::Fields>::with(self.0.clone(), changes)?;
@@ -172,8 +172,6 @@ macro_rules! fields {
             fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyTuple>, Bound<'py, PyDict>)> {
                 Ok((PyTuple::empty(py), self.fields(py)?))
             }
-
-            $($methods)*
         }
     };
 }

@@ -84,6 +84,7 @@ where
 
 macro_rules! group {
     ($class:ident($name:literal, $owner:literal, $module:literal), $text:literal { $($field:ident: $kind:ty,)* }) => {
+        #[doc = stub!($class)]
         #[pyclass(name = $name, module = $module, frozen, eq, from_py_object)]
         #[derive(Debug, Clone)]
         pub(crate) struct $class(pub(crate) core::$class, Given);
@@ -126,12 +127,14 @@ macro_rules! group {
             $class($name, $owner) of core::$class {
                 $($field: $kind,)*
             }
-            methods {
-                #[new]
-                #[pyo3(signature = (**fields), text_signature = $text)]
-                fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-                    Self::with(core::$class::default(), fields)?.after(None, fields)
-                }
+        }
+
+        #[pymethods]
+        impl $class {
+            #[new]
+            #[pyo3(signature = (**fields), text_signature = $text)]
+            fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+                Self::with(core::$class::default(), fields)?.after(None, fields)
             }
         }
     };

@@ -1,10 +1,11 @@
 //! Python binding of `pliant-core`: every function converts, calls the core once, and converts back.
 #![deny(unsafe_code)]
 
-#[macro_use]
-mod docs;
+// The macro `stub!`: docstrings of the stub, made by build.rs.
+include!(concat!(env!("OUT_DIR"), "/stub.rs"));
 
 mod arguments;
+mod arm_points;
 mod batch;
 mod command;
 mod contact;
@@ -16,9 +17,11 @@ mod extras;
 mod fields;
 mod functions;
 mod groups;
+mod hand_guiding;
 mod in_use;
 mod kinds;
 mod kinematics;
+mod lowering;
 mod model;
 mod options;
 mod pickle;
@@ -30,6 +33,7 @@ mod settings;
 mod solution;
 mod step_batch;
 mod task;
+mod thermal;
 mod tree;
 mod words;
 
@@ -42,6 +46,8 @@ mod _core {
     use pyo3::exceptions::PyRuntimeWarning;
     use pyo3::prelude::*;
 
+    #[pymodule_export]
+    use crate::arm_points::ArmPoints;
     #[pymodule_export]
     use crate::command::Command;
     #[pymodule_export]
@@ -57,6 +63,10 @@ mod _core {
     };
     #[pymodule_export]
     use crate::groups::{Compensation, NullSpace, PaperOptions, TorqueLimits, Tracking};
+    #[pymodule_export]
+    use crate::hand_guiding::HandGuidingLaw;
+    #[pymodule_export]
+    use crate::lowering::{Lowering, torque_margin};
     #[pymodule_export]
     use crate::model::Model;
     #[pymodule_export]
@@ -76,16 +86,18 @@ mod _core {
     #[pymodule_export]
     use crate::task::{Axis, Task};
     #[pymodule_export]
+    use crate::thermal::ThermalModel;
+    #[pymodule_export]
     use crate::tree::{Inertial, Joint, Link, Mimic};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let py = module.py();
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        module.add("SUPPORT", pliant_core::arm::SUPPORT)?;
         crate::convert::initialise(py)?;
         crate::error::register(module)?;
         crate::pickle::register(module)?;
-        crate::docs::attach(module)?;
         if cfg!(debug_assertions) {
             let category = py.get_type::<PyRuntimeWarning>();
             let text = c"pliant was built without optimisation: steps take a hundred times as long as they should";

@@ -24,6 +24,7 @@ use crate::tree::{Joint, Link};
 use crate::words::Word;
 use crate::{arguments, kinematics, pickle};
 
+#[doc = stub!(Model)]
 #[pyclass(module = "pliant", frozen)]
 pub(crate) struct Model {
     pub(crate) core: Arc<CoreModel>,
@@ -63,6 +64,7 @@ impl Model {
 
 #[pymethods]
 impl Model {
+    #[doc = stub!(Model.from_urdf)]
     #[staticmethod]
     #[pyo3(
         signature = (source, **options),
@@ -87,6 +89,7 @@ impl Model {
         Self::new(py, core, servos.as_ref(), text, options)
     }
 
+    #[doc = stub!(Model.from_urdf_str)]
     #[staticmethod]
     #[pyo3(
         signature = (text, **options),
@@ -98,6 +101,7 @@ impl Model {
         Self::from_text(text.py(), &arguments::text("text", expected, text)?, options)
     }
 
+    #[doc = stub!(Model.source)]
     #[getter]
     fn source<'py>(&self, py: Python<'py>) -> PyResult<(&str, Bound<'py, PyDict>)> {
         let options = match &self.options {
@@ -107,6 +111,7 @@ impl Model {
         Ok((&self.text, options))
     }
 
+    #[doc = stub!(Model.with_servos)]
     #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn with_servos(
         &self,
@@ -126,98 +131,117 @@ impl Model {
         })
     }
 
+    #[doc = stub!(Model.name)]
     #[getter]
     fn name(&self) -> &str {
         self.core.name()
     }
 
+    #[doc = stub!(Model.n)]
     #[getter]
     fn n(&self) -> usize {
         self.core.n()
     }
 
+    #[doc = stub!(Model.joint_names)]
     #[getter]
     fn joint_names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(py, self.core.joint_names())
     }
 
+    #[doc = stub!(Model.lower)]
     #[getter]
     fn lower<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frozen(py, self.core.lower())
     }
 
+    #[doc = stub!(Model.upper)]
     #[getter]
     fn upper<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frozen(py, self.core.upper())
     }
 
+    #[doc = stub!(Model.velocity_limit)]
     #[getter]
     fn velocity_limit<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frozen(py, &present(self.core.velocity_limit()))
     }
 
+    #[doc = stub!(Model.effort_limit)]
     #[getter]
     fn effort_limit<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frozen(py, &present(self.core.effort_limit()))
     }
 
+    #[doc = stub!(Model.prismatic)]
     #[getter]
     fn prismatic<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(py, self.core.prismatic())
     }
 
+    #[doc = stub!(Model.frames)]
     #[getter]
     fn frames<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(py, self.core.frames())
     }
 
+    #[doc = stub!(Model.base)]
     #[getter]
     fn base(&self) -> &str {
         self.core.base()
     }
 
+    #[doc = stub!(Model.tip)]
     #[getter]
     fn tip(&self) -> &str {
         self.core.tip()
     }
 
+    #[doc = stub!(Model.reach)]
     #[getter]
     fn reach(&self) -> f64 {
         self.core.reach()
     }
 
+    #[doc = stub!(Model.reach_from)]
     #[getter]
     fn reach_from<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frozen(py, &self.core.reach_from())
     }
 
+    #[doc = stub!(Model.gravity_vector)]
     #[getter]
     fn gravity_vector<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frozen(py, &self.core.gravity_vector())
     }
 
+    #[doc = stub!(Model.payload)]
     #[getter]
     fn payload(&self) -> Option<Payload> {
         self.core.payload().copied().map(Payload)
     }
 
+    #[doc = stub!(Model.servos)]
     #[getter]
     fn servos(&self, py: Python<'_>) -> Option<Py<Servos>> {
         self.servos.as_ref().map(|servos| servos.clone_ref(py))
     }
 
+    #[doc = stub!(Model.links)]
     #[getter]
     fn links(&self, py: Python<'_>) -> PyResult<Py<PyTuple>> {
-        let made = || PyTuple::new(py, self.core.links().iter().map(|link| Link(link.clone()))).map(Bound::unbind);
+        let made = || PyTuple::new(py, self.core.links().iter().map(Link::from)).map(Bound::unbind);
         self.links.get_or_try_init(py, made).map(|links| links.clone_ref(py))
     }
 
+    #[doc = stub!(Model.joints)]
     #[getter]
     fn joints(&self, py: Python<'_>) -> PyResult<Py<PyTuple>> {
-        let made = || PyTuple::new(py, self.core.joints().iter().map(|joint| Joint(joint.clone()))).map(Bound::unbind);
+        let made = || PyTuple::new(py, self.core.joints().iter().map(Joint::from)).map(Bound::unbind);
         self.joints.get_or_try_init(py, made).map(|joints| joints.clone_ref(py))
     }
 
+    #[doc = stub!(Model.kinematics)]
     #[pyo3(signature = (q, reference = None, out = None), text_signature = "($self, q, reference='world_aligned', out=None)")]
     fn kinematics<'py>(
         &self,
@@ -228,11 +252,13 @@ impl Model {
         kinematics::both(&self.core, q, axes_of(reference)?, out)
     }
 
+    #[doc = stub!(Model.forward_kinematics)]
     fn forward_kinematics<'py>(&self, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let pose = self.core.forward_kinematics(&positions(&self.core, q)?[..self.core.n()]).or_raise()?;
         Ok(matrix(q.py(), &pose))
     }
 
+    #[doc = stub!(Model.jacobian)]
     #[pyo3(signature = (q, reference = None), text_signature = "($self, q, reference='world_aligned')")]
     fn jacobian<'py>(
         &self,
@@ -242,12 +268,14 @@ impl Model {
         kinematics::jacobian(&self.core, q, axes_of(reference)?)
     }
 
+    #[doc = stub!(Model.gravity)]
     fn gravity<'py>(&self, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let n = self.core.n();
         let torque = self.core.gravity(&positions(&self.core, q)?[..n]).or_raise()?;
         Ok(new_array(q.py(), &[n], torque.as_slice()))
     }
 
+    #[doc = stub!(Model.inverse_kinematics)]
     #[pyo3(
         signature = (target, q0, *, axes = None, position_tolerance = None, rotation_tolerance = None, max_iterations = None, restarts = None),
         text_signature = "($self, target, q0, *, axes='xyz rpy', position_tolerance=1e-08, rotation_tolerance=1e-08, \
@@ -276,15 +304,18 @@ impl Model {
         search(self, target, q0, axes, &options)
     }
 
+    #[doc = stub!(Model.check_target)]
     fn check_target(&self, target: &Bound<'_, PyAny>) -> PyResult<()> {
         self.core.check_target(&pose("target", target, true)?).or_raise()
     }
 
+    #[doc = stub!(Model.check_joint_target)]
     fn check_joint_target(&self, q: &Bound<'_, PyAny>) -> PyResult<()> {
         let n = self.core.n();
         self.core.check_joint_target(&joints("q", q, n)?[..n]).or_raise()
     }
 
+    #[doc = stub!(Model.kinematics_batch)]
     #[pyo3(signature = (Q, reference = None, out = None), text_signature = "($self, Q, reference='world_aligned', out=None)")]
     fn kinematics_batch<'py>(
         &self,
@@ -295,6 +326,7 @@ impl Model {
         kinematics::both_batch(&self.core, Q, axes_of(reference)?, out)
     }
 
+    #[doc = stub!(Model.forward_kinematics_batch)]
     #[pyo3(signature = (Q, out = None))]
     fn forward_kinematics_batch<'py>(
         &self,
@@ -304,6 +336,7 @@ impl Model {
         kinematics::poses(&self.core, Q, out)
     }
 
+    #[doc = stub!(Model.jacobian_batch)]
     #[pyo3(signature = (Q, reference = None, out = None), text_signature = "($self, Q, reference='world_aligned', out=None)")]
     fn jacobian_batch<'py>(
         &self,
@@ -314,6 +347,7 @@ impl Model {
         kinematics::jacobians(&self.core, Q, axes_of(reference)?, out)
     }
 
+    #[doc = stub!(Model.gravity_batch)]
     #[pyo3(signature = (Q, out = None))]
     fn gravity_batch<'py>(
         &self,

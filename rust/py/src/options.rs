@@ -12,6 +12,7 @@ use crate::kinds::wrong;
 use crate::read::{number, vector3};
 use crate::servos::Servos;
 
+#[doc = stub!(Payload)]
 #[pyclass(name = "Payload", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Payload(pub(crate) CorePayload);
@@ -28,11 +29,13 @@ impl Payload {
         Ok(Self(payload))
     }
 
+    #[doc = stub!(Payload.mass)]
     #[getter]
     fn mass(&self) -> f64 {
         self.0.mass
     }
 
+    #[doc = stub!(Payload.com)]
     #[getter]
     fn com<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[3], &self.0.com)

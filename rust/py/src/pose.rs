@@ -9,6 +9,7 @@ use crate::error::OrRaise;
 use crate::fields::text;
 use crate::read::{array_into, vector3};
 
+#[doc = stub!(Pose)]
 #[pyclass(name = "Pose", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Pose(pub(crate) CorePose);
@@ -21,63 +22,75 @@ impl Pose {
         matrix.map_or(Ok(Self(CorePose::IDENTITY)), as_pose)
     }
 
+    #[doc = stub!(Pose.from_matrix)]
     #[staticmethod]
     fn from_matrix(matrix: &Bound<'_, PyAny>) -> PyResult<Self> {
         as_pose(matrix)
     }
 
+    #[doc = stub!(Pose.from_wxyz)]
     #[staticmethod]
     fn from_wxyz(position: &Bound<'_, PyAny>, quaternion: &Bound<'_, PyAny>) -> PyResult<Self> {
         let wxyz = quaternion_of(quaternion)?;
         CorePose::from_wxyz(vector3("position", position)?, wxyz).or_raise().map(Self)
     }
 
+    #[doc = stub!(Pose.from_xyzw)]
     #[staticmethod]
     fn from_xyzw(position: &Bound<'_, PyAny>, quaternion: &Bound<'_, PyAny>) -> PyResult<Self> {
         let xyzw = quaternion_of(quaternion)?;
         CorePose::from_xyzw(vector3("position", position)?, xyzw).or_raise().map(Self)
     }
 
+    #[doc = stub!(Pose.from_rotvec)]
     #[staticmethod]
     fn from_rotvec(position: &Bound<'_, PyAny>, rotvec: &Bound<'_, PyAny>) -> PyResult<Self> {
         CorePose::from_rotation_vector(vector3("position", position)?, vector3("rotvec", rotvec)?).or_raise().map(Self)
     }
 
+    #[doc = stub!(Pose.from_rpy)]
     #[staticmethod]
     fn from_rpy(position: &Bound<'_, PyAny>, rpy: &Bound<'_, PyAny>) -> PyResult<Self> {
         CorePose::from_rpy(vector3("position", position)?, vector3("rpy", rpy)?).or_raise().map(Self)
     }
 
+    #[doc = stub!(Pose.matrix)]
     #[getter]
     fn matrix<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         matrix(py, &self.0)
     }
 
+    #[doc = stub!(Pose.position)]
     #[getter]
     fn position<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[3], &self.0.position)
     }
 
+    #[doc = stub!(Pose.rotation)]
     #[getter]
     fn rotation<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[3, 3], self.0.rotation.as_flattened())
     }
 
+    #[doc = stub!(Pose.wxyz)]
     #[getter]
     fn wxyz<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[4], &self.0.wxyz())
     }
 
+    #[doc = stub!(Pose.xyzw)]
     #[getter]
     fn xyzw<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[4], &self.0.xyzw())
     }
 
+    #[doc = stub!(Pose.rotvec)]
     #[getter]
     fn rotvec<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[3], &self.0.rotation_vector())
     }
 
+    #[doc = stub!(Pose.inverse)]
     fn inverse(&self) -> Self {
         Self(self.0.inverse())
     }

@@ -18,6 +18,7 @@ use crate::read::{joints, numbers, pose_of_object};
 use crate::servos::Servos;
 use crate::settings::Settings;
 
+#[doc = stub!(PoseReport)]
 #[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PoseReport(pub(crate) CoreReport);
@@ -27,65 +28,31 @@ macro_rules! attributes {
     (vectors: $($vector:ident),*; pairs: $($pair:ident),*; flags: $($flag:ident),*; numbers: $($number:ident),*;) => {
         #[pymethods]
         impl PoseReport {
-            $(#[getter]
+            $(#[doc = stub!(PoseReport.$vector)]
+            #[getter]
             fn $vector<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
                 new_array(py, &[self.0.$vector.len()], &self.0.$vector)
             })*
 
-            $(#[getter]
+            $(#[doc = stub!(PoseReport.$pair)]
+            #[getter]
             fn $pair<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
                 pairs(py, &self.0.$pair)
             })*
 
-            $(#[getter]
+            $(#[doc = stub!(PoseReport.$flag)]
+            #[getter]
             fn $flag<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
                 PyArray1::from_slice(py, &self.0.$flag).into_any()
             })*
 
-            $(#[getter]
+            $(#[doc = stub!(PoseReport.$number)]
+            #[getter]
             fn $number(&self) -> f64 {
                 self.0.$number
             })*
 
-            #[getter]
-            fn gives_way<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-                new_array(py, &[self.0.gives_way.len(), 2, 2], self.0.gives_way.as_flattened().as_flattened())
-            }
-
-            #[getter]
-            fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-                PyTuple::new(py, &self.0.axes)
-            }
-
-            #[getter]
-            fn joints<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-                PyTuple::new(py, &self.0.joints)
-            }
-
-            #[getter]
-            fn max_host_loss_force(&self) -> Option<f64> {
-                self.0.max_host_loss_force
-            }
-
-            #[getter]
-            fn yields(&self) -> Vec<(bool, bool)> {
-                self.0.yields.iter().map(|&[minus, plus]| (minus, plus)).collect()
-            }
-
-            #[getter]
-            fn coupled_to(&self) -> Vec<(Option<&'static str>, Option<&'static str>)> {
-                self.0.coupled_to.iter().map(|&[minus, plus]| (minus, plus)).collect()
-            }
-
-            #[getter]
-            fn stop_joint(&self) -> Vec<(Option<&str>, Option<&str>)> {
-                stop_joints(&self.0)
-            }
-
-            fn summary(&self) -> Vec<String> {
-                self.0.summary()
-            }
-
+            #[doc = stub!(PoseReport.to_dict)]
             fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
                 let (out, report) = (PyDict::new(py), &self.0);
                 out.set_item("axes", &report.axes)?;
@@ -102,14 +69,6 @@ macro_rules! attributes {
                 out.set_item("sentences", report.summary())?;
                 Ok(out)
             }
-
-            fn __str__(&self) -> String {
-                self.0.to_string()
-            }
-
-            fn __repr__(&self) -> String {
-                format!("<PoseReport: axes {}; {} joints>", self.0.axes.join(" "), self.0.joints.len())
-            }
         }
     };
 }
@@ -119,6 +78,64 @@ attributes! {
     pairs: static_force, capacity, coupling, thresholds, gravity_margin, host_loss_force, stop_distance, stop_room, stop_friction, way_friction, way_sigma, way_distance, deviation_limit;
     flags: saturated, locked;
     numbers: sigma_min, condition, sigma_0, gain_factor, damping_factor;
+}
+
+#[pymethods]
+impl PoseReport {
+    #[doc = stub!(PoseReport.gives_way)]
+    #[getter]
+    fn gives_way<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        new_array(py, &[self.0.gives_way.len(), 2, 2], self.0.gives_way.as_flattened().as_flattened())
+    }
+
+    #[doc = stub!(PoseReport.axes)]
+    #[getter]
+    fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, &self.0.axes)
+    }
+
+    #[doc = stub!(PoseReport.joints)]
+    #[getter]
+    fn joints<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, &self.0.joints)
+    }
+
+    #[doc = stub!(PoseReport.max_host_loss_force)]
+    #[getter]
+    fn max_host_loss_force(&self) -> Option<f64> {
+        self.0.max_host_loss_force
+    }
+
+    #[doc = stub!(PoseReport.yields)]
+    #[getter]
+    fn yields(&self) -> Vec<(bool, bool)> {
+        self.0.yields.iter().map(|&[minus, plus]| (minus, plus)).collect()
+    }
+
+    #[doc = stub!(PoseReport.coupled_to)]
+    #[getter]
+    fn coupled_to(&self) -> Vec<(Option<&'static str>, Option<&'static str>)> {
+        self.0.coupled_to.iter().map(|&[minus, plus]| (minus, plus)).collect()
+    }
+
+    #[doc = stub!(PoseReport.stop_joint)]
+    #[getter]
+    fn stop_joint(&self) -> Vec<(Option<&str>, Option<&str>)> {
+        stop_joints(&self.0)
+    }
+
+    #[doc = stub!(PoseReport.summary)]
+    fn summary(&self) -> Vec<String> {
+        self.0.summary()
+    }
+
+    fn __str__(&self) -> String {
+        self.0.to_string()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<PoseReport: axes {}; {} joints>", self.0.axes.join(" "), self.0.joints.len())
+    }
 }
 
 /// Returns the names of the joints that stop a push toward (−, +).
@@ -131,37 +148,44 @@ fn pairs<'py>(py: Python<'py>, values: &[[f64; 2]]) -> Bound<'py, PyAny> {
     new_array(py, &[values.len(), 2], values.as_flattened())
 }
 
+#[doc = stub!(Issue)]
 #[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Issue(CoreFinding);
 
 #[pymethods]
 impl Issue {
+    #[doc = stub!(Issue.pose)]
     #[getter]
     fn pose(&self) -> usize {
         self.0.pose
     }
 
+    #[doc = stub!(Issue.about)]
     #[getter]
     fn about(&self) -> &str {
         &self.0.about
     }
 
+    #[doc = stub!(Issue.required)]
     #[getter]
     fn required(&self) -> bool {
         self.0.required
     }
 
+    #[doc = stub!(Issue.reason)]
     #[getter]
     fn reason(&self) -> &str {
         &self.0.reason
     }
 
+    #[doc = stub!(Issue.setting)]
     #[getter]
     fn setting(&self) -> Option<&str> {
         self.0.setting.as_deref()
     }
 
+    #[doc = stub!(Issue.value)]
     #[getter]
     fn value(&self) -> Option<f64> {
         self.0.value
@@ -173,22 +197,26 @@ impl Issue {
     }
 }
 
+#[doc = stub!(FeasibilityReport)]
 #[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct FeasibilityReport(CoreCheck);
 
 #[pymethods]
 impl FeasibilityReport {
+    #[doc = stub!(FeasibilityReport.achievable)]
     #[getter]
     fn achievable(&self) -> bool {
         self.0.achievable
     }
 
+    #[doc = stub!(FeasibilityReport.poses)]
     #[getter]
     fn poses(&self) -> usize {
         self.0.poses
     }
 
+    #[doc = stub!(FeasibilityReport.findings)]
     #[getter]
     fn findings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let found: PyResult<Vec<_>> =
@@ -196,41 +224,49 @@ impl FeasibilityReport {
         PyTuple::new(py, found?)
     }
 
+    #[doc = stub!(FeasibilityReport.axes)]
     #[getter]
     fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(py, &self.0.axes)
     }
 
+    #[doc = stub!(FeasibilityReport.capacity)]
     #[getter]
     fn capacity<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         pairs(py, &self.0.capacity)
     }
 
+    #[doc = stub!(FeasibilityReport.worst_pose)]
     #[getter]
     fn worst_pose(&self) -> Vec<(usize, usize)> {
         self.0.worst_pose.iter().map(|&[minus, plus]| (minus, plus)).collect()
     }
 
+    #[doc = stub!(FeasibilityReport.friction_left)]
     #[getter]
     fn friction_left<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[self.0.friction_left.len()], &self.0.friction_left)
     }
 
+    #[doc = stub!(FeasibilityReport.stop_distance)]
     #[getter]
     fn stop_distance<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         pairs(py, &self.0.stop_distance)
     }
 
+    #[doc = stub!(FeasibilityReport.sigma_min)]
     #[getter]
     fn sigma_min(&self) -> f64 {
         self.0.sigma_min
     }
 
+    #[doc = stub!(FeasibilityReport.sigma_pose)]
     #[getter]
     fn sigma_pose(&self) -> usize {
         self.0.sigma_pose
     }
 
+    #[doc = stub!(FeasibilityReport.way_sigma)]
     #[getter]
     fn way_sigma<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         pairs(py, &self.0.way_sigma)

@@ -9,6 +9,7 @@ use crate::fields::{Fields, Special, fields};
 use crate::kinds::{Flag, Joints, Optional};
 use crate::words::Word;
 
+#[doc = stub!(Servos)]
 #[pyclass(name = "Servos", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Servos(pub(crate) CoreServos);
@@ -76,34 +77,37 @@ fields! {
         no_load_speed: Optional<Joints>,
         stiffness_known: Flag,
     }
-    methods {
-        #[new]
-        #[pyo3(
-            signature = (**fields),
-            text_signature = "(*, kp, max_torque, friction=0.0, load_friction=0.0, stribeck=0.0, load_stribeck=0.0, \
-                              stribeck_speed=1.0, damping=0.0, kv=0.0, armature=0.0, encoder_step=0.0, limit_type='current', \
-                              no_load_speed=None, stiffness_known=False)"
-        )]
-        fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::with(CoreServos::new(Vec::new(), Vec::new()), fields)
-        }
+}
 
-        // The servo tables are Python code, and so is their reader.
-        #[staticmethod]
-        #[pyo3(signature = (models, *, voltage=None, gains=None))]
-        fn of<'py>(
-            models: &Bound<'py, PyAny>,
-            voltage: Option<&Bound<'py, PyAny>>,
-            gains: Option<&Bound<'py, PyAny>>,
-        ) -> PyResult<Bound<'py, PyAny>> {
-            let options = PyDict::new(models.py());
-            options.set_item("voltage", voltage)?;
-            options.set_item("gains", gains)?;
-            models.py().import("pliant.servo")?.call_method("servos_of", (models,), Some(&options))
-        }
+#[pymethods]
+impl Servos {
+    #[new]
+    #[pyo3(
+        signature = (**fields),
+        text_signature = "(*, kp, max_torque, friction=0.0, load_friction=0.0, stribeck=0.0, load_stribeck=0.0, \
+                          stribeck_speed=1.0, damping=0.0, kv=0.0, armature=0.0, encoder_step=0.0, limit_type='current', \
+                          no_load_speed=None, stiffness_known=False)"
+    )]
+    fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Self::with(CoreServos::new(Vec::new(), Vec::new()), fields)
+    }
 
-        fn __len__(&self) -> usize {
-            self.0.kp.len()
-        }
+    #[doc = stub!(Servos.of)]
+    // The servo tables are Python code, and so is their reader.
+    #[staticmethod]
+    #[pyo3(signature = (models, *, voltage=None, gains=None))]
+    fn of<'py>(
+        models: &Bound<'py, PyAny>,
+        voltage: Option<&Bound<'py, PyAny>>,
+        gains: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let options = PyDict::new(models.py());
+        options.set_item("voltage", voltage)?;
+        options.set_item("gains", gains)?;
+        models.py().import("pliant.servo")?.call_method("servos_of", (models,), Some(&options))
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.kp.len()
     }
 }

@@ -18,6 +18,7 @@ use crate::task::{AxesField, TaskField, merged};
 use crate::words::Word;
 use crate::{arguments, groups};
 
+#[doc = stub!(Settings)]
 #[pyclass(name = "Settings", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Settings(pub(crate) CoreSettings);
@@ -94,112 +95,124 @@ fields! {
         torque_limits: Group<TorqueLimits>,
         paper_options: Group<PaperOptions>,
     }
-    methods {
-        #[new]
-        #[pyo3(
-            signature = (**fields),
-            text_signature = "(*, task='xyz rpy', axes={}, law='cap', rate=100.0, delay=0.0, gravity=True, \
-                              max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
-                              accept_high_adaptation=False, accept_high_stiffness=False, tracking=..., \
-                              null_space=..., compensation=..., torque_limits=..., \
-                              paper_options=...)"
-        )]
-        fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::with(CoreSettings::default(), fields)
-        }
+}
 
-        #[classmethod]
-        #[pyo3(signature = (**overrides))]
-        fn paper(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::paper(), "", overrides)
-        }
+#[pymethods]
+impl Settings {
+    #[new]
+    #[pyo3(
+        signature = (**fields),
+        text_signature = "(*, task='xyz rpy', axes={}, law='cap', rate=100.0, delay=0.0, gravity=True, \
+                          max_tool_speed=(0.25, 1.0), max_tool_acceleration=(1.0, 4.0), \
+                          accept_high_adaptation=False, accept_high_stiffness=False, tracking=..., \
+                          null_space=..., compensation=..., torque_limits=..., \
+                          paper_options=...)"
+    )]
+    fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Self::with(CoreSettings::default(), fields)
+    }
 
-        #[pyo3(signature = (model, path = None, *, servos = None))]
-        #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
-        fn raise_soft(
-            &self,
-            py: Python<'_>,
-            #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
-            path: Option<&Bound<'_, PyAny>>,
-            #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
-        ) -> PyResult<Self> {
-            let model = model.get();
-            let poses = path.map_or(Ok(Vec::new()), |path| postures("path", path, model.core.n()))?;
-            let servos = servos.as_ref().or(model.servos.as_ref()).map(|servos| &servos.get().0);
-            py.detach(|| analysis::raise_soft(&self.0, &model.core, servos, &poses)).or_raise().map(Self)
-        }
+    #[doc = stub!(Settings.paper)]
+    #[classmethod]
+    #[pyo3(signature = (**overrides))]
+    fn paper(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Self::preset(CoreSettings::paper(), "", overrides)
+    }
 
-        #[classmethod]
-        #[pyo3(signature = (axes, /, **overrides))]
-        fn soft(
-            _class: &Bound<'_, PyType>,
-            axes: &Bound<'_, PyAny>,
-            overrides: Option<&Bound<'_, PyDict>>,
-        ) -> PyResult<Self> {
-            let axes = &arguments::text("axes", "names of the yielding axes, such as 'y' or 'x yaw'", axes)?;
-            Self::preset(CoreSettings::soft(axes).or_raise()?, axes, overrides)
-        }
+    #[doc = stub!(Settings.raise_soft)]
+    #[pyo3(signature = (model, path = None, *, servos = None))]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn raise_soft(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = arguments::model)] model: Py<Model>,
+        path: Option<&Bound<'_, PyAny>>,
+        #[pyo3(from_py_with = arguments::servos_or_none)] servos: Option<Py<Servos>>,
+    ) -> PyResult<Self> {
+        let model = model.get();
+        let poses = path.map_or(Ok(Vec::new()), |path| postures("path", path, model.core.n()))?;
+        let servos = servos.as_ref().or(model.servos.as_ref()).map(|servos| &servos.get().0);
+        py.detach(|| analysis::raise_soft(&self.0, &model.core, servos, &poses)).or_raise().map(Self)
+    }
 
-        #[classmethod]
-        #[pyo3(signature = (**overrides))]
-        fn firm(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::firm(), "", overrides)
-        }
+    #[doc = stub!(Settings.soft)]
+    #[classmethod]
+    #[pyo3(signature = (axes, /, **overrides))]
+    fn soft(
+        _class: &Bound<'_, PyType>,
+        axes: &Bound<'_, PyAny>,
+        overrides: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let axes = &arguments::text("axes", "names of the yielding axes, such as 'y' or 'x yaw'", axes)?;
+        Self::preset(CoreSettings::soft(axes).or_raise()?, axes, overrides)
+    }
 
-        #[classmethod]
-        #[pyo3(signature = (**overrides))]
-        fn door(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::door(), "", overrides)
-        }
+    #[doc = stub!(Settings.firm)]
+    #[classmethod]
+    #[pyo3(signature = (**overrides))]
+    fn firm(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Self::preset(CoreSettings::firm(), "", overrides)
+    }
 
-        #[classmethod]
-        #[pyo3(signature = (*, axis = None, pull = None, **overrides), text_signature = "(*, axis='x', pull=None, **overrides)")]
-        fn drawer(
-            _class: &Bound<'_, PyType>,
-            axis: Option<&Bound<'_, PyAny>>,
-            pull: Option<&Bound<'_, PyAny>>,
-            overrides: Option<&Bound<'_, PyDict>>,
-        ) -> PyResult<Self> {
-            let (axis, pull) = (&along(axis, "x")?, newtons("pull", pull)?);
-            Self::driven(CoreSettings::drawer(axis, pull).or_raise()?, axis, overrides)
-        }
+    #[doc = stub!(Settings.door)]
+    #[classmethod]
+    #[pyo3(signature = (**overrides))]
+    fn door(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Self::preset(CoreSettings::door(), "", overrides)
+    }
 
-        #[classmethod]
-        #[pyo3(signature = (*, press = None, axis = None, **overrides), text_signature = "(*, press=None, axis='z', **overrides)")]
-        fn wipe(
-            _class: &Bound<'_, PyType>,
-            press: Option<&Bound<'_, PyAny>>,
-            axis: Option<&Bound<'_, PyAny>>,
-            overrides: Option<&Bound<'_, PyDict>>,
-        ) -> PyResult<Self> {
-            let (axis, press) = (&along(axis, "z")?, newtons("press", press)?);
-            Self::driven(CoreSettings::wipe(press, axis).or_raise()?, axis, overrides)
-        }
+    #[doc = stub!(Settings.drawer)]
+    #[classmethod]
+    #[pyo3(signature = (*, axis = None, pull = None, **overrides), text_signature = "(*, axis='x', pull=None, **overrides)")]
+    fn drawer(
+        _class: &Bound<'_, PyType>,
+        axis: Option<&Bound<'_, PyAny>>,
+        pull: Option<&Bound<'_, PyAny>>,
+        overrides: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let (axis, pull) = (&along(axis, "x")?, newtons("pull", pull)?);
+        Self::driven(CoreSettings::drawer(axis, pull).or_raise()?, axis, overrides)
+    }
 
-        #[classmethod]
-        #[pyo3(signature = (**overrides))]
-        fn hand_over(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::hand_over(), "", overrides)
-        }
+    #[doc = stub!(Settings.wipe)]
+    #[classmethod]
+    #[pyo3(signature = (*, press = None, axis = None, **overrides), text_signature = "(*, press=None, axis='z', **overrides)")]
+    fn wipe(
+        _class: &Bound<'_, PyType>,
+        press: Option<&Bound<'_, PyAny>>,
+        axis: Option<&Bound<'_, PyAny>>,
+        overrides: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let (axis, press) = (&along(axis, "z")?, newtons("press", press)?);
+        Self::driven(CoreSettings::wipe(press, axis).or_raise()?, axis, overrides)
+    }
 
-        #[classmethod]
-        #[pyo3(signature = (*, axis = None, push = None, **overrides), text_signature = "(*, axis='-z', push=None, **overrides)")]
-        fn plug(
-            _class: &Bound<'_, PyType>,
-            axis: Option<&Bound<'_, PyAny>>,
-            push: Option<&Bound<'_, PyAny>>,
-            overrides: Option<&Bound<'_, PyDict>>,
-        ) -> PyResult<Self> {
-            let axis = along(axis, "-z")?;
-            let settings = CoreSettings::plug(&axis, newtons("push", push)?).or_raise()?;
-            Self::driven(settings, axis.trim_start_matches(['-', '+']), overrides)
-        }
+    #[doc = stub!(Settings.hand_over)]
+    #[classmethod]
+    #[pyo3(signature = (**overrides))]
+    fn hand_over(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Self::preset(CoreSettings::hand_over(), "", overrides)
+    }
 
-        #[classmethod]
-        #[pyo3(signature = (**overrides))]
-        fn hand_guiding(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::preset(CoreSettings::hand_guiding(), "", overrides)
-        }
+    #[doc = stub!(Settings.plug)]
+    #[classmethod]
+    #[pyo3(signature = (*, axis = None, push = None, **overrides), text_signature = "(*, axis='-z', push=None, **overrides)")]
+    fn plug(
+        _class: &Bound<'_, PyType>,
+        axis: Option<&Bound<'_, PyAny>>,
+        push: Option<&Bound<'_, PyAny>>,
+        overrides: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let axis = along(axis, "-z")?;
+        let settings = CoreSettings::plug(&axis, newtons("push", push)?).or_raise()?;
+        Self::driven(settings, axis.trim_start_matches(['-', '+']), overrides)
+    }
+
+    #[doc = stub!(Settings.hand_guiding)]
+    #[classmethod]
+    #[pyo3(signature = (**overrides))]
+    fn hand_guiding(_class: &Bound<'_, PyType>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Self::preset(CoreSettings::hand_guiding(), "", overrides)
     }
 }
 

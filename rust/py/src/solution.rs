@@ -1,60 +1,41 @@
 //! `IkResult`.
 
-use pliant_core::{IkOptions, IkResult as CoreSolution};
+use pliant_core::IkOptions;
 use pyo3::prelude::*;
 
-use crate::convert::new_array;
+use crate::convert::Array;
 use crate::error::OrRaise;
 use crate::kinds::{AxisKey, Kind};
 use crate::model::Model;
 use crate::read::{joints, pose};
 
-#[pyclass(module = "pliant.model", frozen)]
+#[doc = stub!(IkResult)]
+#[pyclass(module = "pliant.model", frozen, get_all)]
 #[derive(Debug)]
-pub(crate) struct IkResult(CoreSolution);
+pub(crate) struct IkResult {
+    #[doc = stub!(IkResult.q)]
+    q: Array,
+    #[doc = stub!(IkResult.converged)]
+    converged: bool,
+    #[doc = stub!(IkResult.iterations)]
+    iterations: usize,
+    #[doc = stub!(IkResult.position_error)]
+    position_error: f64,
+    #[doc = stub!(IkResult.rotation_error)]
+    rotation_error: f64,
+    #[doc = stub!(IkResult.reason)]
+    reason: String,
+}
 
 #[pymethods]
 impl IkResult {
-    #[getter]
-    fn q<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[self.0.q.len()], &self.0.q)
-    }
-
-    #[getter]
-    fn converged(&self) -> bool {
-        self.0.converged
-    }
-
-    #[getter]
-    fn iterations(&self) -> usize {
-        self.0.iterations
-    }
-
-    #[getter]
-    fn position_error(&self) -> f64 {
-        self.0.position_error
-    }
-
-    #[getter]
-    fn rotation_error(&self) -> f64 {
-        self.0.rotation_error
-    }
-
-    #[getter]
-    fn reason(&self) -> String {
-        self.0.reason.to_string()
-    }
-
     fn __bool__(&self) -> bool {
-        self.0.converged
+        self.converged
     }
 
     fn __repr__(&self) -> String {
-        let (solution, status) = (&self.0, &self.0.reason);
-        format!(
-            "<IkResult: {status}; {:.1e} m, {:.1e} rad after {} iterations>",
-            solution.position_error, solution.rotation_error, solution.iterations
-        )
+        let Self { reason, position_error, rotation_error, iterations, .. } = self;
+        format!("<IkResult: {reason}; {position_error:.1e} m, {rotation_error:.1e} rad after {iterations} iterations>")
     }
 }
 
@@ -70,5 +51,13 @@ pub(crate) fn search(
     let n = model.core.n();
     let (target, start) = (pose("target", target, axes[3..].iter().all(|on| !on))?, joints("q0", q0, n)?);
     let options = IkOptions { axes, ..options.clone() };
-    model.core.inverse_kinematics(&target, &start[..n], &options).or_raise().map(IkResult)
+    let found = model.core.inverse_kinematics(&target, &start[..n], &options).or_raise()?;
+    Ok(IkResult {
+        q: Array::vector(&found.q),
+        converged: found.converged,
+        iterations: found.iterations,
+        position_error: found.position_error,
+        rotation_error: found.rotation_error,
+        reason: found.reason.to_string(),
+    })
 }

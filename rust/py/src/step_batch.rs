@@ -20,6 +20,7 @@ impl Words for Invalid {
 }
 
 /// State of many arms between batch steps.
+#[doc = stub!(BatchState)]
 #[pyclass(module = "pliant")]
 #[derive(Debug)]
 pub(crate) struct BatchState(CoreState);
@@ -49,6 +50,7 @@ impl BatchState {
         (self.0.n(), new_array(py, &[numbers.len()], numbers))
     }
 
+    #[doc = stub!(BatchState.n)]
     #[getter]
     fn n(&self) -> usize {
         self.0.n()
@@ -58,6 +60,7 @@ impl BatchState {
         self.0.len()
     }
 
+    #[doc = stub!(BatchState.reset)]
     #[pyo3(signature = (indices = None, Q = None))]
     #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
     fn reset(

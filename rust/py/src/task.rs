@@ -12,6 +12,7 @@ use crate::fields::{Fields, Special, fields};
 use crate::kinds::{AxisKey, Kind, Number, Optional, Sides, TaskFrame};
 use crate::words::Word;
 
+#[doc = stub!(Task)]
 #[pyclass(name = "Task", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Task(pub(crate) CoreTask);
@@ -35,29 +36,33 @@ fields! {
         frame: TaskFrame,
         length: Optional<Number>,
     }
-    methods {
-        #[new]
-        #[pyo3(signature = (axes = None, **fields), text_signature = "(axes='xyz rpy', *, frame='base', length=None)")]
-        fn new(axes: Option<&Bound<'_, PyAny>>, fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            let mut core = CoreTask::default();
-            if let Some(axes) = axes {
-                core.axes = AxisKey::read("axes", axes)?;
-            }
-            Self::with(core, fields)
-        }
+}
 
-        #[getter]
-        fn names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-            let chosen: Vec<_> = AXIS_NAMES.iter().zip(self.0.axes).filter(|(_, on)| *on).map(|(name, _)| name).collect();
-            PyTuple::new(py, chosen)
+#[pymethods]
+impl Task {
+    #[new]
+    #[pyo3(signature = (axes = None, **fields), text_signature = "(axes='xyz rpy', *, frame='base', length=None)")]
+    fn new(axes: Option<&Bound<'_, PyAny>>, fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let mut core = CoreTask::default();
+        if let Some(axes) = axes {
+            core.axes = AxisKey::read("axes", axes)?;
         }
+        Self::with(core, fields)
+    }
 
-        fn __len__(&self) -> usize {
-            self.0.len()
-        }
+    #[doc = stub!(Task.names)]
+    #[getter]
+    fn names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let chosen: Vec<_> = AXIS_NAMES.iter().zip(self.0.axes).filter(|(_, on)| *on).map(|(name, _)| name).collect();
+        PyTuple::new(py, chosen)
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.len()
     }
 }
 
+#[doc = stub!(Axis)]
 #[pyclass(name = "Axis", module = "pliant", frozen, eq, from_py_object)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis(pub(crate) CoreAxis);
@@ -92,17 +97,19 @@ fields! {
         deviation_limit: Optional<Number>,
         on_deviation_limit: Word<OnDeviationLimit>,
     }
-    methods {
-        #[new]
-        #[pyo3(
-            signature = (**fields),
-            text_signature = "(*, soft=None, firm=None, hold=None, stiffness=None, damping=None, yields=None, adaptation=0.0, \
-                              soft_until=None, firm_from=None, profile='hardening', max_velocity=None, soft_step_limit=None, \
-                              deviation_limit=None, on_deviation_limit='yield')"
-        )]
-        fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-            Self::with(CoreAxis::default(), fields)
-        }
+}
+
+#[pymethods]
+impl Axis {
+    #[new]
+    #[pyo3(
+        signature = (**fields),
+        text_signature = "(*, soft=None, firm=None, hold=None, stiffness=None, damping=None, yields=None, adaptation=0.0, \
+                          soft_until=None, firm_from=None, profile='hardening', max_velocity=None, soft_step_limit=None, \
+                          deviation_limit=None, on_deviation_limit='yield')"
+    )]
+    fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        Self::with(CoreAxis::default(), fields)
     }
 }
 

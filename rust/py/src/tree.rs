@@ -4,180 +4,154 @@ use pliant_core::model;
 use pliant_core::model::JointKind;
 use pyo3::prelude::*;
 
-use crate::convert::new_array;
+use crate::convert::Array;
 use crate::pose::Pose;
 
-#[pyclass(module = "pliant.model", frozen)]
+#[doc = stub!(Inertial)]
+#[pyclass(module = "pliant.model", frozen, get_all)]
 #[derive(Debug, Clone)]
-pub(crate) struct Inertial(model::Inertial);
+pub(crate) struct Inertial {
+    #[doc = stub!(Inertial.mass)]
+    mass: f64,
+    #[doc = stub!(Inertial.com)]
+    com: Array,
+    #[doc = stub!(Inertial.rotation)]
+    rotation: Array,
+    #[doc = stub!(Inertial.inertia)]
+    inertia: Array,
+}
+
+impl From<&model::Inertial> for Inertial {
+    fn from(core: &model::Inertial) -> Self {
+        Self {
+            mass: core.mass,
+            com: Array::vector(&core.com),
+            rotation: Array::rows(&core.rotation),
+            inertia: Array::rows(&core.inertia),
+        }
+    }
+}
 
 #[pymethods]
 impl Inertial {
-    #[getter]
-    fn mass(&self) -> f64 {
-        self.0.mass
-    }
-
-    #[getter]
-    fn com<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[3], &self.0.com)
-    }
-
-    #[getter]
-    fn rotation<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[3, 3], self.0.rotation.as_flattened())
-    }
-
-    #[getter]
-    fn inertia<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[3, 3], self.0.inertia.as_flattened())
-    }
-
     fn __repr__(&self) -> String {
-        format!("<Inertial of {} kg>", self.0.mass)
+        format!("<Inertial of {} kg>", self.mass)
     }
 }
 
-#[pyclass(module = "pliant.model", frozen)]
+#[doc = stub!(Link)]
+#[pyclass(module = "pliant.model", frozen, get_all)]
 #[derive(Debug, Clone)]
-pub(crate) struct Link(pub(crate) model::Link);
+pub(crate) struct Link {
+    #[doc = stub!(Link.name)]
+    name: String,
+    #[doc = stub!(Link.parent_joint)]
+    parent_joint: Option<usize>,
+    #[doc = stub!(Link.inertial)]
+    inertial: Option<Inertial>,
+}
+
+impl From<&model::Link> for Link {
+    fn from(core: &model::Link) -> Self {
+        let inertial = core.inertial.as_ref().map(Inertial::from);
+        Self { name: core.name.clone(), parent_joint: core.parent_joint, inertial }
+    }
+}
 
 #[pymethods]
 impl Link {
-    #[getter]
-    fn name(&self) -> &str {
-        &self.0.name
-    }
-
-    #[getter]
-    fn parent_joint(&self) -> Option<usize> {
-        self.0.parent_joint
-    }
-
-    #[getter]
-    fn inertial(&self) -> Option<Inertial> {
-        self.0.inertial.map(Inertial)
-    }
-
     fn __repr__(&self) -> String {
-        format!("<Link '{}'>", self.0.name)
+        format!("<Link '{}'>", self.name)
     }
 }
 
-#[pyclass(module = "pliant.model", frozen)]
+#[doc = stub!(Mimic)]
+#[pyclass(module = "pliant.model", frozen, get_all)]
 #[derive(Debug, Clone)]
-pub(crate) struct Mimic(model::Mimic);
+pub(crate) struct Mimic {
+    #[doc = stub!(Mimic.joint)]
+    joint: usize,
+    #[doc = stub!(Mimic.multiplier)]
+    multiplier: f64,
+    #[doc = stub!(Mimic.offset)]
+    offset: f64,
+}
 
 #[pymethods]
 impl Mimic {
-    #[getter]
-    fn joint(&self) -> usize {
-        self.0.joint
-    }
-
-    #[getter]
-    fn multiplier(&self) -> f64 {
-        self.0.multiplier
-    }
-
-    #[getter]
-    fn offset(&self) -> f64 {
-        self.0.offset
-    }
-
     fn __repr__(&self) -> String {
-        format!("<Mimic of joint {}: {} q + {}>", self.0.joint, self.0.multiplier, self.0.offset)
+        format!("<Mimic of joint {}: {} q + {}>", self.joint, self.multiplier, self.offset)
     }
 }
 
-#[pyclass(module = "pliant.model", frozen)]
+#[doc = stub!(Joint)]
+#[pyclass(module = "pliant.model", frozen, get_all)]
 #[derive(Debug, Clone)]
-pub(crate) struct Joint(pub(crate) model::Joint);
+pub(crate) struct Joint {
+    #[doc = stub!(Joint.name)]
+    name: String,
+    #[doc = stub!(Joint.kind)]
+    kind: &'static str,
+    #[doc = stub!(Joint.parent)]
+    parent: usize,
+    #[doc = stub!(Joint.child)]
+    child: usize,
+    #[doc = stub!(Joint.origin)]
+    origin: Pose,
+    #[doc = stub!(Joint.axis)]
+    axis: Array,
+    #[doc = stub!(Joint.lower)]
+    lower: Option<f64>,
+    #[doc = stub!(Joint.upper)]
+    upper: Option<f64>,
+    #[doc = stub!(Joint.velocity)]
+    velocity: Option<f64>,
+    #[doc = stub!(Joint.effort)]
+    effort: Option<f64>,
+    #[doc = stub!(Joint.damping)]
+    damping: Option<f64>,
+    #[doc = stub!(Joint.friction)]
+    friction: Option<f64>,
+    #[doc = stub!(Joint.mimic)]
+    mimic: Option<Mimic>,
+    #[doc = stub!(Joint.q_index)]
+    q_index: Option<usize>,
+    #[doc = stub!(Joint.locked_at)]
+    locked_at: Option<f64>,
+}
+
+impl From<&model::Joint> for Joint {
+    fn from(core: &model::Joint) -> Self {
+        let mimic = core.mimic.map(|model::Mimic { joint, multiplier, offset }| Mimic { joint, multiplier, offset });
+        Self {
+            name: core.name.clone(),
+            kind: match core.kind {
+                JointKind::Revolute => "revolute",
+                JointKind::Continuous => "continuous",
+                JointKind::Prismatic => "prismatic",
+                JointKind::Fixed => "fixed",
+                JointKind::Other => "other",
+            },
+            parent: core.parent,
+            child: core.child,
+            origin: Pose(core.origin),
+            axis: Array::vector(&core.axis),
+            lower: core.lower,
+            upper: core.upper,
+            velocity: core.velocity,
+            effort: core.effort,
+            damping: core.damping,
+            friction: core.friction,
+            mimic,
+            q_index: core.q_index,
+            locked_at: core.locked_at,
+        }
+    }
+}
 
 #[pymethods]
 impl Joint {
-    #[getter]
-    fn name(&self) -> &str {
-        &self.0.name
-    }
-
-    #[getter]
-    fn kind(&self) -> &'static str {
-        match self.0.kind {
-            JointKind::Revolute => "revolute",
-            JointKind::Continuous => "continuous",
-            JointKind::Prismatic => "prismatic",
-            JointKind::Fixed => "fixed",
-            JointKind::Other => "other",
-        }
-    }
-
-    #[getter]
-    fn parent(&self) -> usize {
-        self.0.parent
-    }
-
-    #[getter]
-    fn child(&self) -> usize {
-        self.0.child
-    }
-
-    #[getter]
-    fn origin(&self) -> Pose {
-        Pose(self.0.origin)
-    }
-
-    #[getter]
-    fn axis<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[3], &self.0.axis)
-    }
-
-    #[getter]
-    fn lower(&self) -> Option<f64> {
-        self.0.lower
-    }
-
-    #[getter]
-    fn upper(&self) -> Option<f64> {
-        self.0.upper
-    }
-
-    #[getter]
-    fn velocity(&self) -> Option<f64> {
-        self.0.velocity
-    }
-
-    #[getter]
-    fn effort(&self) -> Option<f64> {
-        self.0.effort
-    }
-
-    #[getter]
-    fn damping(&self) -> Option<f64> {
-        self.0.damping
-    }
-
-    #[getter]
-    fn friction(&self) -> Option<f64> {
-        self.0.friction
-    }
-
-    #[getter]
-    fn mimic(&self) -> Option<Mimic> {
-        self.0.mimic.map(Mimic)
-    }
-
-    #[getter]
-    fn q_index(&self) -> Option<usize> {
-        self.0.q_index
-    }
-
-    #[getter]
-    fn locked_at(&self) -> Option<f64> {
-        self.0.locked_at
-    }
-
     fn __repr__(&self) -> String {
-        format!("<Joint '{}' ({})>", self.0.name, self.kind())
+        format!("<Joint '{}' ({})>", self.name, self.kind)
     }
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pliant._core import ConfigError
-from pliant.cli._files import check_written
+from pliant.cli._flags import check_written
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
 
 from pliant._extras import pip
 from pliant._files import replacing
-from pliant.cli.flags import LogFile, Output
+from pliant.cli._console import print_line
+from pliant.cli._flags import LogFile, Output
 from pliant.cli.log._output import check_data, check_output
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def run(log: LogFile, *, output: Output = None, parquet: bool = False) -> None:
         else:
             columns: dict[str, Any] = dict(data.columns)
             np.savez_compressed(beside, **columns)
-    Console().print(str(file), highlight=False, soft_wrap=True, markup=False)
+    print_line(str(file))
 
 
 def _parquet(file: Path, log: Log) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 from rich.console import Console
 
 from pliant._files import printable
-from pliant.cli.flags import LogFile
+from pliant.cli._console import print_line
+from pliant.cli._flags import LogFile
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,7 +27,7 @@ def run(log: LogFile) -> None:
 
     console = Console()
     for line in _lines(log, read(log)):
-        console.print(printable(line), highlight=False, soft_wrap=True, markup=False)
+        print_line(printable(line), console)
 
 
 def _lines(path: Path, log: Log) -> list[str]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-
 from pliant._extras import missing
 from pliant._files import replacing
-from pliant.cli.flags import LogFile, Output
+from pliant.cli._console import print_line
+from pliant.cli._flags import LogFile, Output
 from pliant.cli.log._output import check_data, check_output
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ def run(log: LogFile, *, output: Output = None) -> None:
     check_data(log, data, file, "picture")
     with replacing(file) as beside:
         _plot(beside, data)
-    Console().print(str(file), highlight=False, soft_wrap=True, markup=False)
+    print_line(str(file))
 
 
 def _plot(file: Path, log: Log) -> None:

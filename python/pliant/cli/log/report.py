@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from rich.console import Console
-
 from pliant._files import check_output
-from pliant.cli._files import check_written
-from pliant.cli.flags import LogFile, Output
+from pliant.cli._console import print_line
+from pliant.cli._flags import LogFile, Output, check_written
 
 
 def run(
@@ -31,4 +29,4 @@ def run(
     else:
         check_output(folder, "page", [log])
     page = report(data, folder, title=log.stem)
-    Console().print(str(page.resolve()), highlight=False, soft_wrap=True, markup=False)
+    print_line(str(page.resolve()))

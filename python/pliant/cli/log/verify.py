@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from rich.console import Console
-
-from pliant.cli.flags import LogFile
+from pliant.cli._console import print_line
+from pliant.cli._flags import LogFile
 
 
 def run(log: LogFile) -> None:
@@ -22,4 +21,4 @@ def run(log: LogFile) -> None:
         else f"run again: {result.differing} of {result.steps} commands differ, goals by at most "
         f"{result.largest:.2g} rad" + (" (calls are missing)" if result.missing else "")
     )
-    Console().print(line, highlight=False, soft_wrap=True, markup=False)
+    print_line(line)

@@ -6,8 +6,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from pliant._core import ConfigError, PliantError
-from pliant.cli.flags import ArmName, Override, Seconds
-from pliant.cli.servos._watch import watch as look
+from pliant.cli._flags import ArmName, ConfigFlags, Seconds
+from pliant.cli.servos._joint_monitor import watch as watch_joints
 from pliant.config.doctor import examine
 
 MARKS = {"good": "[green]ok  [/]", "note": "[yellow]note[/]", "bad": "[red]bad [/]"}
@@ -20,7 +20,7 @@ READY = (
 def run(
     arm: ArmName,
     *,
-    override: Override,
+    override: ConfigFlags,
     watch: bool = False,
     duration: Seconds = None,
 ) -> None:
@@ -42,7 +42,7 @@ def run(
     console, bad = Console(), 0
     read = override.load(arm)
     if watch:
-        look(read, console, duration)
+        watch_joints(read, console, duration)
         return
     for finding in examine(read):
         bad += finding.level == "bad"

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pliant._core import ConfigError
 from pliant._priority import raise_priority
-from pliant.cli.flags import ArmName, Files, Seconds
+from pliant.cli._flags import ArmName, FileFlags, Seconds
 from pliant.emulator import Faults, Timing
 
 #: Signals of a service manager, of a closing terminal, and Ctrl-\\.
@@ -29,7 +29,7 @@ def run(
     lose: float = 0.0,
     seed: int = 0,
     duration: Seconds = None,
-    override: Files,
+    override: FileFlags,
 ) -> None:
     """Emulate an arm's servos, with the simulated arm behind them, until Ctrl-C.
 

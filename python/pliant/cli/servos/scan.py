@@ -7,7 +7,8 @@ from rich.console import Console
 from rich.table import Table
 
 from pliant._core import ConfigError, ServoError
-from pliant.cli.flags import Device
+from pliant.cli._console import print_line
+from pliant.cli._flags import Device
 from pliant.servo import serial_ports
 from pliant.servo.scan import ALL, BAUDRATES, USUAL, Seen, scan
 
@@ -41,7 +42,7 @@ def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> 
             except ServoError as error:
                 if len(ports) == 1:
                     raise
-                console.print(f"{error}", highlight=False, soft_wrap=True, markup=False)
+                print_line(f"{error}", console)
     if not found:
         raise ServoError(
             f"no servo answers on {', '.join(ports)}: is the servos' power on, is the cable in?"

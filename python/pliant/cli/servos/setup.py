@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from pliant._core import ConfigError
-from pliant.cli.flags import ArmName, File, Ids, Wired
+from pliant.cli._console import print_line
+from pliant.cli._flags import ArmName, BusFlags, File, Ids
 from pliant.cli.servos import _backup as kept
 from pliant.config import factory
 from pliant.servo import RustypotTransport
@@ -39,7 +40,7 @@ def run(
     undo: File = None,
     backup: Path = Path("pliant-setup.json"),
     set_id: Ids = None,
-    override: Wired,
+    override: BusFlags,
 ) -> None:
     """Set the servos' EEPROM up for compliant control; LeRobot's own values stay as they are.
 
@@ -92,11 +93,11 @@ def run(
     console.print(f"{len(wanted)} registers written and read back")
     name = shlex.quote(arm)
     again = " ".join(["pliant servos doctor", name, "--watch", *override.words()])
-    _say(console, f"before torque comes on, see its directions: {again}")
+    print_line(f"before torque comes on, see its directions: {again}", console)
     if undo is None:
         file = shlex.quote(str(backup))
         back = " ".join(["pliant servos setup", name, "--undo", file, *override.words()])
-        _say(console, f"old values in {backup}; this puts them back: {back}")
+        print_line(f"old values in {backup}; this puts them back: {back}", console)
 
 
 def _ids(text: str) -> tuple[int, int]:
@@ -145,11 +146,6 @@ def _cancel() -> NoReturn:
     """Leave with exit code 1 after the user declined."""
     Console(stderr=True).print("cancelled: nothing was written", highlight=False)
     raise SystemExit(1)
-
-
-def _say(console: Console, line: str) -> None:
-    """Print a command to copy: not wrapped, not coloured, without markup."""
-    console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 class _Ports:

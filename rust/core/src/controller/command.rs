@@ -14,6 +14,10 @@ pub struct Command {
 }
 
 impl Command {
+    pub(crate) const fn new(n: usize, goal: JointVec, torque_limit: JointVec, speed_limit: JointVec) -> Self {
+        Self { n, goal, torque_limit, speed_limit }
+    }
+
     /// Goals of the position servos (n) [rad].
     pub fn goal(&self) -> &[f64] {
         &self.goal[..self.n.min(MAX_JOINTS)]

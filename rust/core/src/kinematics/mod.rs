@@ -15,6 +15,7 @@ mod gravity;
 mod ik;
 mod jacobian;
 mod mass_matrix;
+mod points;
 pub(crate) mod statics;
 mod targets;
 pub(crate) mod velocity_filter;
@@ -24,6 +25,7 @@ pub(crate) use fused::{LookScratch, View};
 pub use gravity::Masses;
 pub use ik::{IkOptions, IkReason, IkResult};
 pub(crate) use jacobian::{rotated_rows, task_rows};
+pub use points::{ArmGeometry, ArmPoints, MAX_POINTS};
 pub(crate) use targets::{joint_targets, target_region};
 
 /// Axes of a Jacobian's rows; the reference point is the tool in both cases.

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pliant.emulator import engine1, engine2
+from pliant.emulator import _protocol1, _protocol2
+from pliant.emulator._x_series import XServo
 from pliant.emulator.faults import Blow, Faults, collide
 from pliant.emulator.log import Log, Transaction
+from pliant.emulator.packets import BROADCAST, Framer
 from pliant.emulator.timing import Timing
-from pliant.emulator.wire import BROADCAST, Framer
-from pliant.emulator.x import XServo
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pliant.emulator.packets import Frame
     from pliant.emulator.servo import Servo
-    from pliant.emulator.wire import Frame
 
 #: A servo listens if its speed is within this share of the host's.
 BAUD_TOLERANCE = 0.03
@@ -37,7 +37,7 @@ class Delivery:
     late: bool = False
 
 
-class Line:
+class SerialLine:
     """A half-duplex bus.
 
     Attributes:
@@ -132,7 +132,7 @@ class Line:
         writes = [write for servo in listening for write in servo.journal]
         for servo in listening:
             servo.journal.clear()
-        names = engine1.NAMES if frame.protocol == 1 else engine2.NAMES
+        names = _protocol1.NAMES if frame.protocol == 1 else _protocol2.NAMES
         name = names.get(frame.instruction, f"0x{frame.instruction:02x}")
         sent = tuple(data for _, _, data in packets)
         self.log.add(
@@ -165,14 +165,14 @@ class Line:
         ]
 
     @staticmethod
-    def _handle(listening: list[Servo], frame: Frame) -> list[engine1.Slot]:
+    def _handle(listening: list[Servo], frame: Frame) -> list[_protocol1.Slot]:
         if frame.protocol == 1:
-            return engine1.handle(listening, frame)
-        return engine2.handle([s for s in listening if isinstance(s, XServo)], frame)
+            return _protocol1.handle(listening, frame)
+        return _protocol2.handle([s for s in listening if isinstance(s, XServo)], frame)
 
     @staticmethod
     def _pause(frame: Frame, index: int, servo: Servo) -> float:
         """Return delay; in a fast read only the first servo waits."""
-        fast = {engine2.FAST_SYNC_READ, engine2.FAST_BULK_READ}
+        fast = {_protocol2.FAST_SYNC_READ, _protocol2.FAST_BULK_READ}
         chained = frame.protocol == 2 and frame.instruction in fast and index > 0
         return 0.0 if chained else servo.return_delay

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant.emulator.dxl1 import BIT_INSTRUCTION
-from pliant.emulator.sts import StsServo
-from pliant.emulator.wire import BROADCAST, packet_1
+from pliant.emulator._dynamixel1 import BIT_INSTRUCTION
+from pliant.emulator._feetech import StsServo
+from pliant.emulator.packets import BROADCAST, packet_1
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pliant.emulator.packets import Frame
     from pliant.emulator.servo import Servo
-    from pliant.emulator.wire import Frame
 
 PING, READ, WRITE, REG_WRITE, ACTION, RESET, REBOOT = 1, 2, 3, 4, 5, 6, 8
 SYNC_READ, SYNC_WRITE, BULK_READ = 0x82, 0x83, 0x92

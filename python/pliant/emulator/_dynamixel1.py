@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from pliant._core import ConfigError
-from pliant.emulator import tables
+from pliant.emulator import control_tables as tables
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_ANGLE, BIT_RANGE, BIT_INSTRUCTION = 0x02, 0x08, 0x40

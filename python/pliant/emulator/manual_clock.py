@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from pliant.emulator.emulator import Emulator
 
 
-class StepClock:
+class ManualClock:
     """Time of an emulator with the clock `steps`, for `ServoBus(..., clock=...)`.
 
     Waiting advances the emulated time, so a program over real bytes runs as fast as the computer

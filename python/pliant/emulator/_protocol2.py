@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pliant.emulator.engine1 import Slot, act
-from pliant.emulator.wire import BROADCAST, HEADER_2, LONGEST, STATUS, crc16, status_2
-from pliant.emulator.x import CRC, INSTRUCTION, LENGTH, XServo
+from pliant.emulator._protocol1 import Slot, act
+from pliant.emulator._x_series import CRC, INSTRUCTION, LENGTH, XServo
+from pliant.emulator.packets import BROADCAST, HEADER_2, LONGEST, STATUS, crc16, status_2
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pliant.emulator.wire import Frame
+    from pliant.emulator.packets import Frame
 
 PING, READ, WRITE, REG_WRITE, ACTION, RESET, REBOOT, CLEAR = 1, 2, 3, 4, 5, 6, 8, 0x10
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 SLICE = 0.010
 
 
-class World:
+class Simulation:
     """Advances the physics, then updates every servo.
 
     Attributes:

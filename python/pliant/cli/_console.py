@@ -1,4 +1,4 @@
-"""Detection of the Enter key while a loop runs."""
+"""Output of plain lines, and detection of the Enter key while a loop runs."""
 
 from __future__ import annotations
 
@@ -6,8 +6,15 @@ import queue
 import sys
 import threading
 
+from rich.console import Console
 
-class Keys:
+
+def print_line(text: str, console: Console | None = None) -> None:
+    """Print a line as it is: not wrapped, not coloured, without markup."""
+    (console or Console()).print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+class EnterKey:
     """Lines of standard input, read in a separate thread."""
 
     def __init__(self) -> None:
@@ -19,7 +26,7 @@ class Keys:
         for line in sys.stdin:
             self._lines.put(line)
 
-    def enter(self) -> bool:
+    def pressed(self) -> bool:
         """Return True if Enter has been pressed since the last call."""
         pressed = False
         while not self._lines.empty():

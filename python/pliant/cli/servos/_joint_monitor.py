@@ -11,36 +11,36 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from pliant.cli._console import print_line
 from pliant.config import factory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
     from rich.console import Console
 
     from pliant._core import Model
+    from pliant._typing import Array, Mask
     from pliant.config import Config
-
-    Array = NDArray[np.float64]
 
 
 #: Period of the readings [s].
 PERIOD = 0.1
 #: Rotation above which a joint counts as moved [rad].
-MOVED = 0.05
+MIN_MOTION = 0.05
 #: Distance beyond a limit up to which a joint counts as at the limit [rad].
-BESIDE = 0.01
+LIMIT_TOLERANCE = 0.01
 
 
-class Watch:
+class JointMonitor:
     """Motion of the joints since their first reading.
 
     Attributes:
         model: The robot.
         names: Joints of the drive, grippers included.
         position: Last readings (N,) [rad]; NaN for a joint without a reply so far.
-        said: Sentence on the last moved joint and the expected motion of the tool.
+        last_motion: Sentence on the last moved joint and the expected motion of the tool.
     """
 
     def __init__(self, config: Config, model: Model, names: tuple[str, ...]) -> None:
@@ -56,29 +56,33 @@ class Watch:
             if opened is not None and closed is not None:
                 self._limits[config.gripper.joint] = min(opened, closed), max(opened, closed)
         self.position = np.full(len(names), np.nan)
-        self._from = self.position.copy()
-        self.said = ""
+        self._reference = self.position.copy()
+        self.last_motion = ""
 
-    def update(self, position: Array, ok: NDArray[np.bool_]) -> bool:
+    def update(self, position: Array, ok: Mask) -> bool:
         """Take a reading; return True if a joint has moved since the last report."""
         self.position = np.where(ok, position, self.position)
-        self._from = np.where(np.isnan(self._from), self.position, self._from)
-        way = np.nan_to_num(self.position - self._from)
-        most = int(np.argmax(np.abs(way)))
-        if abs(way[most]) < MOVED:
+        self._reference = np.where(np.isnan(self._reference), self.position, self._reference)
+        motion = np.nan_to_num(self.position - self._reference)
+        joint = int(np.argmax(np.abs(motion)))
+        if abs(motion[joint]) < MIN_MOTION:
             return False
-        self.said = self._sentence(most, float(way[most]))
-        self._from = self.position.copy()
+        self.last_motion = self._sentence(joint, float(motion[joint]))
+        self._reference = self.position.copy()
         return True
 
     @property
     def rows(self) -> Iterator[tuple[str, str, str, str]]:
         """Joint, angle, limits, and expected motion of the tool as the angle grows."""
-        phrases = self._ways()
+        phrases = self._directions()
         for name, q in zip(self.names, self.position, strict=True):
             low, high = self._limits.get(name, (-np.inf, np.inf))
             span = f"{low:+.2f} to {high:+.2f}" if np.isfinite([low, high]).all() else "none"
-            odd = "" if np.isnan(q) or low - BESIDE <= q <= high + BESIDE else ", outside"
+            odd = (
+                ""
+                if np.isnan(q) or low - LIMIT_TOLERANCE <= q <= high + LIMIT_TOLERANCE
+                else ", outside"
+            )
             angle = "no answer" if np.isnan(q) else f"{q:+.2f} rad ({np.degrees(q):+.0f}°)"
             yield name, angle, span + odd, phrases.get(name, "")
 
@@ -97,15 +101,15 @@ class Watch:
             return ""
         return f"rest_q = [{', '.join(f'{round(q, 2) + 0.0:.2f}' for q in pose)}]"
 
-    def _sentence(self, joint: int, way: float) -> str:
+    def _sentence(self, joint: int, motion: float) -> str:
         name = self.names[joint]
-        grew = "grew" if way > 0.0 else "fell"
-        begin = f"{name} {grew} by {abs(way):.2f} rad to {self.position[joint]:+.2f}"
+        grew = "grew" if motion > 0.0 else "fell"
+        begin = f"{name} {grew} by {abs(motion):.2f} rad to {self.position[joint]:+.2f}"
         if name not in self.model.joint_names:
             return begin
-        return f"{begin}: for this model the tool {self._ways(falling=way < 0.0)[name]}"
+        return f"{begin}: for this model the tool {self._directions(falling=motion < 0.0)[name]}"
 
-    def _ways(self, *, falling: bool = False) -> dict[str, str]:
+    def _directions(self, *, falling: bool = False) -> dict[str, str]:
         phrases = joint_directions(self.model, self._chain(), up=self._up, falling=falling)
         return dict(zip(self.model.joint_names, phrases, strict=True))
 
@@ -129,89 +133,82 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
     model = config.model()
     drive: Any = factory.make_drive(config, model)
     drive.open()
-    look = None
+    monitor = None
     try:
-        look = Watch(config, model, tuple(drive.names))
+        monitor = JointMonitor(config, model, tuple(drive.names))
         _begin(console, [n for n, on in zip(drive.names, drive.enabled, strict=True) if on])
         end = None if seconds is None else time.monotonic() + seconds
         with Live(console=console, auto_refresh=False) as live:
             first = True
             while end is None or time.monotonic() < end:
                 sample = drive.read()
-                moved = look.update(sample.position, sample.ok)
+                moved = monitor.update(sample.position, sample.ok)
                 if console.is_terminal:
-                    live.update(_table(look), refresh=True)
+                    live.update(_table(monitor), refresh=True)
                 else:
-                    _lines(console, look, first=first, moved=moved)
+                    _lines(console, monitor, first=first, moved=moved)
                 first = False
                 time.sleep(PERIOD)
     except KeyboardInterrupt:
         pass  # the usual end
     finally:
         drive.close()
-        _end(console, look)
+        _end(console, monitor)
 
 
-def _end(console: Console, look: Watch | None) -> None:
+def _end(console: Console, monitor: JointMonitor | None) -> None:
     """Print the final pose, to copy into the configuration."""
-    if look is not None and look.rest:
-        console.print(
-            "If this is where the arm shall rest, write it under [life] of its file:",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
+    if monitor is not None and monitor.rest:
+        print_line(
+            "If this is where the arm shall rest, write it under [life] of its file:", console
         )
-        console.print(look.rest, highlight=False, markup=False, soft_wrap=True)
+        print_line(monitor.rest, console)
 
 
 def _begin(console: Console, on: list[str]) -> None:
     """Print instructions, and the joints whose torque is on."""
-    console.print(
+    print_line(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
         "as its angle grows the tool must go where its line says. If it goes the other way, turn "
         "the joint's `sign` round in [servo]. Ctrl-C ends, and prints the pose as a rest pose",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
+        console,
     )
     if on:
-        console.print(
-            f"torque is on already, they cannot be moved by hand: {', '.join(on)}",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
-        )
+        print_line(f"torque is on already, they cannot be moved by hand: {', '.join(on)}", console)
 
 
-def _table(look: Watch) -> Table:
+def _table(monitor: JointMonitor) -> Table:
     table = Table(
-        box=SIMPLE_HEAD, pad_edge=False, caption=f"{look.tool}\n{look.said}\n{escape(look.rest)}"
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        caption=f"{monitor.tool}\n{monitor.last_motion}\n{escape(monitor.rest)}",
     )
     table.caption_justify = "left"
     for name in ("joint", "angle", r"limits \[rad]", "as it grows the tool"):
         table.add_column(name, justify="right" if name == "angle" else "left")
-    for row in look.rows:
+    for row in monitor.rows:
         table.add_row(*row)
     return table
 
 
-def _lines(console: Console, look: Watch, *, first: bool, moved: bool) -> None:
+def _lines(console: Console, monitor: JointMonitor, *, first: bool, moved: bool) -> None:
     lines = []
     if first:
         lines = [
-            f"{name}: {angle}, limits {span}" + (f"; as it grows the tool {way}" if way else "")
-            for name, angle, span, way in look.rows
+            f"{name}: {angle}, limits {span}"
+            + (f"; as it grows the tool {motion}" if motion else "")
+            for name, angle, span, motion in monitor.rows
         ]
     if moved:
-        lines = [look.said]
-    for line in [*lines, look.tool] if lines else []:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        lines = [monitor.last_motion]
+    for line in [*lines, monitor.tool] if lines else []:
+        print_line(line, console)
 
 
 #: Tool motion below which a joint only turns the tool in place [m/rad].
 IN_PLACE = 0.02
 #: Least share of the motion from which on an axis is named.
-NAMED = 0.3
+MIN_SHARE = 0.3
 
 
 def joint_directions(
@@ -247,7 +244,7 @@ def _axes(vector: Array, up: Array, *, numbers: bool) -> str:
     """Format the large components of a vector, the largest first."""
     size, parts = np.abs(vector), []
     for axis in np.argsort(-size):
-        if size[axis] >= NAMED * np.linalg.norm(vector):
+        if size[axis] >= MIN_SHARE * np.linalg.norm(vector):
             sign = 1.0 if vector[axis] > 0.0 else -1.0
             tilt = sign * up[axis]
             word = " (up)" if tilt > 0.9 else " (down)" if tilt < -0.9 else ""

@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from pliant.teach.motion import Motion
 
 #: Longest extra time at the end of a motion [s].
-LATE = 60.0
+MAX_EXTRA_TIME = 60.0
 #: Share of the bounds for a slowed motion; the rest is margin for tracking.
-ROOM = 0.9
+BOUND_SHARE = 0.9
 
 
-def ready(bounds: tuple[float, float, float]) -> Any:
+def import_ruckig(bounds: tuple[float, float, float]) -> Any:
     """Check the bounds and import ruckig, before a motion is made; return ruckig.
 
     Raises:
-        ConfigError, ImportError: As `bounded`.
+        ConfigError, ImportError: As `retime`.
     """
     if not all(0.0 < bound < np.inf for bound in bounds):
         raise ConfigError(f"speed, acceleration and jerk must be above 0, got {bounds!r}")
@@ -35,7 +35,7 @@ def ready(bounds: tuple[float, float, float]) -> Any:
     return ruckig
 
 
-def bounded(motion: Motion, bounds: tuple[float, float, float], rate: float = RATE) -> Motion:
+def retime(motion: Motion, bounds: tuple[float, float, float], rate: float = RATE) -> Motion:
     """Follow a motion as closely as speed, acceleration and jerk of every joint allow.
 
     A motion that exceeds a speed or acceleration bound is first slowed down as a whole, so that
@@ -54,15 +54,15 @@ def bounded(motion: Motion, bounds: tuple[float, float, float], rate: float = RA
         ConfigError: A bound is not above 0, or the bounds are too low for the motion.
         ImportError: ruckig is not installed.
     """
-    ruckig = ready(bounds)
+    ruckig = import_ruckig(bounds)
     n, step = len(motion.joints), 1.0 / rate
     motion = _slowed(motion, bounds[0], bounds[1], step)
     planner = ruckig.Ruckig(n, step)
-    given, made = ruckig.InputParameter(n), ruckig.OutputParameter(n)
+    inputs, outputs = ruckig.InputParameter(n), ruckig.OutputParameter(n)
     speed, acceleration, jerk = bounds
-    given.current_position = motion.q[0].tolist()
-    given.max_velocity, given.max_acceleration = [speed] * n, [acceleration] * n
-    given.max_jerk = [jerk] * n
+    inputs.current_position = motion.q[0].tolist()
+    inputs.max_velocity, inputs.max_acceleration = [speed] * n, [acceleration] * n
+    inputs.max_jerk = [jerk] * n
     rows, count = [motion.q[0]], 0
     while True:
         count += 1
@@ -70,21 +70,21 @@ def bounded(motion: Motion, bounds: tuple[float, float, float], rate: float = RA
         ended = time >= motion.duration
         before, here, after = (motion.at(time + shift) for shift in (-step, 0.0, step))
         slope, bend = (after - before) * (0.5 * rate), (after - 2.0 * here + before) * rate**2
-        given.target_position = here.tolist()
+        inputs.target_position = here.tolist()
         slope, bend = np.clip(slope, -speed, speed), np.clip(bend, -acceleration, acceleration)
-        given.target_velocity = [0.0] * n if ended else slope.tolist()
-        given.target_acceleration = [0.0] * n if ended else bend.tolist()
-        result = planner.update(given, made)
+        inputs.target_velocity = [0.0] * n if ended else slope.tolist()
+        inputs.target_acceleration = [0.0] * n if ended else bend.tolist()
+        result = planner.update(inputs, outputs)
         if int(result) < 0:
             raise ConfigError(f"ruckig refuses the motion at {time:.2f} s: {result}")
-        rows.append(np.array(made.new_position))
-        made.pass_to_input(given)
+        rows.append(np.array(outputs.new_position))
+        outputs.pass_to_input(inputs)
         if ended and result == ruckig.Result.Finished:
             break
-        if time > motion.duration + LATE:
+        if time > motion.duration + MAX_EXTRA_TIME:
             raise ConfigError(
                 f"within {bounds!r} (rad/s, rad/s², rad/s³) the motion of {motion.duration:.1f} s "
-                f"is not over after {LATE:g} s more: raise them"
+                f"is not over after {MAX_EXTRA_TIME:g} s more: raise them"
             )
     times = step * np.arange(len(rows), dtype=np.float64)
     extra = {name: np.interp(times, motion.time, row) for name, row in motion.extra.items()}
@@ -97,5 +97,5 @@ def _slowed(motion: Motion, speed: float, acceleration: float, step: float) -> M
     q = np.array([motion.at(time) for time in times.tolist()])
     first = float(np.abs(np.diff(q, axis=0)).max()) / step
     second = float(np.abs(np.diff(q, 2, axis=0)).max(initial=0.0)) / step**2
-    factor = max(1.0, first / (ROOM * speed), np.sqrt(second / (ROOM * acceleration)))
+    factor = max(1.0, first / (BOUND_SHARE * speed), np.sqrt(second / (BOUND_SHARE * acceleration)))
     return replace(motion, time=motion.time * factor)

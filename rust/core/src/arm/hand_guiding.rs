@@ -1,0 +1,306 @@
+//! Hand guiding: the arm feels weightless and rests when released; k_p need not be exact.
+//!
+//! A first swing up and down, outside this module, measures the lead that carries each joint at gravity torque g₀, and
+//! its friction ρ: the mean of both leads and half their difference. Both are in rad and independent of k_p. Then the
+//! goals follow the arm with backlash-like play. Per joint:
+//!
+//! ```text
+//! anchor = clip(anchor, q̂ − w, q̂ + w)
+//! goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
+//! w      = w₀ (1 − 0.9 tanh |v|/v₀) + ½ (c_high − c_low) |g − g₀|
+//! ```
+//!
+//! [c_low, c_high] is the interval of the compliance 1/k_p. The play w grows by the possible error of the lead, so a
+//! wrong k_p can let the arm sag within the play but cannot make it drift. Whenever the arm rests after a motion, its
+//! lead is right within ρ; that narrows the interval and the play.
+
+use std::sync::Arc;
+
+use super::{finite_joint_vector, holding_torque, padded};
+use crate::controller::Command;
+use crate::error::{Error, Result};
+use crate::kinematics::{Masses, Reference};
+use crate::math::simd::Plain;
+use crate::math::spatial::{cross, dot, rotate};
+use crate::model::Model;
+use crate::params::Servos;
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
+
+/// Fed-forward shares of friction and damping, and share of the delay for prediction.
+const FRICTION_SHARE: f64 = 0.8;
+const DAMPING_SHARE: f64 = 0.8;
+const PREDICTION_SHARE: f64 = 0.9;
+/// Speed at which the friction feed-forward saturates [rad/s], and time constant of the speed filter [s].
+const FRICTION_SPEED: f64 = 0.05;
+const SPEED_FILTER: f64 = 0.02;
+/// Share of its play that a moving joint loses.
+const PLAY_LOSS: f64 = 0.9;
+/// Time without motion beyond a count until the arm counts as at rest [s]; least motion [rad].
+const REST_TIME: f64 = 0.4;
+const MIN_MOTION: f64 = 5e-4;
+/// Error of the lead from the swing, as a share of the friction that it averages out.
+const LEAD_ERROR_SHARE: f64 = 0.15;
+/// Motion time in which the play shrinks to its value learnt at rest [s].
+const SHRINK_TIME: f64 = 0.5;
+/// Least play at rest: in rad, in encoder counts, and as a share of the friction ρ.
+const MIN_PLAY: f64 = 2e-3;
+const MIN_PLAY_COUNTS: f64 = 1.5;
+const MIN_PLAY_FRICTION: f64 = 0.15;
+/// Largest speed of the goals [rad/s].
+const MAX_GOAL_SPEED: f64 = 3.0;
+
+/// Result of the first swing, and the arm at its end; joint vectors have n entries.
+#[derive(Debug, Clone, Copy)]
+pub struct SwingResult<'a> {
+    /// Positions [rad] and goals [rad] at the end of the swing.
+    pub q: &'a [f64],
+    /// Goals at the end of the swing [rad].
+    pub goal: &'a [f64],
+    /// Joints that swung; of the others only the servo table is known.
+    pub swung: &'a [bool],
+    /// Mean of the leads that move a joint up and down [rad]; 0 for a joint that did not swing.
+    pub lead: &'a [f64],
+    /// Half the difference of these leads: friction [rad].
+    pub friction: &'a [f64],
+}
+
+/// Options of [`HandGuiding`].
+#[derive(Debug, Clone, Copy)]
+pub struct HandGuidingOptions {
+    /// Factor ≥ 1 by which a stiffness may be wrong in either direction.
+    pub stiffness_error: f64,
+    /// Time from the reading to the arrival of the goal [s].
+    pub delay: f64,
+    /// Torque allowed on top of gravity, as a share of the usable torque.
+    pub torque_share: f64,
+    /// Payload in addition to the model's: mass [kg] and mass times centre in the tool frame [kg·m].
+    pub payload_moments: [f64; 4],
+}
+
+/// Goals and torque limits that make an arm weightless; call [`HandGuiding::step`] once per tick.
+#[derive(Debug, Clone)]
+pub struct HandGuiding {
+    model: Arc<Model>,
+    masses: Masses,
+    options: HandGuidingOptions,
+    n: usize,
+    kp: JointVec,
+    max_torque: JointVec,
+    encoder_step: JointVec,
+    /// Viscous damping, derivative gain and back-EMF together [N·m·s/rad].
+    damping: JointVec,
+    /// Interval of the compliance 1/k_p [rad/(N·m)].
+    low: JointVec,
+    high: JointVec,
+    /// Carrying lead, friction [rad] and gravity torque [N·m] of the swing.
+    lead: JointVec,
+    friction: JointVec,
+    gravity: JointVec,
+    min_play: JointVec,
+    play: JointVec,
+    /// Play beyond the learnt one, which shrinks with motion [rad].
+    excess_play: JointVec,
+    anchor: JointVec,
+    goal: JointVec,
+    /// Positions with a hysteresis of one count [rad], and their filtered speed [rad/s].
+    filtered_q: JointVec,
+    speed: JointVec,
+    rest_q: JointVec,
+    learnt_q: JointVec,
+    rest_time: f64,
+    has_moved: bool,
+}
+
+impl HandGuiding {
+    /// Starts from the result of the first swing. `servos` holds the assumed k_p; `damping` (n) [N·m·s/rad] is the
+    /// joints' viscous damping, derivative gain and back-EMF together.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] if a vector does not have n entries; [`Error::OutOfRange`] for a number that is not finite;
+    /// [`Error::Config`] if the servos do not fit the model.
+    pub fn new(
+        model: Arc<Model>,
+        servos: &Servos,
+        damping: &[f64],
+        swing: &SwingResult<'_>,
+        options: HandGuidingOptions,
+    ) -> Result<Self> {
+        let n = model.n();
+        let servos = servos.for_joints(n)?;
+        let q = finite_joint_vector("q", n, swing.q)?;
+        let goal = finite_joint_vector("goal", n, swing.goal)?;
+        let lead = finite_joint_vector("lead", n, swing.lead)?;
+        let friction = finite_joint_vector("friction", n, swing.friction)?;
+        let damping = finite_joint_vector("damping", n, damping)?;
+        if swing.swung.len() != n {
+            return Err(Error::length("swung", swing.swung.len(), n));
+        }
+        if !(options.stiffness_error >= 1.0 && options.stiffness_error.is_finite()) {
+            return Err(Error::out_of_range("stiffness_error", options.stiffness_error, "[1, ∞)"));
+        }
+        let kp = padded(&servos.kp, 1.0);
+        let mut guiding = Self {
+            masses: model.chain().masses(model.payload()),
+            model,
+            options,
+            n,
+            kp,
+            max_torque: padded(&servos.max_torque, 0.0),
+            encoder_step: padded(&servos.encoder_step, 0.0),
+            damping,
+            low: kp.map(|kp| 1.0 / (options.stiffness_error * kp)),
+            high: kp.map(|kp| options.stiffness_error / kp),
+            lead,
+            friction,
+            gravity: [0.0; MAX_JOINTS],
+            min_play: [0.0; MAX_JOINTS],
+            play: [MIN_PLAY; MAX_JOINTS],
+            excess_play: [0.0; MAX_JOINTS],
+            anchor: q,
+            goal,
+            filtered_q: q,
+            speed: [0.0; MAX_JOINTS],
+            rest_q: q,
+            learnt_q: q,
+            rest_time: 0.0,
+            has_moved: false,
+        };
+        let gravity = guiding.holding_torque(&q);
+        for i in 0..n {
+            let count = guiding.encoder_step[i];
+            let error = LEAD_ERROR_SHARE * friction[i] + 0.5 * count + MIN_MOTION;
+            if swing.swung[i] {
+                guiding.gravity[i] = gravity[i];
+                if gravity[i] != 0.0 {
+                    guiding.narrow(i, (lead[i] - error) / gravity[i], (lead[i] + error) / gravity[i]);
+                }
+            }
+            guiding.min_play[i] = MIN_PLAY.max(MIN_PLAY_COUNTS * count).max(MIN_PLAY_FRICTION * friction[i]);
+            // A joint that swung rests in the middle of its friction band; another keeps its goal.
+            let carrying = lead[i] + 0.5 * (guiding.low[i] + guiding.high[i]) * (gravity[i] - guiding.gravity[i]);
+            guiding.anchor[i] = if swing.swung[i] { q[i] } else { goal[i] - carrying };
+            guiding.excess_play[i] = ((guiding.anchor[i] - q[i]).abs() - guiding.min_play[i]).max(0.0);
+        }
+        Ok(guiding)
+    }
+
+    /// Interval of k_p after all rests so far [N·m/rad]: lower and upper ends (n).
+    pub fn stiffness(&self) -> [Vec<f64>; 2] {
+        [&self.high, &self.low].map(|compliance| compliance[..self.n].iter().map(|c| 1.0 / c).collect())
+    }
+
+    /// Play of each joint in this tick (n) [rad].
+    pub fn play(&self) -> &[f64] {
+        &self.play[..self.n]
+    }
+
+    /// Filtered joint speeds (n) [rad/s].
+    pub fn speed(&self) -> &[f64] {
+        &self.speed[..self.n]
+    }
+
+    /// Computes goals that follow the arm, and torque limits, for measured positions q (n) [rad]; `dt` is the time
+    /// since the last step [s].
+    ///
+    /// # Errors
+    /// [`Error::Shape`] if q does not have n entries; [`Error::OutOfRange`] if one is not finite or dt is not above 0.
+    /// Nothing has changed.
+    pub fn step(&mut self, q: &[f64], dt: f64) -> Result<Command> {
+        let q = finite_joint_vector("q", self.n, q)?;
+        if !(dt > 0.0 && dt.is_finite()) {
+            return Err(Error::out_of_range("dt", dt, "(0, ∞) s"));
+        }
+        self.update_speed(&q, dt);
+        let ahead: JointVec = std::array::from_fn(|i| q[i] + PREDICTION_SHARE * self.options.delay * self.speed[i]);
+        let gravity = self.holding_torque(&ahead);
+        self.learn_at_rest(&q, dt);
+        let mut limit = [0.0; MAX_JOINTS];
+        for i in 0..self.n {
+            let change = gravity[i] - self.gravity[i];
+            let lead = self.lead[i] + 0.5 * (self.low[i] + self.high[i]) * change;
+            let uncertainty = 0.5 * (self.high[i] - self.low[i]) * change.abs();
+            let direction = (self.speed[i] / FRICTION_SPEED).tanh();
+            // No goal moves at rest; a correction learnt at rest takes effect with the motion.
+            self.excess_play[i] *= 1.0 - direction.abs() * (dt / SHRINK_TIME).min(1.0);
+            self.play[i] = self.min_play[i] * (1.0 - PLAY_LOSS * direction.abs()) + uncertainty + self.excess_play[i];
+            self.anchor[i] = self.anchor[i].max(ahead[i] - self.play[i]).min(ahead[i] + self.play[i]);
+            let feed_forward = FRICTION_SHARE * self.friction[i] * direction
+                + DAMPING_SHARE * self.low[i] * self.damping[i] * self.speed[i];
+            let goal = (self.anchor[i] + lead + feed_forward)
+                .max(self.model.lower()[i] + lead)
+                .min(self.model.upper()[i] + lead);
+            let max_change = MAX_GOAL_SPEED * dt;
+            self.goal[i] += (goal - self.goal[i]).max(-max_change).min(max_change);
+            let needed = (1.1 * gravity[i].abs()).max(self.kp[i] * lead.abs());
+            limit[i] = self.max_torque[i].min(needed + self.options.torque_share * self.max_torque[i]);
+        }
+        Ok(Command::new(self.n, self.goal, limit, [f64::INFINITY; MAX_JOINTS]))
+    }
+
+    /// At rest after a motion, narrows the interval of 1/k_p; the goal does not move.
+    fn learn_at_rest(&mut self, q: &JointVec, dt: f64) {
+        let has_moved_by =
+            |from: &JointVec, least: &dyn Fn(usize) -> f64| (0..self.n).any(|i| (q[i] - from[i]).abs() > least(i));
+        if has_moved_by(&self.rest_q, &|i| (1.1 * self.encoder_step[i]).max(MIN_MOTION)) {
+            self.has_moved |= has_moved_by(&self.learnt_q, &|i| 3.0 * self.min_play[i]);
+            (self.rest_q, self.rest_time) = (*q, 0.0);
+            return;
+        }
+        self.rest_time += dt;
+        if self.rest_time < REST_TIME || !self.has_moved {
+            return;
+        }
+        (self.has_moved, self.learnt_q) = (false, *q);
+        let gravity = self.holding_torque(q);
+        for i in 0..self.n {
+            let change = gravity[i] - self.gravity[i];
+            let (before, uncertainty) = (self.low[i] + self.high[i], 0.5 * (self.high[i] - self.low[i]) * change.abs());
+            let (gained, band) = (self.goal[i] - q[i] - self.lead[i], self.friction[i] + self.min_play[i]);
+            if change != 0.0 {
+                self.narrow(i, (gained - band) / change, (gained + band) / change);
+            }
+            // The anchor compensates the change of the lead, so that the goal stays.
+            self.anchor[i] += 0.5 * (before - self.low[i] - self.high[i]) * change;
+            self.excess_play[i] = self.excess_play[i].max(uncertainty);
+        }
+    }
+
+    /// Intersects the interval of 1/k_p with these ends.
+    ///
+    /// If the intersection is empty (a hand leans on the arm, a payload), the interval stays.
+    fn narrow(&mut self, i: usize, one: f64, other: f64) {
+        let (low, high) = (self.low[i].max(one.min(other)), self.high[i].min(one.max(other)));
+        if low < high {
+            (self.low[i], self.high[i]) = (low, high);
+        }
+    }
+
+    /// Updates the filtered speed, from readings with a hysteresis of one count.
+    fn update_speed(&mut self, q: &JointVec, dt: f64) {
+        for i in 0..self.n {
+            let filtered = self.filtered_q[i].max(q[i] - self.encoder_step[i]).min(q[i] + self.encoder_step[i]);
+            let rate = (filtered - self.filtered_q[i]) / dt;
+            self.speed[i] += (rate - self.speed[i]) * dt / (SPEED_FILTER + dt);
+            self.filtered_q[i] = filtered;
+        }
+    }
+
+    /// Torques that hold the arm with its payload [N·m].
+    fn holding_torque(&self, q: &JointVec) -> JointVec {
+        let mut torques = holding_torque(&self.model, &self.masses, q);
+        let [mass, moments @ ..] = self.options.payload_moments;
+        if mass > 0.0 {
+            let g = self.model.gravity_vector();
+            let mut rows: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+            if let Ok(pose) = self.model.kinematics_into(&q[..self.n], Reference::WorldAligned, &mut rows) {
+                let moments = rotate::<Plain>(&pose.rotation, &moments);
+                for (i, torque) in torques.iter_mut().enumerate().take(self.n) {
+                    let linear = [rows[0][i], rows[1][i], rows[2][i]];
+                    let angular = [rows[3][i], rows[4][i], rows[5][i]];
+                    *torque -= mass * dot::<Plain>(&g, &linear) + dot::<Plain>(&g, &cross::<Plain>(&angular, &moments));
+                }
+            }
+        }
+        torques
+    }
+}

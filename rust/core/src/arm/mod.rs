@@ -1,0 +1,40 @@
+//! Laws of an arm beside the controller: descent, hand guiding and the servos' thermal budget.
+//!
+//! Each runs once per tick, does not allocate, and needs positions only.
+
+mod hand_guiding;
+mod lowering;
+mod thermal;
+
+use crate::error::{Error, Result};
+use crate::kinematics::{Frames, Masses};
+use crate::model::Model;
+use crate::{JointVec, MAX_JOINTS};
+
+pub use hand_guiding::{HandGuiding, HandGuidingOptions, SwingResult};
+pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, SUPPORT, torque_margin};
+pub use thermal::{ThermalModel, ThermalOptions};
+
+/// Copies n finite numbers.
+fn finite_joint_vector(name: &str, n: usize, values: &[f64]) -> Result<JointVec> {
+    if values.len() != n {
+        return Err(Error::length(name, values.len(), n));
+    }
+    if let Some(i) = values.iter().position(|value| !value.is_finite()) {
+        return Err(Error::out_of_range(format!("{name}[{i}]"), values[i], "the finite numbers"));
+    }
+    Ok(padded(values, 0.0))
+}
+
+/// Copies numbers and fills the remaining entries.
+fn padded(values: &[f64], fill: f64) -> JointVec {
+    std::array::from_fn(|i| values.get(i).copied().unwrap_or(fill))
+}
+
+/// Torques that hold the arm at q, with the model's payload [N·m].
+fn holding_torque(model: &Model, masses: &Masses, q: &JointVec) -> JointVec {
+    let (mut frames, mut torques) = (Frames::default(), [0.0; MAX_JOINTS]);
+    model.chain().forward(q, &mut frames);
+    model.chain().gravity(&frames, masses, model.gravity_vector(), &mut torques);
+    torques
+}

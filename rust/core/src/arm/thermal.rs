@@ -1,0 +1,149 @@
+//! Thermal and electrical budget of servos: torque limits are reduced before the hardware protects itself.
+
+use crate::error::{Error, Result};
+
+/// Share of the thermal budget from which on limits are reduced.
+const WARM: f64 = 0.8;
+/// Range below the last allowed temperature over which limits are reduced [°C]; and distance of that temperature from
+/// the servo's own shutdown temperature [°C].
+const DERATING_RANGE: f64 = 8.0;
+const SHUTDOWN_MARGIN: f64 = 2.0;
+/// Halvings of the search for the share of the limits that the supply allows.
+const HALVINGS: usize = 12;
+
+/// Parameters of a [`ThermalModel`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ThermalOptions {
+    /// Share of the usable torque that a servo can exert continuously, in (0, 1].
+    pub continuous: f64,
+    /// Thermal time constant of the winding [s].
+    pub time_constant: f64,
+    /// Largest current of the supply [A]; `None`: no limit.
+    pub supply: Option<f64>,
+    /// Temperature at which the servos switch off [°C].
+    pub shutdown_temperature: f64,
+}
+
+/// Thermal model of N servos, and the torque limits that follow from it.
+///
+/// `ḣ = ((τ/τ_max)²/continuous² − h) / time_constant`, where h is the share of the thermal budget in use; h = 1 in
+/// steady state at the continuous torque.
+#[derive(Debug, Clone)]
+pub struct ThermalModel {
+    options: ThermalOptions,
+    max_torque: Vec<f64>,
+    /// Current over torque [A/(N·m)]; empty where unknown.
+    current_per_torque: Vec<f64>,
+    heat: Vec<f64>,
+    temperature: Vec<f64>,
+}
+
+impl ThermalModel {
+    /// Starts with cold servos of these usable torques (N) [N·m] and stall currents (N) [A].
+    ///
+    /// # Errors
+    /// [`Error::Config`] if an option is out of range, or if a supply is given and the currents are not known.
+    pub fn new(options: ThermalOptions, max_torque: &[f64], stall_current: Option<&[f64]>) -> Result<Self> {
+        if !(options.continuous > 0.0 && options.continuous <= 1.0) {
+            let message = format!("must be in (0, 1], got {}", options.continuous);
+            return Err(Error::config("Budget.continuous", message));
+        }
+        let above_zero = |name: &str, value: f64, unit: &str| {
+            if value > 0.0 { Ok(()) } else { Err(Error::config(name, format!("must be above 0 {unit}, got {value}"))) }
+        };
+        above_zero("Budget.seconds", options.time_constant, "s")?;
+        above_zero("Budget.supply", options.supply.unwrap_or(1.0), "A, or None")?;
+        above_zero("Budget.hottest", options.shutdown_temperature, "°C")?;
+        let n = max_torque.len();
+        let known = stall_current.filter(|current| current.len() == n && current.iter().all(|x| x.is_finite()));
+        if options.supply.is_some() && known.is_none() {
+            let message = "needs the servos' stall currents, which this drive does not know: leave supply out";
+            return Err(Error::config("Budget.supply", message));
+        }
+        let per_torque = known.map(|current| current.iter().zip(max_torque).map(|(i, torque)| i / torque).collect());
+        Ok(Self {
+            options,
+            max_torque: max_torque.to_vec(),
+            current_per_torque: per_torque.unwrap_or_default(),
+            heat: vec![0.0; n],
+            temperature: vec![f64::NAN; n],
+        })
+    }
+
+    /// Share of the thermal budget in use (N).
+    pub fn heat(&self) -> &[f64] {
+        &self.heat
+    }
+
+    /// Last known temperatures (N) [°C]; NaN where unknown.
+    pub fn temperature(&self) -> &[f64] {
+        &self.temperature
+    }
+
+    /// Stores the measured temperature of a servo [°C]; an index beyond N is ignored.
+    pub fn set_temperature(&mut self, servo: usize, temperature: f64) {
+        if let Some(stored) = self.temperature.get_mut(servo) {
+            *stored = temperature;
+        }
+    }
+
+    /// Temperature at which a limit reaches zero [°C].
+    pub fn last_temperature(&self) -> f64 {
+        self.options.shutdown_temperature - SHUTDOWN_MARGIN
+    }
+
+    /// Updates the heat with torques (N) [N·m] exerted over dt [s].
+    pub fn update(&mut self, torque: &[f64], dt: f64) {
+        let gain = -(-dt / self.options.time_constant).exp_m1();
+        for ((heat, torque), max_torque) in self.heat.iter_mut().zip(torque).zip(&self.max_torque) {
+            let share = torque / (max_torque * self.options.continuous);
+            *heat += gain * (share * share - *heat);
+        }
+    }
+
+    /// Writes the largest torque limits (N) [N·m] at the present heat and temperature.
+    pub fn torque_ceiling(&self, out: &mut [f64]) {
+        for (i, ceiling) in out.iter_mut().enumerate().take(self.heat.len()) {
+            let over = ((self.heat[i] - WARM) / (1.0 - WARM)).clamp(0.0, 1.0);
+            *ceiling = self.max_torque[i] * (1.0 - (1.0 - self.options.continuous) * over);
+            let left = (self.last_temperature() - self.temperature[i]) / DERATING_RANGE;
+            if !left.is_nan() {
+                *ceiling *= left.clamp(0.0, 1.0);
+            }
+        }
+    }
+
+    /// Reduces torque limits (N) [N·m] to what keeps the current within the supply: `least + s (limit − least)` with
+    /// the largest s in [0, 1] that the supply allows.
+    ///
+    /// `torque` (N) are the expected torques without limits, `least` (N) the limits that are never reduced, those of
+    /// the arm's weight [N·m].
+    pub fn limit_current(&self, torque: &[f64], least: &[f64], limit: &mut [f64]) {
+        let (Some(supply), false) = (self.options.supply, self.current_per_torque.is_empty()) else { return };
+        let bounded = |i: usize, share: f64, limit: &[f64]| {
+            let least = least[i].min(limit[i]);
+            least + share * (limit[i] - least)
+        };
+        let n = self.current_per_torque.len().min(torque.len()).min(least.len()).min(limit.len());
+        let is_allowed = |share: f64, limit: &[f64]| {
+            let current: f64 =
+                (0..n).map(|i| self.current_per_torque[i] * torque[i].abs().min(bounded(i, share, limit))).sum();
+            current <= supply
+        };
+        let (mut low, mut high) = (0.0, 1.0);
+        if is_allowed(high, limit) {
+            return;
+        }
+        for _ in 1..HALVINGS {
+            let share = 0.5 * (low + high);
+            if is_allowed(share, limit) {
+                low = share;
+            } else {
+                high = share;
+            }
+        }
+        for i in 0..n {
+            limit[i] = bounded(i, low, limit);
+        }
+    }
+}

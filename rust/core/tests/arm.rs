@@ -1,0 +1,265 @@
+//! Points, descent, hand guiding and thermal budget of an arm, without physics: a quasi-static arm and hostile inputs.
+
+mod common;
+
+use std::sync::Arc;
+
+use common::arm7;
+use pliant_core::hand_guiding::{HandGuidingOptions, SwingResult};
+use pliant_core::kinematics::Reference;
+use pliant_core::lowering::{DEFAULT_SPEED, LoweringPhase, LoweringStart};
+use pliant_core::{
+    ArmPoints, HandGuiding, JointVec, Lowering, MAX_JOINTS, Model, Servos, ThermalModel, ThermalOptions,
+};
+use proptest::prelude::*;
+
+const Q: [f64; 7] = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // [rad]
+const DT: f64 = 0.01; // [s]
+const KP: f64 = 150.0; // [N·m/rad]
+const TORQUE: f64 = 10.7; // [N·m]
+
+fn padded(values: &[f64]) -> JointVec {
+    std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))
+}
+
+fn servos() -> Servos {
+    Servos { friction: vec![0.1], armature: vec![0.01], ..Servos::new(vec![KP], vec![TORQUE]) }.for_joints(7).unwrap()
+}
+
+fn start(q: &[f64]) -> LoweringStart<'_> {
+    LoweringStart { q, goal: None, torque_limit: None, rest_q: None, speed: DEFAULT_SPEED }
+}
+
+fn lowering(model: &Arc<Model>, servos: &Servos, start: &LoweringStart<'_>) -> Lowering {
+    let points = Arc::new(ArmPoints::new(model, &servos.armature).unwrap());
+    Lowering::new(Arc::clone(model), servos, points, start).unwrap()
+}
+
+/// Positions at which servos of stiffness `kp` hold the arm with these goals.
+fn held(model: &Model, goal: &[f64], kp: f64, q: &[f64]) -> Vec<f64> {
+    let mut q = q.to_vec();
+    for _ in 0..20 {
+        let gravity = model.gravity(&q).unwrap();
+        for i in 0..7 {
+            q[i] += 0.7 * (goal[i] - gravity[i] / kp - q[i]);
+        }
+    }
+    q
+}
+
+#[test]
+fn points_move_as_their_jacobians_say_and_the_tool_as_the_model_says() {
+    let model = arm7();
+    let points = ArmPoints::new(&model, &[0.01; 7]).unwrap();
+    let here = points.evaluate(&padded(&Q));
+    let (pose, jacobian) = model.kinematics(&Q, Reference::WorldAligned).unwrap();
+    let (tool, rows) = (here.position().last().unwrap(), here.jacobian().last().unwrap());
+    for row in 0..3 {
+        assert!((tool[row] - pose.position[row]).abs() < 1e-12);
+        for joint in 0..7 {
+            assert!((rows[row][joint] - jacobian[(row, joint)]).abs() < 1e-12);
+        }
+    }
+    for joint in 0..7 {
+        let at = |step: f64| {
+            let mut q = padded(&Q);
+            q[joint] += step;
+            points.evaluate(&q)
+        };
+        let (ahead, behind) = (at(1e-6), at(-1e-6));
+        for (k, rows) in here.jacobian().iter().enumerate() {
+            for row in 0..3 {
+                let slope = (ahead.position()[k][row] - behind.position()[k][row]) / 2e-6;
+                assert!((rows[row][joint] - slope).abs() < 1e-8, "point {k}, joint {joint}");
+            }
+        }
+    }
+}
+
+#[test]
+fn effective_mass_is_what_an_impulse_meets() {
+    let points = ArmPoints::new(&arm7(), &[0.01; 7]).unwrap();
+    let here = points.evaluate(&padded(&Q));
+    let dq = padded(&[0.3, -0.8, 0.5, 0.2, -0.4, 0.9, 0.1]);
+    let velocity = here.velocity(&dq);
+    let mass = here.effective_mass(&velocity);
+    let inertia = nalgebra::DMatrix::from_fn(7, 7, |i, j| here.inertia()[i][j]).lu();
+    for (k, rows) in here.jacobian().iter().enumerate() {
+        let speed = velocity[k].iter().map(|v| v * v).sum::<f64>().sqrt();
+        let row = nalgebra::DVector::from_fn(7, |i, _| {
+            (0..3).map(|axis| velocity[k][axis] / speed * rows[axis][i]).sum::<f64>()
+        });
+        if speed > 1e-9 {
+            let mobility = row.dot(&inertia.solve(&row).unwrap());
+            assert!((mass[k] * mobility - 1.0).abs() < 1e-9, "point {k}");
+        }
+    }
+    assert!(here.effective_mass(&here.velocity(&[0.0; MAX_JOINTS])).iter().all(|mass| *mass == 0.0));
+}
+
+/// Servos are stiffer or softer than believed: the descent relies on measured positions only.
+#[test]
+fn a_quasi_static_arm_comes_down_with_a_wrong_stiffness() {
+    for factor in [0.6, 1.0, 2.0] {
+        let (model, servos) = (Arc::new(arm7()), servos());
+        let kp = factor * KP;
+        let gravity = model.gravity(&Q).unwrap();
+        let goal: Vec<f64> = Q.iter().zip(gravity.iter()).map(|(q, g)| q + g / kp).collect();
+        let mut down = lowering(&model, &servos, &LoweringStart { goal: Some(&goal), ..start(&Q) });
+        let height = |q: &[f64]| model.forward_kinematics(q).unwrap().position[2];
+        let (mut q, mut lowest) = (Q.to_vec(), height(&Q));
+        let began = lowest;
+        let mut ticks = 0;
+        while let Some(command) = down.step(&q, &[true; 7], DT, 0.0).unwrap() {
+            q = held(&model, command.goal(), kp, &q);
+            assert!(height(&q) < lowest + 0.005, "the tool rises: factor {factor}, tick {ticks}");
+            lowest = lowest.min(height(&q));
+            assert!(command.torque_limit().iter().all(|limit| (0.0..=TORQUE).contains(limit)));
+            assert!(command.speed_limit().iter().all(|limit| limit.is_infinite()));
+            ticks += 1;
+            assert!(ticks < 7000, "no end: factor {factor}, phase {:?}", down.phase());
+        }
+        assert_eq!(down.phase(), LoweringPhase::Done);
+        assert!(lowest < began - 0.1, "factor {factor}: {began} to {lowest} m");
+    }
+}
+
+#[test]
+fn without_positions_the_model_comes_down_and_joints_get_a_speed_limit() {
+    let (model, servos) = (Arc::new(arm7()), servos());
+    let mut down = lowering(&model, &servos, &start(&Q));
+    let (mut ticks, mut goal) = (0, Vec::new());
+    while let Some(command) = down.step(&[f64::NAN; 7], &[true; 7], DT, 0.0).unwrap() {
+        assert_eq!(command.speed_limit().iter().all(|limit| limit.is_finite()), down.is_blind());
+        goal = command.goal().to_vec();
+        ticks += 1;
+        assert!(ticks < 10_000, "no end");
+    }
+    assert!(down.is_blind() && ticks > 600, "{ticks} ticks");
+    let height = |q: &[f64]| model.forward_kinematics(q).unwrap().position[2];
+    assert!(height(&goal) < height(&Q) - 0.1);
+}
+
+#[test]
+fn wrong_lengths_and_numbers_are_named() {
+    let (model, servos) = (Arc::new(arm7()), servos());
+    let points = Arc::new(ArmPoints::new(&model, &servos.armature).unwrap());
+    let refused = |start: &LoweringStart<'_>| {
+        Lowering::new(Arc::clone(&model), &servos, Arc::clone(&points), start).unwrap_err().to_string()
+    };
+    assert!(refused(&start(&Q[..6])).contains("q has shape (6,), expected (7,)"));
+    assert!(refused(&LoweringStart { rest_q: Some(&[f64::NAN; 7]), ..start(&Q) }).contains("rest[0]"));
+    assert!(refused(&LoweringStart { speed: 0.0, ..start(&Q) }).contains("speed"));
+    let mut down = lowering(&model, &servos, &start(&Q));
+    assert!(down.step(&Q, &[true; 6], DT, 0.0).unwrap_err().to_string().contains("ok has shape (6,)"));
+    assert!(ArmPoints::new(&model, &[0.0; 3]).unwrap_err().to_string().contains("armature"));
+}
+
+fn guiding(model: &Arc<Model>, stiffness_error: f64) -> HandGuiding {
+    let gravity = model.gravity(&Q).unwrap();
+    let lead: Vec<f64> = gravity.iter().map(|torque| torque / KP).collect();
+    let goal: Vec<f64> = Q.iter().zip(&lead).map(|(q, lead)| q + lead).collect();
+    let swing = SwingResult { q: &Q, goal: &goal, swung: &[true; 7], lead: &lead, friction: &[1e-3; 7] };
+    let options = HandGuidingOptions { stiffness_error, delay: 0.0, torque_share: 0.3, payload_moments: [0.0; 4] };
+    HandGuiding::new(Arc::clone(model), &servos(), &[0.5; 7], &swing, options).unwrap()
+}
+
+#[test]
+fn a_swing_narrows_the_interval_of_the_stiffness() {
+    let model = Arc::new(arm7());
+    let guiding = guiding(&model, 2.2);
+    let gravity = model.gravity(&Q).unwrap();
+    let [low, high] = guiding.stiffness();
+    for i in 0..7 {
+        assert!(low[i] <= KP && KP <= high[i], "joint {i}: {} to {}", low[i], high[i]);
+        // A joint that carries much is known within a few per cent; one without load is not.
+        if gravity[i].abs() > 1.0 {
+            assert!(high[i] / low[i] < 1.5, "joint {i}: {} to {}", low[i], high[i]);
+        }
+    }
+}
+
+#[test]
+fn a_resting_arm_stays_and_a_led_arm_stays_where_it_is_left() {
+    let model = Arc::new(arm7());
+    let mut guiding = guiding(&model, 1.1);
+    let mut goal = vec![0.0; 7];
+    for _ in 0..100 {
+        goal = guiding.step(&Q, DT).unwrap().goal().to_vec();
+    }
+    let held_at = held(&model, &goal, KP, &Q);
+    assert!(held_at.iter().zip(&Q).all(|(a, b)| (a - b).abs() < 5e-3), "{held_at:?}");
+    let mut q = Q;
+    for tick in 0..200 {
+        q[1] = Q[1] + 0.3 * f64::from(tick) / 200.0;
+        guiding.step(&q, DT).unwrap();
+    }
+    for _ in 0..100 {
+        goal = guiding.step(&q, DT).unwrap().goal().to_vec();
+    }
+    let left_at = held(&model, &goal, KP, &q);
+    assert!(left_at.iter().zip(&q).all(|(a, b)| (a - b).abs() < 2e-2), "{left_at:?} {q:?}");
+}
+
+#[test]
+fn heat_follows_the_torque_and_bounds_the_limits() {
+    let options =
+        ThermalOptions { continuous: 0.4, time_constant: 30.0, supply: Some(2.0), shutdown_temperature: 70.0 };
+    let mut model = ThermalModel::new(options, &[10.0, 10.0], Some(&[2.0, 2.0])).unwrap();
+    for _ in 0..500 {
+        model.update(&[10.0, 4.0], 0.01);
+    }
+    assert!((model.heat()[0] - 1.0).abs() < 0.05); // 5.2 s
+    model.update(&[0.0, 4.0], 1e6);
+    let mut ceiling = [0.0; 2];
+    model.torque_ceiling(&mut ceiling);
+    assert!((ceiling[0] - 10.0).abs() < 1e-9 && (ceiling[1] - 4.0).abs() < 1e-9, "{ceiling:?}");
+    model.set_temperature(0, 64.0);
+    model.set_temperature(9, 64.0);
+    model.torque_ceiling(&mut ceiling);
+    assert!((ceiling[0] - 5.0).abs() < 1e-9);
+    let mut limit = [10.0, 10.0];
+    model.limit_current(&[10.0, -10.0], &[3.0, 1.0], &mut limit);
+    assert!((0.2 * (limit[0] + limit[1]) - 2.0).abs() < 0.01 && limit[0] >= 3.0 && limit[1] >= 1.0, "{limit:?}");
+    let mut small = [10.0, 10.0];
+    model.limit_current(&[4.0, 4.0], &[0.0, 0.0], &mut small);
+    assert_eq!(small.map(f64::to_bits), [10.0_f64; 2].map(f64::to_bits));
+    assert!(ThermalModel::new(options, &[10.0], None).unwrap_err().to_string().contains("stall currents"));
+    let hostile = ThermalOptions { continuous: f64::NAN, ..options };
+    assert!(ThermalModel::new(hostile, &[10.0], None).unwrap_err().to_string().contains("continuous"));
+}
+
+fn any_number() -> impl Strategy<Value = f64> {
+    prop_oneof![4 => -4.0..4.0, 1 => any::<f64>(), 1 => Just(f64::NAN), 1 => Just(f64::INFINITY)]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Hostile readings and times give finite goals, limits within the servos', and no panic.
+    #[test]
+    fn hostile_ticks_give_finite_commands(
+        ticks in proptest::collection::vec(
+            (proptest::array::uniform7(any_number()), proptest::array::uniform7(any::<bool>()), any_number(), any_number()),
+            1..60,
+        ),
+        rest in any::<bool>(),
+    ) {
+        let (model, servos) = (Arc::new(arm7()), servos());
+        let rest_q = [0.1; 7];
+        let mut down = lowering(&model, &servos, &LoweringStart { rest_q: rest.then_some(&rest_q), ..start(&Q) });
+        let mut guiding = guiding(&model, 2.2);
+        for (q, fresh, dt, age) in &ticks {
+            let small: Vec<f64> = q.iter().map(|q| if q.abs() > 1e6 { f64::NAN } else { *q }).collect();
+            if let Some(command) = down.step(&small, fresh, *dt, *age).unwrap() {
+                prop_assert!(command.goal().iter().all(|goal| goal.is_finite()));
+                prop_assert!(command.torque_limit().iter().all(|limit| (0.0..=TORQUE).contains(limit)));
+                prop_assert!(command.speed_limit().iter().all(|limit| *limit > 0.0));
+            }
+            if let Ok(command) = guiding.step(&small, *dt) {
+                prop_assert!(command.goal().iter().all(|goal| goal.is_finite()));
+                prop_assert!(command.torque_limit().iter().all(|limit| (0.0..=TORQUE).contains(limit)));
+            }
+        }
+    }
+}
