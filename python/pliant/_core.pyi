@@ -1,4 +1,4 @@
-"""The compiled part of `pliant`. Shapes: n joints, k axes of the task, N configurations."""
+"""Compiled part of `pliant`. Shapes: n joints, k axes of the task, N configurations."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -180,17 +180,11 @@ class Pose:
 
     @staticmethod
     def from_wxyz(position: ArrayLike, quaternion: ArrayLike) -> Pose:
-        """Create a pose from a position (3,) [m] and a unit quaternion (4,), w first.
-
-        The length of the quaternion must be 1 within 1e-3.
-        """
+        """Create a pose from position (3,) [m] and unit quaternion (4,) (within 1e-3), w first."""
 
     @staticmethod
     def from_xyzw(position: ArrayLike, quaternion: ArrayLike) -> Pose:
-        """Create a pose from a position (3,) [m] and a unit quaternion (4,), w last.
-
-        The length of the quaternion must be 1 within 1e-3.
-        """
+        """Create a pose from position (3,) [m] and unit quaternion (4,) (within 1e-3), w last."""
 
     @staticmethod
     def from_rotvec(position: ArrayLike, rotvec: ArrayLike) -> Pose:
@@ -524,10 +518,7 @@ class Model:
 
     @property
     def reach(self) -> float:
-        """Distances between joint origins, summed from the first joint to the tool [m].
-
-        Includes the largest displacement of prismatic joints.
-        """
+        """Sum of distances between joint origins up to the tool, with prismatic travel [m]."""
 
     @property
     def reach_from(self) -> _Array:
@@ -564,9 +555,7 @@ class Model:
     def kinematics(
         self, q: ArrayLike, reference: _Reference = "world_aligned", out: None = None
     ) -> tuple[_Array, _Array]:
-        """Compute the pose `base_from_tool` (4, 4) and the Jacobian (6, n) at the tool.
-
-        The linear rows of the Jacobian come first.
+        """Compute the pose `base_from_tool` (4, 4) and the Jacobian (6, n), linear rows first.
 
         Args:
             q: Joint positions (n,) [rad or m]. Position limits are not enforced.
@@ -719,9 +708,8 @@ class Servos:
         stiffness_known: True if `kp` is known within 10 %.
 
     Raises:
-        OutOfRangeError: A value is outside its bounds.
-        ShapeError: Lists have different lengths.
-        ConfigError: A field is missing, unknown, or of the wrong type.
+        ConfigError, OutOfRangeError, ShapeError: A field is missing or unknown, or its value is
+            invalid.
     """
 
     def __new__(
@@ -843,8 +831,7 @@ class Task:
             joints.
 
     Raises:
-        ConfigError: The key or the rotation matrix is invalid.
-        OutOfRangeError: The length is outside its bounds.
+        ConfigError, OutOfRangeError: The key, the rotation matrix or the length is invalid.
     """
 
     def __new__(
@@ -928,8 +915,7 @@ class Axis:
             the axis is within its limit again.
 
     Raises:
-        OutOfRangeError: A value is outside its bounds.
-        ConfigError: A field is unknown or has no effect.
+        ConfigError, OutOfRangeError: A field is unknown, invalid or without effect.
     """
 
     def __new__(
@@ -1579,7 +1565,7 @@ class BatchState:
 
 @final
 class PoseReport:
-    """What one pose can do under the settings in force.
+    """Capabilities of one pose under the present settings.
 
     One row per axis of the task (k) or joint (n); pairs are (pushed toward -, pushed toward +).
     Forces in N, for rotations N m. `str` gives a table and the sentences.
@@ -1595,11 +1581,11 @@ class PoseReport:
 
     @property
     def q(self) -> _Array:
-        """Positions that this is about (n,) [rad]."""
+        """Joint positions of the report (n,) [rad]."""
 
     @property
     def torque_limit(self) -> _Array:
-        """Torque limits in force there (n,) [N m]."""
+        """Torque limits in this pose (n,) [N m]."""
 
     @property
     def static_force(self) -> _Array:
@@ -1607,39 +1593,39 @@ class PoseReport:
 
     @property
     def capacity(self) -> _Array:
-        """The same with all the torque that the servos have (k, 2)."""
+        """Largest static force at the servos' full torque (k, 2)."""
 
     @property
     def gives_way(self) -> _Array:
-        """Force of giving way, friction apart (k, 2, 2): [axis, side, small | large deviation]."""
+        """Force of giving way without friction (k, 2, 2): [axis, side, small | large deviation]."""
 
     @property
     def yields(self) -> list[tuple[bool, bool]]:
-        """Whether each axis yields, per side."""
+        """True for sides of an axis that yield."""
 
     @property
     def friction(self) -> _Array:
-        """Dry friction of the joints along each axis (k,): a push at rest meets it on top."""
+        """Joint friction along each axis (k,): additional force of a push at rest."""
 
     @property
     def friction_left(self) -> _Array:
-        """What the feed-forward leaves of it in steady motion (k,): softer, nothing moves."""
+        """Friction left by the feed-forward (k,); an axis softer than this cannot keep moving."""
 
     @property
     def coupling(self) -> _Array:
-        """How firm an axis of strength 0 is by what the others ask of its joints (k, 2)."""
+        """Strength of an axis at strength 0, because other axes use the same joints (k, 2)."""
 
     @property
     def coupled_to(self) -> list[tuple[_AxisName | None, _AxisName | None]]:
-        """The other axis that asks for most of that, per side."""
+        """Axis with the largest share of `coupling`, per side."""
 
     @property
     def thresholds(self) -> _Array:
-        """Deviations d-/(1 - eta), d+/(1 - eta) where the strength changes (k, 2)."""
+        """Deviations between which the strength changes (k, 2): d-/(1 - eta), d+/(1 - eta)."""
 
     @property
     def gravity_margin(self) -> _Array:
-        """L - g and L + g (n, 2) [N m]: what limits leave beside gravity; negative: falls."""
+        """Torque limits beyond gravity (n, 2) [N m]: L - g, L + g; negative: the joint falls."""
 
     @property
     def sigma_min(self) -> float:
@@ -1647,7 +1633,7 @@ class PoseReport:
 
     @property
     def condition(self) -> float:
-        """Largest over smallest singular value."""
+        """Largest singular value over the smallest."""
 
     @property
     def sigma_0(self) -> float:
@@ -1655,89 +1641,89 @@ class PoseReport:
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
-        """Joints whose limit is at the servo's ceiling (n,)."""
+        """True for joints whose torque limit is at its ceiling (n,)."""
 
     @property
     def locked(self) -> NDArray[np.bool_]:
-        """Joints at a position limit that left the inverse kinematics (n,)."""
+        """True for joints at a position limit, removed from the inverse kinematics (n,)."""
 
     @property
     def host_loss_force(self) -> _Array:
-        """Most that a hand meets on 0.15 m or 0.4 rad if the host dies now (k, 2) [N, N m].
+        """Largest force on a hand after a host loss now (k, 2) [N, N m].
 
-        From where the arm then comes to rest, at 25 mm/s or 0.067 rad/s, the gears' friction and
-        damping included; inf where the arm cannot be moved so far, because it is stretched out or
-        its joints stand at their limits.
+        Over 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s, from the arm's equilibrium, with gear
+        friction and damping; inf if the arm cannot be moved so far, because it is stretched out or
+        at position limits.
         """
 
     @property
     def max_host_loss_force(self) -> float | None:
-        """What the settings allow of that along translations [N]."""
+        """Bound of the settings on `host_loss_force` along translations [N]."""
 
     @property
     def gain_factor(self) -> float:
-        """Factor on K_x, under law impedance on the stiffness, that delay and pose demand."""
+        """Factor <= 1 on K_x, law impedance: on the stiffness, required by delay and pose."""
 
     @property
     def damping_factor(self) -> float:
-        """The same on the damping of law impedance."""
+        """Factor <= 1 on the damping of law impedance."""
 
     @property
     def stop_distance(self) -> _Array:
-        """How far each axis can be pushed until a joint meets its limit (k, 2) [m, rad].
+        """Distance that an axis can be pushed until a joint meets its limit (k, 2) [m, rad].
 
-        The other axes in place; inf where no joint does on 0.15 m or 0.4 rad. From there on a cap
-        is not kept: the stop takes what it gets of a push.
+        The other axes are fixed; inf if no joint does within 0.15 m or 0.4 rad. Beyond this
+        distance the stop carries part of a push, and a cap is not kept.
         """
 
     @property
     def stop_joint(self) -> list[tuple[str | None, str | None]]:
-        """The joint that does, per side."""
+        """Joint that meets its limit, per side."""
 
     @property
     def stop_room(self) -> _Array:
-        """How far that joint is from its limit now (k, 2) [rad or m]; inf for none."""
+        """Present distance of that joint from its limit (k, 2) [rad or m]; inf: no stop."""
 
     @property
     def stop_friction(self) -> _Array:
-        """What the joints that are left rub along the axis there, in place of `friction` (k, 2).
+        """Friction of the other joints along the axis at the stop (k, 2), in place of `friction`.
 
-        inf where they cannot move the axis alone: then the stop takes everything above the cap.
-        0 where no joint stops.
+        inf if they cannot move the axis alone: the stop then carries everything above the cap. 0 if
+        no joint stops.
         """
 
     @property
     def way_friction(self) -> _Array:
-        """What the joints rub along the axis where they rub most on the way of a push (k, 2).
+        """Largest joint friction along the axis on the path of a push (k, 2) [N, N m].
 
-        Over 0.15 m or 0.4 rad, or as far as a joint's position limit. [N, N m]; many times
-        `friction` where the way passes a singular pose.
+        Over 0.15 m or 0.4 rad, or up to a stop; many times `friction` if the path passes a singular
+        pose.
         """
 
     @property
     def way_sigma(self) -> _Array:
-        """Smallest singular value there, as `sigma_min` (k, 2)."""
+        """Smallest singular value at the place of `way_friction`, as `sigma_min` (k, 2)."""
 
     @property
     def way_distance(self) -> _Array:
-        """How far the axis is pushed there (k, 2) [m, rad]."""
+        """Displacement of the axis at the place of `way_friction` (k, 2) [m, rad]."""
 
     @property
     def deviation_limit(self) -> _Array:
-        """Deviation beyond which the target waits or comes along (k, 2) [m, rad]; inf: none."""
+        """Deviation beyond which the target waits or follows (k, 2) [m, rad]; inf: no limit."""
 
     def summary(self) -> list[str]:
-        """One plain sentence per axis, and per thing that is in the way."""
+        """Return one sentence per axis, and one per problem."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Every figure as lists, numbers and words, and the sentences."""
+        """Return all values as lists, numbers and words, and the sentences."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
 
 @final
 class Issue:
-    """One thing that a pose cannot do as asked."""
+    """One requirement that a pose cannot meet."""
 
     @property
     def pose(self) -> int:
@@ -1749,38 +1735,38 @@ class Issue:
 
     @property
     def required(self) -> bool:
-        """Whether the settings ask for it by name; a default that cannot be met is a note."""
+        """True if the settings request it explicitly; an unmet default is a note."""
 
     @property
     def reason(self) -> str:
-        """What is asked, and what there is."""
+        """Required and available value."""
 
     @property
     def setting(self) -> str | None:
-        """Setting to change, e.g. `axes.y.firm`; None where none helps."""
+        """Setting to change, e.g. `axes.y.firm`; None if no setting helps."""
 
     @property
     def value(self) -> float | None:
-        """The nearest value that works."""
+        """Nearest value that works."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
 
 @final
 class FeasibilityReport:
-    """Whether a pose or a path can do what the settings ask; true if so. `str` says why not."""
+    """Result of a feasibility check; true if achievable. `str` gives the reasons."""
 
     @property
     def achievable(self) -> bool:
-        """Whether nothing that is asked for by name is missing."""
+        """True if every explicit request of the settings can be met."""
 
     @property
     def poses(self) -> int:
-        """How many poses were looked at."""
+        """Number of poses checked."""
 
     @property
     def findings(self) -> tuple[Issue, ...]:
-        """What is missing, the required first."""
+        """Unmet requirements, the required ones first."""
 
     @property
     def axes(self) -> tuple[_AxisName, ...]:
@@ -1788,31 +1774,31 @@ class FeasibilityReport:
 
     @property
     def capacity(self) -> _Array:
-        """Least force that the servos' torque can answer (k, 2), per side [N, N m]."""
+        """Smallest static force at the servos' full torque (k, 2), per side [N, N m]."""
 
     @property
     def worst_pose(self) -> list[tuple[int, int]]:
-        """Poses of those."""
+        """Indices of the poses with this `capacity`, per side."""
 
     @property
     def friction_left(self) -> _Array:
-        """Most friction left along each axis (k,): the least `soft` that can track."""
+        """Largest `friction_left` of the poses (k,) [N, N m]: the least `soft` that can track."""
 
     @property
     def stop_distance(self) -> _Array:
-        """Least distance to a position limit of a joint, pushed along a yielding axis (k, 2)."""
+        """Smallest `PoseReport.stop_distance` of the yielding axes (k, 2) [m, rad]."""
 
     @property
     def sigma_min(self) -> float:
-        """Smallest singular value of all poses: how near the path comes to a singular pose."""
+        """Smallest singular value of all poses; small near a singular pose."""
 
     @property
     def sigma_pose(self) -> int:
-        """The pose of that."""
+        """Index of the pose with `sigma_min`."""
 
     @property
     def way_sigma(self) -> _Array:
-        """Least `PoseReport.way_sigma` of the poses (k, 2); inf for sides that do not yield."""
+        """Smallest `PoseReport.way_sigma` of the poses (k, 2); inf for sides that do not yield."""
 
     def __bool__(self) -> bool: ...
     def __eq__(self, other: object, /) -> bool: ...
@@ -2359,8 +2345,7 @@ def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
         damping: lambda, not squared; 0: the Moore-Penrose inverse, also of rank-deficient matrices.
 
     Raises:
-        ShapeError: J has more rows or columns.
-        OutOfRangeError: An entry is not finite, or lambda < 0.
+        ShapeError, OutOfRangeError: J is too large, an entry is not finite, or lambda < 0.
     """
 
 def null_space_projector(
@@ -2395,9 +2380,7 @@ def responsibility(
     """
 
 def activation(J_pinv: ArrayLike, N: ArrayLike, gradient: ArrayLike | None = None) -> _Array:
-    """Compute the activation matrix A of (10), (n, k + 1).
-
-    The columns are those of |J+| over their sums, then the null space.
+    """Compute the activation matrix A of (10), (n, k + 1): normalized |J+|, then the null space.
 
     Args:
         J_pinv: Pseudo-inverse (n, k).
@@ -2453,8 +2436,7 @@ def compliance(deviation: float, soft_until: float, firm_from: float) -> float:
         (k,), or a number for a number.
 
     Raises:
-        ShapeError: Lists have different lengths.
-        OutOfRangeError: Not 0 <= soft_until < firm_from.
+        ShapeError, OutOfRangeError: Lengths differ, or not 0 <= soft_until < firm_from.
     """
 
 @overload
@@ -2474,8 +2456,7 @@ def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: b
         (k,), or a number for a number.
 
     Raises:
-        ShapeError: Lists have different lengths.
-        OutOfRangeError: c is outside [0, 1], or a strength is not finite.
+        ShapeError, OutOfRangeError: Lengths differ, c is outside [0, 1], or a value is not finite.
     """
 
 @overload
