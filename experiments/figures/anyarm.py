@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.ticker import MultipleLocator
 
 from experiments.figures.activation import heat, posture, show
+from experiments.figures.style import LAW_COLOURS, shade
 from experiments.setups import AXES
 from pliant._report.style import (
     AXIS_COLOURS,
     BLUE,
     INK,
-    LAW_COLOURS,
     MUTED,
     SKY,
     WIDE,
@@ -21,7 +21,6 @@ from pliant._report.style import (
     label_end,
     names,
     save,
-    shade,
     thin,
 )
 

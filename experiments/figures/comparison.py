@@ -7,16 +7,8 @@ from typing import TYPE_CHECKING
 
 from matplotlib.lines import Line2D
 
-from pliant._report.style import (
-    LAW_COLOURS,
-    WIDE,
-    canvas,
-    label_end,
-    label_points,
-    save,
-    shade,
-    thin,
-)
+from experiments.figures.style import LAW_COLOURS, label_points, shade
+from pliant._report.style import WIDE, canvas, label_end, save, thin
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,9 +11,10 @@ from experiments.chapters.doors_text import NAMES
 from experiments.doors import SCENES
 from experiments.figures.activation import show
 from experiments.figures.pictures import CANNOT_DRAW, Studio
+from experiments.figures.style import LAW_COLOURS
 from experiments.resistance import PERSISTENCE, STOP, THRESHOLD
 from experiments.setups import arm, tool
-from pliant._report.style import INK, LAW_COLOURS, MUTED, WIDE, canvas, label_end, level, save, thin
+from pliant._report.style import INK, MUTED, WIDE, canvas, label_end, level, save, thin
 from pliant.sim import Plant
 
 if TYPE_CHECKING:

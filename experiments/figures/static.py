@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.chapters.common import RELEASE
+from experiments.figures.style import LAW_COLOURS, room, shade
 from experiments.setups import AXES
 from pliant._report.style import (
     AXIS_COLOURS,
     INK,
-    LAW_COLOURS,
     MUTED,
     WIDE,
     canvas,
     label_end,
     names,
-    room,
     save,
-    shade,
     thin,
 )
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MultipleLocator
 
+from experiments.figures.style import LAW_COLOURS
 from experiments.setups import AXES
 from pliant._report.style import (
     BLUE,
     INK,
-    LAW_COLOURS,
     MUTED,
     ORANGE,
     RED,
