@@ -43,7 +43,7 @@ def settings() -> dict[str, pliant.Settings]:
 
 
 def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
-    """What is timed; names that contain one of `only`."""
+    """Return the timed calls whose names contain one of `only`."""
     kp, torque = [150.0] * 4 + [60.0] * 3, [10.7] * 4 + [6.4] * 3
     servos = pliant.Servos(kp=kp, max_torque=torque, friction=0.1, stiffness_known=True)
     model = pliant.Model.from_urdf(URDF, servos=servos)
@@ -61,7 +61,7 @@ def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
         controller = pliant.Controller(model, wanted)
         name = f"step_batch, law {law}"
         found[name] = lambda c=controller: c.step_batch(q, targets, out=out)
-        # A state is large: none that nobody asked for.
+        # A state is large: made only for requested calls.
         state = controller.batch_state(count if named(name + ", with a state", only) else 1)
         found[name + ", with a state"] = lambda c=controller, s=state: c.step_batch(
             q, targets, state=s, out=out
@@ -70,12 +70,12 @@ def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
 
 
 def named(name: str, only: list[str]) -> bool:
-    """Whether it is asked for."""
+    """Return True if a call is requested."""
     return any(word in name for word in only)
 
 
 def serve(count: int, only: list[str]) -> None:
-    """Answer each name on the input with seconds of the clock, of all threads, and MB more."""
+    """Answer each name on the input with wall seconds, thread seconds, and additional MB."""
     ready = calls(count, only)
     for name in sys.stdin:
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -87,7 +87,7 @@ def serve(count: int, only: list[str]) -> None:
 
 
 def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
-    """A process that answers."""
+    """Start a process that answers."""
     command = [sys.executable, __file__, "--count", str(count), "--only", ",".join(only), "--serve"]
     environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
     pipe = subprocess.PIPE
@@ -95,7 +95,7 @@ def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
 
 
 def ask(server: subprocess.Popen[str], name: str) -> tuple[float, float, float]:
-    """Wall seconds, processor seconds and MB more of one call."""
+    """Return wall seconds, processor seconds and additional MB of one call."""
     assert server.stdin is not None
     assert server.stdout is not None
     print(name, file=server.stdin, flush=True)
@@ -104,7 +104,7 @@ def ask(server: subprocess.Popen[str], name: str) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """Take turns, print one row a call."""
+    """Measure in turns, print one row per call."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--instructions", help="baseline, avx2 or avx512; default: the widest")

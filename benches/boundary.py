@@ -1,10 +1,9 @@
-"""Times the calls of a control loop from Python, with Pinocchio's kinematics beside ours in turn.
+"""Times the calls of a control loop from Python, in turns with Pinocchio's kinematics.
 
     python benches/boundary.py
 
-Positions and targets change with every call; goal and limit are in hand at the end. Prints medians
-over turns, the time of the loop subtracted. Pinocchio (`pip install pin`) is skipped
-loudly where it is absent.
+Positions and targets change with every call; goal and limit are returned. Prints medians over
+turns, the time of the loop subtracted. Without Pinocchio (`pip install pin`) a warning says so.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from contest import pliant_peer, problem
 
 import pliant
 
-#: Turns, calls in each.
+#: Number of turns, and calls in each.
 ROUNDS, CALLS_A_TURN = 100, 1280
-#: Of the path that is followed.
+#: Number of states of the path.
 STATES = 1000
-#: What is timed, and how it is called.
+#: Timed calls by name.
 CALLS = {
     "(the loop)": "for q, t in states: pass",
     "a call that does nothing": "for q, t in states: nothing(q, t); kept.goal; kept.torque_limit",
@@ -43,7 +42,7 @@ SERVOS = {
 
 
 def names() -> dict[str, Any]:
-    """What the calls speak of."""
+    """Return the names that the calls use."""
     model = pliant.Model.from_urdf(problem.URDF, tip=problem.TOOL)
     states = problem.states(problem.bench_arm())
     cap = pliant.Controller(model, pliant.Settings.soft("y"), pliant.Servos(**SERVOS))
@@ -60,7 +59,7 @@ def names() -> dict[str, Any]:
 
 
 def followed(model: pliant.Model) -> list[tuple[Any, Any]]:
-    """A path slow enough for the default law: each q (n,), and the tool (4, 4) two ticks ahead."""
+    """Return a path for the default law: each q (n,), and the tool (4, 4) two ticks ahead."""
     middle, reach = 0.5 * (model.lower + model.upper), 0.05 * (model.upper - model.lower)
     turns = 2.0 * np.pi * np.arange(STATES) / STATES
     path = [middle + reach * np.sin(turn + 0.9 * np.arange(model.n)) for turn in turns]
@@ -68,7 +67,7 @@ def followed(model: pliant.Model) -> list[tuple[Any, Any]]:
 
 
 def reference(ours: dict[str, Any]) -> dict[str, Any]:
-    """The same for Pinocchio, once its Jacobian is ours."""
+    """Return the same for Pinocchio, once its Jacobian equals ours."""
     import pinocchio
 
     model = pinocchio.buildModelFromXML(problem.URDF.read_text(encoding="utf-8"))
@@ -81,12 +80,12 @@ def reference(ours: dict[str, Any]) -> dict[str, Any]:
     }
     q = ours["states"][3][0]
     theirs = call["jacobian"](model, call["data"], q, call["frame"], call["axes"])
-    assert np.abs(theirs - ours["kinematics"](q)[1]).max() < 1e-9  # the same work, then the time
+    assert np.abs(theirs - ours["kinematics"](q)[1]).max() < 1e-9  # the same work
     return call
 
 
 def main() -> None:
-    """Take turns, print medians."""
+    """Measure in turns, print medians."""
     known, calls = names(), dict(CALLS)
     try:
         known |= reference(known)

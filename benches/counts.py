@@ -1,12 +1,12 @@
 """Counts the instructions of every stage of the hot path and compares them with stored ones.
 
-    make counts-check       what `make test` runs: fails where a stage needs 5 % more than stored
-    make counts             stores what is counted now, under the compiler's name
+    make counts-check       part of `make test`: fails where a stage needs 5 % more than stored
+    make counts             stores the counts under the compiler's name
 
-Callgrind counts inside one function, so times, loads and other programs do not matter: counts
-repeat exactly. They depend on the compiler, hence the key; without valgrind or without a count for
-this compiler the check is skipped, loudly. Counted are the plain instructions and AVX2, each forced
-by PLIANT_INSTRUCTIONS; callgrind knows no AVX-512.
+Callgrind counts inside one function, so counts repeat exactly under any load. They depend on the
+compiler, hence the key; without valgrind or a count for this compiler the check is skipped with a
+warning. Plain instructions and AVX2 are counted, each forced by PLIANT_INSTRUCTIONS; callgrind does
+not support AVX-512.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "benches" / "counts.json"
-#: Largest growth that passes.
+#: Largest accepted growth.
 GROWTH = 0.05
 PATHS = ("baseline", "avx2")
 #: By path, by stage: instructions of one call.
@@ -30,7 +30,7 @@ Counts = dict[str, dict[str, float]]
 
 
 class Skip(Exception):
-    """Why nothing can be counted here."""
+    """Counting is not possible; the message gives the reason."""
 
 
 def main() -> int:
@@ -63,7 +63,7 @@ def main() -> int:
 
 
 def compiler() -> str:
-    """What the counts depend on: the compiler and what it builds for."""
+    """Return the key of the counts: the compiler and its target."""
     try:
         said = subprocess.run(["rustc", "-vV"], capture_output=True, text=True, check=True).stdout
     except OSError as error:
@@ -73,7 +73,7 @@ def compiler() -> str:
 
 
 def build() -> Path:
-    """Build the bench as the wheel is built; its path."""
+    """Build the bench as the wheel is built; return its path."""
     command = ["cargo", "build", "--release", "-p", "pliant-core", "--bench", "counts"]
     command += ["--message-format=json", "--quiet", *(["--locked"] if os.environ.get("CI") else [])]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
@@ -85,9 +85,10 @@ def build() -> Path:
 
 
 def count_all(binary: Path) -> Counts:
-    """All stages on all paths; a path that changes no count is no path of its own.
+    """Count all stages on all paths; a path with unchanged counts is left out.
 
-    Copies of a few bytes take another way with another alignment: half a percent is no change.
+    Copies of a few bytes take other instructions with another alignment: half a percent is no
+    change.
     """
     said = subprocess.run([binary, "--stages"], capture_output=True, text=True, check=True).stdout
     stages = [line.rsplit(" ", 1) for line in said.splitlines()]
@@ -103,7 +104,7 @@ def count_all(binary: Path) -> Counts:
 
 
 def count(binary: Path, stage: str, path: str) -> int:
-    """Instructions inside `counted`, of one round over all states."""
+    """Return the instructions inside `counted`, of one round over all states."""
     command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
     command += ["--toggle-collect=*counted*", str(binary), stage]
     environment = {**os.environ, "PLIANT_INSTRUCTIONS": path}
@@ -115,7 +116,7 @@ def count(binary: Path, stage: str, path: str) -> int:
 
 
 def regressions(counts: Counts, stored: Counts) -> list[str]:
-    """A sentence for every stage that has grown by more than `GROWTH`."""
+    """Return a sentence for every stage that has grown by more than `GROWTH`."""
     said = []
     for path, stages in counts.items():
         for stage, now in stages.items():
@@ -130,7 +131,7 @@ def regressions(counts: Counts, stored: Counts) -> list[str]:
 
 
 def table(counts: Counts, stored: Counts) -> str:
-    """Counts beside the stored ones."""
+    """Return counts beside the stored ones."""
     lines = []
     for path, stages in counts.items():
         for stage, now in stages.items():

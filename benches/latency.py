@@ -1,10 +1,10 @@
-"""How long a step takes on this machine, and the loop rate that it allows.
+"""Time of a step on this machine, and the loop rate that it allows.
 
     make bench                                          the built-in arm
     make bench ARGS='--robot so101 --soft "x y"'        a ready arm or a configuration file
-    make bench ARGS='--urdf my_arm.urdf --law paper'    any URDF; its servos are made up
+    make bench ARGS='--urdf my_arm.urdf --law paper'    any URDF; its servos are guessed
 
-Calls that do nothing are timed beside it and subtracted.
+Empty calls are timed beside it and subtracted.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
 Law = Literal["cap", "impedance", "paper"]
 
-#: States in turn, so that no call repeats the one before.
+#: Number of states, so that consecutive calls differ.
 STATES = 256
-#: Share of a period that may be spent in the step; the rest belongs to the bus.
+#: Share of a period that the step may take; the rest belongs to the bus.
 SHARE = 0.1
-#: Share of the time in which this program had to wait for a core, from which on that is said.
+#: Share of the time without a core above which it is reported.
 BUSY = 0.002
 #: Bins of the histogram, as ratios of the median.
 EDGES = (0.0, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 5.0, 20.0, np.inf)
@@ -57,11 +57,11 @@ class Latency:
     times: Array
 
     def at(self, percent: float) -> float:
-        """Percentile [s]."""
+        """Return a percentile [s]."""
         return float(np.percentile(self.times, percent))
 
     def less(self, seconds: float) -> Latency:
-        """The same without what each call costs beside the work; never below zero."""
+        """Subtract the overhead of a call; never below zero."""
         return Latency(np.maximum(self.times - seconds, 0.0))
 
 
@@ -75,10 +75,10 @@ def run(
     soft: OtherAxes = None,
     calls: int = 1_000_000,
 ) -> None:
-    """Time single steps on this machine, garbage collector on, beside calls that do nothing.
+    """Time single steps on this machine, garbage collector on, beside empty calls.
 
     Args:
-        urdf: URDF of an arm, in place of a configured one; its servos are then made up.
+        urdf: URDF of an arm, in place of a configured one; its servos are then guessed.
         tip: Frame of the tool in it; may be left out where the choice is clear.
         robot: Name of a ready arm (arm7, so101, koch, vx300s, ...) or a configuration file; default
             arm7.
@@ -86,7 +86,7 @@ def run(
         axes: Axes of the task, e.g. "xyz"; default: as the arm's configuration has it, and as many
             as the arm has joints for with --urdf.
         soft: Axes that yield; "" for none. Default: y, or the first axis of a task without it.
-        calls: How many steps are timed.
+        calls: Number of timed steps.
     """
     if calls < 100:
         raise pliant.ConfigError(f"--calls must be at least 100, got {calls}")
@@ -134,7 +134,7 @@ def run(
 
 
 def path(model: pliant.Model) -> list[Array]:
-    """A closed path through the middle of the joint ranges; continuous joints take ± π."""
+    """Return a closed path through the middle of the joint ranges; continuous joints take ± π."""
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
     turns = 2.0 * np.pi * np.arange(STATES) / STATES
@@ -162,13 +162,13 @@ def measure(call: Callable[[int], object], calls: int) -> Latency:
 
 
 def _guessed(model: pliant.Model) -> pliant.Servos:
-    """Servos for an arm of which only the URDF is known: its efforts, as the simulator has it."""
+    """Guess servos of an arm with a URDF only, from its efforts, as the simulator does."""
     effort = np.nan_to_num(model.effort_limit, nan=1.0, posinf=1.0)
     return pliant.Servos(kp=effort / 0.07, max_torque=effort, friction=0.02 * effort)
 
 
 def _axes(model: pliant.Model) -> str:
-    """As many axes as there are joints, translations first."""
+    """Return as many axes as there are joints, translations first."""
     return " ".join(("x", "y", "z", "roll", "pitch", "yaw")[: model.n])
 
 
@@ -188,7 +188,7 @@ def _wanted(
 
 
 def _waited() -> float:
-    """Time [s] that this thread was ready and had no core; 0 where the system does not tell."""
+    """Return the time [s] for which this thread was ready without a core; 0 if not reported."""
     try:
         return 1e-9 * int(Path("/proc/thread-self/schedstat").read_text("ascii").split()[1])
     except OSError:
@@ -229,7 +229,7 @@ def _histogram(found: Latency) -> Table:
 
 
 def _round(rate: float) -> float:
-    """Two digits, downward."""
+    """Round down to two digits."""
     scale = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
     return float(np.floor(rate / scale) * scale)
 

@@ -1,10 +1,9 @@
-"""What a user carries: time to import, start of the command line, memory, size of the wheel.
+"""Cost to a user: import time, start of the command line, memory, size of the wheel.
 
     python benches/lightness.py
 
-Every start is a process of its own; medians of a few, of the processor's time, which others
-hardly change, and of the clock. Times are beyond what they stand on: the bare interpreter for
-NumPy, NumPy for pliant.
+Every start is a process of its own. Prints medians of processor time, which is almost independent
+of load, and of wall time, beyond the bare interpreter for NumPy and beyond NumPy for pliant.
 """
 
 from __future__ import annotations
@@ -37,18 +36,18 @@ for i in range(20_000):
 
 
 def now() -> tuple[float, float]:
-    """Seconds that children have had of the processor, and of the clock."""
+    """Return the children's processor seconds, and the clock."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime, time.perf_counter()
 
 
 def medians(times: list[tuple[float, float]]) -> tuple[float, float]:
-    """Of processor and clock."""
+    """Return the medians of processor and clock."""
     return statistics.median(t[0] for t in times), statistics.median(t[1] for t in times)
 
 
 def starts(*arguments: str) -> tuple[float, float]:
-    """Median seconds from start to end of Python with these arguments, of processor and clock."""
+    """Return median processor and wall seconds of Python with these arguments."""
     out = []
     for _ in range(STARTS):
         start = now()
@@ -59,7 +58,7 @@ def starts(*arguments: str) -> tuple[float, float]:
 
 
 def imports(code: str) -> tuple[float, float]:
-    """Median seconds that a statement takes in a fresh interpreter that has NumPy."""
+    """Return median seconds of a statement in a fresh interpreter with NumPy."""
     timed = (
         "import numpy, time; p, t = time.process_time(), time.perf_counter(); "
         f"{code}; print(time.process_time() - p, time.perf_counter() - t)"
@@ -73,7 +72,7 @@ def imports(code: str) -> tuple[float, float]:
 
 
 def memory(before: str) -> float:
-    """Largest resident memory [MB] of a process that does this."""
+    """Return the largest resident memory [MB] of a process that runs this."""
     code = RUNNING.format(before=before)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return float(done.stdout)

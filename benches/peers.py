@@ -1,11 +1,10 @@
-"""Times our calls beside everybody else's, doing the same work, in one run.
+"""Times our calls beside those of other libraries, doing the same work, in one run.
 
     make peers                      (or: python benches/peers.py --rounds 40 --plot out.png)
 
 Each peer runs in a process of its own, in this environment if it has the library and otherwise in
-one that is made for it under build/peers. Its results must agree with a NumPy reference to 1e-9
-before it is timed. Turns are taken in random order; ratios are taken within a round. What is
-missing is said loudly.
+one made for it under build/peers. Its results must agree with a NumPy reference to 1e-9 before it
+is timed. Turns are in random order; ratios are within a round. Missing peers are reported.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from contest.turns import Racer, race
 
 
 def main() -> None:
-    """Start, verify, race, print, plot."""
+    """Start, verify, time, print, plot."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--only", default="", help="peers by part of their name, comma-separated")
@@ -41,7 +40,7 @@ def main() -> None:
         if racer is None:
             print(f"!! {entry.name} is MISSING: {reason}", file=sys.stderr)
         elif ours and racer.version in {other.version for other in racers}:
-            racer.stop()  # this processor, or this build, has no such path
+            racer.stop()  # this processor, or this build, lacks such a path
         else:
             print(f"   {racer.name}: {racer.version}, agrees to 1e-9", file=sys.stderr)
             racers.append(racer)

@@ -1,14 +1,13 @@
-"""The slowest of many steps from Python, and whether any pose costs more than an ordinary one.
+"""The slowest of many steps from Python, and the cost of special poses.
 
     python benches/tail.py                 10⁷ steps in a row, then 10⁶ in turn; --steps, --turns
 
-First one law after the other steps through ordinary poses without a pause. Then ordinary poses,
-singular ones, joints at their limits, targets that saturate every limit, an arm that stays where it
-was started, and denormal numbers take turns in short blocks, so that a busy machine is busy for all
-of them alike. Calls are timed one by one, the garbage collector on. What the system adds stands in
-the rows of calls that do nothing, once at once and once for as long as a step of law `paper` takes:
-the longer a call, the more of them are interrupted. "Calm" are the blocks in which, by the
-scheduler's own counter, no other program had the core.
+First each law steps through ordinary poses without a pause. Then ordinary poses, singular ones,
+joints at their limits, targets that saturate every limit, a constant pose, and denormal numbers
+take turns in short blocks, so that a busy machine affects all of them alike. Calls are timed one by
+one, the garbage collector on. Rows of empty calls show the system's share, once without duration
+and once as long as a step of law `paper`: the longer a call, the more of them are interrupted.
+"Calm" are the blocks in which, by the scheduler's own counter, no other program had the core.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ import pliant
 Array = NDArray[np.float64]
 URDF = Path(__file__).resolve().with_name("arm7_bench.urdf")
 BLOCK, STATES = 64, 256
-#: Ratio to the ordinary poses that is still the same cost.
+#: Ratio to the ordinary poses that still counts as equal cost.
 SAME = 1.2
 
 
@@ -39,7 +38,7 @@ class Case:
     """States that a controller is stepped through.
 
     Attributes:
-        name: What is special.
+        name: Description.
         states: q (7,) and target (4, 4).
     """
 
@@ -48,7 +47,7 @@ class Case:
 
 
 def servos() -> pliant.Servos:
-    """As of the built-in seven-joint arm."""
+    """Return the servos of the built-in seven-joint arm."""
     return pliant.Servos(
         kp=[150.0] * 4 + [60.0] * 3,
         max_torque=[10.7] * 4 + [6.4] * 3,
@@ -58,7 +57,7 @@ def servos() -> pliant.Servos:
 
 
 def cases(model: pliant.Model) -> list[Case]:
-    """The poses; every case has states that change with every call."""
+    """Return the poses; every case has states that change with every call."""
     turns = 2.0 * np.pi * np.arange(STATES)[:, None] / STATES + 0.9 * np.arange(model.n)
     middle, half = 0.5 * (model.lower + model.upper), 0.5 * (model.upper - model.lower)
     ordinary = middle + 0.4 * half * np.sin(turns)
@@ -85,7 +84,7 @@ def cases(model: pliant.Model) -> list[Case]:
 
 
 def stepper(case: Case, settings: pliant.Settings) -> Callable[[], Array]:
-    """Times [ns] of the next block of steps of a controller of its own."""
+    """Return a function for the times [ns] of the next block of steps of one controller."""
     model = pliant.Model.from_urdf(URDF)
     controller = pliant.Controller(model, settings, servos())
     parts = itertools.cycle(range(0, STATES, BLOCK))
@@ -103,7 +102,7 @@ def stepper(case: Case, settings: pliant.Settings) -> Callable[[], Array]:
 
 
 def nothing() -> Array:
-    """Times [ns] of calls that do nothing."""
+    """Return times [ns] of empty calls."""
     times, now = [], time.perf_counter_ns
     for _ in range(BLOCK):
         start = now()
@@ -112,7 +111,7 @@ def nothing() -> Array:
 
 
 def waiter(length: float) -> Callable[[], Array]:
-    """Times [ns] of calls that do nothing for so long [ns]: they touch no memory of their own."""
+    """Return times [ns] of empty calls of this duration [ns]: they touch no memory of their own."""
 
     def block(turns: int) -> Array:
         times, now, forget = [], time.perf_counter_ns, deque[None](maxlen=0).extend
@@ -128,7 +127,7 @@ def waiter(length: float) -> Callable[[], Array]:
 
 
 def waited() -> int:
-    """Time [ns] that this thread was ready and had no core; 0 where the system does not tell."""
+    """Return the time [ns] for which this thread was ready without a core; 0 if not reported."""
     try:
         return int(Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()[1])
     except OSError:
@@ -136,13 +135,13 @@ def waited() -> int:
 
 
 def laws() -> dict[str, pliant.Settings]:
-    """The two laws, y yielding."""
+    """Return the two laws, y yielding."""
     paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)})
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
 
 def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
-    """Times [ns] of so many calls without a pause, and of those in calm blocks."""
+    """Return times [ns] of so many calls without a pause, and of those in calm blocks."""
     count = max(steps // BLOCK, 1)
     times, calm = np.empty((count, BLOCK), dtype=np.float32), np.empty(count, dtype=bool)
     for i in range(count):
@@ -153,7 +152,7 @@ def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
 
 
 def consecutive(model: pliant.Model, steps: int) -> None:
-    """The tail of steps in a row, beside calls that do nothing."""
+    """Measure the tail of steps in a row, beside empty calls."""
     case = cases(model)[0]
     blocks = {"(nothing)": nothing} | {
         f"law {law}": stepper(case, settings) for law, settings in laws().items()
@@ -176,7 +175,7 @@ def consecutive(model: pliant.Model, steps: int) -> None:
 
 
 def main() -> None:
-    """Steps in a row, then cases in turn, one row a case."""
+    """Measure steps in a row, then cases in turn, one row per case."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--steps", type=int, default=10_000_000, help="in a row, of each law")
     parser.add_argument("--turns", type=int, default=1_000_000, help="of all cases and laws")
@@ -214,7 +213,7 @@ def main() -> None:
 
 
 def chosen(settings: pliant.Settings) -> str:
-    """The instructions that the controller uses."""
+    """Return the instructions that the controller uses."""
     controller = pliant.Controller(pliant.Model.from_urdf(URDF), settings, servos())
     return str(getattr(controller, "instructions", "of any machine"))
 

@@ -88,7 +88,7 @@ def pull_drawer(
     trace = run(conditions.build(box), conditions.controller(law), target, duration, q=AT_DOOR)
     return Drawn(
         way=box.widest,
-        left=box.way,
+        left=box.opening,
         force=box.peak_force,
         held=box.force,
         across=box.across,

@@ -1,4 +1,4 @@
-"""Uses the installed wheel once, against numbers of the golden file. Run by tools/aarch64.sh."""
+"""Checks the installed wheel against numbers of the golden file. Run by tools/aarch64.sh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "data" / "golden"
 
 
 def main() -> None:
-    """Import, compare kinematics, make a few steps of every law."""
+    """Import, compare kinematics, run a few steps of every law."""
     model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
     cases = json.loads((GOLDEN / "golden.json").read_text(encoding="utf-8"))
     for case in cases:

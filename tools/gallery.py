@@ -1,12 +1,11 @@
-"""Runs the examples and keeps what they print and what their arm did: text, film strip, replay.
+"""Run the examples and store their output and the motion of their arm: text, film strip, replay.
 
-    make gallery                          # those that changed since; all of them with ARGS=--all
+    make gallery                          # changed ones; all of them with ARGS=--all
     .venv/bin/python tools/gallery.py 07  # one of them
 
-What is kept stands in docs/gallery: `NAME.txt` with the digest of the example it is from, so that a
-changed example is noticed, as is a changed law by running the quick ones again
-(tests/test_house.py); `NAME.jpg`, and for some `NAME.html`: a replay that needs nothing but a
-browser. The pages themselves are made by docs/ext/gallery.py.
+Results are in docs/gallery: `NAME.txt` with the digest of its example, `NAME.jpg`, and for some
+`NAME.html`, a self-contained replay. tests/test_house.py detects a changed example by the digest,
+and a changed law by running the quick examples again. docs/ext/gallery.py makes the pages.
 """
 
 from __future__ import annotations
@@ -22,30 +21,30 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-# The pictures are drawn by a folder of the clone that is not installed.
+# A folder of the clone that is not installed draws the pictures.
 sys.path.insert(0, str(ROOT))
 EXAMPLES, GALLERY = ROOT / "examples", ROOT / "docs" / "gallery"
 #: Examples whose page has a replay: a file of about 100 KB each.
 REPLAYED = ("01", "07")
-#: Between two pictures of a replay [s], most pictures, and how many a strip has.
+#: Time between two frames of a replay [s], largest number of frames, and frames of a strip.
 EVERY, MOST, STRIP = 0.05, 240, 4
-#: Longest run of an example [s].
+#: Timeout of an example [s].
 LONGEST = 600.0
 
 
 def digest(example: Path) -> str:
-    """What says whether an example is still the one that was run."""
+    """Return the digest of an example."""
     return hashlib.sha256(example.read_bytes()).hexdigest()[:16]
 
 
 def recorded(example: Path) -> str | None:
-    """Digest of the example that was run last."""
+    """Return the digest of the example at its last run."""
     text = GALLERY / f"{example.stem}.txt"
     return text.read_text(encoding="utf-8").split("\n", 1)[0] if text.exists() else None
 
 
 def record(example: Path) -> None:
-    """Run an example in a process of its own and keep what it prints."""
+    """Run an example in a process of its own and store its output."""
     done = subprocess.run(
         [sys.executable, __file__, "--watch", str(example)],
         cwd=ROOT,
@@ -57,14 +56,14 @@ def record(example: Path) -> None:
     )
     if done.returncode != 0:
         raise SystemExit(f"{example.name} failed:\n{done.stderr}")
-    # Folders for the time of the run have other names every time.
+    # Temporary folders have another name in every run.
     said = re.sub(r"/tmp/\w+", "/tmp", done.stdout)
     text = f"{digest(example)}\n{said.rstrip()}\n"
     (GALLERY / f"{example.stem}.txt").write_text(text, encoding="utf-8")
 
 
 def watch(example: Path) -> None:
-    """Run an example with an eye on its simulated arm; keep pictures of the longest motion."""
+    """Run an example and record its simulated arm; store pictures of the longest motion."""
     try:
         from pliant.sim import Plant
     except ImportError:
@@ -87,15 +86,15 @@ def watch(example: Path) -> None:
 
 
 class Film:
-    """What one simulated arm did."""
+    """Record of one simulated arm."""
 
     def __init__(self, plant: object) -> None:
-        """Begin; a reset begins anew."""
+        """Start; a reset restarts the record."""
         self.plant = plant
         self.frames: list[dict[str, object]] = []
 
     def look(self) -> None:
-        """Take a picture if it is time for one."""
+        """Record a frame if it is due."""
         plant = self.plant
         if self.frames and plant.time < self.frames[-1]["time"]:
             self.frames.clear()
@@ -117,14 +116,14 @@ class Film:
         )
 
     def moved(self) -> float:
-        """How far the tool went, as a sum [m]."""
+        """Return the path length of the tool [m]."""
         import numpy as np
 
         tools = np.array([frame["tool"] for frame in self.frames]).reshape(-1, 3)
         return float(np.linalg.norm(np.diff(tools, axis=0), axis=1).sum())
 
     def telling(self, count: int) -> list[dict[str, object]]:
-        """Frames after equal shares of the motion: where nothing moves, nothing is to be seen."""
+        """Return frames after equal shares of the motion; periods at rest are left out."""
         import numpy as np
 
         steps = np.abs(np.diff([frame["q"] for frame in self.frames], axis=0)).sum(axis=1)
@@ -135,13 +134,13 @@ class Film:
         return [self.frames[min(int(place), len(self.frames) - 1)] for place in places]
 
     def show(self, frame: dict[str, object]) -> None:
-        """Put the simulated arm where it was."""
+        """Restore the simulated arm of a frame."""
         data = self.plant.mj_data
         data.qpos[:] = frame["qpos"]
         data.mocap_pos[:], data.mocap_quat[:] = frame["mocap"]
 
     def strip(self, path: Path) -> None:
-        """Pictures side by side."""
+        """Write frames side by side."""
         import numpy as np
         from PIL import Image
 
@@ -159,7 +158,7 @@ class Film:
         picture.save(path, quality=82, optimize=True)
 
     def scene(self) -> tuple[list[float], float]:
-        """Middle of where everything is during the motion, and how far that reaches [m]."""
+        """Return the middle of everything during the motion, and its extent [m]."""
         import mujoco
         import numpy as np
 
@@ -175,7 +174,7 @@ class Film:
         return ((low + high) / 2.0).tolist(), float(np.linalg.norm(high - low))
 
     def replay(self, path: Path, title: str) -> None:
-        """A page that plays the motion: bodies as primitives, a pose of each per frame."""
+        """Write a page that plays the motion: bodies as primitives, a pose of each per frame."""
         import mujoco
         import numpy as np
 
@@ -221,7 +220,7 @@ class Film:
 
 
 def main() -> None:
-    """Run what was asked for, or what changed."""
+    """Run the requested examples, or the changed ones."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("numbers", nargs="*", help="examples by number, e.g. 07")
     parser.add_argument("--all", action="store_true", help="also those that did not change")

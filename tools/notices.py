@@ -1,6 +1,6 @@
 """Write THIRD_PARTY_LICENSES: the crates that the compiled module links, and their notices.
 
-`make notices` runs it. A crate that may be used under Apache-2.0 is used so, and needs no text
+`make notices` runs it. A crate available under Apache-2.0 is used under it, and needs no text
 beside LICENSE; the text of every other licence is copied from the crate.
 """
 
@@ -20,7 +20,7 @@ standard library is used under Apache-2.0.
 
 
 def linked() -> list[dict]:
-    """Crates that the module links on Linux, by name and version; ours and build tools aside."""
+    """Return crates linked on Linux, by name and version, without ours and build tools."""
     command = (
         "cargo metadata --format-version 1 --locked --filter-platform x86_64-unknown-linux-gnu"
     )
@@ -46,13 +46,13 @@ def linked() -> list[dict]:
 
 
 def chosen(crate: dict) -> str:
-    """The licence that we use a crate under."""
+    """Return the licence under which we use a crate."""
     offered = re.split(r" OR |/", crate["license"])
     return next((name for name in ("Apache-2.0", "MIT") if name in offered), crate["license"])
 
 
 def text(crate: dict, licence: str) -> str:
-    """The text of a licence as it comes with the crate."""
+    """Return the text of a licence in the crate."""
     folder = Path(crate["manifest_path"]).parent
     for name in (
         f"LICENSE-{licence}",
@@ -68,7 +68,7 @@ def text(crate: dict, licence: str) -> str:
 
 
 def notices() -> str:
-    """What the file says."""
+    """Return the text of the file."""
     crates = linked()
     out = HEAD + "".join(f"{c['name']} {c['version']}: {chosen(c)}\n" for c in crates)
     for crate in crates:

@@ -1,1 +1,1 @@
-"""Peers side by side: the problem, the peers, a process for each, and the turns they take."""
+"""Comparison with peers: the problem, the peers, a process for each, and their turns."""

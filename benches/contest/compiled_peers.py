@@ -1,4 +1,4 @@
-"""The whole step by hand for compilers that read Python: Numba and JAX."""
+"""The whole step by hand for compilers of Python code: Numba and JAX."""
 
 from __future__ import annotations
 

@@ -20,10 +20,10 @@ FLAGS = ("-std=c++17", "-O3", "-march=native", "-shared", "-fPIC", "-Wall", "-We
 
 
 def compiler() -> str:
-    """The C++ compiler.
+    """Return the C++ compiler.
 
     Raises:
-        ImportError: There is none.
+        ImportError: None is installed.
     """
     name = os.environ.get("CXX") or next(filter(shutil.which, ("c++", "g++", "clang++")), "")
     if not name:
@@ -32,7 +32,7 @@ def compiler() -> str:
 
 
 def constants(arm: problem.Arm) -> Array:
-    """The numbers of the struct, in its order."""
+    """Return the numbers of the struct, in its order."""
     yields = np.arange(6) == problem.YIELDS
     parts = (
         arm.links,

@@ -1,4 +1,4 @@
-"""Where each peer lives: this interpreter if it has the library, else an environment of its own."""
+"""Environment of each peer: this interpreter if it has the library, else one of its own."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Entry:
     """A row of the table.
 
     Attributes:
-        name: As it stands in the table.
+        name: Name in the table.
         maker: Module and function of this package.
-        module: What must be importable.
-        package: What pip installs for it; "" for what must be here already.
+        module: Required module.
+        package: Package that pip installs for it; "" if it must be installed already.
         environment: Variables of its process.
     """
 
@@ -32,7 +32,7 @@ class Entry:
     environment: dict[str, str] = field(default_factory=dict)
 
 
-#: Instructions that ours is forced to use, fastest first; where a build has one path they are one.
+#: Forced instructions of pliant, fastest first; a build with one path has one row.
 PATHS = ("avx512", "avx2", "baseline")
 OURS = tuple(
     Entry(f"pliant ({path})", "pliant_peer:make", environment={"PLIANT_INSTRUCTIONS": path})
@@ -53,7 +53,7 @@ PEERS = (
 
 
 def python_for(entry: Entry) -> str:
-    """Path of an interpreter that has the peer; makes an environment where it has to.
+    """Return the path of an interpreter that has the peer; make an environment if needed.
 
     Raises:
         RuntimeError: The package cannot be installed.

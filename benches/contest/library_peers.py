@@ -1,4 +1,4 @@
-"""Libraries of kinematics: theirs the pose and the Jacobian, the law around them in NumPy."""
+"""Kinematics libraries: they provide pose and Jacobian, the law around them is NumPy."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ def dynibo() -> Peer:
 def optik() -> Peer:
     """Optik (Rust): nested lists; its Jacobian is in the tool's axes and is turned here.
 
-    Of two fixed origins in a row it forgets to turn the second by the first, which puts the whole
-    arm 4 mm off; the constant that is missing is added, so that it can take part.
+    It does not turn the second of two consecutive fixed origins by the first, which displaces the
+    whole arm by 4 mm; the missing constant is added.
     """
     from importlib.metadata import version
 

@@ -24,7 +24,7 @@ ALPHA, NULL = problem.ALPHA, problem.NULL
 def compile_for(
     arm: problem.Arm,
 ) -> tuple[Callable[..., Pair], Callable[..., Any], Callable[..., Pair]]:
-    """Kinematics, step and batch for this arm, its numbers constants of the machine code."""
+    """Compile kinematics, step and batch for this arm, with its numbers as constants."""
     links, n = arm.links, arm.n
     middle, weights, rest = arm.middle, arm.limit_weights, arm.rest
 

@@ -1,4 +1,4 @@
-"""What a peer offers to be timed."""
+"""Interface of a peer."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ Pair = tuple[Array, Array]
 
 @dataclass
 class Peer:
-    """One way to do the work; what it lacks is None.
+    """One implementation of the work; missing parts are None.
 
     Attributes:
-        version: What it is, for the table.
+        version: Name and version, for the table.
         kinematics: q (n,) → pose (4, 4) and Jacobian (6, n), world-aligned, of the tool.
         step: q (n,) and target (4, 4) → goal (n,) [rad] and torque limit (n,) [N·m].
         batch: Q (N, n) → poses (N, 4, 4) and Jacobians (N, 6, n).
-        batch_size: N that it is timed with; smaller where a Python loop does it.
-        kinematics_call, step_call: What stands in the timed loop, with `f` the function above and
-            everything of `names`; the results must be in hand.
+        batch_size: N of the timed batch; smaller for a Python loop.
+        kinematics_call, step_call: Statement of the timed loop, with `f` the function above and
+            everything of `names`; it must return the results.
     """
 
     version: str
@@ -35,14 +35,14 @@ class Peer:
     names: dict[str, Any] = field(default_factory=dict)
 
     def step_pair(self, q: Array, target: Array) -> Pair:
-        """Goal and limit of one step, however they come."""
+        """Return goal and limit of one step."""
         assert self.step is not None
         found = self.step(q, target)
         return found if isinstance(found, tuple) else (found.goal, found.torque_limit)
 
 
 def loop(kinematics: Callable[[Array], Pair]) -> Callable[[Array], Pair]:
-    """A batch for a library that has none: a Python loop into arrays of its own."""
+    """Return a batch for a library without one: a Python loop into its own arrays."""
     import numpy as np
 
     def batch(configurations: Array) -> Pair:

@@ -1,4 +1,4 @@
-"""Ours, by the calls that a user makes."""
+"""pliant, by the calls of a user."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from contest.problem import Array
 
 
 def controller(model: pliant.Model) -> pliant.Controller:
-    """Law `paper`: fixed λ, printed projector, posture and limit cost; no gravity, no limits."""
+    """Return law `paper`: fixed λ, printed projector, posture and limit cost; without gravity."""
     endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     stiff = pliant.Axis(**endless)
     soft = pliant.Axis(soft=problem.SOFT, firm=problem.FIRM, adaptation=problem.ETA, **endless)
@@ -32,7 +32,7 @@ def controller(model: pliant.Model) -> pliant.Controller:
 
 
 def make() -> Peer:
-    """The step, the kinematics into the caller's arrays, and the batch."""
+    """Make the step, the kinematics into the caller's arrays, and the batch."""
     model = pliant.Model.from_urdf(problem.URDF, tip=problem.TOOL)
     ours = controller(model)
     pose, jacobian = np.empty((4, 4)), np.empty((6, model.n))
@@ -57,5 +57,5 @@ def make() -> Peer:
 
 
 def instructions(of: pliant.Controller) -> str:
-    """The instructions chosen for this machine, where the build has a choice."""
+    """Return the instructions chosen for this machine, where the build has a choice."""
     return str(getattr(of, "instructions", "one path for all machines"))

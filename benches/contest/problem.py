@@ -1,7 +1,7 @@
-"""What every peer is asked: the bench arm, 64 states, and the numbers of the law. NumPy only.
+"""The problem of every peer: the bench arm, 64 states, and the numbers of the law. NumPy only.
 
-The arm is read here once more, by a few lines that know nothing of `pliant`: the peers written by
-hand must not inherit a mistake of ours.
+The arm is read here by a few lines that are independent of `pliant`: hand-written peers must not
+inherit an error of pliant.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TOOL = "tool"
 STATES = 64
 #: Law `paper`, (3)–(12): λ, K_x [1/s], h [s], α [1/s], weight of the joint-limit cost.
 DAMPING, GAIN, HORIZON, ALPHA, LIMIT_WEIGHT = 0.02, 4.0, 0.25, 4.0, 0.1
-#: The one axis that yields (y), and its η.
+#: The yielding axis (y), and its η.
 YIELDS, ETA = 1, 0.9
 #: d⁻, d⁺ of x y z roll pitch yaw [m, rad].
 D_MINUS = np.array([0.01] * 3 + [0.04] * 3)
@@ -83,7 +83,7 @@ def bench_arm() -> Arm:
 
 
 def states(arm: Arm) -> list[tuple[Array, Array]]:
-    """A closed path through the middle of the ranges: each q, and the joints a little ahead."""
+    """Return a closed path in the middle of the ranges: each q, and the joints slightly ahead."""
 
     def at(turn: float, phase: float) -> Array:
         wave = np.sin(turn + 0.9 * np.arange(arm.n) + phase)
@@ -94,7 +94,7 @@ def states(arm: Arm) -> list[tuple[Array, Array]]:
 
 
 def many(arm: Arm, count: int) -> Array:
-    """Configurations (count, n) spread over the ranges by a golden-ratio sequence."""
+    """Return configurations (count, n) spread over the ranges by a golden-ratio sequence."""
     fraction = (np.arange(count * arm.n) * 0.618033988749895) % 1.0
     return arm.lower + fraction.reshape(count, arm.n) * (arm.upper - arm.lower)
 
@@ -115,7 +115,7 @@ def _origin(origin: ET.Element | None) -> Array:
 
 
 def _z_to(axis: Array) -> Array:
-    """A rotation whose third column is `axis`."""
+    """Return a rotation whose third column is `axis`."""
     z = axis / np.linalg.norm(axis)
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [0.0, 0.0, 1.0], z)
     x /= np.linalg.norm(x)

@@ -1,4 +1,4 @@
-"""What the race came to: one row a peer, as text and as a picture."""
+"""Results of the comparison: one row per peer, as text and as a picture."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Row:
 
 
 def rows(racers: list[Racer]) -> list[Row]:
-    """Rows, the first racer being ours that the others are compared with."""
+    """Return the rows; the first racer is pliant, the base of the ratios."""
     ours = racers[0]
     out = []
     for racer in racers:
@@ -59,12 +59,12 @@ def rows(racers: list[Racer]) -> list[Row]:
 
 
 def net(racer: Racer, task: str) -> np.ndarray:
-    """Time of a call in each round [ns], less that of the loop around it."""
+    """Return the time of a call in each round [ns], less that of the loop around it."""
     return np.array(racer.medians[f"{task}/whole"]) - np.array(racer.medians["empty/whole"])
 
 
 def where() -> str:
-    """Commit, processor, Python, load: what a number means nothing without."""
+    """Return commit, processor, Python and load, which the numbers depend on."""
     commit = _git("rev-parse", "--short=12", "HEAD") or "unknown commit"
     if _git("status", "--porcelain", "--untracked-files=no"):
         commit += " with changes"
@@ -73,7 +73,7 @@ def where() -> str:
 
 
 def processor() -> str:
-    """Name of the processor, its family where Linux tells."""
+    """Return the name of the processor, its family where Linux reports it."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except OSError:
@@ -87,7 +87,7 @@ def processor() -> str:
 
 
 def markdown(found: list[Row]) -> str:
-    """The table."""
+    """Return the table."""
     lines = [
         "| | step, median | × ours | p99.9 | FK + J | × ours | batch FK + J, one core |",
         "|---|---:|---:|---:|---:|---:|---:|",
@@ -107,13 +107,13 @@ def markdown(found: list[Row]) -> str:
 
 
 def floor(racers: list[Racer]) -> float:
-    """p99.9 of calls that do nothing [µs], as the machine has it today."""
+    """Return p99.9 of empty calls [µs] on this machine."""
     empty = np.array(racers[0].singles.get("empty/single") or [np.nan])
     return float(np.percentile(empty, 99.9) - np.median(empty)) / 1e3
 
 
 def plot(found: list[Row], path: Path, note: str) -> None:
-    """Dots on a logarithmic scale: the step with its p99.9 on the left, kinematics on the right."""
+    """Draw dots on a logarithmic scale: the step with its p99.9 left, kinematics right."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -18,7 +18,7 @@ from contest.environments import BUILD, OURS, PATHS, ROOT, Entry, python_for
 
 TASKS = ("kinematics", "step", "batch")
 TOLERANCE = 1e-9
-#: Every library gets one thread: a control loop is one, and batches are compared per core.
+#: One thread per library: a control loop has one, and batches are compared per core.
 ONE_THREAD = ("OMP", "OPENBLAS", "MKL", "NUMBA", "RAYON")
 #: Seconds of one turn.
 TURN = {"whole": 0.01, "single": 0.04}
@@ -29,8 +29,8 @@ class Racer:
     """A peer's process.
 
     Attributes:
-        entry: What it is.
-        version: As it says.
+        entry: Its row.
+        version: Reported version.
         medians: By task, the median time of a call in each round [ns]; NaN where all was disturbed.
         singles: By task, times of single calls over all rounds [ns].
     """
@@ -43,7 +43,7 @@ class Racer:
 
     @property
     def name(self) -> str:
-        """As it stands in the table; ours with the instructions it really uses."""
+        """Name in the table; pliant's with the instructions in use."""
         if self.entry not in OURS:
             return self.entry.name
         chosen = self.version.rpartition(", ")[2]
@@ -51,7 +51,7 @@ class Racer:
 
     @classmethod
     def start(cls, entry: Entry) -> tuple[Self | None, str]:
-        """Start it, verify it; without a racer, the reason."""
+        """Start and verify it; return the reason without a racer."""
         try:
             python = python_for(entry)
         except RuntimeError as error:
@@ -85,7 +85,7 @@ class Racer:
         return racer, ""
 
     def ask(self, task: str, seconds: float) -> list[float]:
-        """Let it take a turn."""
+        """Run one turn."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"task": task, "seconds": seconds}) + "\n")
         self.process.stdin.flush()
@@ -104,7 +104,7 @@ class Racer:
 
 
 def disagreement(results: dict[str, Any]) -> str:
-    """What differs from the NumPy reference by more than 1e-9; empty if nothing does."""
+    """Return what differs from the NumPy reference by more than 1e-9; empty if nothing does."""
     arm = problem.bench_arm()
     reference = numpy_peer.make()
     assert reference.kinematics is not None
@@ -128,7 +128,7 @@ def disagreement(results: dict[str, Any]) -> str:
 
 
 def race(racers: list[Racer], rounds: int) -> None:
-    """Let all take turns, in an order drawn anew in every round."""
+    """Run all turns, in an order drawn anew in every round."""
     draw = random.Random(20260101)
     turns = [
         (racer, f"{task}/{kind}", kind)

@@ -1,7 +1,7 @@
-"""One peer in a process of its own: verifies, then times blocks when it is told to.
+"""One peer in a process of its own: verifies, then times blocks on request.
 
-Speaks JSON by the line over its standard streams. Blocks are short; one that had to wait for the
-CPU, by the scheduler's own counter, is not reported. A batch takes too long for that and is
+It uses one JSON line per message on its standard streams. Blocks are short; one that had to wait
+for the CPU, by the scheduler's own counter, is not reported. A batch takes too long for that and is
 counted in CPU time instead.
 """
 
@@ -22,9 +22,9 @@ import numpy as np
 from contest import numpy_peer, problem
 from contest.peer import Peer
 
-#: A peer with threads of its own is not tied to one core, and waiting for them is its work.
+#: A peer with threads of its own is not tied to one core; waiting for them is part of its work.
 PINNED = os.environ.get("PEERS_PIN") != "0"
-#: A block takes about so long [ns], less than a scheduler's slice, and has at most so many calls.
+#: Duration of a block [ns], less than a scheduler's slice, and its largest number of calls.
 BLOCK_TIME, BLOCK_CALLS = 300_000, 4 * problem.STATES
 #: A block of calls timed as a whole, and one of calls timed one by one.
 WHOLE = """
@@ -47,14 +47,14 @@ def block():
 
 
 def chunks(pairs: list[Any], count: int) -> Iterator[list[Any]]:
-    """`count` states at a time, all of them in turn, without end."""
+    """Yield `count` states at a time, all of them in turn, without end."""
     states = itertools.cycle(pairs)
     ready = [list(itertools.islice(states, count)) for _ in pairs]
     return itertools.cycle(ready)
 
 
 def blocks_of(peer: Peer, pairs: list[Any]) -> dict[str, Callable[[], list[float]]]:
-    """Timed loops by task; `empty` ones have nothing in them."""
+    """Return timed loops by task; `empty` ones have no body."""
     calls = {"empty": ("pass", None)}
     if peer.kinematics:
         calls["kinematics"] = (peer.kinematics_call, peer.kinematics)
@@ -84,7 +84,7 @@ def blocks_of(peer: Peer, pairs: list[Any]) -> dict[str, Callable[[], list[float
 
 
 def waited() -> int:
-    """Time [ns] that this thread was ready and had no CPU; 0 where the system does not say."""
+    """Return the time [ns] for which this thread was ready without a CPU; 0 if not reported."""
     try:
         with open("/proc/thread-self/schedstat", encoding="ascii") as file:
             return int(file.read().split()[1])
@@ -93,7 +93,7 @@ def waited() -> int:
 
 
 def results(peer: Peer, pairs: list[Any]) -> dict[str, Any]:
-    """What the coordinator compares with the reference."""
+    """Return results for the comparison with the reference."""
     found: dict[str, Any] = {}
     if peer.kinematics:
         found["kinematics"] = [
@@ -112,7 +112,7 @@ def results(peer: Peer, pairs: list[Any]) -> dict[str, Any]:
 
 
 def run(blocks: dict[str, Callable[[], list[float]]], task: str, seconds: float) -> list[float]:
-    """Times per call [ns] of undisturbed blocks, of about as many as fit; at least one is tried."""
+    """Return times per call [ns] of undisturbed blocks, of about as many as fit; at least one."""
     block, times = blocks.get(task), []
     if block is None:
         return times
@@ -136,7 +136,7 @@ def main() -> None:
     module, function = sys.argv[1].split(":")
     try:
         peer = getattr(importlib.import_module(f"contest.{module}"), function)()
-    except Exception as error:  # a peer that cannot be had is reported, whatever the reason
+    except Exception as error:  # an unavailable peer is reported with any reason
         print(json.dumps({"missing": f"{type(error).__name__}: {error}"}), file=answers, flush=True)
         return
     arm = problem.bench_arm()

@@ -88,17 +88,17 @@ _PoseLike: TypeAlias = (
 )
 
 class PliantError(Exception):
-    """Everything that pliant raises of its own."""
+    """Base class of all exceptions of this package."""
 
 class UrdfError(PliantError, ValueError):
-    """The robot description cannot be used.
+    """The robot description is invalid.
 
-    A file that does not exist is Python's own `FileNotFoundError`.
+    A file that does not exist raises the built-in `FileNotFoundError`.
 
     Attributes:
         source: Path of the file, or `<string>`.
-        line: Line of the fault, counted from one; None where it has no place.
-        column: Column of the fault, counted from one.
+        line: Line of the error, counted from 1; None if unknown.
+        column: Column of the error, counted from 1; None if unknown.
     """
 
     source: str | None
@@ -106,23 +106,23 @@ class UrdfError(PliantError, ValueError):
     column: int | None
 
 class FrameNotFoundError(PliantError, LookupError):
-    """A link of that name does not exist.
+    """No link has the requested name.
 
     Attributes:
-        frame: The name asked for.
-        available: The names there are.
+        frame: Requested name.
+        available: Existing names.
     """
 
     frame: str | None
     available: tuple[str, ...] | None
 
 class OutOfRangeError(PliantError, ValueError):
-    """A number lies outside its bounds.
+    """A number is outside its bounds.
 
     Attributes:
-        what: The quantity, e.g. ``q[3] (elbow_pitch)``.
-        value: The number given.
-        bound: The bound, and the remedy where there is one.
+        what: Quantity, e.g. ``q[3] (elbow_pitch)``.
+        value: Value given.
+        bound: Bound, and the remedy if there is one.
     """
 
     what: str | None
@@ -133,9 +133,9 @@ class ShapeError(PliantError, ValueError):
     """An array has the wrong shape.
 
     Attributes:
-        what: The argument.
+        what: Name of the argument.
         got: Its shape, as text.
-        expected: The shape that fits, as text.
+        expected: Expected shape, as text.
     """
 
     what: str | None
@@ -143,56 +143,62 @@ class ShapeError(PliantError, ValueError):
     expected: str | None
 
 class ConfigError(PliantError, ValueError):
-    """Settings, servos and model do not go together, or a name is not known.
+    """Settings, servos and model are inconsistent, or a name is unknown.
 
     Attributes:
-        key: The setting, e.g. ``axes.y.adaptation``.
+        key: Setting, e.g. ``axes.y.adaptation``.
     """
 
     key: str | None
 
 class ServoError(PliantError):
-    """A servo or its bus did not do what was asked; the message says what to do."""
+    """A servo or its bus failed to do what was requested; the message names the remedy."""
 
 class ServoTimeoutError(ServoError, TimeoutError):
     """A servo did not answer in time."""
 
 class ServoFaultError(ServoError):
-    """A servo reports a fault of its own."""
+    """A servo reports a hardware fault."""
 
 @final
 class Pose:
     """Pose of one frame in another; of a tool, `base_from_tool`. Immutable.
 
     Args:
-        matrix: (4, 4), or anything `as_pose` takes; None is the identity.
+        matrix: (4, 4), or any argument of `as_pose`; None: identity.
 
     Raises:
-        ShapeError: Not 4x4.
-        ConfigError: No rotation, or a last row other than 0 0 0 1.
-        OutOfRangeError: A position beyond 100 m or not finite.
+        ShapeError: The matrix is not 4x4.
+        ConfigError: The rotation is invalid, or the last row is not 0 0 0 1.
+        OutOfRangeError: The position is beyond 100 m or not finite.
     """
 
     def __new__(cls, matrix: _PoseLike | None = None) -> Pose: ...
     @staticmethod
     def from_matrix(matrix: _PoseLike) -> Pose:
-        """From a homogeneous matrix (4, 4)."""
+        """Create a pose from a homogeneous matrix (4, 4)."""
 
     @staticmethod
     def from_wxyz(position: ArrayLike, quaternion: ArrayLike) -> Pose:
-        """From a position (3,) [m] and a quaternion (4,), w first, of length 1 within 1e-3."""
+        """Create a pose from a position (3,) [m] and a unit quaternion (4,), w first.
+
+        The length of the quaternion must be 1 within 1e-3.
+        """
 
     @staticmethod
     def from_xyzw(position: ArrayLike, quaternion: ArrayLike) -> Pose:
-        """From a position (3,) [m] and a quaternion (4,), w last, of length 1 within 1e-3."""
+        """Create a pose from a position (3,) [m] and a unit quaternion (4,), w last.
+
+        The length of the quaternion must be 1 within 1e-3.
+        """
 
     @staticmethod
     def from_rotvec(position: ArrayLike, rotvec: ArrayLike) -> Pose:
-        """From a position (3,) [m] and a rotation vector (3,) [rad]: axis times angle."""
+        """Create a pose from a position (3,) [m] and a rotation vector (3,) [rad]."""
 
     @staticmethod
     def from_rpy(position: ArrayLike, rpy: ArrayLike) -> Pose:
-        """From a position (3,) [m] and roll, pitch, yaw (3,) [rad] about fixed axes, as in URDF."""
+        """Create a pose from a position (3,) [m] and roll, pitch, yaw (3,) [rad] as in URDF."""
 
     @property
     def matrix(self) -> _Array:
@@ -216,10 +222,10 @@ class Pose:
 
     @property
     def rotvec(self) -> _Array:
-        """Rotation vector (3,) [rad], at most pi long."""
+        """Rotation vector (3,) [rad], of length pi at most."""
 
     def inverse(self) -> Pose:
-        """`b_from_a` of `a_from_b`."""
+        """Return `b_from_a` of `a_from_b`."""
 
     def __matmul__(self, other: Pose, /) -> Pose: ...
     def __rmatmul__(self, other: Pose, /) -> Pose: ...
@@ -229,16 +235,16 @@ class Pose:
     def __getnewargs__(self) -> tuple[Any, ...]: ...
 
 def as_pose(pose: _PoseLike, /) -> Pose:
-    """Anything that says where a frame is, as a `Pose`.
+    """Convert an array or an object of another library to a `Pose`.
 
     Args:
         pose: (4, 4), a `Pose`, a position (3,) (without rotation), or an object with `homogeneous`,
-            `as_matrix`, `matrix` or `A`, as Pinocchio, SciPy, mink,
-            pytransform3d and Spatial Math have them.
+            `as_matrix`, `matrix` or `A`, as in Pinocchio, SciPy, mink, pytransform3d and Spatial
+            Math.
 
     Raises:
-        ShapeError: Another shape. Seven numbers are refused: they do not say whether w comes first
-            or last.
+        ShapeError: Another shape. Seven numbers are rejected, since the order of the quaternion is
+            ambiguous.
     """
 
 @final
@@ -277,23 +283,23 @@ class Inertial:
 
     @property
     def rotation(self) -> _Array:
-        """Axes of the inertia (3, 3), `link_from_inertia`."""
+        """Rotation matrix `link_from_inertia` (3, 3)."""
 
     @property
     def inertia(self) -> _Array:
-        """Inertia (3, 3) about the centre of mass in those axes [kg m^2]."""
+        """Inertia (3, 3) about the centre of mass, in the axes of `rotation` [kg m^2]."""
 
 @final
 class Link:
-    """A rigid body of the robot, or a mere frame."""
+    """A rigid body of the robot, or a frame without mass."""
 
     @property
     def name(self) -> str:
-        """Name in the description."""
+        """Name in the URDF."""
 
     @property
     def parent_joint(self) -> int | None:
-        """Index of the joint above it in `Model.joints`; None for the root."""
+        """Index of its parent joint in `Model.joints`; None for the root."""
 
     @property
     def inertial(self) -> Inertial | None:
@@ -301,15 +307,15 @@ class Link:
 
 @final
 class Mimic:
-    """How a joint follows another: ``multiplier * q + offset``."""
+    """Mimic of a joint: its position is ``multiplier * q + offset``."""
 
     @property
     def joint(self) -> int:
-        """Index of the joint that leads in `Model.joints`."""
+        """Index of the driving joint in `Model.joints`."""
 
     @property
     def multiplier(self) -> float:
-        """Ratio."""
+        """Ratio to the position of the driving joint."""
 
     @property
     def offset(self) -> float:
@@ -317,23 +323,23 @@ class Mimic:
 
 @final
 class Joint:
-    """A joint of the robot, on the chain or beside it; limits that are not given are None."""
+    """A joint of the robot, on the chain or beside it; absent limits are None."""
 
     @property
     def name(self) -> str:
-        """Name in the description."""
+        """Name in the URDF."""
 
     @property
     def kind(self) -> Literal["revolute", "continuous", "prismatic", "fixed", "other"]:
-        """How it moves."""
+        """Type of the joint."""
 
     @property
     def parent(self) -> int:
-        """Index of the link above in `Model.links`."""
+        """Index of its parent link in `Model.links`."""
 
     @property
     def child(self) -> int:
-        """Index of the link below in `Model.links`."""
+        """Index of its child link in `Model.links`."""
 
     @property
     def origin(self) -> Pose:
@@ -369,19 +375,19 @@ class Joint:
 
     @property
     def mimic(self) -> Mimic | None:
-        """The joint it follows."""
+        """Mimic of the joint, if it follows another one."""
 
     @property
     def q_index(self) -> int | None:
-        """Coordinate of the chain that moves it, itself or by mimic."""
+        """Index in `q` of the coordinate that drives it, directly or by mimic."""
 
     @property
     def locked_at(self) -> float | None:
-        """Where it is held [rad or m], for actuated joints that no coordinate moves."""
+        """Position at which it is locked [rad or m], for actuated joints without a coordinate."""
 
 @final
 class IkResult:
-    """The closest joint positions found, and how close they are; true when converged."""
+    """Closest joint positions found, and their errors; true if converged."""
 
     @property
     def q(self) -> _Array:
@@ -389,32 +395,32 @@ class IkResult:
 
     @property
     def converged(self) -> bool:
-        """Whether both errors are within tolerance."""
+        """True if both errors are within tolerance."""
 
     @property
     def iterations(self) -> int:
-        """Iterations in all."""
+        """Total number of iterations."""
 
     @property
     def position_error(self) -> float:
-        """Distance to the target over the axes asked for [m]."""
+        """Distance to the target along the selected axes [m]."""
 
     @property
     def rotation_error(self) -> float:
-        """Angle to the target over the axes asked for [rad]."""
+        """Angle to the target about the selected axes [rad]."""
 
     @property
     def reason(self) -> str:
-        """Why the search ended."""
+        """Reason for the end of the search."""
 
     def __bool__(self) -> bool: ...
 
 @final
 class Model:
-    """One kinematic chain with every body it carries. Immutable; controllers share it.
+    """One kinematic chain with all bodies that it carries. Immutable; controllers share it.
 
-    Made by `Model.from_urdf`, `Model.from_urdf_str`, or a function of `pliant.robots`. A pickle
-    holds the URDF text and the options.
+    Create it with `Model.from_urdf`, `Model.from_urdf_str` or a function of `pliant.robots`. A
+    pickle contains the URDF text and the options.
     """
 
     @staticmethod
@@ -429,28 +435,26 @@ class Model:
         limits: Mapping[str, tuple[float, float]] | None = None,
         servos: Servos | None = None,
     ) -> Model:
-        """Read a URDF file. Meshes are never opened.
+        """Read a URDF file. Meshes are not opened.
 
         Args:
-            source: Path.
-            base: Link in which poses are given; may be left out when it is the root.
-            tip: The tool frame; may be left out when only one link carries no other.
-            locked: Joint name to position [rad or m] of joints that are held; actuated joints
-                beside the chain that are not named rest at 0, or at the limit nearest to it. Their
-                mass counts.
-            payload: What the tool holds: a `Payload`, or mass [kg] and centre of mass (3,) [m] in
+            source: Path of the file.
+            base: Link in which poses are given; default: the root.
+            tip: Tool frame; optional if only one link has no child.
+            locked: Positions [rad or m] of locked joints by name. Other actuated joints beside the
+                chain are locked at 0, or at the limit nearest to it. Their mass counts.
+            payload: Payload of the tool: a `Payload`, or mass [kg] and centre of mass (3,) [m] in
                 the tool frame.
             gravity: Gravity (3,) in the base [m/s^2].
-            limits: Joint name to position limits [rad or m], in place of the file's.
-            servos: What drives the joints; a `Controller` takes them from here.
+            limits: Position limits [rad or m] by joint name, instead of those of the file.
+            servos: Servos of the joints; the default of `Controller`.
 
         Raises:
-            FileNotFoundError: No such file.
-            UrdfError: Everything wrong in the text, with file, line and column.
-            FrameNotFoundError: `base` or `tip` is no link; lists those there are.
-            ConfigError: Several links could be the tip, a joint is not known, too many joints, an
-                unknown keyword.
-            OutOfRangeError: A number that cannot be one.
+            FileNotFoundError: The file does not exist.
+            UrdfError: The text is invalid; with file, line and column.
+            FrameNotFoundError: `base` or `tip` is not a link; lists the links.
+            ConfigError: Ambiguous tip, unknown joint, too many joints, or unknown keyword.
+            OutOfRangeError: A number is outside its bounds.
         """
 
     @staticmethod
@@ -465,11 +469,11 @@ class Model:
         limits: Mapping[str, tuple[float, float]] | None = None,
         servos: Servos | None = None,
     ) -> Model:
-        """Read URDF text; arguments and errors as `from_urdf`."""
+        """Read URDF text; arguments and exceptions as `from_urdf`."""
 
     @property
     def source(self) -> tuple[str, dict[str, Any]]:
-        """URDF text and options: `Model.from_urdf_str(text, **options)` makes the same model."""
+        """URDF text and options: `Model.from_urdf_str(text, **options)` creates the same model."""
 
     def __copy__(self) -> Model: ...
     def __deepcopy__(self, memo: dict[int, Any], /) -> Model: ...
@@ -496,15 +500,15 @@ class Model:
 
     @property
     def velocity_limit(self) -> _Array:
-        """Speed limits (n,) [rad/s or m/s], nan where the description has none; read-only."""
+        """Speed limits (n,) [rad/s or m/s], NaN where the URDF has none; read-only."""
 
     @property
     def effort_limit(self) -> _Array:
-        """Torque limits (n,) [N m or N], nan where the description has none; read-only."""
+        """Torque limits (n,) [N m or N], NaN where the URDF has none; read-only."""
 
     @property
     def prismatic(self) -> tuple[bool, ...]:
-        """Which independent joints slide."""
+        """True for each independent joint that is prismatic."""
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -516,15 +520,18 @@ class Model:
 
     @property
     def tip(self) -> str:
-        """The tool frame."""
+        """Name of the tool frame."""
 
     @property
     def reach(self) -> float:
-        """Distances between joint origins, summed out to the tool [m]."""
+        """Distances between joint origins, summed from the first joint to the tool [m].
+
+        Includes the largest displacement of prismatic joints.
+        """
 
     @property
     def reach_from(self) -> _Array:
-        """Where `reach` counts from: the first joint's origin at q = 0 (3,), in the base [m]."""
+        """Origin of the first joint at q = 0 (3,), in the base [m]; `reach` counts from there."""
 
     @property
     def gravity_vector(self) -> _Array:
@@ -532,14 +539,14 @@ class Model:
 
     @property
     def payload(self) -> Payload | None:
-        """What the tool holds."""
+        """Payload of the tool."""
 
     @property
     def servos(self) -> Servos | None:
-        """What drives the joints, one entry per joint."""
+        """Servos of the joints, one entry per joint."""
 
     def with_servos(self, servos: Servos) -> Model:
-        """The same robot, driven by other servos.
+        """Return the same robot with other servos.
 
         Raises:
             ShapeError: `servos` has neither one entry nor one per joint.
@@ -557,17 +564,19 @@ class Model:
     def kinematics(
         self, q: ArrayLike, reference: _Reference = "world_aligned", out: None = None
     ) -> tuple[_Array, _Array]:
-        """Pose `base_from_tool` (4, 4) and Jacobian (6, n) at the tool, linear rows first.
+        """Compute the pose `base_from_tool` (4, 4) and the Jacobian (6, n) at the tool.
+
+        The linear rows of the Jacobian come first.
 
         Args:
             q: Joint positions (n,) [rad or m]. Position limits are not enforced.
-            reference: Axes of the Jacobian's rows: those of the base, or `"local"`: of the tool.
-            out: Two writable float64 arrays (4, 4) and (6, n) to fill instead of new ones.
+            reference: Axes of the Jacobian's rows: of the base, or `"local"`: of the tool.
+            out: Two writable float64 arrays (4, 4) and (6, n) for the results.
 
         Raises:
-            ShapeError: Wrong length of `q`, or shape of an array in `out`.
-            OutOfRangeError: An entry of `q` that is not finite or beyond 1e6.
-            TypeError: `q` does not hold numbers, or `out` cannot be written.
+            ShapeError: `q` or an array of `out` has the wrong shape.
+            OutOfRangeError: An entry of `q` is not finite or beyond 1e6.
+            TypeError: `q` is not numeric, or `out` is not writable.
         """
 
     @overload
@@ -575,13 +584,13 @@ class Model:
         self, q: ArrayLike, reference: _Reference = "world_aligned", *, out: tuple[_Array, _Array]
     ) -> tuple[_Array, _Array]: ...
     def forward_kinematics(self, q: ArrayLike) -> _Array:
-        """Pose `base_from_tool` (4, 4) at `q` (n,); errors as `kinematics`."""
+        """Compute the pose `base_from_tool` (4, 4) at `q` (n,); see `kinematics`."""
 
     def jacobian(self, q: ArrayLike, reference: _Reference = "world_aligned") -> _Array:
-        """Geometric Jacobian (6, n) at the tool, linear rows first; errors as `kinematics`."""
+        """Compute the Jacobian (6, n) at the tool, linear rows first; see `kinematics`."""
 
     def gravity(self, q: ArrayLike) -> _Array:
-        """Torques (n,) [N m or N] that hold the arm at rest; errors as `kinematics`."""
+        """Compute the torques (n,) [N m or N] that hold the arm at rest; see `kinematics`."""
 
     def inverse_kinematics(
         self,
@@ -594,46 +603,46 @@ class Model:
         max_iterations: int = 100,
         restarts: int = 8,
     ) -> IkResult:
-        """Joint positions that bring the tool to `target`, searched from `q0` inside the limits.
+        """Search joint positions inside the limits that bring the tool to `target`.
 
-        Damped least squares: a convenience beside the control step. Not converging is no error:
-        read `converged` and `reason`.
+        Damped least squares. A search that does not converge is not an error: see `converged` and
+        `reason`.
 
         Args:
-            target: Pose of the tool in the base; a position (3,) where `axes` has no rotation.
-            q0: Where the search starts (n,) [rad or m].
+            target: Pose of the tool in the base; a position (3,) if `axes` has no rotation.
+            q0: Start of the search (n,) [rad or m].
             axes: Axes of the base that must match, e.g. ``"xyz"``.
-            position_tolerance: Error to reach [m].
-            rotation_tolerance: Error to reach [rad].
-            max_iterations: Most iterations from one start.
-            restarts: Further starts, from fixed points inside the limits.
+            position_tolerance: Position error to reach [m].
+            rotation_tolerance: Rotation error to reach [rad].
+            max_iterations: Maximum number of iterations per start.
+            restarts: Number of further starts, from fixed points inside the limits.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError: An argument that cannot be used.
+            ShapeError, OutOfRangeError, ConfigError: An argument is invalid.
         """
 
     def check_target(self, target: _PoseLike) -> None:
-        """Check that a pose may be a target: not in millimetres, not far out of reach.
+        """Check that a pose is a plausible target: in metres, and not far out of reach.
 
-        `Controller.step` checks the same for tasks with translations.
+        `Controller.step` makes the same check for tasks with translations.
 
         Args:
             target: Pose of the tool in the base, or a position (3,) [m].
 
         Raises:
-            OutOfRangeError: It is farther from the first joint than 2 times `reach` and 0.1 m.
-            ShapeError, ConfigError, TypeError: It is no pose.
+            OutOfRangeError: The distance from the first joint exceeds 2 times `reach` plus 0.1 m.
+            ShapeError, ConfigError, TypeError: The target is not a pose.
         """
 
     def check_joint_target(self, q: ArrayLike) -> None:
-        """Check that joint positions (n,) [rad or m] may be a target: not in degrees.
+        """Check that joint positions (n,) [rad or m] are a plausible target: not in degrees.
 
-        `Controller.step_joints` checks the same.
+        `Controller.step_joints` makes the same check.
 
         Raises:
-            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad, or a tenth of its
+            OutOfRangeError: A joint is beyond its limits by more than 0.2 rad or a tenth of its
                 travel.
-            ShapeError, TypeError: They are not n numbers.
+            ShapeError, TypeError: `q` is not n numbers.
         """
 
     def kinematics_batch(
@@ -642,31 +651,31 @@ class Model:
         reference: _Reference = "world_aligned",
         out: tuple[_Array, _Array] | None = None,
     ) -> tuple[_Array, _Array]:
-        """Poses (N, 4, 4) and Jacobians (N, 6, n) of `Q` (N, n).
+        """Compute poses (N, 4, 4) and Jacobians (N, 6, n) of configurations (N, n).
 
-        Eight configurations at a time, large batches on every core; other Python threads run
-        meanwhile and must not write into the arrays. Each row has the bits of the single call.
+        Large batches run on all cores with the GIL released; other threads must not write to the
+        arrays meanwhile. Each row is bit-identical to the single call.
 
         Args:
-            Q: Configurations (N, n) [rad or m]; a plain float64 array is read in place.
+            Q: Configurations (N, n) [rad or m]; a C-ordered float64 array is not copied.
             reference: Axes of the Jacobians' rows.
-            out: Arrays (N, 4, 4) and (N, 6, n) to write into: new memory costs up to a fifth.
+            out: Arrays (N, 4, 4) and (N, 6, n) for the results; saves up to a fifth of the time.
 
         Raises:
-            ShapeError, OutOfRangeError, TypeError, ValueError: An argument that cannot be used;
-                `out` may then hold anything.
+            ShapeError, OutOfRangeError, TypeError, ValueError: An argument is invalid; the contents
+                of `out` are then undefined.
         """
 
     def forward_kinematics_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
-        """Poses (N, 4, 4) of configurations `Q` (N, n), as `kinematics_batch`."""
+        """Compute poses (N, 4, 4) of configurations `Q` (N, n); see `kinematics_batch`."""
 
     def jacobian_batch(
         self, Q: ArrayLike, reference: _Reference = "world_aligned", out: _Array | None = None
     ) -> _Array:
-        """Jacobians (N, 6, n) of configurations `Q` (N, n), as `kinematics_batch`."""
+        """Compute Jacobians (N, 6, n) of configurations `Q` (N, n); see `kinematics_batch`."""
 
     def gravity_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
-        """Holding torques (N, n) of configurations `Q` (N, n), as `kinematics_batch`."""
+        """Compute holding torques (N, n) of configurations `Q` (N, n); see `kinematics_batch`."""
 
 class _ServoFields(TypedDict, total=False):
     kp: ArrayLike
@@ -686,32 +695,33 @@ class _ServoFields(TypedDict, total=False):
 
 @final
 class Servos:
-    """What the controller believes about the servos. Frozen; one number per joint, or one for all.
+    """Servo parameters that the controller assumes; one number per joint, or one for all. Frozen.
 
     Units are N m and rad; N and m for prismatic joints.
 
     Args:
         kp: Stiffness of the position loop [N m/rad] > 0.
-        max_torque: Usable torque at the present voltage [N m] > 0: the ceiling of every torque
-            limit.
+        max_torque: Usable torque at the present voltage [N m] > 0: ceiling of every torque limit.
         friction: Dry friction of gears and motor [N m].
-        load_friction: Dry friction in addition, per N m that the joint carries [1].
-        stribeck: Dry friction in addition at rest [N m], gone in fast motion.
-        load_stribeck: The same per N m that the joint carries [1].
-        stribeck_speed: Speed at which a third of the friction at rest is left [rad/s] > 0.
-        damping: Damping of gears and back-EMF outside the torque limit [N m s/rad].
+        load_friction: Additional dry friction per N m of load torque [1].
+        stribeck: Additional dry friction at rest [N m]; it vanishes in fast motion.
+        load_stribeck: Additional dry friction at rest per N m of load torque [1].
+        stribeck_speed: Speed at which a third of the additional friction at rest is left [rad/s] >
+            0.
+        damping: Damping of gears and back-EMF, outside the torque limit [N m s/rad].
         kv: Damping of the servo's own loop, inside the torque limit [N m s/rad].
-        armature: Rotor inertia seen at the joint [kg m^2]: contacts, descents and
-            simulators use it.
-        encoder_step: One encoder count [rad]; 0 when it does not matter.
-        limit_type: What the limit register limits: `"current"`, hence torque, or `"pwm"`, whose
-            torque falls with speed.
-        no_load_speed: Speed without load [rad/s], needed for `"pwm"`.
-        stiffness_known: Whether `kp` is known within 10 %.
+        armature: Rotor inertia at the joint [kg m^2]; used by contact estimation, descents and
+            simulators.
+        encoder_step: Angle of one encoder count [rad]; 0 to neglect it.
+        limit_type: Quantity that the limit register limits: `"current"`, hence torque, or `"pwm"`,
+            whose torque falls with speed.
+        no_load_speed: Speed without load [rad/s]; required for `"pwm"`.
+        stiffness_known: True if `kp` is known within 10 %.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: Lists of different lengths.
-            ConfigError: A field is missing, not known, or of the wrong type.
+        OutOfRangeError: A value is outside its bounds.
+        ShapeError: Lists have different lengths.
+        ConfigError: A field is missing, unknown, or of the wrong type.
     """
 
     def __new__(
@@ -734,7 +744,7 @@ class Servos:
     ) -> Servos: ...
     @property
     def kp(self) -> _Array:
-        """Stiffness (n,) [N m/rad]; this and the other arrays are read-only."""
+        """Stiffness of the position loop (n,) [N m/rad]; read-only, as the other arrays."""
 
     @property
     def max_torque(self) -> _Array:
@@ -746,19 +756,19 @@ class Servos:
 
     @property
     def load_friction(self) -> _Array:
-        """Dry friction per N m carried (n,) [1]."""
+        """Additional dry friction per N m of load torque (n,) [1]."""
 
     @property
     def stribeck(self) -> _Array:
-        """Dry friction in addition at rest (n,) [N m]."""
+        """Additional dry friction at rest (n,) [N m]."""
 
     @property
     def load_stribeck(self) -> _Array:
-        """Dry friction in addition at rest, per N m carried (n,) [1]."""
+        """Additional dry friction at rest per N m of load torque (n,) [1]."""
 
     @property
     def stribeck_speed(self) -> _Array:
-        """Speed at which a third of the friction at rest is left (n,) [rad/s]."""
+        """Speed at which a third of the additional friction at rest is left (n,) [rad/s]."""
 
     @property
     def damping(self) -> _Array:
@@ -770,15 +780,15 @@ class Servos:
 
     @property
     def armature(self) -> _Array:
-        """Rotor inertia (n,) [kg m^2]."""
+        """Rotor inertia at the joint (n,) [kg m^2]."""
 
     @property
     def encoder_step(self) -> _Array:
-        """Encoder count (n,) [rad]."""
+        """Angle of one encoder count (n,) [rad]."""
 
     @property
     def limit_type(self) -> Literal["current", "pwm"]:
-        """What the limit limits."""
+        """Quantity that the limit register limits."""
 
     @property
     def no_load_speed(self) -> _Array | None:
@@ -786,7 +796,7 @@ class Servos:
 
     @property
     def stiffness_known(self) -> bool:
-        """Whether `kp` is known within 10 %."""
+        """True if `kp` is known within 10 %."""
 
     @staticmethod
     def of(
@@ -795,16 +805,16 @@ class Servos:
         voltage: float | None = None,
         gains: Sequence[int | None] | None = None,
     ) -> Servos:
-        """Servos from the tables of `pliant.servo`, one model per joint.
+        """Create servos from the tables of `pliant.servo`, one model per joint.
 
         Args:
-            models: Servo models base to tip, as `pliant.servo.names()` lists them.
-            voltage: Supply voltage [V]; default each model's rated one.
-            gains: Gain registers; None where the maker's setting stands.
+            models: Servo models, base to tip; `pliant.servo.names()` lists them.
+            voltage: Supply voltage [V]; default: the rated one of each model.
+            gains: Values of the gain registers; None: the factory setting.
 
         Raises:
-            ConfigError: A model is not known (the nearest names are given), the voltage is outside
-                its range, or the gains are not one per model.
+            ConfigError: A model is unknown (the message suggests names), the voltage is outside its
+                range, or there is not one gain per model.
         """
 
     def replace(self, **changes: Unpack[_ServoFields]) -> Servos:
@@ -822,19 +832,19 @@ class _TaskFields(TypedDict, total=False):
 
 @final
 class Task:
-    """Which axes are controlled, and in which frame. Frozen.
+    """Controlled axes and their frame. Frozen.
 
     Args:
-        axes: Axis key: names apart by spaces, one word of the letters x y z, ``"rpy"``, ``"xyz
+        axes: Axis key: names separated by spaces, a word of the letters x y z, ``"rpy"``, ``"xyz
             rpy"``, ``"all"``.
-        frame: `"base"`, `"tool"` (turning with it), or a rotation matrix (3, 3) whose columns are
+        frame: `"base"`, `"tool"` (moving with it), or a rotation matrix (3, 3) whose columns are
             the task's axes in the base.
-        length: Length [m] that counts as much as one radian; needed only with more axes than
+        length: Length [m] that weighs as much as one radian; needed only with more axes than
             joints.
 
     Raises:
-        ConfigError: A key that is not understood, or no rotation matrix. OutOfRangeError: The
-            length.
+        ConfigError: The key or the rotation matrix is invalid.
+        OutOfRangeError: The length is outside its bounds.
     """
 
     def __new__(
@@ -850,7 +860,7 @@ class Task:
 
     @property
     def names(self) -> tuple[_AxisName, ...]:
-        """Names of the axes, in the order of every array per axis."""
+        """Names of the axes, in the order of all arrays per axis."""
 
     @property
     def frame(self) -> str | _Array:
@@ -858,7 +868,7 @@ class Task:
 
     @property
     def length(self) -> float | None:
-        """Length [m] that counts as much as one radian."""
+        """Length [m] that weighs as much as one radian."""
 
     def replace(self, **changes: Unpack[_TaskFields]) -> Task:
         """Return a copy with some fields changed."""
@@ -886,7 +896,7 @@ class _AxisFields(TypedDict, total=False):
 
 @final
 class Axis:
-    """What is asked of one task axis. Frozen; None takes the default.
+    """Settings of one task axis. Frozen; None selects the default.
 
     Default strengths depend on law and arm. They are forces [N] ([N m] for rotations) under the
     laws `"cap"` and `"impedance"`, torque budgets [N m] under law `"paper"`. A pair is (pushed
@@ -895,30 +905,31 @@ class Axis:
     Args:
         soft: Strength of the yielding axis at a small deviation, tau- of (9).
         firm: Strength of the yielding axis at a large deviation, tau+ of (9).
-        hold: Strength where the axis does not yield.
-        stiffness: Law impedance: spring [N/m or N m/rad]; default 0 toward a side that yields,
-            else from the arm (`arm7`: 800 N/m, 20 N m/rad).
+        hold: Strength of a side that does not yield.
+        stiffness: Law impedance: spring [N/m or N m/rad]; default 0 for a side that yields, else
+            derived from the arm (`arm7`: 800 N/m, 20 N m/rad).
         damping: Law impedance: damper [N s/m or N m s/rad]; default 0.
-        yields: Pushes it gives way to; by default both where `soft` or `firm` is given, else none.
+        yields: Sides that yield, by the direction of the push; default `"both"` if `soft` or `firm`
+            is given, else `"none"`.
         adaptation: Target adaptation of (12), 0 <= eta < 1.
-        soft_until: Deviation below which compliance is full, (8) [m or rad]; default 0.01 m, 0.04
-            rad.
-        firm_from: Deviation above which compliance is none, (8) [m or rad]; default 0.10 m, 0.40
-            rad.
-        profile: `"hardening"`: soft to firm with the deviation; `"constant"`: soft; `"softening"`:
-            firm to soft.
-        max_velocity: Most commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s;
-            inf for none. Law impedance has none.
-        soft_step_limit: The same while it yields; default none, under law `"paper"` 0.1 m/s, 0.5
-            rad/s.
-        deviation_limit: Largest deviation toward a side that does not yield [m or rad]; None: any.
-        on_deviation_limit: What happens there. `"yield"`: the target lets this axis go, the arm
-            gives way with the force of the limit, and is led back at the tool's speed when it is
-            let go. `"wait"`: the target waits, all of it, until the axis is within its limit again.
+        soft_until: Deviation below which compliance is 1, (8) [m or rad]; default 0.01 m, 0.04 rad.
+        firm_from: Deviation above which compliance is 0, (8) [m or rad]; default 0.10 m, 0.40 rad.
+        profile: Strength between these deviations: `"hardening"`: soft to firm; `"constant"`: soft;
+            `"softening"`: firm to soft.
+        max_velocity: Largest commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s;
+            inf: no limit. Law impedance has no limit.
+        soft_step_limit: Largest commanded velocity while it yields [m/s, rad/s]; default no limit,
+            under law `"paper"` 0.1 m/s, 0.5 rad/s.
+        deviation_limit: Largest deviation toward a side that does not yield [m or rad]; None: no
+            limit.
+        on_deviation_limit: Behaviour of the target at that limit. `"yield"`: the target of this
+            axis follows the tool, the arm gives way with the force of the limit, and the target
+            returns at the tool's speed after the release. `"wait"`: the whole target waits until
+            the axis is within its limit again.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ConfigError: A field that is not known or
-            makes no sense.
+        OutOfRangeError: A value is outside its bounds.
+        ConfigError: A field is unknown or has no effect.
     """
 
     def __new__(
@@ -941,15 +952,15 @@ class Axis:
     ) -> Axis: ...
     @property
     def soft(self) -> tuple[float, float] | None:
-        """Strength at a small deviation, pushed toward -, +."""
+        """Strength at a small deviation, pushed toward -, + [N, N m]."""
 
     @property
     def firm(self) -> tuple[float, float] | None:
-        """Strength at a large deviation, pushed toward -, +."""
+        """Strength at a large deviation, pushed toward -, + [N, N m]."""
 
     @property
     def hold(self) -> float | None:
-        """Strength where the axis does not yield."""
+        """Strength of a side that does not yield [N, N m]."""
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
@@ -961,7 +972,7 @@ class Axis:
 
     @property
     def yields(self) -> Literal["both", "+", "-", "none"] | None:
-        """Pushes it gives way to."""
+        """Sides that yield, by the direction of the push."""
 
     @property
     def adaptation(self) -> float:
@@ -969,23 +980,23 @@ class Axis:
 
     @property
     def soft_until(self) -> float | None:
-        """Deviation below which compliance is full [m or rad]."""
+        """Deviation below which compliance is 1 [m or rad]."""
 
     @property
     def firm_from(self) -> float | None:
-        """Deviation above which compliance is none [m or rad]."""
+        """Deviation above which compliance is 0 [m or rad]."""
 
     @property
     def profile(self) -> Literal["hardening", "constant", "softening"]:
-        """How the strength changes with the deviation."""
+        """Strength as a function of the deviation."""
 
     @property
     def max_velocity(self) -> float | None:
-        """Most commanded velocity while stiff [m/s, rad/s]."""
+        """Largest commanded velocity while stiff [m/s, rad/s]."""
 
     @property
     def soft_step_limit(self) -> float | None:
-        """Most commanded velocity while it yields [m/s, rad/s]."""
+        """Largest commanded velocity while it yields [m/s, rad/s]."""
 
     @property
     def deviation_limit(self) -> float | None:
@@ -993,7 +1004,7 @@ class Axis:
 
     @property
     def on_deviation_limit(self) -> Literal["yield", "wait"]:
-        """What the target does beyond it."""
+        """Behaviour of the target at the deviation limit."""
 
     def replace(self, **changes: Unpack[_AxisFields]) -> Axis:
         """Return a copy with some fields changed."""
@@ -1016,24 +1027,22 @@ class _TrackingFields(TypedDict, total=False):
 
 @final
 class Tracking:
-    """How the stiff axes follow the target. Frozen; `replace` makes variants.
+    """How stiff axes follow the target. Frozen; `replace` makes variants.
 
-    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
-    others keep their values.
+    Fields that are not given keep the values of the preset or of the replaced settings.
 
     Args:
         gain: Gain K_x of (5) [1/s]: a number, or one per axis of the task.
-        damping: Damping of the inverse: None: from the arm; a number: lambda; or (lambda_0,
-            sigma_0, lambda_max).
+        damping: Damping of the inverse: lambda; or (lambda_0, sigma_0, lambda_max); None: derived
+            from the arm.
         velocity_filter: Time constant of the velocity filter [s].
-        goal_slew: Most speed of the goals [rad/s]; None for no limit. All go the same share of
-            their ways, the weight that they carry apart and first.
-        joint_speed: Joint speed limits (n,) [rad/s]; None: the model's.
-        integrate: Rate at which the goal of stiff axes integrates [1/s]; 0 for none.
+        goal_slew: Speed limit of the goals [rad/s]; None: no limit. All goals move the same share
+            of their distance; their gravity part moves first and independently.
+        joint_speed: Joint speed limits (n,) [rad/s]; None: those of the model.
+        integrate: Rate at which the goal of stiff axes integrates [1/s]; 0: no integration.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
-            ConfigError: A field or word that is not known, with a suggestion.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
     """
 
     def __new__(
@@ -1076,25 +1085,23 @@ class _NullSpaceFields(TypedDict, total=False):
 
 @final
 class NullSpace:
-    """Motion of the joints that the task leaves free. Frozen; `replace` makes variants.
+    """Motion of the joints that leaves the task unchanged. Frozen; `replace` makes variants.
 
-    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
-    others keep their values.
+    Fields that are not given keep the values of the preset or of the replaced settings.
 
     Args:
         posture: Rest posture (n,) [rad]; None: q at reset.
-        gain: Step of the null-space motion [1/s]; None: as `Tracking.gain`.
-        max_torque: Most the null-space motion may ask of all joints together [N m]; None: 2 where
-            the arm is redundant.
-        stiffness: Law impedance: stiffness of the null-space motion [N m/rad], in place of `gain`;
-            None: as `gain` has it.
-        max_speed: Most speed of the null-space motion [rad/s]; None for no limit.
+        gain: Gain alpha of the null-space motion [1/s]; None: `Tracking.gain`.
+        max_torque: Largest torque of the null-space motion, summed over all joints [N m]; None: 2
+            if the arm is redundant.
+        stiffness: Law impedance: stiffness of the null-space motion [N m/rad] instead of `gain`;
+            None: use `gain`.
+        max_speed: Speed limit of the null-space motion [rad/s]; None: no limit.
         limit_avoidance: Weight of the joint-limit cost.
-        projector: `"exact"`, or `"paper"`: the printed I - J+ J with the damped J+.
+        projector: `"exact"`, or `"paper"`: I - J+ J with the damped J+, as printed.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
-            ConfigError: A field or word that is not known, with a suggestion.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
     """
 
     def __new__(
@@ -1138,17 +1145,15 @@ class _CompensationFields(TypedDict, total=False):
 class Compensation:
     """Shares of friction, damping and delay that are compensated, 0 to 1. Frozen.
 
-    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
-    others keep their values.
+    Fields that are not given keep the values of the preset or of the replaced settings.
 
     Args:
-        friction: Share of the friction that is fed forward.
-        damping: Share of the damping that is fed forward.
-        delay: Share of the delay that is predicted over.
+        friction: Share of the friction in the feed-forward.
+        damping: Share of the damping in the feed-forward.
+        delay: Share of the delay in the prediction.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
-            ConfigError: A field or word that is not known, with a suggestion.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
     """
 
     def __new__(
@@ -1179,23 +1184,20 @@ class _TorqueLimitsFields(TypedDict, total=False):
 
 @final
 class TorqueLimits:
-    """Joint torque limits that go to the servos. Frozen; `replace` makes variants.
+    """Joint torque limits sent to the servos. Frozen; `replace` makes variants.
 
-    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
-    others keep their values.
+    Fields that are not given keep the values of the preset or of the replaced settings.
 
     Args:
         margin: Margin of the limits as a share of the usable torque.
-        floor: Floor of the torque limits (n,) [N m]; None: the servos' friction.
-        stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0 for no
-            limit.
-        max_host_loss_force: Most that a hand shall meet along the task's translations if the host
-            dies [N]: the limits give up their margin first, then what they have beyond the arm's
-            weight; None: no such bound. Costs some 0.3 ms a step, 1 ms where it acts.
+        floor: Minimum of the torque limits (n,) [N m]; None: the servos' friction.
+        stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0: no bound.
+        max_host_loss_force: Largest force on a hand along the task's translations after a host loss
+            [N]; None: no bound. The limits give up their margin first, then what exceeds the arm's
+            weight. Takes about 0.3 ms per step, 1 ms when it acts.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
-            ConfigError: A field or word that is not known, with a suggestion.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
     """
 
     def __new__(
@@ -1241,35 +1243,32 @@ class _PaperOptionsFields(TypedDict, total=False):
 class PaperOptions:
     """Options of the published law, for studies; not needed to run an arm. Frozen.
 
-    Exported as `pliant.functional.PaperOptions`; the field `paper_options` of `Settings`.
-
-    Given to `Settings`, a preset or `replace`, it changes the fields that were given to it; the
-    others keep their values.
+    Exported as `pliant.functional.PaperOptions`; the field `paper_options` of `Settings`. Fields
+    that are not given keep the values of the preset or of the replaced settings.
 
     Args:
         follow: `"free"`: yielding axes leave the solve and exert exactly their force; `"hold"`: one
-            solve for all; None: by law, hold for paper. Law impedance has no solve.
-        limits: Rule for the joint torque limits, not law paper: what the law wants at this tick, or
-            the `"sum"` over all axes of what each may ask for.
+            solve for all axes; None: `"hold"` under law paper, else `"free"`. Law impedance has no
+            solve.
+        limits: Rule of the laws cap and impedance for the joint torque limits: `"demand"` of the
+            present step, or the `"sum"` over all axes of their largest demands.
         horizon: Horizon h of the goal q + h dq [s].
         kq: Gain K_q of (5), law paper: a number, one per joint, or a matrix.
         joint_weights: Law paper: weight of each joint in J+ (n,); None: 1.
         posture_weights: Weight of each joint in the posture cost (n,); None: 1.
         manipulability: Weight of the manipulability cost.
-        gravity_use: Where the gravity model is used if `Settings.gravity` is True: in goals and
-            limits, or in one of them.
+        gravity_use: Places in which the gravity model is used if `Settings.gravity` is True.
         gravity_scale: Factor on gravity in the limits.
         friction_speed: Speed at which the friction feed-forward saturates [rad/s].
-        direction_band: Half-width of the band in which an axis that yields to one side changes
-            over, as a share of `soft_until`; None: 0.1, under law paper 0.
-        raw_deviation: Compliance from the raw instead of the adapted deviation.
-        budget_on_goal: Law paper: clamp each axis' step to what its budget can do.
-        lead_limit: Law paper: how far a goal may lead [rad]; None: what the limit can use; inf for
-            no limit.
+        direction_band: Half-width of the band in which an axis that yields to one side switches
+            sides, as a share of `soft_until`; None: 0.1, under law paper 0.
+        raw_deviation: Compute the compliance from the raw instead of the adapted deviation.
+        budget_on_goal: Law paper: clamp the step of each axis to its budget.
+        lead_limit: Law paper: largest lead of a goal [rad]; None: the lead that the limit can use;
+            inf: no limit.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
-            ConfigError: A field or word that is not known, with a suggestion.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
     """
 
     def __new__(
@@ -1346,38 +1345,37 @@ class _SettingsFields(TypedDict, total=False):
 class Settings:
     """All settings of a controller. Frozen; `replace` makes variants, class methods presets.
 
-    A group such as `tracking` changes the fields that were given to it and leaves the others as
-    the default, the preset or the settings that are replaced have them:
-    ``Settings.door(null_space=NullSpace(max_torque=1.0))`` keeps the preset's `null_space.gain`.
+    In a group such as `tracking`, fields that are not given keep the default, or the value of the
+    preset or of the replaced settings: ``Settings.door(null_space=NullSpace(max_torque=1.0))``
+    keeps the preset's `null_space.gain`.
 
     Args:
         task: Controlled axes and their frame: a `Task`, or its axis key.
-        axes: Axis key to `Axis`, e.g. ``{"y": Axis(soft=4.0), "xz": Axis(hold=40.0)}``; axes that
-            are not named are stiff.
+        axes: `Axis` by axis key, e.g. ``{"y": Axis(soft=4.0), "xz": Axis(hold=40.0)}``; the other
+            axes are stiff.
         law: `"cap"`: force caps per axis; `"impedance"`: a spring and a damper per axis, with force
             caps; `"paper"`: equations (3)-(12), torque budgets per axis.
         rate: Nominal control rate [Hz]: the default `dt` of a step is 1 / rate.
-        delay: From reading to arrival of the goal [s].
-        gravity: The gravity model is used, in goals and limits.
-        max_tool_speed: Most speed of the target that the law sees, `reference` [m/s], or a pair
-            [m/s, rad/s]; a single number takes 4 rad/s for each m/s; None for no limit. The tool
-            is faster while it catches up, by up to 0.1 m/s where friction let it go late.
-        max_tool_acceleration: The same for its acceleration [m/s^2, rad/s^2].
-        accept_high_adaptation: Accept an `Axis.adaptation` above 0.95 though the servos' stiffness
-            is not known within 10 %: a gravity error may walk the arm away.
-        accept_high_stiffness: Law impedance: accept springs and dampers above what rate and delay
-            allow: the arm may oscillate.
-        tracking: How the stiff axes follow the target.
-        null_space: Motion of the joints that the task leaves free.
+        delay: Time from reading the positions to the arrival of the goal [s].
+        gravity: Use the gravity model in goals and limits.
+        max_tool_speed: Speed limit of the `reference` [m/s], or a pair [m/s, rad/s]; a single
+            number implies 4 rad/s per m/s; None: no limit. After friction has held the tool back,
+            it can be faster by up to 0.1 m/s.
+        max_tool_acceleration: Acceleration limit of the `reference` [m/s^2, rad/s^2], as
+            `max_tool_speed`.
+        accept_high_adaptation: Accept an `Axis.adaptation` above 0.95 if the servos' stiffness is
+            not known within 10 %: a gravity error can make the arm drift away.
+        accept_high_stiffness: Law impedance: accept springs and dampers above the bounds from rate
+            and delay: the arm may oscillate.
+        tracking: How stiff axes follow the target.
+        null_space: Motion of the joints that leaves the task unchanged.
         compensation: Shares of friction, damping and delay that are compensated.
-        torque_limits: Joint torque limits that go to the servos.
+        torque_limits: Joint torque limits sent to the servos.
         paper_options: Options for studies of the published law; not needed to run an arm.
 
     Raises:
-        OutOfRangeError: A value outside its bounds. ShapeError: A list of the wrong shape.
-            ConfigError: A field or word that is not known (with a suggestion), or values that do
-                not go
-            together.
+        ConfigError, OutOfRangeError, ShapeError: A field is unknown, or values are invalid or
+            inconsistent.
     """
 
     def __new__(
@@ -1401,34 +1399,33 @@ class Settings:
     ) -> Settings: ...
     @classmethod
     def paper(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Law paper as printed: no gravity model, no limits beyond the paper's, nothing yields.
+        """Preset for the paper's figures: no gravity model, only the paper's limits, no soft axis.
 
-        Budgets [N m]: soft 0.5, firm = hold = 10, null space 2. In this and the other presets
-        `axes` changes the axes it names, a group such as `tracking` the fields it was given; the
-        others stay as the preset has them.
+        Budgets [N m]: soft 0.5, firm = hold = 10, null space 2. In all presets, `axes` changes only
+        the named axes, and a group such as `tracking` only the given fields.
         """
 
     @classmethod
     def soft(cls, axes: str, /, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """The named axes yield both ways with default strengths and eta 0.9; the others hold."""
+        """Preset in which the named axes yield both ways, with default strengths and eta 0.9."""
 
     @classmethod
     def firm(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Nothing yields."""
+        """Preset in which no axis yields."""
 
     @classmethod
     def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Opens and closes doors: y and yaw follow the handle, eta 0.999; null-space gain 1."""
+        """Preset for doors: y and yaw follow the handle, eta 0.999; null-space gain 1."""
 
     @classmethod
     def drawer(
         cls, *, axis: str = "x", pull: float | None = None, **overrides: Unpack[_SettingsFields]
     ) -> Settings:
-        """Pulls and pushes a drawer along a base axis; the other translations follow the slide.
+        """Preset for drawers: pull and push along a base axis; other translations follow the slide.
 
         Args:
             axis: `"x"`, `"y"` or `"z"`.
-            pull: Most force along it [N]; None for the arm's `firm`.
+            pull: Largest force along it [N]; None: the arm's `firm`.
             **overrides: Further settings.
         """
 
@@ -1436,49 +1433,50 @@ class Settings:
     def wipe(
         cls, *, press: float | None = None, axis: str = "z", **overrides: Unpack[_SettingsFields]
     ) -> Settings:
-        """Presses on a surface with one force while the tool moves along it; tilts with it.
+        """Preset for wiping: press on a surface with a constant force and tilt with it.
 
         Args:
-            press: Force on the surface [N], with a target that lies far enough behind it; None for
-                the arm's `soft`.
-            axis: Its normal, `"x"`, `"y"` or `"z"`.
+            press: Force on the surface [N], if the target is far enough behind it; None: the arm's
+                `soft`.
+            axis: Normal of the surface, `"x"`, `"y"` or `"z"`.
             **overrides: Further settings.
         """
 
     @classmethod
     def hand_over(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Carries an object and gives way to the hand that takes it: firm near, soft when drawn."""
+        """Preset for handing over: firm near the target, soft once a hand pulls the object."""
 
     @classmethod
     def plug(
         cls, *, axis: str = "-z", push: float | None = None, **overrides: Unpack[_SettingsFields]
     ) -> Settings:
-        """Puts a plug into a hole: soft across and in rotation, pushed in with at most one force.
+        """Preset for inserting a plug: limited force; soft across the hole and in rotation.
 
         Args:
-            axis: Direction of insertion, `"-z"`, `"x"`, ...; pulling out may use all of `hold`.
-            push: Most force of insertion [N]; None for the arm's `firm`.
+            axis: Direction of insertion with its sign, `"-z"`, `"x"`, ...; pulling out may use all
+                of `hold`.
+            push: Largest force of insertion [N]; None: the arm's `firm`.
             **overrides: Further settings.
         """
 
     @classmethod
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """A hand leads the tool: all axes of the task yield with eta 0.95; null-space gain 1."""
+        """Preset for guiding by hand: all axes yield with eta 0.95; null-space gain 1."""
 
     def raise_soft(
         self, model: Model, path: ArrayLike | None = None, *, servos: Servos | None = None
     ) -> Settings:
-        """Settings whose `soft` is raised, where it is below, to three times the friction.
+        """Return settings with `soft` of yielding axes raised to at least three times the friction.
 
-        With that, sinusoids are followed within a tenth of their amplitude where friction is known
-        to 30 % and a tick late each way; softer, the joints' friction seen along the axis holds it
-        back whenever it starts or reverses.
+        At this strength, the error on a sinusoid is below a tenth of its amplitude if friction is
+        known within 30 % and the delay is one tick each way. A softer axis may not start or
+        reverse.
 
         Args:
             model: The arm.
-            path: Postures (n,) or (N, n) [rad] of which the worst counts; None: the median over the
-                joint space.
-            servos: None for those of the model.
+            path: Postures (n,) or (N, n) [rad], of which the worst counts; None: the median over
+                the joint space.
+            servos: None: those of the model.
         """
 
     def replace(self, **changes: Unpack[_SettingsFields]) -> Settings:
@@ -1520,12 +1518,12 @@ class Settings:
 
 @final
 class Command:
-    """Goals and limits of the servos for one tick. Arrays of a stored command never change.
+    """Goals and limits of the servos for one tick. The arrays of a stored command never change.
 
     Args:
         goal: Goals of the position servos (n,) [rad].
-        torque_limit: Magnitude of the torque each servo may use (n,) [N m].
-        speed_limit: Speed for a servo's speed register (n,) [rad/s]; None: no limit.
+        torque_limit: Magnitude of the torque that each servo may use (n,) [N m].
+        speed_limit: Speed for the servos' speed register (n,) [rad/s]; None: no limit.
     """
 
     def __new__(
@@ -1537,27 +1535,27 @@ class Command:
 
     @property
     def torque_limit(self) -> _Array:
-        """Magnitude of the torque each servo may use (n,) [N m]."""
+        """Magnitude of the torque that each servo may use (n,) [N m]."""
 
     @property
     def speed_limit(self) -> _Array:
-        """Speed for a servo's speed register (n,) [rad/s].
+        """Speed for the servos' speed register (n,) [rad/s].
 
-        What keeps the tool within `max_tool_speed` by one joint alone, but no less than
-        `goal_slew`: a profile slower than the goals falls behind them and exerts what nobody asked
-        for. inf where neither tool nor joint has a speed limit.
+        The largest speed at which this joint alone keeps the tool within `max_tool_speed`, but at
+        least `goal_slew`: with a slower profile the servo lags behind its goals and exerts an
+        unintended force. inf if neither tool nor joint has a speed limit.
         """
 
 @final
 class BatchState:
-    """What many arms remember between batch steps; of `Controller.batch_state`.
+    """State of many arms between batch steps; made by `Controller.batch_state`.
 
-    Any controller of arms with as many joints can go on with it. Can be copied and pickled, to be
-    read by the same version; not to be used by two calls at once. `len` is the number of arms.
+    Any controller of arms with as many joints can continue with it. Can be copied, and pickled for
+    the same version; two calls must not use it at once. `len` is the number of arms.
 
     Args:
-        n: Joints of an arm.
-        numbers: What a pickle holds of them.
+        n: Number of joints of an arm.
+        numbers: Contents, as in a pickle.
     """
 
     def __new__(cls, n: int, numbers: ArrayLike) -> BatchState: ...
@@ -1568,15 +1566,15 @@ class BatchState:
         """Number of joints of an arm."""
 
     def reset(self, indices: ArrayLike | slice | None = None, Q: ArrayLike | None = None) -> None:
-        """Forget all of some arms: for episodes that begin.
+        """Reset some arms, e.g. at the start of an episode.
 
         Args:
-            indices: Which arms, as NumPy indexes: numbers, a mask (N,), a slice; None: all.
-            Q: Positions to start from, (count, n) or (n,) for all [rad]; None: those of the next
-                step.
+            indices: Arms, by NumPy indices: numbers, a mask (N,), a slice; None: all.
+            Q: Initial positions (count, n), or (n,) for all [rad]; None: those of the next step.
 
         Raises:
-            IndexError: No such arm. ShapeError, OutOfRangeError: `Q`; nothing is then changed.
+            IndexError: An index is out of range.
+            ShapeError, OutOfRangeError: `Q` is invalid; nothing has changed.
         """
 
 @final
@@ -1824,19 +1822,19 @@ class FeasibilityReport:
 class Controller:
     """Compliant task-space controller: joint goals and torque limits from positions alone.
 
-    Not to be shared between threads: a second call during a first one raises `RuntimeError`. Arrays
-    per axis have one entry per axis of the task, in its order. Can be copied, and pickled to be
-    read by the same version: the next step is then the one that it would have been, and so are
-    payload, gravity and delay; what was read of the last step only a copy keeps.
+    Do not share it between threads: a concurrent call raises `RuntimeError`. Arrays per axis have
+    one entry per task axis, in the order of the task. A controller can be copied, and pickled for
+    the same version: both continue with the same next step, and keep payload, gravity and delay.
+    Only a copy keeps the diagnostics of the last step.
 
     Args:
         model: The arm.
-        settings: None for the defaults.
-        servos: None for those of the model; law paper without gravity needs none.
+        settings: None: the defaults.
+        servos: None: those of the model; law paper without gravity needs none.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model do not go together;
-            says what to change.
+        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model are inconsistent; the
+            message names the setting to change.
     """
 
     def __new__(
@@ -1856,27 +1854,26 @@ class Controller:
         gradient: ArrayLike | None = None,
         out: Command | None = None,
     ) -> Command:
-        """One control step toward a pose of the tool.
+        """Run one control step toward a pose of the tool.
 
-        The first step resets to `q`. Fastest with float64 arrays in C order; everything else that
-        NumPy takes gives the same numbers. Allocates nothing while nobody keeps the results.
+        The first step resets the controller to `q`. Fastest with float64 arrays in C order; other
+        array-likes give the same numbers. Allocates nothing if the caller keeps no results.
 
         Args:
             q: Measured joint positions (n,) [rad].
-            target: Pose `base_from_tool`: (4, 4), `Pose`, any object with a 4x4 accessor; (3,) for
-                a task without rotations. Toward one out of reach the arm stretches, and `check`
-                says that it is; farther from the first joint than 2 times `Model.reach` and
-                0.1 m is an error.
+            target: Pose `base_from_tool`: (4, 4), `Pose`, or any object with a 4x4 accessor; (3,)
+                for a task without rotations. The arm stretches toward a pose out of reach; `check`
+                reports it. A distance from the first joint above 2 times `Model.reach` plus 0.1 m
+                is an error.
             dt: Time since the last step [s], at most 1; None: 1 / settings.rate.
-            dq: Joint velocity (n,) [rad/s] in place of the filtered one.
+            dq: Joint velocity (n,) [rad/s] instead of the filtered one.
             twist: Velocity of the target (6,) [m/s, rad/s], base axes.
-            gradient: Gradient (n,) of an own null-space cost, added to the others; the cost is
-                descended.
-            out: A command to overwrite, whoever holds its arrays.
+            gradient: Gradient (n,) of an additional null-space cost, which is descended.
+            out: Command to overwrite, including arrays that are still referenced.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError, TypeError: An input that cannot be used, by
-                name; the controller is then as before.
+            ShapeError, OutOfRangeError, ConfigError, TypeError: An input is invalid; the message
+                names it. The controller has not changed.
         """
 
     def step_joints(
@@ -1890,11 +1887,11 @@ class Controller:
         gradient: ArrayLike | None = None,
         out: Command | None = None,
     ) -> Command:
-        """One control step toward joint positions (n,): target and rest posture; else as `step`.
+        """Run one control step toward joint positions (n,): target and rest posture; see `step`.
 
         Raises:
             OutOfRangeError: As `step`, and for a target beyond a joint's limits by more than 0.2
-                rad, or a tenth of its travel; within that the goals end at the limits.
+                rad or a tenth of its travel; within that margin the goals end at the limits.
         """
 
     def step_batch(
@@ -1908,110 +1905,108 @@ class Controller:
         invalid: Literal["raise", "nan"] = "raise",
         out: Command | tuple[_Array, _Array, _Array] | None = None,
     ) -> Command:
-        """One control step of N arms, on every core while other Python threads run.
+        """Run one control step of N arms, on all cores and with the GIL released.
 
-        With a state each row is what `step` of a controller of its own would give, bit for bit.
-        Without one nothing is remembered: each row is the first step of a controller just reset to
-        its q, with `goal_slew` and `max_tool_speed` infinite: goals may jump, so not for a real
-        arm. Under law `paper` as printed, arms of at most 7 joints are then stepped side by side in
-        the processor's registers, which changes results by rounding. This controller's own memory
-        and readings stay as they are. `RAYON_NUM_THREADS` says
-        how many threads there are.
+        With a state, each row is bit-identical to `step` of a separate controller. Without one,
+        each row is the first step of a controller just reset to its q, with infinite `goal_slew`
+        and `max_tool_speed`: goals may jump, so do not use it for a real arm. Such steps of law
+        `paper` as printed are vectorized for arms of at most 7 joints, which changes results by
+        rounding. The state and diagnostics of this controller do not change. `RAYON_NUM_THREADS`
+        sets the number of threads.
 
         Args:
-            Q: Measured joint positions (N, n) [rad]; a plain float64 array is read in place.
-            targets: Poses (N, 4, 4), or positions (N, 3) for a task without rotations; or one for
-                all: whatever `step` takes.
-            state: What the arms remember, of `batch_state(N)`; changed in place.
+            Q: Measured joint positions (N, n) [rad]; a plain float64 array is not copied.
+            targets: Poses (N, 4, 4), positions (N, 3) for a task without rotations, or one target
+                of `step` for all arms.
+            state: State from `batch_state(N)`; changed in place.
             dt: Time since the last step of all arms [s], at most 1; None: 1 / settings.rate.
-            dq: Joint velocities (N, n) [rad/s] in place of the filtered ones.
-            invalid: What becomes of rows whose q, target or dq cannot be used: ``"raise"`` an error
-                that names the first one before any arm is stepped, or ``"nan"``: their command is
-                NaN, their memory stays, and the others are stepped.
-            out: A command of a batch, or arrays (N, n) for goal, torque limit and velocity, to
-                write into: new memory costs up to a fifth.
+            dq: Joint velocities (N, n) [rad/s] instead of the filtered ones.
+            invalid: Handling of rows with an invalid q, target or dq: ``"raise"``: an error names
+                the first one before any arm is stepped; ``"nan"``: their command is NaN, their
+                state does not change, and the others are stepped.
+            out: Command of a batch, or arrays (N, n) for goals, torque limits and speed limits;
+                saves up to a fifth of the time.
 
         Returns:
-            Command with arrays (N, n): `out` if it is one.
+            Command with arrays (N, n); `out` if it is a command.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError, TypeError, ValueError: An argument or a row
-                that cannot be used, by name; `state` is then as before, `out` may hold anything.
-                Only a
-                command that comes out not finite is found underway: others have then been stepped.
+            ShapeError, OutOfRangeError, ConfigError, TypeError, ValueError: An argument or a row is
+                invalid; the message names it. `state` has not changed, `out` is undefined. Only a
+                command that is not finite is found later, when other arms have been stepped.
         """
 
     def batch_state(self, count: int) -> BatchState:
-        """What `count` arms remember between calls of `step_batch`, of which nothing is known yet.
+        """Return an initial state of `count` arms for `step_batch`.
 
-        The first step of an arm resets it to its positions. 8 (52 + 7 n) bytes an arm: a million
-        arms of seven joints take 0.81 GB.
+        The first step of an arm resets it to its positions. Takes 8 (52 + 7 n) bytes per arm: 0.81
+        GB for a million arms of seven joints.
         """
 
     def reset(self, q: ArrayLike) -> None:
-        """Forget velocity, slew and gamma; goals start from `q` (n,).
+        """Clear velocity, slew and gamma; the goals start from `q` (n,) [rad].
 
-        `q` is the rest posture unless one is set. A captured gravity offset stays.
+        `q` becomes the rest posture unless the settings have one. A captured gravity offset stays.
         """
 
     def update(self, settings: Settings) -> None:
-        """Take new settings while running: goals go on from where they are."""
+        """Replace the settings while running; the goals continue from their present values."""
 
     def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """Take another payload: mass [kg], 0 for none; centre (3,) in the tool frame [m].
+        """Set the payload: mass [kg], 0 for none; centre of mass (3,) in the tool frame [m].
 
-        Before the first step at once; in an arm that is controlled within half a second, so that
-        one that is told too early, too late or wrongly does not make it jump.
+        Takes effect at once before the first step, later over half a second, so that a wrong or
+        mistimed payload does not make the arm jump.
         """
 
     def set_gravity(self, vector: ArrayLike) -> None:
-        """Take another gravity vector (3,) [m/s^2], base axes: for a base that tilts."""
+        """Set the gravity vector (3,) [m/s^2] in base axes, for a base that tilts."""
 
     def set_delay(self, delay: float) -> None:
-        """Take the measured delay [s]; derates the stiff axes where it must: `gain_factor`."""
+        """Set the measured delay [s]; may reduce the gain of stiff axes, see `gain_factor`."""
 
     def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> _Array:
-        """Take the gravity offset from an arm held still by an integrating goal.
+        """Capture the gravity offset of an arm that an integrating goal holds still.
 
         Args:
-            q: Where it stands (n,) [rad].
-            goal: Goals that hold it there (n,) [rad].
+            q: Joint positions (n,) [rad].
+            goal: Goals that hold the arm there (n,) [rad].
 
         Returns:
-            Stiffness k_g (n,) [N m/rad] that serves the gravity offset from now on.
+            Stiffness k_g (n,) [N m/rad], used for the gravity offset from now on.
 
         Raises:
-            ConfigError: The controller knows no `kp`.
+            ConfigError: `kp` is unknown.
         """
 
     def report(self, q: ArrayLike | None = None) -> PoseReport:
-        """Forces per axis and side that a pose allows, margins, and the force of a host loss.
+        """Report forces per axis and side in a pose, margins, and the force of a host loss.
 
         Args:
-            q: Posture (n,) [rad], the arm at rest on its target; None: pose and limits of the last
-                step.
+            q: Posture (n,) [rad], with the arm at rest on its target; None: pose and limits of the
+                last step.
 
         Raises:
-            ConfigError: Neither `q` nor a step so far.
+            ConfigError: `q` is None before the first step.
         """
 
     def check(
         self, path_or_pose: _PoseLike | ArrayLike, *, q0: ArrayLike | None = None
     ) -> FeasibilityReport:
-        """Whether these settings can be met, and which to change to what if not.
+        """Check that these settings can be met on a path or in a pose; see `check_path`.
 
         Args:
-            path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool as `step` takes it,
-                (4, 4) with the last row 0 0 0 1; a position (3,) [m] for a task without rotations,
-                where the arm has not three joints.
-            q0: Where the search for a pose starts (n,) [rad]; None: mid-range.
+            path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool as in `step`, (4, 4)
+                with the last row 0 0 0 1; a position (3,) [m] for a task without rotations, unless
+                the arm has three joints.
+            q0: Start of the search for a pose (n,) [rad]; None: mid-range.
 
         Returns:
-            Verdict and findings; true where all can be met.
+            Verdict and findings; true if all settings can be met.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError, TypeError: An input that cannot be used, by
-                name.
+            ShapeError, OutOfRangeError, ConfigError, TypeError: An input is invalid; the message
+                names it.
         """
 
     @property
@@ -2020,43 +2015,43 @@ class Controller:
 
     @property
     def settings(self) -> Settings:
-        """The settings in force."""
+        """Present settings."""
 
     @property
     def servos(self) -> Servos | None:
-        """The servos, one entry per joint."""
+        """Servos, one entry per joint."""
 
     @property
     def axes(self) -> dict[_AxisName, Axis]:
-        """Axes of the task, with every default that depends on law and arm filled in."""
+        """Axes of the task, with all defaults that depend on law and arm filled in."""
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """Intermediate values of the last step, as a snapshot."""
+        """Snapshot of intermediate values of the last step."""
 
     @property
     def instructions(self) -> str:
-        """Instructions that steps run on: ``"baseline"``, ``"avx2"`` or ``"avx512"``.
+        """Instruction set of the steps: ``"baseline"``, ``"avx2"`` or ``"avx512"``.
 
-        The widest that the processor has, or the set that the environment variable
-        ``PLIANT_INSTRUCTIONS`` names. Results differ between sets by rounding, below 1e-11 of
-        their size; on one set they repeat bit for bit.
+        The widest set of the processor, or that of the environment variable
+        ``PLIANT_INSTRUCTIONS``. Results differ between sets by rounding, below 1e-11 of their size,
+        and are bit-identical within a set.
         """
 
     @property
     def commands_made(self) -> int:
-        """How many commands had to be allocated: stays at 3 in a loop that keeps none."""
+        """Number of commands allocated; stays at 3 in a loop that keeps none."""
 
 @final
 class Diagnostics:
     """Intermediate values of a controller's last step; made by `Controller.diagnostics`.
 
-    A snapshot: it keeps its values when the controller goes on. k is the number of task axes.
+    A snapshot: later steps do not change it. k is the number of task axes.
     """
 
     @property
     def deviation(self) -> _Array:
-        """Deviation `reference` - actual (k,) [m, rad]."""
+        """Deviation of the actual pose from `reference` (k,) [m, rad]: reference - actual."""
 
     @property
     def adapted_deviation(self) -> _Array:
@@ -2068,7 +2063,7 @@ class Diagnostics:
 
     @property
     def softness(self) -> _Array:
-        """Softness w (k,), 0 to 1, for the side each axis is pushed from."""
+        """Softness w (k,), 0 to 1, for the side from which each axis is pushed."""
 
     @property
     def compliance(self) -> _Array:
@@ -2080,7 +2075,7 @@ class Diagnostics:
 
     @property
     def wrench(self) -> _Array:
-        """Wrench on the target (k,) [N, N m], not under law paper."""
+        """Wrench on the target (k,) [N, N m]; not under law paper."""
 
     @property
     def activation(self) -> _Array:
@@ -2092,23 +2087,23 @@ class Diagnostics:
 
     @property
     def task_jacobian(self) -> _Array:
-        """Task rows as solved (k, n), in the task frame; columns of locked joints are zero."""
+        """Task rows (k, n) in the task frame; columns of locked joints are zero."""
 
     @property
     def singular_values(self) -> _Array:
-        """Singular values of those rows, translations over the arm's length, largest first."""
+        """Singular values of the task rows, translations over the arm's length, largest first."""
 
     @property
     def q_predicted(self) -> _Array:
-        """Positions predicted over the delay (n,) [rad]."""
+        """Predicted positions at the arrival of the goal (n,) [rad]."""
 
     @property
     def velocity(self) -> _Array:
-        """Filtered velocity (n,) [rad/s]."""
+        """Filtered joint velocity (n,) [rad/s]."""
 
     @property
     def gravity(self) -> _Array:
-        """Torques that hold the arm (n,) [N m]."""
+        """Torques that hold the arm at rest (n,) [N m]."""
 
     @property
     def feed_forward(self) -> _Array:
@@ -2120,63 +2115,63 @@ class Diagnostics:
 
     @property
     def sigma_min(self) -> float:
-        """Smallest singular value of the scaled rows; where a step needs none, found when read."""
+        """Smallest of `singular_values`; computed on request if the step does not use it."""
 
     @property
     def sigma_max(self) -> float:
-        """Largest singular value, as `sigma_min`."""
+        """Largest of `singular_values`; computed as `sigma_min`."""
 
     @property
     def damping(self) -> float:
-        """Damping lambda."""
+        """Damping lambda of the inverse."""
 
     @property
     def damping_constants(self) -> tuple[float, float, float]:
-        """lambda_0, sigma_0, lambda_max in force."""
+        """Present lambda_0, sigma_0, lambda_max."""
 
     @property
     def gain_factor(self) -> float:
-        """Factor <= 1 on K_x that the delay demands; law impedance: on the stiffness, last step."""
+        """Factor <= 1 on K_x, due to the delay; law impedance: on the stiffness, last step."""
 
     @property
     def gamma(self) -> float:
-        """How much of feed-forward and prediction is used, 0.5 to 1."""
+        """Factor on feed-forward and prediction, 0.5 to 1; smaller near singular poses."""
 
     @property
     def factors(self) -> tuple[float, float, float]:
-        """Factors that scaled null-space, soft and stiff part to torque and speed limits."""
+        """Factors on null-space, soft and stiff part that keep the torque and speed limits."""
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
-        """Joints whose limit is at its ceiling (n,)."""
+        """True for joints whose torque limit is at its ceiling (n,)."""
 
     @property
     def deviation_limited(self) -> NDArray[np.bool_]:
-        """Task axes at which the target met its `deviation_limit` (k,)."""
+        """True for task axes at their `deviation_limit` (k,)."""
 
     @property
     def reference(self) -> _Array:
-        """Target as far as tool speed and deviation limits let it, `base_from_tool` (4, 4)."""
+        """Target within tool speed and deviation limits, `base_from_tool` (4, 4)."""
 
     @property
     def locked(self) -> NDArray[np.bool_]:
-        """Joints at a position limit that left the inverse kinematics (n,)."""
+        """True for joints at a position limit, removed from the inverse kinematics (n,)."""
 
 @final
 class WrenchEstimate:
-    """What pushes at the tool, and how sure that is.
+    """Estimated external wrench at the tool, and its uncertainty.
 
-    Forces [N] and torques [N m] of the surroundings on the tool, taken at the tool: a push toward +
+    Forces [N] and torques [N m] of the surroundings on the tool, at the tool point: a push toward +
     is positive. `str` gives one line.
     """
 
     @property
     def force(self) -> _Array:
-        """Force and torque (6,) along the axes of the task frame; 0 along axes not looked at."""
+        """Force and torque (6,) along the axes of the task frame; 0 along axes not estimated."""
 
     @property
     def uncertainty(self) -> _Array:
-        """`|force - truth|` (6,) is at most this if the options tell the truth; inf: not known."""
+        """Bound (6,) on the error of `force`, if the options describe the arm; inf: unknown."""
 
     @property
     def force_base(self) -> _Array:
@@ -2184,23 +2179,23 @@ class WrenchEstimate:
 
     @property
     def uncertainty_base(self) -> _Array:
-        """Bound (6,) of those in base axes."""
+        """Bound (6,) on the error of `force_base`."""
 
     @property
     def torque_residual(self) -> _Array:
-        """What the surroundings add to each joint (n,) [N m], behind the low-pass."""
+        """Torque of the surroundings on each joint (n,) [N m], low-passed."""
 
     @property
     def torque_uncertainty(self) -> _Array:
-        """How far that can be off (n,) [N m]; a payload nobody knows of is counted above only."""
+        """Bound (n,) [N m] on the error of `torque_residual`, without `payload_error`."""
 
     @property
     def residual_ratio(self) -> float:
-        """Largest of |residual| / uncertainty over the joints: above 1 something pushes."""
+        """Largest |residual| / uncertainty of the joints; above 1 something pushes on the arm."""
 
     @property
     def torque(self) -> _Array:
-        """Torque of each servo (n,) [N m], from lead and limit or as measured."""
+        """Torque of each servo (n,) [N m], computed from lead and limit or measured."""
 
     @property
     def velocity(self) -> _Array:
@@ -2208,55 +2203,57 @@ class WrenchEstimate:
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
-        """Joints whose servo is at its limit (n,): their torque is the limit."""
+        """True for joints whose servo is at its torque limit (n,)."""
 
     @property
     def touch(self) -> NDArray[np.bool_]:
-        """Axes that are touched (6,)."""
+        """True for axes with a touch event (6,)."""
 
     @property
     def stop(self) -> NDArray[np.bool_]:
-        """Axes whose force asks for a stop (6,)."""
+        """True for axes with a stop event (6,)."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
 
 @final
 class ContactEstimator:
-    """Feels what pushes at the tool of an arm without force sensors.
+    """Estimates the external wrench at the tool from joint positions and commands.
 
-    What the servos exert beyond gravity, friction and acceleration, the surroundings must exert:
+    The torque of the servos beyond gravity, friction and acceleration comes from the surroundings:
     `J' F = r = g + M q'' + t_f tanh(v / v0) + d v - clip(k_p (goal - q) - k_v v, +-limit)`. With
     `|error of r_i| <= u_i`, `F = (J W J' + P)^-1 J W r`, `W = diag(1/u^2)`, `P = diag(1/most^2)`,
-    and the bound is `|G| u + |G J' - I| most`: what no joint feels is uncertain by `most`.
+    and the bound is `|G| u + |G J' - I| most`: a direction that no joint senses has the uncertainty
+    `most`.
 
-    Call `update` once per tick, before the controller's `step`. Shares are of the quantity's own
-    size: 0.3 is 30 %.
+    Call `update` once per tick, before the controller's `step`. Errors are relative: 0.3 is 30 %.
 
     Args:
-        controller: Whose model, payload, gravity, delay, task frame and commands are used.
-        axes: Axes of the task frame along which the surroundings can push; along the others nothing
-            is taken to push. None: all six with six joints or more, else those of the task.
-        filter: Time constant of the low-pass [s]; 0 for none.
-        friction_error: How wrong friction and damping may be. At rest dry friction is open anyway.
-        kp_error: How wrong k_p and torque limits may be; None: 0.1 if `stiffness_known`, else 0.25.
-        gravity_error: How wrong gravity torques may be.
-        payload_error: Mass at the tool that may be there unknown [kg].
-        inertia_error: How wrong the torques of acceleration may be (groups are point masses).
-        load_error: How wrong a measured load or current may be.
-        torque_constant: Torque per current (n,) [N m/A], needed where a current is given.
-        most: Largest force [N] and torque [N m] thought possible.
-        touch, stop: Thresholds [N, N m] by axis key, e.g. `{"xyz": 8.0}`. In force is the larger of
-            threshold and `guard` times the present uncertainty.
+        controller: Controller that supplies model, payload, gravity, delay, task frame and
+            commands.
+        axes: Axes of the task frame to estimate; the wrench along the others is assumed zero. None:
+            all six with six joints or more, else those of the task.
+        filter: Time constant of the low-pass [s]; 0: no filter.
+        friction_error: Error of friction and damping; at rest, dry friction is unknown anyway.
+        kp_error: Error of k_p and torque limits; None: 0.1 if `stiffness_known`, else 0.25.
+        gravity_error: Error of the gravity torques.
+        payload_error: Possible unknown mass at the tool [kg].
+        inertia_error: Error of the acceleration torques, computed with point masses.
+        load_error: Error of a measured load or current.
+        torque_constant: Torque per current (n,) [N m/A]; required if a current is given.
+        most: Largest plausible force [N] and torque [N m].
+        touch, stop: Thresholds [N, N m] by axis key, e.g. `{"xyz": 8.0}`. The larger of threshold
+            and `guard` times the present uncertainty applies.
         hysteresis: Share of its threshold by which a force must fall to end an event.
-        min_time: How long a threshold must be passed before an event begins or ends [s].
-        guard: At 1 an event is proven; 0.6 has given no false alarm in an hour (docs/contact.md).
-        accept: `("thresholds",)` takes thresholds below the uncertainty as they are, unguarded.
+        min_time: Minimum time beyond a threshold before an event begins or ends [s].
+        guard: Factor on the uncertainty. At 1 an event is proven; 0.6 gave no false alarm in an
+            hour (docs/contact.md).
+        accept: `("thresholds",)` accepts thresholds below the uncertainty, without `guard`.
 
     Raises:
-        OutOfRangeError: An option out of range; a threshold below what this arm at rest can tell
-            from a contact in the median pose, with that number.
-        ConfigError, ShapeError: No servos, unknown axes, constants of another length.
+        OutOfRangeError: An option is out of range; or a threshold is below the uncertainty of the
+            arm at rest in the median pose, with that number.
+        ConfigError, ShapeError: No servos, unknown axes, or constants of another length.
     """
 
     def __new__(
@@ -2290,88 +2287,86 @@ class ContactEstimator:
         current: ArrayLike | None = None,
         sent: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> WrenchEstimate:
-        """Take one reading; before the controller's step of this tick.
+        """Process one reading, before the controller's step of the same tick.
 
-        Until a command that was in force is known, and no load is given, nothing is felt: force 0,
-        uncertainty inf.
+        Until the command at the time of the reading is known, and without a load, the force is 0
+        and the uncertainty inf.
 
         Args:
             q: Measured joint positions (n,) [rad].
             dt: Time since the last reading [s], at most 1; None: 1 / rate of the controller's
                 settings.
-            dq: Joint velocity (n,) [rad/s] in place of the filtered one.
-            load: Torques that the servos say they exert (n,) [N m], in place of lead and limit.
-            current: Currents of the motors (n,) [A]; needs `torque_constant`.
-            sent: Goals and limits (n,) that were sent last, where not the controller's command.
+            dq: Joint velocity (n,) [rad/s] instead of the filtered one.
+            load: Torques reported by the servos (n,) [N m], instead of lead and limit.
+            current: Motor currents (n,) [A]; requires `torque_constant`.
+            sent: Goals and limits (n,) sent last, if not the controller's command.
 
         Raises:
-            ShapeError, OutOfRangeError, ConfigError: An input that cannot be used; nothing has
-                changed.
+            ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
         """
 
     def uncertainty_at(self, q: ArrayLike) -> _Array:
-        """Bound (6,) [N, N m] for the arm at rest in q (n,) [rad], holding its weight."""
+        """Compute the bound (6,) [N, N m] for the arm at rest in q (n,) [rad] under its weight."""
 
     def typical_uncertainty(self) -> _Array:
-        """Median (6,) of `uncertainty_at` over 64 poses of the joint space (a millisecond)."""
+        """Compute the median (6,) of `uncertainty_at` over 64 poses (a millisecond)."""
 
     def reset(self) -> None:
-        """Forget velocity, filter, commands and events; a tare stays."""
+        """Clear velocity, filter, commands and events; a tare stays."""
 
     def tare(self) -> None:
-        """Take the present force for zero: from now on the change is felt.
+        """Set the present force to zero; later estimates are relative to it.
 
-        Errors of k_p, gravity and payload count from here only; what dry friction may have hidden
-        in the tare counts in addition.
+        Errors of k_p, gravity and payload then count relative to this state, plus the dry friction
+        that the tare may contain.
 
         Raises:
-            ConfigError: Nothing has been felt yet.
+            ConfigError: There is no estimate yet.
         """
 
     def clear_tare(self) -> None:
-        """Undo a tare."""
+        """Remove the tare."""
 
     @property
     def tared(self) -> bool:
-        """Whether a tare is in force."""
+        """True while a tare is set."""
 
     @property
     def estimate(self) -> WrenchEstimate:
-        """The last estimate."""
+        """Last estimate."""
 
     @property
     def guard(self) -> float:
-        """Share of the uncertainty that a force must exceed to count."""
+        """Factor on the uncertainty that a force must exceed to count."""
 
     @property
     def latency(self) -> float:
-        """What an event lags by design [s]: delay of the controller, low-pass, shortest time."""
+        """Delay of an event by design [s]: delay of the controller, low-pass, `min_time`."""
 
     @property
     def axes(self) -> tuple[_AxisName, ...]:
-        """Axes looked at."""
+        """Estimated axes."""
 
     @property
     def controller(self) -> Controller:
         """The controller."""
 
 def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
-    """Damped pseudo-inverse of (3): J^T (J J^T + lambda^2 I)^-1, shape (n, k).
+    """Compute the damped pseudo-inverse of (3): J^T (J J^T + lambda^2 I)^-1, shape (n, k).
 
     Args:
         J: Jacobian (k, n), at most six rows and sixteen columns.
-        damping: lambda, not squared; 0 gives the Moore-Penrose inverse, of rank-deficient matrices
-            too.
+        damping: lambda, not squared; 0: the Moore-Penrose inverse, also of rank-deficient matrices.
 
     Raises:
-        ShapeError: More rows or columns. OutOfRangeError: An entry that is not finite, or lambda <
-            0.
+        ShapeError: J has more rows or columns.
+        OutOfRangeError: An entry is not finite, or lambda < 0.
     """
 
 def null_space_projector(
     J: ArrayLike, damping: float = 0.0, kind: Literal["exact", "paper"] = "exact"
 ) -> _Array:
-    """Null-space projector of J, (n, n).
+    """Compute the null-space projector of J, (n, n).
 
     Args:
         J: Jacobian (k, n).
@@ -2379,36 +2374,39 @@ def null_space_projector(
         kind: `"exact"`: the orthogonal projector, faded close to singular J; `"paper"`: I - J+ J.
 
     Raises:
-        ShapeError, OutOfRangeError: As `damped_pseudo_inverse`. ConfigError: Another kind.
+        ShapeError, OutOfRangeError: As `damped_pseudo_inverse`.
+        ConfigError: `kind` is unknown.
     """
 
 def responsibility(
     J_pinv: ArrayLike, dx: ArrayLike, N: ArrayLike, gradient: ArrayLike, alpha: float
 ) -> _Array:
-    """Responsibility R of (6), (7), (n, k + 1): |J+ diag(dx)|, then |alpha N gradient|.
+    """Compute the responsibility R of (6), (7), (n, k + 1): |J+ diag(dx)|, then |alpha N gradient|.
 
     Args:
         J_pinv: Pseudo-inverse (n, k).
         dx: Task velocity (k,) [m/s, rad/s].
         N: Null-space projector (n, n).
         gradient: Gradient of the null-space cost (n,).
-        alpha: Step of the null-space motion [1/s].
+        alpha: Gain of the null-space motion [1/s].
 
     Raises:
-        ShapeError: Sizes that do not go together. OutOfRangeError: An entry that is not finite.
+        ShapeError, OutOfRangeError: Sizes are inconsistent, or an entry is not finite.
     """
 
 def activation(J_pinv: ArrayLike, N: ArrayLike, gradient: ArrayLike | None = None) -> _Array:
-    """Activation matrix A of (10), (n, k + 1): columns of |J+| over their sums, null space last.
+    """Compute the activation matrix A of (10), (n, k + 1).
+
+    The columns are those of |J+| over their sums, then the null space.
 
     Args:
         J_pinv: Pseudo-inverse (n, k).
         N: Null-space projector (n, n).
-        gradient: Gradient of the null-space cost (n,); where N gradient vanishes, and without it,
-            the last column is made of the row norms of N.
+        gradient: Gradient of the null-space cost (n,); without it, or if N gradient is zero, the
+            last column has the row norms of N.
 
     Raises:
-        ShapeError: Sizes that do not go together. OutOfRangeError: An entry that is not finite.
+        ShapeError, OutOfRangeError: Sizes are inconsistent, or an entry is not finite.
     """
 
 def check_path(
@@ -2419,63 +2417,65 @@ def check_path(
     servos: Servos | None = None,
     q0: ArrayLike | None = None,
 ) -> FeasibilityReport:
-    """Whether settings can be met on a path or in a pose, and which to change to what if not.
+    """Check that settings can be met on a path or in a pose; name those to change if not.
 
-    The same as `Controller(model, settings, servos).check(path_or_pose, q0=q0)`.
+    Equivalent to `Controller(model, settings, servos).check(path_or_pose, q0=q0)`.
 
     Args:
         model: The arm.
-        settings: What it shall do.
+        settings: Settings to check.
         path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool `base_from_tool`: (4, 4)
-            with the last row 0 0 0 1, `Pose`, any object with a 4x4 accessor; a position (3,) [m]
-            for a task without rotations, where the arm has not three joints.
-        servos: None for those of the model.
-        q0: Where the search for a pose starts (n,) [rad]; None: mid-range.
+            with the last row 0 0 0 1, `Pose`, or any object with a 4x4 accessor; a position (3,)
+            [m] for a task without rotations, unless the arm has three joints.
+        servos: None: those of the model.
+        q0: Start of the search for a pose (n,) [rad]; None: mid-range.
 
     Returns:
-        Verdict and findings; true where all can be met. Out of reach is a finding, no error.
+        Verdict and findings; true if all settings can be met. A pose out of reach is a finding, not
+            an error.
 
     Raises:
-        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model do not go together, or
-            a path or pose that cannot be used, by name.
-        TypeError: An argument of another kind.
+        ConfigError, OutOfRangeError, ShapeError: Settings, servos and model are inconsistent, or a
+            path or pose is invalid; the message names it.
+        TypeError: An argument has the wrong type.
     """
 
 @overload
 def compliance(deviation: float, soft_until: float, firm_from: float) -> float:
-    """Compliance c of (8) for |deviation|: 1 below `soft_until`, 0 above `firm_from`.
+    """Compute the compliance c of (8): 1 for |deviation| <= `soft_until`, 0 from `firm_from` on.
 
     Args:
-        deviation: Deviation (k,) [m or rad], or one.
-        soft_until: Deviation below which compliance is full (k,), or one for all.
-        firm_from: Deviation above which compliance is none (k,), or one for all.
+        deviation: Deviation (k,) [m or rad], or a number.
+        soft_until: Deviation below which compliance is 1 (k,), or one for all.
+        firm_from: Deviation above which compliance is 0 (k,), or one for all.
 
     Returns:
         (k,), or a number for a number.
 
     Raises:
-        ShapeError: Lists of different lengths. OutOfRangeError: Unless 0 <= soft_until < firm_from.
+        ShapeError: Lists have different lengths.
+        OutOfRangeError: Not 0 <= soft_until < firm_from.
     """
 
 @overload
 def compliance(deviation: ArrayLike, soft_until: ArrayLike, firm_from: ArrayLike) -> _Array: ...
 @overload
 def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: bool) -> float:
-    """Holding torque of (9): c soft + (1 - c) firm where the axis is compliant, else hold.
+    """Compute the holding torque of (9): c soft + (1 - c) firm if compliant, else hold.
 
     Args:
-        c: Compliance (k,), 0 to 1, or one.
-        soft: Strength at full compliance (k,), or one for all.
-        firm: Strength at no compliance (k,), or one for all.
+        c: Compliance (k,), 0 to 1, or a number.
+        soft: Strength at compliance 1 (k,), or one for all.
+        firm: Strength at compliance 0 (k,), or one for all.
         hold: Strength of axes that are not compliant (k,), or one for all.
-        compliant: Which are (k,), or one for all.
+        compliant: True for compliant axes (k,), or one for all.
 
     Returns:
         (k,), or a number for a number.
 
     Raises:
-        ShapeError: Lists of different lengths. OutOfRangeError: c outside [0, 1], or a strength
-            that is not finite.
+        ShapeError: Lists have different lengths.
+        OutOfRangeError: c is outside [0, 1], or a strength is not finite.
     """
 
 @overload
@@ -2487,14 +2487,14 @@ def holding_torque(
     compliant: bool | Sequence[bool] | NDArray[np.bool_],
 ) -> _Array: ...
 def joint_torque_limits(A: ArrayLike, strength: ArrayLike) -> _Array:
-    """Joint torque limits of (11), A strength (n,) [N m].
+    """Compute the joint torque limits of (11): A strength (n,) [N m].
 
     Args:
         A: Activation matrix (n, k + 1).
-        strength: Holding torques (k + 1,) [N m], that of the null space last.
+        strength: Holding torques (k + 1,) [N m], the null space last.
 
     Raises:
-        ShapeError: Sizes that do not go together. OutOfRangeError: An entry that is not finite.
+        ShapeError, OutOfRangeError: Sizes are inconsistent, or an entry is not finite.
     """
 
 def adapt_target(
@@ -2503,20 +2503,20 @@ def adapt_target(
     eta: float,
     compliant: str | bool | Sequence[bool] | NDArray[np.bool_],
 ) -> _Array:
-    """The intermediate target of (12) as a pose (4, 4).
+    """Compute the intermediate target of (12) as a pose (4, 4).
 
     target + eta (actual - target) on the compliant axes, in the base. Rotations scale the
     components of the rotation vector; angles are never blended.
 
     Args:
-        actual: Pose of the tool.
-        target: Pose it should have.
+        actual: Actual pose of the tool.
+        target: Target pose of the tool.
         eta: Adaptation, 0 to 1.
         compliant: Axis key such as ``"y yaw"``, or six flags.
     """
 
 def pose_error(actual: _PoseLike, target: _PoseLike) -> _Array:
-    """Deviation target - actual (6,), base axes [m, rad]; rotation vector of R_d R^T."""
+    """Compute target - actual (6,) in base axes [m, rad]; rotation vector of R_d R^T."""
 
 @final
 class ArmPoints:
@@ -2590,7 +2590,7 @@ class Lowering:
 
     @property
     def blind(self) -> bool:
-        """True if positions have been missing for so long that the model's replace them."""
+        """True if positions have been missing for so long that modelled ones replace them."""
 
     def step(
         self,
@@ -2617,7 +2617,7 @@ class Lowering:
             ShapeError: `q` or `ok` does not have n entries; nothing has changed.
         """
 
-#: Holding torque over gravity torque, wherever an arm is held without a controller.
+#: Ratio of holding torque to gravity torque of an arm held without a controller.
 SUPPORT: Final[float]
 
 def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
@@ -2741,9 +2741,9 @@ class ThermalModel:
         """
 
 def _model(text: str, options: dict[str, Any]) -> Model:
-    """What a pickle of a model calls."""
+    """Create a model from a pickle."""
 
 def _controller(
     model: Model, settings: Settings, servos: Servos | None, numbers: tuple[Any, ...]
 ) -> Controller:
-    """What a pickle of a controller calls."""
+    """Create a controller from a pickle."""

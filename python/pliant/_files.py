@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 SMALL, LARGE = 1 << 20, 1 << 28
 
 
-def read_text(path: Path, most: int = SMALL) -> str:
+def read_text(path: Path, max_size: int = SMALL) -> str:
     """Read a text file.
 
     Args:
         path: The file.
-        most: Largest size [bytes].
+        max_size: Largest size [bytes].
 
     Raises:
         ConfigError: A pipe, a device or a folder, or too large.
@@ -35,9 +35,11 @@ def read_text(path: Path, most: int = SMALL) -> str:
         kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
         raise ConfigError(f"{path} is {kind}: name a file")
     with path.open("rb") as stream:
-        data = stream.read(most + 1)
-    if len(data) > most:
-        raise ConfigError(f"{path} is larger than {most / 1e6:.0f} MB: it is another kind of file")
+        data = stream.read(max_size + 1)
+    if len(data) > max_size:
+        raise ConfigError(
+            f"{path} is larger than {max_size / 1e6:.0f} MB: it is another kind of file"
+        )
     return data.decode("utf-8")
 
 

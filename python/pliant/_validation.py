@@ -42,8 +42,8 @@ def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
     if not isinstance(value, kind):
         hint = hint or HINTS.get(kind, "")
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        wanted = f"{name} must be {article} {kind.__name__}" + (f", {hint}" if hint else "")
-        raise TypeError(f"{wanted}, got {format_value(value)}")
+        expected = f"{name} must be {article} {kind.__name__}" + (f", {hint}" if hint else "")
+        raise TypeError(f"{expected}, got {format_value(value)}")
     return value
 
 

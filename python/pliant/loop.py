@@ -250,8 +250,8 @@ class Loop:
                 f"controller must be a Controller, or have reset(q), or be None, got "
                 f"{format_value(controller)}"
             )
-        wanted = getattr(getattr(controller, "settings", None), "rate", arm.rate)
-        rate = real(wanted if rate is None else rate, "rate")
+        default_rate = getattr(getattr(controller, "settings", None), "rate", arm.rate)
+        rate = real(default_rate if rate is None else rate, "rate")
         if not LOWEST <= rate < math.inf:
             raise ConfigError(f"rate must be {LOWEST:g} Hz or more, got {rate!r}")
         for name, time in (("duration", duration), ("max_step_time", max_step_time)):
@@ -269,7 +269,7 @@ class Loop:
         self.lateness = LatenessHistogram()
         self.missed = self.missing = self.rejected = self.restarts = 0
         self.delay: float | None = None
-        self._told: float | None = None
+        self._reported_delay: float | None = None
         self._check: Callable[[], None] = _never
         self._delays: list[float] = []
         self._recorder = recorder
@@ -355,13 +355,13 @@ class Loop:
                 self.missed += skipped
                 deadline += skipped * self.period
 
-    def _wait_no_longer_than(self, state: State, most: float) -> None:
-        """Raise if positions of a joint have been missing for more than `most` [s]."""
-        if state.age.max() > most:
+    def _wait_no_longer_than(self, state: State, longest: float) -> None:
+        """Raise if positions of a joint have been missing for more than `longest` [s]."""
+        if state.age.max() > longest:
             names = [
                 name
                 for name, age in zip(self._arm.model.joint_names, state.age, strict=True)
-                if age > most
+                if age > longest
             ]
             joints = "any joint" if len(names) == state.q.size else ", ".join(names)
             raise ServoTimeoutError(
@@ -425,9 +425,9 @@ class Loop:
             return
         self.delay = float(np.median(self._delays))
         self._delays.clear()
-        told = self._told
-        if told is None or abs(self.delay - told) > max(CHANGE, CHANGE_SHARE * told):
-            self._told = self.delay
+        reported = self._reported_delay
+        if reported is None or abs(self.delay - reported) > max(CHANGE, CHANGE_SHARE * reported):
+            self._reported_delay = self.delay
             tell = getattr(self.controller, "set_delay", None)
             if tell is not None:
                 tell(self.delay)

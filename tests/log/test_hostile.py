@@ -128,7 +128,7 @@ def test_crafted_descriptions_are_typed_errors(content, tmp_path):
             lambda log=log: log.settings,
             lambda log=log: log.servos,
             lambda log=log: verify(log),
-            lambda log=log: Motion.logged(log),
+            lambda log=log: Motion.from_log(log),
             lambda log=log: repr(log),
         ):
             try:

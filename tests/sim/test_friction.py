@@ -15,15 +15,15 @@ def test_stribeck_share_falls_from_one_to_nothing():
     gear = Friction(base=0.1, stribeck=0.3, speed=0.5, exponent=2.0)
     speeds = np.array([0.0, 0.5, -0.5, 50.0])
     share = np.array([1.0, np.exp(-1.0), np.exp(-1.0), 0.0])
-    np.testing.assert_allclose(gear.most(0.0, 0.0, speeds), 0.1 + 0.3 * share, atol=1e-15)
+    np.testing.assert_allclose(gear.largest(0.0, 0.0, speeds), 0.1 + 0.3 * share, atol=1e-15)
 
 
 def test_load_adds_what_motor_and_load_press_on_the_teeth():
     gear = Friction(base=0.1, motor=0.2, external=0.1, motor_stribeck=0.3, speed=1.0)
     at_rest = 0.1 + abs(0.1 * -2.0 - 0.2 * 3.0) + abs(0.3 * 3.0)
-    assert gear.most(3.0, -2.0, 0.0) == pytest.approx(at_rest)
+    assert gear.largest(3.0, -2.0, 0.0) == pytest.approx(at_rest)
     fast = 0.1 + abs(0.1 * -2.0 - 0.2 * 3.0)
-    assert gear.most(3.0, -2.0, 100.0) == pytest.approx(fast)
+    assert gear.largest(3.0, -2.0, 100.0) == pytest.approx(fast)
 
 
 @pytest.mark.parametrize(
@@ -32,13 +32,13 @@ def test_load_adds_what_motor_and_load_press_on_the_teeth():
 )
 def test_quadratic_part_acts_only_between_opposed_torques(motor, external, most):
     gear = Friction(motor_quadratic=0.25, external_quadratic=0.5)
-    assert gear.most(motor, external, 0.0) == pytest.approx(most)
+    assert gear.largest(motor, external, 0.0) == pytest.approx(most)
 
 
 @pytest.mark.parametrize("gear", [MX106, MX64, STS3215])
 def test_identified_gears_rub_more_at_rest_and_under_load(gear):
     assert gear.at_rest(2.0) > gear.at_rest(0.5) > gear.at_rest(0.0) > 0.0
-    assert gear.most(1.0, -1.0, 0.0) >= gear.most(1.0, -1.0, 5.0)
+    assert gear.largest(1.0, -1.0, 0.0) >= gear.largest(1.0, -1.0, 5.0)
 
 
 def test_gears_of_an_arm_are_those_of_its_joints():
@@ -68,7 +68,7 @@ def test_simulated_friction_is_the_formula_at_the_load_of_the_pose():
     for _ in range(100):
         plant.write(GRASP + gravity / arm.servos.kp)
         plant.advance()
-    formula = MX106.most(plant.torque, -arm.gravity(plant.q), 0.0)
+    formula = MX106.largest(plant.torque, -arm.gravity(plant.q), 0.0)
     np.testing.assert_allclose(plant.friction, formula, rtol=0.02, atol=5e-3)
 
 
@@ -99,7 +99,7 @@ def test_the_friction_model_matches_the_gears():
             believed = share * table.stribeck + load * (
                 table.load_friction + share * table.load_stribeck
             )
-            assert believed == pytest.approx(MX106.most(load, -load, speed), rel=0.2)
+            assert believed == pytest.approx(MX106.largest(load, -load, speed), rel=0.2)
 
 
 def slid(creep, seconds=4.0):

@@ -26,9 +26,9 @@ def test_a_drawer_slides_on_its_line_to_its_stop(arm, floating):
     start = plant.tool[:3, 3]
     floating(plant, 300)
     moved = plant.tool[:3, 3] - start
-    assert box.way == pytest.approx(0.10, abs=2e-3)
-    np.testing.assert_allclose(moved, box.way * axis, atol=2e-3)
-    assert box.widest == pytest.approx(box.way, abs=3e-3)
+    assert box.opening == pytest.approx(0.10, abs=2e-3)
+    np.testing.assert_allclose(moved, box.opening * axis, atol=2e-3)
+    assert box.widest == pytest.approx(box.opening, abs=3e-3)
 
 
 @pytest.mark.parametrize(("across", "opens"), [(0.0, True), (12.0, False)])
@@ -99,7 +99,7 @@ def test_an_object_is_carried_taken_and_let_go(arm, grasp):
     plant.advance(2500)
     assert thing.released == pytest.approx(2.2, abs=1e-6)
     assert thing.force == 0.0
-    np.testing.assert_allclose(thing.place_of(plant) - home, thing.way, atol=5e-3)
+    np.testing.assert_allclose(thing.place_of(plant) - home, thing.displacement, atol=5e-3)
 
 
 def down(arm, socket, grasp, depth, ticks=150):
@@ -153,7 +153,7 @@ def test_a_plug_in_the_air_touches_nothing(arm, grasp):
         (lambda: Drawer(stop=0.0), "mass and stop > 0"),
         (lambda: Drawer(grip="loose"), "Drawer.grip must be"),
         (lambda: Surface(wave=0.0), "wave > 0"),
-        (lambda: HandoverObject(way=(1.0,)), "three entries"),
+        (lambda: HandoverObject(displacement=(1.0,)), "three entries"),
         (lambda: HandoverObject(mass=0.0), "mass > 0"),
         (lambda: Socket(depth=0.0), "depth > chamfer"),
         (lambda: Socket(tilt=(0.0, 0.0)), "three entries"),

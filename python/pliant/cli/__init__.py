@@ -85,8 +85,8 @@ def program(
     Returns:
         Exit code, as `main`.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    return _guarded(lambda: _call(lambda: run, prog, summary, given))
+    arguments_given = list(sys.argv[1:] if arguments is None else arguments)
+    return _guarded(lambda: _call(lambda: run, prog, summary, arguments_given))
 
 
 def _guarded(call: Callable[[], int]) -> int:
@@ -99,31 +99,33 @@ def _guarded(call: Callable[[], int]) -> int:
         _let_go_of_dead_readers()
 
 
-def _run(given: list[str]) -> int:
+def _run(arguments_given: list[str]) -> int:
     """Run a command by its name."""
-    first = given[0] if given else "--help"
+    first = arguments_given[0] if arguments_given else "--help"
     if first in {"--version", "-V"}:
         print(f"pliant {__version__}")
         return 0
     if first in {"--help", "-h"}:
         print(usage())
         return 0
-    if first in PREFIXES and (len(given) == 1 or given[1] in {"--help", "-h"}):
+    if first in PREFIXES and (len(arguments_given) == 1 or arguments_given[1] in {"--help", "-h"}):
         print(usage(first))
         return 0
     words = 2 if first in PREFIXES else 1
-    name = " ".join(given[:words])
+    name = " ".join(arguments_given[:words])
     if name not in COMMANDS:
         kind = "flag" if first.startswith("-") else "command"
         return _explain(f"there is no {kind} {name!r}{_hint(name)} (pliant --help lists them)")
     # Commands also log how they leave an arm.
     logging.getLogger("pliant.arm").setLevel(logging.DEBUG)
     module, summary = COMMANDS[name]
-    return _call(lambda: import_module(module).run, f"pliant {name}", summary, given[words:])
+    return _call(
+        lambda: import_module(module).run, f"pliant {name}", summary, arguments_given[words:]
+    )
 
 
 def _call(
-    load: Callable[[], Callable[..., object]], prog: str, summary: str, given: list[str]
+    load: Callable[[], Callable[..., object]], prog: str, summary: str, arguments_given: list[str]
 ) -> int:
     """Load a function, run it with flags as arguments, and explain its errors in one line."""
     try:
@@ -133,7 +135,7 @@ def _call(
             load(),
             prog=prog,
             description=summary[0].upper() + summary[1:] + ".",
-            args=given,
+            args=arguments_given,
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
         )
     except OSError as error:

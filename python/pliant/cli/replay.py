@@ -111,7 +111,7 @@ class _Play:
 
     def run(self, loop: Loop, arm: Arm, make: Callable[..., Replay]) -> None:
         """Play the motion."""
-        keys, replay, said = EnterKey(), make(loop.controller), ""
+        keys, replay, shown = EnterKey(), make(loop.controller), ""
         begun: float | None = None
         for tick in loop:
             begun = tick.time if begun is None else begun
@@ -120,11 +120,11 @@ class _Play:
             tick.write(command, replay.extra(arm))
             if keys.pressed():
                 replay.resume()
-            if replay.state != said:
-                said = replay.state
+            if replay.state != shown:
+                shown = replay.state
                 hint = {"stopped": ": something pushes; Enter goes on", "blocked": ": it waits"}
                 self._console.print(
-                    f"{replay.time:6.2f} s  {said}{hint.get(said, '')}", highlight=False
+                    f"{replay.time:6.2f} s  {shown}{hint.get(shown, '')}", highlight=False
                 )
             if replay.done:
                 self._played, self._waited = self._played + 1, self._waited + replay.blocked_time

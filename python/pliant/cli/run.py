@@ -105,16 +105,16 @@ def _follow(
     made.append((arm, loop, notes))
     every = max(round(1.0 / (FRAMES * loop.period)), 1)
     pose: Array | None = None
-    told, is_led = 0.0, False
+    last_target, is_led = 0.0, False
     with Live(console=Console(), auto_refresh=False, transient=True) as live:
         for tick in loop:
             here = arm.model.forward_kinematics(tick.q)
             pose = here if pose is None else pose
-            wanted = source.latest()
-            if wanted is not None:
-                pose = wanted.pose(arm.model, pose)
-                told, is_led = tick.time, True
-            if source.done and loop.duration is None and tick.time - told > LINGER:
+            target = source.latest()
+            if target is not None:
+                pose = target.pose(arm.model, pose)
+                last_target, is_led = tick.time, True
+            if source.done and loop.duration is None and tick.time - last_target > LINGER:
                 break
             command = tick.step(pose)
             if not quiet and tick.index % every == 0:

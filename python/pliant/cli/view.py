@@ -92,9 +92,9 @@ def _simulated(robot: str, scene: str, rate: float, override: ConfigFlags) -> So
     if robot not in pliant.robots.names():
         built_in = ", ".join(pliant.robots.names())
         raise ConfigError(f"--scene simulates one of {built_in}, got {robot}: leave --scene out")
-    if given := override.words():
-        flag = given[0].split()[0]
-        raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {given[0]}")
+    if options := override.words():
+        flag = options[0].split()[0]
+        raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {options[0]}")
     source = Simulated(robot, scene, rate)
     source.arm()  # checks the rate before the link is printed
     return source

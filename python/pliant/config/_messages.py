@@ -40,11 +40,11 @@ def _sentence(detail: ErrorDetails, schema: type[BaseModel]) -> str:
         return f"{place} is not a key here; {suggest(word, keys(schema, detail['loc'][:-1]))}"
     if kind == "missing":
         return f"{place} is missing"
-    said = detail["msg"].removeprefix("Value error, ")
-    said = said[:1].lower() + said[1:]
+    message = detail["msg"].removeprefix("Value error, ")
+    message = message[:1].lower() + message[1:]
     if kind in {"value_error", "assertion_error"}:
-        return f"{place}: {said}" if place else said
-    return f"{place} = {_short(detail['input'])}: {said}"
+        return f"{place}: {message}" if place else message
+    return f"{place} = {_short(detail['input'])}: {message}"
 
 
 def keys(schema: type[BaseModel], path: Sequence[int | str]) -> set[str]:

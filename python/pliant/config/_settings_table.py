@@ -90,15 +90,15 @@ def resolve(
 
 def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: float) -> Settings:
     """Create settings from fields with parsed axes."""
-    given = {"rate": rate, **fields}
+    values = {"rate": rate, **fields}
     name, arguments = _preset(preset)
     if name is None:
-        return Settings(**given)
+        return Settings(**values)
     if name == "soft":
         if "axes" not in arguments:
             raise ConfigError('preset "soft" needs its axes: { name = "soft", axes = "y yaw" }')
-        return Settings.soft(arguments.pop("axes"), **arguments, **given)
-    made: Settings = getattr(Settings, name)(**arguments, **given)
+        return Settings.soft(arguments.pop("axes"), **arguments, **values)
+    made: Settings = getattr(Settings, name)(**arguments, **values)
     return made
 
 
@@ -130,10 +130,10 @@ def _axis(key: str, value: Any, wrong: list[str]) -> Axis | None:
             axis = Axis(**left)
         except (PliantError, TypeError) as error:
             # `Axis` does not know its name.
-            said = str(error).removeprefix("Axis.")
-            wrong.append(f"axes.{key}: {said}")
+            message = str(error).removeprefix("Axis.")
+            wrong.append(f"axes.{key}: {message}")
             good = False
-            if not _leave_out(left, said):
+            if not _leave_out(left, message):
                 return None
         else:
             return axis if good else None
@@ -149,24 +149,24 @@ def _group(name: str, table: Any, wrong: list[str]) -> Any:
         try:
             group = GROUPS[name](**left)
         except (PliantError, TypeError) as error:
-            said = str(error).removeprefix(f"{name}.")
-            wrong.append(f"{name}.{said}")
+            message = str(error).removeprefix(f"{name}.")
+            wrong.append(f"{name}.{message}")
             good = False
-            if not _leave_out(left, said):
+            if not _leave_out(left, message):
                 return None
         else:
             return group if good else None
 
 
-def _leave_out(left: dict[str, Any], said: str) -> bool:
+def _leave_out(left: dict[str, Any], message: str) -> bool:
     """Remove the field that an error names; return True if the rest can be checked."""
-    name, _, rest = said.partition(".")
+    name, _, rest = message.partition(".")
     axes = left.get("axes")
     if name == "axes" and axes:
         key = re.split(r"[:.]", rest)[0]
         # The error names one axis, but the key applies to several: removing one does not help.
         left["axes"] = {k: v for k, v in axes.items() if k != key} if key in axes else {}
         return True
-    found = re.match(r"\w+", said)
+    found = re.match(r"\w+", message)
     name = found[0] if found else ""
     return name not in FIRST and left.pop(name, None) is not None

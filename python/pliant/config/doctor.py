@@ -194,9 +194,9 @@ def _servos(found: tuple[ServoInfo, ...]) -> Iterator[Diagnosis]:
         yield Diagnosis("note", ", ".join(joints), note)
     for model, versions in firmware.items():
         if len(versions) > 1:
-            said = ", ".join(map(str, sorted(versions)))
+            message = ", ".join(map(str, sorted(versions)))
             yield Diagnosis(
-                "note", model, f"firmware differs among them ({said}): update all alike"
+                "note", model, f"firmware differs among them ({message}): update all alike"
             )
 
 

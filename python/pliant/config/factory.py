@@ -139,8 +139,8 @@ def connect(
             "configuration file or a Config; with a model and a drive use pliant.Arm(model, drive)"
         )
     else:
-        given = {"backend": backend, "port": port, "urdf": urdf, "calibration": calibration}
-        for name, value in given.items():
+        values = {"backend": backend, "port": port, "urdf": urdf, "calibration": calibration}
+        for name, value in values.items():
             if value is not None:
                 raise ConfigError(
                     f"{name}= replaces a word of a file, and this is a Config: give it to "
@@ -188,7 +188,7 @@ def make_arm(config: Config, **options: Any) -> Arm:
     beside = _backend_options(config, options)
     model = config.model()
     _check_rest(config, model)
-    given = {
+    values = {
         "rest_q": config.life.rest_q,
         "on_exit": config.life.on_exit,
         "rate": config.loop.rate,
@@ -200,11 +200,11 @@ def make_arm(config: Config, **options: Any) -> Arm:
         **{key: value for key, value in options.items() if key not in beside},
     }
     if config.backend == "sim":
-        beside.setdefault("rate", given["rate"])
+        beside.setdefault("rate", values["rate"])
     made = make_drive(config, model, **beside)
     if config.backend == "sim" and "grippers" not in options:
-        given["grippers"] = _fixed(model, made) | given["grippers"]
-    return Arm(model, made, **given)
+        values["grippers"] = _fixed(model, made) | values["grippers"]
+    return Arm(model, made, **values)
 
 
 def _fixed(model: Model, made: Drive) -> dict[str, GripperConfig]:

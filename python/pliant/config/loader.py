@@ -153,8 +153,8 @@ def parse(
     try:
         config = Config.model_validate(table)
     except ValidationError as error:
-        said = [line for sentence in explain(error, Config) for line in sentence.splitlines()]
-        raise _all_wrong(source, [*said, *_settings(table)]) from None
+        messages = [line for sentence in explain(error, Config) for line in sentence.splitlines()]
+        raise _all_wrong(source, [*messages, *_settings(table)]) from None
     if wrong := _settings(table):
         raise _all_wrong(source, wrong)
     return config.at(Path(folder), source)
@@ -181,7 +181,7 @@ def _settings(table: dict[str, Any]) -> list[str]:
         preset = None
     if not isinstance(fields, dict):
         return []
-    return [f"settings: {said}" for said in resolve(fields, preset, rate)[1]]
+    return [f"settings: {messages}" for messages in resolve(fields, preset, rate)[1]]
 
 
 def _read(path: Path) -> str:

@@ -83,8 +83,8 @@ class Robot(StrictModel):
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if (self.urdf is None) == (self.builtin is None):
-            given = "both" if self.urdf else "none of them"
-            raise ValueError(f"takes one of urdf and builtin, got {given}")
+            present = "both" if self.urdf else "none of them"
+            raise ValueError(f"takes one of urdf and builtin, got {present}")
         return self
 
 
@@ -347,12 +347,12 @@ def _ports(config: Config) -> list[str]:
 
 
 def _ids(config: Config) -> list[str]:
-    seen: dict[tuple[str, int], str] = {}
+    owners: dict[tuple[str, int], str] = {}
     out = []
     for joint, servo in servos(config).items():
         own = [servo.id] if servo.secondary is None else [servo.id, servo.secondary.id]
         for number in own:
-            other = seen.setdefault((servo.port, number), joint)
+            other = owners.setdefault((servo.port, number), joint)
             if other != joint or own.count(number) > 1:
                 out.append(
                     f"servo.{joint} and servo.{other} have the same id {number} on port "

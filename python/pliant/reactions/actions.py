@@ -264,9 +264,9 @@ class Retract(Action):
 
     def begin(self, now: TickContext) -> Running:
         """Choose the direction; without a force the arm holds."""
-        way = now.force().force_base[:3] if self.along is None else np.asarray(self.along, float)
-        size = float(np.linalg.norm(way))
-        direction = way / size if size > 0.0 else np.zeros(3)
+        push = now.force().force_base[:3] if self.along is None else np.asarray(self.along, float)
+        size = float(np.linalg.norm(push))
+        direction = push / size if size > 0.0 else np.zeros(3)
         return _MovingAway(now.tool.copy(), direction, self.distance, self.speed)
 
 

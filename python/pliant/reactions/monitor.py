@@ -252,8 +252,8 @@ class ReactionMonitor:
             self._out = self._in_force.target(now)
             return self._out
         if self._resuming and self._out is not None:
-            way, angle = (speed * now.dt for speed in self._resume_speed)
-            self._out = step_toward(self._out, now.target, way, angle)
+            distance, angle = (speed * now.dt for speed in self._resume_speed)
+            self._out = step_toward(self._out, now.target, distance, angle)
             self._resuming = self._out is not now.target
             return self._out if self._resuming else target
         return target

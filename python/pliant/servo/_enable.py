@@ -103,12 +103,12 @@ def _write_limits(device: Device, ports: Ports, limit: int) -> None:
     Raises:
         ServoError: A register did not read back as written.
     """
-    wanted = {"limit": limit, **device.drive_values}
-    for name, value in wanted.items():
+    expected_values = {"limit": limit, **device.drive_values}
+    for name, value in expected_values.items():
         _set(device, ports, name, value)
     device.limit = limit
-    image = _image(device, ports, *wanted)
-    for name, value in wanted.items():
+    image = _image(device, ports, *expected_values)
+    for name, value in expected_values.items():
         if image[name] != value:
             what = "the torque limit" if name == "limit" else name
             raise ServoError(
@@ -130,25 +130,27 @@ def _send_first_command(
     Raises:
         ServoError: The registers still differ from the values written.
     """
-    wanted = command._asdict()
-    wanted["speed_cap"] = wanted.pop("speed")
+    expected_values = command._asdict()
+    expected_values["speed_cap"] = expected_values.pop("speed")
     found = start
     for _ in range(MAX_SENDS):
-        found = _image(device, ports, *wanted, "torque_enable", "position", "speed")
+        found = _image(device, ports, *expected_values, "torque_enable", "position", "speed")
         off = not found["torque_enable"]
-        apart = abs(found["position"] - wanted["goal"]) * device.units.count
-        wrong = [name for name, value in wanted.items() if found[name] != value]
+        apart = abs(found["position"] - expected_values["goal"]) * device.units.count
+        wrong = [name for name, value in expected_values.items() if found[name] != value]
         if not wrong and not (off and apart > MAX_DRIFT):
             return start
         if off:
-            wanted["goal"], start = found["position"], found
+            expected_values["goal"], start = found["position"], found
         for names in device.family.write:
-            data = device.packet(names, wanted["goal"], command.limit, command.speed)
+            data = device.packet(names, expected_values["goal"], command.limit, command.speed)
             _send(device, ports, names[0], data)
-        device.record_sent(wanted["goal"], command.limit)
+        device.record_sent(expected_values["goal"], command.limit)
     raise ServoError(
         f"{device.name} did not take its {' and '.join(wrong) or 'goal'}: "
-        + ", ".join(f"{n} reads {found[n]}, written was {wanted[n]}" for n in wrong or ["goal"])
+        + ", ".join(
+            f"{n} reads {found[n]}, written was {expected_values[n]}" for n in wrong or ["goal"]
+        )
         + "; nothing stays switched on"
     )
 

@@ -380,23 +380,23 @@ def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
     if file is None or device.id != device.spec.id:
         return []
     known = device.family.registers
-    said = []
-    for name, wanted in file.registers(known).items():
+    differences = []
+    for name, expected in file.registers(known).items():
         have = image[name] & 1 if name == "drive_mode" else image[name]
-        if have == (wanted & 1 if name == "drive_mode" else wanted):
+        if have == (expected & 1 if name == "drive_mode" else expected):
             continue
         if name == "homing_offset":
-            effect = f"its zero would be off by {_degrees(device, wanted - have):.3g}°"
+            effect = f"its zero would be off by {_degrees(device, expected - have):.3g}°"
         elif name == "drive_mode":
             effect = "it counts the other way round"
         else:
             middle = (image["position_min"] + image["position_max"]) / 2.0
             effect = f"its zero would be off by {_degrees(device, file.middle - middle):.3g}°"
-        said.append(
-            f"the calibration file says {LEROBOT_NAMES[name]} {wanted}, the servo {have}: "
+        differences.append(
+            f"the calibration file says {LEROBOT_NAMES[name]} {expected}, the servo {have}: "
             f"{effect}; {CALIBRATION_REMEDY}"
         )
-    return said
+    return differences
 
 
 def _calibration_notes(device: Device) -> list[str]:

@@ -43,8 +43,8 @@ class Calibration:
             ConfigError: An end is not a count of its encoder. For a multi-turn servo, one turn
                 beyond either end of the encoder is allowed.
         """
-        beyond = row.counts + 1 if row.family.multi_turn else 0
-        low, high = -beyond, row.counts + beyond
+        margin = row.counts + 1 if row.family.multi_turn else 0
+        low, high = -margin, row.counts + margin
         for key in ("range_min", "range_max"):
             if not low <= getattr(self, key) <= high:
                 raise ConfigError(

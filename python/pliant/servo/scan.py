@@ -48,7 +48,7 @@ MODEL_AT = {"p1": (0, 3), "p2": (0,)}
 
 
 @dataclass(frozen=True)
-class Seen:
+class ScannedServo:
     """A servo that answered.
 
     Attributes:
@@ -77,7 +77,7 @@ def scan(
     ids: Iterable[int] = USUAL,
     transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
     progress: Callable[[str], None] = lambda text: None,
-) -> tuple[Seen, ...]:
+) -> tuple[ScannedServo, ...]:
     """Ask every id at every baud rate, in both framings.
 
     Args:
@@ -96,7 +96,7 @@ def scan(
     """
     asked = tuple(ids)
     held_back = latency_timer(port) or 0.001
-    found: list[Seen] = []
+    found: list[ScannedServo] = []
     for baudrate in baudrates:
         for protocol in ("p1", "p2"):
             progress(f"{port}, {baudrate} bit/s, Protocol {protocol[1]}.0")
@@ -124,7 +124,7 @@ class _Asking:
         self._quick = wire + held_back + PATIENCE
         self._careful = max(CAREFUL, 3.0 * self._quick)
 
-    def ask_all(self, ids: Sequence[int]) -> list[Seen]:
+    def ask_all(self, ids: Sequence[int]) -> list[ScannedServo]:
         """Return the servos that answer, in the order of the ids.
 
         Raises:
@@ -133,7 +133,7 @@ class _Asking:
         self._is_silent = False
         if not self._listen():
             raise ServoError(f"{self._port}: {NOISE_MESSAGE}")
-        known: dict[int, Seen | None] = {}
+        known: dict[int, ScannedServo | None] = {}
         for place, number in enumerate(ids):
             if number in known or not self._stirs(number):
                 continue
@@ -144,9 +144,9 @@ class _Asking:
             for number in ids:
                 if number not in known:
                     known[number] = self._ask(number)
-        found = [seen for number in ids if (seen := known.get(number)) is not None]
-        if len(found) > 1 and all(seen.note == TWO for seen in found):
-            found = [replace(seen, note=EVERYBODY) for seen in found]
+        found = [servo for number in ids if (servo := known.get(number)) is not None]
+        if len(found) > 1 and all(servo.note == TWO for servo in found):
+            found = [replace(servo, note=EVERYBODY) for servo in found]
         return found
 
     def _stirs(self, number: int) -> bool:
@@ -161,7 +161,7 @@ class _Asking:
         self._is_silent = False
         return True
 
-    def _ask(self, number: int) -> Seen | None:
+    def _ask(self, number: int) -> ScannedServo | None:
         """Return the servo that answers to an id, with a longer timeout; None: no answer.
 
         It is read, not pinged: if two servos answer a ping at once, it looks like no answer.
@@ -179,13 +179,13 @@ class _Asking:
             self._is_silent = False
             model, rows = _model(self._io, self._protocol, number)
             note = "" if rows else "not in the servo table"
-            return self._seen(number, note, model, rows)
-        return self._seen(number, TWO)
+            return self._result(number, note, model, rows)
+        return self._result(number, TWO)
 
-    def _seen(
+    def _result(
         self, number: int, note: str, model: int | None = None, rows: tuple[str, ...] = ()
-    ) -> Seen:
-        return Seen(self._port, self._baudrate, self._protocol, number, model, rows, note)
+    ) -> ScannedServo:
+        return ScannedServo(self._port, self._baudrate, self._protocol, number, model, rows, note)
 
     def _listen(self) -> bool:
         """Wait until the line is silent, for a limited time; return True if it is."""

@@ -162,9 +162,9 @@ class Door(GraspedObject):
     def during(self, plant: Plant) -> None:
         """Apply the force of the seal."""
         if self.seal > 0.0:
-            way = self.radius * float(plant.mj_data.qpos[self._qpos])
+            travel = self.radius * float(plant.mj_data.qpos[self._qpos])
             pull = self.seal * min(
-                max(1.0 - way / self.seal_way, 0.0), max(way / SEAL_ONSET, 0.0), 1.0
+                max(1.0 - travel / self.seal_way, 0.0), max(travel / SEAL_ONSET, 0.0), 1.0
             )
             plant.mj_data.qfrc_applied[self._dof] -= pull * self.radius
 

@@ -33,7 +33,7 @@ class Drawer(GraspedObject):
         binding: Friction of the slide per N of force across it.
         damping: Viscous damping of the slide [N·s/m].
         stop: Length of the slide [m]; both ends are hard.
-        way, widest: Present opening, and largest opening so far [m].
+        opening, widest: Present opening, and largest opening so far [m].
         across: Largest force of the arm on the handle across the slide [N].
     """
 
@@ -44,7 +44,7 @@ class Drawer(GraspedObject):
     damping: float = 5.0
     stop: float = 0.25
     name: str = "drawer"
-    way: float = field(default=0.0, init=False)
+    opening: float = field(default=0.0, init=False)
     widest: float = field(default=0.0, init=False)
     across: float = field(default=0.0, init=False)
 
@@ -105,7 +105,7 @@ class Drawer(GraspedObject):
         self._qpos, self._dof = int(joint.qposadr[0]), int(joint.dofadr[0])
         self._axis = np.asarray(self.axis, dtype=np.float64)
         self.place_grip(plant)
-        self.way = self.widest = self.across = 0.0
+        self.opening = self.widest = self.across = 0.0
         self._sideways = 0.0
 
     def before(self, plant: Plant) -> None:
@@ -118,8 +118,8 @@ class Drawer(GraspedObject):
 
     def after(self, plant: Plant) -> None:
         """Record the opening, and the grip's force along and across the slide."""
-        self.way = float(plant.mj_data.qpos[self._qpos])
-        self.widest = max(self.widest, self.way)
+        self.opening = float(plant.mj_data.qpos[self._qpos])
+        self.widest = max(self.widest, self.opening)
         self.record_grip(plant)
         side = self.pull - (self.pull @ self._axis) * self._axis
         self._sideways = float(np.sqrt(side @ side))

@@ -70,7 +70,7 @@ class Friction:
         if not (np.asarray(self.speed) > 0.0).all():
             raise ConfigError(f"Friction.speed must be above 0 rad/s, got {self.speed!r}")
 
-    def most(self, motor: ArrayLike, external: ArrayLike, speed: ArrayLike) -> Array:
+    def largest(self, motor: ArrayLike, external: ArrayLike, speed: ArrayLike) -> Array:
         """Return the largest dry friction [N·m] for torques [N·m] and a speed [rad/s]."""
         motor, external = np.asarray(motor, dtype=np.float64), np.asarray(external, np.float64)
         share = np.exp(-(np.abs(np.asarray(speed) / self.speed) ** np.asarray(self.exponent)))
@@ -92,7 +92,7 @@ class Friction:
     def at_rest(self, torque: ArrayLike) -> Array:
         """Return the friction [N·m] of a joint at rest that holds a load `torque` [N·m]."""
         torque = np.asarray(torque, dtype=np.float64)
-        return self.most(torque, -torque, 0.0)
+        return self.largest(torque, -torque, 0.0)
 
     def spread(self, n: int) -> Friction:
         """Return a copy with one entry per joint.
@@ -194,6 +194,6 @@ class Gears:
     def update(self) -> Array:
         """Set and return the friction (n,) [N·m], from the loads of the last step."""
         motor, external = self.loads()
-        loss = self._friction.most(motor, external, self._data.qvel[self._dof])
+        loss = self._friction.largest(motor, external, self._data.qvel[self._dof])
         self._model.dof_frictionloss[self._dof] = loss
         return loss

@@ -132,7 +132,7 @@ class HandoverObject(GraspedObject):
 
     Attributes:
         mass: Mass of the ball [kg].
-        way: Displacement of the hand (3,) in base axes [m].
+        displacement: Displacement of the hand (3,) in base axes [m].
         stiffness, damping, limit: Parameters of the person's arm [N/m], [N·s/m], [N].
         course: When the hand takes hold, and the duration of its motion.
         effort: Present force of the person [N].
@@ -141,7 +141,7 @@ class HandoverObject(GraspedObject):
     """
 
     mass: float = 0.3
-    way: Sequence[float] = (0.25, 0.0, 0.05)
+    displacement: Sequence[float] = (0.25, 0.0, 0.05)
     stiffness: float = 600.0
     damping: float = 20.0
     limit: float = 60.0
@@ -154,11 +154,14 @@ class HandoverObject(GraspedObject):
     def __post_init__(self) -> None:
         """Check the numbers once."""
         super().__post_init__()
-        if np.shape(self.way) != (3,):
-            raise ConfigError(f"Handed.way has three entries, got {self.way!r}")
+        if np.shape(self.displacement) != (3,):
+            raise ConfigError(
+                f"HandoverObject.displacement has three entries, got {self.displacement!r}"
+            )
         if not (self.mass > 0.0 and min(self.stiffness, self.damping, self.limit) >= 0.0):
             raise ConfigError(
-                f"Handed needs mass > 0; stiffness, damping and limit at least 0; got {self!r}"
+                "HandoverObject needs mass > 0; stiffness, damping and limit at least 0; got "
+                f"{self!r}"
             )
 
     def add(self, build_spec: Build) -> None:
@@ -202,7 +205,7 @@ class HandoverObject(GraspedObject):
         if not self.course.active(data.time):
             return
         place, speed = data.xpos[self._body], data.qvel[self._dof : self._dof + 3]
-        goal = self._home + self.course.share(data.time) * np.asarray(self.way)
+        goal = self._home + self.course.share(data.time) * np.asarray(self.displacement)
         force = self.stiffness * (goal - place) - self.damping * speed
         size = float(np.sqrt(force @ force))
         if size > self.limit:

@@ -23,7 +23,7 @@ TOUCHING = {"contype": 2, "conaffinity": 2}
 #: Contact parameters: time constant [s], and solimp.
 HARDNESS, IMPEDANCE = 0.005, (0.95, 0.99, 0.0005)
 #: Time over which contact forces are averaged [s]: hard contacts chatter from step to step.
-FELT = 0.01
+FORCE_FILTER = 0.01
 #: Length of the plug [m].
 LENGTH = 0.08
 #: Thickness of the walls [m], and how far they reach beyond the hole.
@@ -172,7 +172,7 @@ class Socket:
             mujoco.mj_contactForce(plant.mj_model, data, index, self._wrench)
             force = contact.frame.reshape(3, 3).T @ self._wrench[:3]
             total += force if contact.geom2 == self._plug else -force
-        share = plant.dt / (FELT + plant.dt)
+        share = plant.dt / (FORCE_FILTER + plant.dt)
         self._mean += share * (total - self._mean)
         self.force = float(np.sqrt(self._mean @ self._mean))
         along = -float(self._mean @ self._into)

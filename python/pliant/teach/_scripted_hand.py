@@ -68,6 +68,8 @@ def _hands(now: float, reach: float) -> list[Drag]:
     course = Course(start=now + AFTER, rise=TAKES, end=now + LETS_GO)
     ways = {"y": ASIDE * reach, "z": UP * reach}
     return [
-        Drag(axis=axis, distance=way, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course)
-        for axis, way in ways.items()
+        Drag(
+            axis=axis, distance=distance, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course
+        )
+        for axis, distance in ways.items()
     ]

@@ -30,7 +30,7 @@ STILL, KEEP = 0.02, 0.2
 #: Distance of the tool from its taught start above which the arm counts as another one [m].
 ELSEWHERE = 0.03
 #: Least number of samples, and largest number after smoothing.
-LEAST, MOST = 2, 10_000_000
+MIN_SAMPLES, MAX_SAMPLES = 2, 10_000_000
 #: Shortest time between two samples and longest motion [s].
 SHORTEST, LONGEST = 1e-6, 1e5
 
@@ -64,10 +64,10 @@ class Motion:
         time, q = np.asarray(self.time, dtype=np.float64), np.asarray(self.q, dtype=np.float64)
         extra = {name: np.asarray(row, dtype=np.float64) for name, row in self.extra.items()}
         size = (time.size, len(self.joints))
-        if time.ndim != 1 or time.size < LEAST or q.shape != size:
+        if time.ndim != 1 or time.size < MIN_SAMPLES or q.shape != size:
             raise ConfigError(
                 f"a motion of {len(self.joints)} joints needs times (N,) and q (N, n) with N at "
-                f"least {LEAST}, got {time.shape} and {q.shape}"
+                f"least {MIN_SAMPLES}, got {time.shape} and {q.shape}"
             )
         if any(row.shape != time.shape for row in extra.values()):
             raise ConfigError("a motion needs as many positions of each joint beside the chain")
@@ -145,12 +145,12 @@ class Motion:
                 f"the motion is of {', '.join(self.joints)}; this arm has "
                 f"{', '.join(model.joint_names)}"
             )
-        beyond = np.maximum(self.q - model.upper, model.lower - self.q).max(axis=0)
-        worst = int(np.argmax(beyond))
+        outside = np.maximum(self.q - model.upper, model.lower - self.q).max(axis=0)
+        worst = int(np.argmax(outside))
         # A hand-guided arm can exceed its limits slightly.
-        if beyond[worst] > STILL:
+        if outside[worst] > STILL:
             raise ConfigError(
-                f"the motion takes {self.joints[worst]} {beyond[worst]:.3f} rad beyond its limits"
+                f"the motion takes {self.joints[worst]} {outside[worst]:.3f} rad beyond its limits"
             )
         if self.start is not None:
             tool = model.forward_kinematics(np.clip(self.q[0], model.lower, model.upper))[:3, 3]
@@ -204,10 +204,10 @@ class Motion:
             raise ConfigError(
                 f"width must be at least 0 s, rate above 0 Hz, both finite; got {width!r}, {rate!r}"
             )
-        if self.duration * rate > MOST:
+        if self.duration * rate > MAX_SAMPLES:
             raise ConfigError(
                 f"{self.duration:g} s at a rate of {rate:g} Hz are {self.duration * rate:.3g} "
-                f"samples, at most {MOST:.0e} are made: lower the rate"
+                f"samples, at most {MAX_SAMPLES:.0e} are made: lower the rate"
             )
         count = max(round(self.duration * rate), 1) + 1
         time = np.linspace(0.0, self.duration, count)

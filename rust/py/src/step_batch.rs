@@ -19,7 +19,6 @@ impl Words for Invalid {
     const WORDS: &'static [(&'static str, Self)] = &[("raise", Self::Refuse), ("nan", Self::Nan)];
 }
 
-/// State of many arms between batch steps.
 #[doc = stub!(BatchState)]
 #[pyclass(module = "pliant")]
 #[derive(Debug)]

@@ -48,8 +48,8 @@ def _lines(path: Path, log: Log) -> list[str]:
         lines.append(f"{log.missing} calls of the controller were dropped")
     if len(log):
         late = 1e3 * np.diff(log.time)
-        middle, most = np.median(late), late.max() if late.size else 0.0
-        lines.append(f"from tick to tick {middle:.1f} ms (median), {most:.1f} ms at most")
+        middle, longest = np.median(late), late.max() if late.size else 0.0
+        lines.append(f"from tick to tick {middle:.1f} ms (median), {longest:.1f} ms at most")
     if axes and len(log):
         worst = np.abs(log.deviation).max(axis=0)
         lines.append(

@@ -21,13 +21,13 @@ FORMAT = "pliant servos setup 2"
 _KINDS = {"joint": str, "id": int, "register": str, "old": int, "new": int, "why": str}
 
 
-def save(path: Path, arm: str, wanted: Sequence[RegisterChange]) -> None:
+def save(path: Path, arm: str, planned: Sequence[RegisterChange]) -> None:
     """Save the old values before a change.
 
     Args:
         path: The file, which must not exist: old values would be lost.
         arm: ARM argument of the command.
-        wanted: The changes.
+        planned: The changes.
 
     Raises:
         ConfigError: The file exists.
@@ -35,7 +35,7 @@ def save(path: Path, arm: str, wanted: Sequence[RegisterChange]) -> None:
     """
     if path.exists():
         raise ConfigError(f"{path} exists: old values would be lost; give another --backup")
-    data = {"format": FORMAT, "arm": arm, "changes": [asdict(change) for change in wanted]}
+    data = {"format": FORMAT, "arm": arm, "changes": [asdict(change) for change in planned]}
     path.write_text(json.dumps(data, indent=1), encoding="utf-8")
 
 
@@ -90,7 +90,7 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
             f"{path} has values of {', '.join(strange)}, which the configuration does not have; "
             f"it has {there}. Nothing was written"
         )
-    seen = set()
+    checked = set()
     for change in former:
         row, where = rows[change.joint, change.id], f"{path}: {change.joint} (id {change.id})"
         if change.model and find(change.model).number != row.number:
@@ -104,15 +104,15 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
                 f"{where}: {change.register!r} is no register that setup writes on {row.name}; "
                 f"those are {', '.join(known)}. Nothing was written"
             )
-        most = 256 ** row.family.registers[change.register].size - 1
-        if not 0 <= change.old <= most:
+        highest = 256 ** row.family.registers[change.register].size - 1
+        if not 0 <= change.old <= highest:
             raise ConfigError(
-                f"{where}: {change.register} takes 0 to {most}, got {change.old}. Nothing was "
+                f"{where}: {change.register} takes 0 to {highest}, got {change.old}. Nothing was "
                 "written"
             )
-        if (change.joint, change.id, change.register) in seen:
+        if (change.joint, change.id, change.register) in checked:
             raise ConfigError(f"{where}: {change.register} comes twice. Nothing was written")
-        seen.add((change.joint, change.id, change.register))
+        checked.add((change.joint, change.id, change.register))
 
 
 def _change(entry: Any) -> RegisterChange:

@@ -61,14 +61,14 @@ def run(
         with make_emulator(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
             for name, path in bus.ports.items():
                 console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
-            said = "somebody holds the arm until its torque comes on; Ctrl-C ends"
-            console.print(said, style="dim")
+            notice = "somebody holds the arm until its torque comes on; Ctrl-C ends"
+            console.print(notice, style="dim")
             end = None if duration is None else time.monotonic() + duration
-            told = LATE
+            threshold = LATE
             while end is None or time.monotonic() < end:
                 time.sleep(0.1)
-                if (late := bus.late) > told:
-                    told = 2.0 * late  # a warning only per doubling of the latency
+                if (late := bus.late) > threshold:
+                    threshold = 2.0 * late  # a warning only per doubling of the latency
                     console.print(
                         f"this computer is busy: an answer left {late * 1e3:.0f} ms late, and "
                         "drivers may take that for a lost one",

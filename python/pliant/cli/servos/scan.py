@@ -10,7 +10,7 @@ from pliant._core import ConfigError, ServoError
 from pliant.cli._console import print_line
 from pliant.cli._flags import Device
 from pliant.servo import serial_ports
-from pliant.servo.scan import ALL, BAUDRATES, USUAL, Seen, scan
+from pliant.servo.scan import ALL, BAUDRATES, USUAL, ScannedServo, scan
 
 
 def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> None:
@@ -29,7 +29,7 @@ def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> 
             "there is no serial port on this machine: plug the adapter in; on Linux it appears as "
             "/dev/ttyUSB0 or /dev/ttyACM0, and `lsusb` shows it"
         )
-    console, found = Console(), list[Seen]()
+    console, found = Console(), list[ScannedServo]()
     with console.status("") as status:
         for path in ports:
             try:
@@ -51,23 +51,23 @@ def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> 
     _show(console, found)
 
 
-def _show(console: Console, found: list[Seen]) -> None:
-    for port in dict.fromkeys(seen.port for seen in found):
+def _show(console: Console, found: list[ScannedServo]) -> None:
+    for port in dict.fromkeys(servo.port for servo in found):
         console.print(port, highlight=False, soft_wrap=True)
         table = Table(box=SIMPLE_HEAD, pad_edge=False)
         table.add_column("id", justify="right")
         for heading in ("model", "bit/s", "protocol", "note"):
             table.add_column(heading)
-        for seen in (seen for seen in found if seen.port == port):
-            speed, protocol = str(seen.baudrate), f"{seen.protocol[1]}.0"
-            table.add_row(str(seen.id), _model(seen), speed, protocol, seen.note)
+        for servo in (servo for servo in found if servo.port == port):
+            speed, protocol = str(servo.baudrate), f"{servo.protocol[1]}.0"
+            table.add_row(str(servo.id), _model(servo), speed, protocol, servo.note)
         console.print(table)
 
 
-def _model(seen: Seen) -> str:
+def _model(servo: ScannedServo) -> str:
     """Return the model name; variants with the same reply share the first part of their names."""
-    if len(seen.models) > 1:
-        return f"{seen.models[0].partition('-')[0]} (one of {len(seen.models)} variants)"
-    if seen.models:
-        return seen.models[0]
-    return "?" if seen.number is None else f"number {seen.number}"
+    if len(servo.models) > 1:
+        return f"{servo.models[0].partition('-')[0]} (one of {len(servo.models)} variants)"
+    if servo.models:
+        return servo.models[0]
+    return "?" if servo.number is None else f"number {servo.number}"

@@ -13,7 +13,7 @@ from rich.table import Table
 from pliant._core import ConfigError
 from pliant.cli._console import print_line
 from pliant.cli._flags import ArmName, BusFlags, File, Ids
-from pliant.cli.servos import _backup as kept
+from pliant.cli.servos import _backup as backups
 from pliant.config import factory
 from pliant.servo import RustypotTransport
 from pliant.servo._port import latency_timer
@@ -59,7 +59,7 @@ def run(
             "--set-id and --undo do not go together: --set-id NEW:OLD puts an id back"
         )
     ids = None if set_id is None else _ids(set_id)
-    former = None if undo is None else kept.load(undo, arm)
+    former = None if undo is None else backups.load(undo, arm)
     read = override.load(arm)
     console = Console()
     specs = factory.servo_specs(read, factory.port_paths(read))
@@ -67,30 +67,30 @@ def run(
         _rename(read, specs, *ids, console, yes=yes)
         return
     if undo is not None and former is not None:
-        kept.check(undo, former, specs)
+        backups.check(undo, former, specs)
     with _Ports(read, specs) as ports:
-        wanted: list[RegisterChange] = []
+        planned: list[RegisterChange] = []
         for spec in specs:
             for number, _ in spec.servos:
                 servo = ports[spec.port], spec.name, number, spec.row
-                wanted += (
+                planned += (
                     plan_setup(*servo, overload=not keep_overload)
                     if former is None
                     else plan_restore(*servo, former)
                 )
-        if not wanted:
+        if not planned:
             console.print("nothing to change" + ("; no backup is written" if undo is None else ""))
             return
-        _show(console, wanted)
+        _show(console, planned)
         if not (yes or _agreed(console)):
             _cancel()
         if undo is None:
-            kept.save(backup, arm, wanted)
+            backups.save(backup, arm, planned)
         for spec in specs:
             for number, _ in spec.servos:
-                own = [c for c in wanted if c.joint == spec.name and c.id == number]
+                own = [c for c in planned if c.joint == spec.name and c.id == number]
                 write_changes(ports[spec.port], spec.row.family, own)
-    console.print(f"{len(wanted)} registers written and read back")
+    console.print(f"{len(planned)} registers written and read back")
     name = shlex.quote(arm)
     again = " ".join(["pliant servos doctor", name, "--watch", *override.words()])
     print_line(f"before torque comes on, see its directions: {again}", console)
@@ -155,12 +155,12 @@ class _Ports:
         paths = factory.port_paths(config)
         bauds = {paths[port.name]: port.baud for port in config.port}
         protocols = {spec.port: spec.row.family.protocol for spec in specs}
-        self._wanted = {path: (bauds[path], protocol) for path, protocol in protocols.items()}
+        self._settings = {path: (bauds[path], protocol) for path, protocol in protocols.items()}
         self._open: list[Transport] = []
         self._guards: dict[str, TransactionGuard] = {}
 
     def __enter__(self) -> _Ports:
-        for path, (baud, protocol) in self._wanted.items():
+        for path, (baud, protocol) in self._settings.items():
             self._open.append(RustypotTransport(path, baud, protocol))
             latency = latency_timer(path) or 0.001
             self._guards[path] = TransactionGuard(
@@ -176,11 +176,11 @@ class _Ports:
         return self._guards[path]
 
 
-def _show(console: Console, wanted: list[RegisterChange]) -> None:
+def _show(console: Console, planned: list[RegisterChange]) -> None:
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title="EEPROM", title_justify="left")
     for heading in ("joint", "id", "register", "is", "becomes", "so that it"):
         table.add_column(heading)
-    for change in wanted:
+    for change in planned:
         cells = (change.joint, change.id, change.register, change.old, change.new, change.why)
         table.add_row(*map(str, cells))
     console.print(table)

@@ -10,10 +10,10 @@ use crate::error::{Position, Result};
 use crate::model::parts::{Inertial, Joint, JointKind};
 use crate::pose::{COORDINATE_BOUND, Pose};
 
-/// Parses a checked text.
+/// Parses a checked text. Its errors carry no place and no name, and their formatting is 17 kB of code.
 pub(in crate::model) fn parse(source: &Source, checked: &Checked) -> Result<urdf_rs::Robot> {
     urdf_rs::read_from_string(&checked.text)
-        .map_err(|error| source.error(Position(None), format!("urdf-rs cannot parse it: {error}")))
+        .map_err(|_| source.error(Position(None), "urdf-rs cannot parse the links and joints; report this file"))
 }
 
 /// Converts the inertial of a link; `None` if the file has none, which urdf-rs does not tell from mass 0.
