@@ -21,7 +21,14 @@ SLOW = {
     "view",
 }
 #: Files of the same kind outside these folders.
-SLOW_FILES = {"test_benches.py", "test_experiments.py", "test_latency.py", "test_mismatch.py"}
+SLOW_FILES = {
+    "config/test_arm.py",
+    "config/test_rest.py",
+    "test_benches.py",
+    "test_experiments.py",
+    "test_latency.py",
+    "test_mismatch.py",
+}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -29,5 +36,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = Path(__file__).parent
     for item in items:
         path = item.path.relative_to(here)
-        if path.parts[0] in SLOW or path.name in SLOW_FILES:
+        if path.parts[0] in SLOW or path.as_posix() in SLOW_FILES:
             item.add_marker("slow")

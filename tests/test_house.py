@@ -69,6 +69,7 @@ def documents() -> list[Path]:
 
 
 # Blocks of one document share names, as for a reader who types them one after the other.
+@pytest.mark.slow
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.stem)
 def test_python_in_documents_runs(document, tmp_path):
     blocks = python_blocks(document.read_text(encoding="utf-8"))
@@ -93,6 +94,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
 # PLIANT_SHORT=1 requests the shortest run that still does everything once.
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(example, tmp_path):
     done = run(str(example), cwd=tmp_path, PLIANT_SHORT="1")
@@ -122,6 +124,7 @@ def near(kept: str, now: str) -> bool:
 
 
 # The digest detects a changed example; this, a changed law.
+@pytest.mark.slow
 @pytest.mark.parametrize("number", AGAIN)
 def test_gallery_is_of_this_law(number, tmp_path):
     (example,) = (ROOT / "examples").glob(f"{number}_*.py")
