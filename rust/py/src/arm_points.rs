@@ -9,7 +9,8 @@ use crate::convert::new_array;
 use crate::error::OrRaise;
 use crate::read::joints;
 
-#[pyclass(module = "pliant", frozen)]
+#[doc = stub!(ArmPoints)]
+#[pyclass(module = "pliant._core", frozen)]
 #[derive(Debug)]
 pub(crate) struct ArmPoints {
     core: CorePoints,
@@ -28,23 +29,27 @@ impl ArmPoints {
         Ok(Self { core: CorePoints::new(core, &rotors[..n]).or_raise()?, n })
     }
 
+    #[doc = stub!(ArmPoints.position)]
     fn position<'py>(&self, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let here = self.core.evaluate(&joints("q", q, self.n)?);
         Ok(rows(q.py(), here.position()))
     }
 
+    #[doc = stub!(ArmPoints.velocity)]
     fn velocity<'py>(&self, q: &Bound<'py, PyAny>, dq: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let here = self.core.evaluate(&joints("q", q, self.n)?);
         let velocity = here.velocity(&joints("dq", dq, self.n)?);
         Ok(rows(q.py(), &velocity[..here.position().len()]))
     }
 
+    #[doc = stub!(ArmPoints.inertia)]
     fn inertia<'py>(&self, q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let here = self.core.evaluate(&joints("q", q, self.n)?);
         let numbers: Vec<f64> = here.inertia().iter().flat_map(|row: &JointVec| row[..self.n].to_vec()).collect();
         Ok(new_array(q.py(), &[self.n, self.n], &numbers))
     }
 
+    #[doc = stub!(ArmPoints.effective_mass)]
     fn effective_mass<'py>(&self, q: &Bound<'py, PyAny>, dq: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let here = self.core.evaluate(&joints("q", q, self.n)?);
         let mass = here.effective_mass(&here.velocity(&joints("dq", dq, self.n)?));

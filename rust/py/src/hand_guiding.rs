@@ -12,7 +12,8 @@ use crate::convert::new_array;
 use crate::error::OrRaise;
 use crate::read::joints;
 
-#[pyclass(module = "pliant.identify")]
+#[doc = stub!(HandGuidingLaw)]
+#[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct HandGuidingLaw {
     core: HandGuiding,
@@ -51,21 +52,25 @@ impl HandGuidingLaw {
         Ok(Self { core, n, pool: Pool::default() })
     }
 
+    #[doc = stub!(HandGuidingLaw.stiffness)]
     #[getter]
     fn stiffness<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[2, self.n], &self.core.stiffness().concat())
     }
 
+    #[doc = stub!(HandGuidingLaw.play)]
     #[getter]
     fn play<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[self.n], self.core.play())
     }
 
+    #[doc = stub!(HandGuidingLaw.speed)]
     #[getter]
     fn speed<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[self.n], self.core.speed())
     }
 
+    #[doc = stub!(HandGuidingLaw.step)]
     #[pyo3(signature = (q, *, dt))]
     fn step(&mut self, q: &Bound<'_, PyAny>, dt: f64) -> PyResult<Py<Command>> {
         let command = self.core.step(&joints("q", q, self.n)?[..self.n], dt).or_raise()?;

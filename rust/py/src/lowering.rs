@@ -13,6 +13,7 @@ use crate::convert::new_array;
 use crate::error::{OrRaise, shape};
 use crate::read::{array_into, joints};
 
+#[doc = stub!(Lowering)]
 #[pyclass(module = "pliant.arm")]
 #[derive(Debug)]
 pub(crate) struct Lowering {
@@ -53,6 +54,7 @@ impl Lowering {
         Ok(Self { core, n, pool: Pool::default() })
     }
 
+    #[doc = stub!(Lowering.phase)]
     #[getter]
     fn phase(&self) -> &'static str {
         match self.core.phase() {
@@ -63,11 +65,13 @@ impl Lowering {
         }
     }
 
+    #[doc = stub!(Lowering.blind)]
     #[getter]
     fn blind(&self) -> bool {
         self.core.is_blind()
     }
 
+    #[doc = stub!(Lowering.step)]
     #[pyo3(signature = (q, ok=None, *, dt, age=0.0))]
     fn step(
         &mut self,
@@ -93,6 +97,7 @@ fn mask(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<bool>> {
     if flags.len() == n { Ok(flags) } else { Err(shape("ok", &[flags.len()], format!("({n},)"))) }
 }
 
+#[doc = stub!(torque_margin)]
 #[pyfunction]
 pub(crate) fn torque_margin<'py>(
     servos: &Bound<'py, PyAny>,

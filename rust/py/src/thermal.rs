@@ -7,7 +7,8 @@ use crate::convert::new_array;
 use crate::error::OrRaise;
 use crate::read::array_into;
 
-#[pyclass(module = "pliant.arm")]
+#[doc = stub!(ThermalModel)]
+#[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct ThermalModel {
     core: CoreThermalModel,
@@ -38,37 +39,44 @@ impl ThermalModel {
         Ok(Self { core })
     }
 
+    #[doc = stub!(ThermalModel.heat)]
     #[getter]
     fn heat<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[self.core.heat().len()], self.core.heat())
     }
 
+    #[doc = stub!(ThermalModel.temperature)]
     #[getter]
     fn temperature<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         new_array(py, &[self.core.heat().len()], self.core.temperature())
     }
 
+    #[doc = stub!(ThermalModel.last_temperature)]
     #[getter]
     fn last_temperature(&self) -> f64 {
         self.core.last_temperature()
     }
 
+    #[doc = stub!(ThermalModel.set_temperature)]
     fn set_temperature(&mut self, servo: usize, temperature: f64) {
         self.core.set_temperature(servo, temperature);
     }
 
+    #[doc = stub!(ThermalModel.update)]
     fn update(&mut self, torque: &Bound<'_, PyAny>, dt: f64) -> PyResult<()> {
         let torque = self.read("torque", torque)?;
         self.core.update(&torque, dt);
         Ok(())
     }
 
+    #[doc = stub!(ThermalModel.torque_ceiling)]
     fn torque_ceiling<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         let mut ceiling = vec![0.0; self.core.heat().len()];
         self.core.torque_ceiling(&mut ceiling);
         new_array(py, &[ceiling.len()], &ceiling)
     }
 
+    #[doc = stub!(ThermalModel.limit_current)]
     fn limit_current<'py>(
         &self,
         torque: &Bound<'py, PyAny>,
