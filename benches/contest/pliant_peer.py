@@ -14,7 +14,7 @@ from contest.problem import Array
 
 
 def controller(model: pliant.Model) -> pliant.Controller:
-    """Return law `paper`: fixed λ, printed projector, posture and limit cost; without gravity."""
+    """Return law `paper`: fixed λ, printed projector, limit cost; no gravity, no step limits."""
     endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     stiff = pliant.Axis(**endless)
     soft = pliant.Axis(soft=problem.SOFT, firm=problem.FIRM, adaptation=problem.ETA, **endless)

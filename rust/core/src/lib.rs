@@ -13,7 +13,7 @@
 //! * `command`: offsets and torques → goals and torque limits for the servos;
 //! * [`batch`]: inputs, outputs and states of many arms, and their distribution over the cores;
 //! * [`controller`]: runs these stages once per step;
-//! * [`analysis`]: what an arm can do in a pose or on a path;
+//! * [`analysis`]: capabilities of an arm in a pose or on a path;
 //! * [`contact`]: commands and positions → estimated contact wrench;
 //! * [`equations`]: the paper's equations for Jacobians from other libraries.
 //!

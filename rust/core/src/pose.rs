@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn forms_agree() {
+    fn representations_of_a_rotation_agree() {
         let (p, half) = ([0.1, -0.2, 0.3], std::f64::consts::FRAC_PI_4);
         let turned = Pose { position: p, rotation: [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]] };
         close(&Pose::from_wxyz(p, [half.cos(), 0.0, 0.0, half.sin()]).unwrap(), &turned);
@@ -361,20 +361,20 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_times_its_inverse_is_nothing() {
+    fn a_pose_times_its_inverse_is_the_identity() {
         let pose = Pose::from_rpy([1.0, 2.0, 3.0], [0.3, 0.5, -0.7]).unwrap();
         close(&pose.compose(&pose.inverse()), &Pose::IDENTITY);
     }
 
     #[test]
-    fn the_order_of_a_quaternion_is_in_its_name() {
+    fn xyzw_has_the_components_of_wxyz() {
         let pose = Pose::from_rpy([0.1, -0.2, 0.3], [0.3, 0.5, -0.7]).unwrap();
         let ([w, x, y, z], xyzw) = (pose.wxyz(), pose.xyzw());
         assert_eq!(xyzw.map(f64::to_bits), [x, y, z, w].map(f64::to_bits));
     }
 
     #[test]
-    fn a_quaternion_of_another_length_is_refused() {
+    fn a_quaternion_of_length_other_than_one_is_refused() {
         let message = Pose::from_wxyz([0.0; 3], [0.5, 0.0, 0.0, 0.0]).unwrap_err().to_string();
         assert_eq!(message, "quaternion: length = 0.5 is outside 1 ± 0.001");
     }

@@ -20,7 +20,7 @@ pub(super) struct Pose<'a> {
     plan: &'a Plan,
     settings: &'a Settings,
     record: &'a Record,
-    /// `Some` if the law makes its limits from it.
+    /// Activation matrix; `Some` if the law computes its torque limits from it.
     shares: Option<Activation<EveryJoint>>,
     /// Budget of the null-space motion under the sum rule [N·m].
     null: JointVec,

@@ -1,5 +1,5 @@
-//! Feasibility check before torque on: can the arm do what the settings require in a pose or on a path, and which
-//! setting to change if not.
+//! Feasibility check before torque on: compares the settings with the capabilities of the arm in a pose or on a path,
+//! and names the settings to change.
 
 use crate::analysis::axis_strength::Pose;
 use crate::analysis::display::number;

@@ -1,4 +1,4 @@
-//! What an arm can do with its settings, in one pose or on a path; not for the control step, but fast enough to run
+//! Capabilities of an arm with its settings, in one pose or on a path. Not for the control step, but fast enough to run
 //! beside the loop.
 
 mod axis_strength;

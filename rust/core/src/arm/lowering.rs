@@ -25,7 +25,7 @@ use crate::model::Model;
 use crate::params::Servos;
 use crate::{JointVec, MAX_JOINTS};
 
-/// Holding torque over gravity torque.
+/// Ratio of holding torque to gravity torque.
 pub const SUPPORT: f64 = 1.1;
 /// Largest speed of the arm's points during a descent [m/s].
 pub const DEFAULT_SPEED: f64 = 0.15;
@@ -49,8 +49,8 @@ const IMPACT_FORCE: f64 = 10.0;
 const OBJECT_STIFFNESS: f64 = 2e4;
 const UNKNOWN_LOAD: f64 = 0.5;
 const FULL_FORCE_REACH: f64 = 0.55;
-/// Downward torque over friction, by the assumed stiffness; and the largest force with which a joint may press the
-/// lowest of its points on what is below it [N].
+/// Downward torque over friction, by the assumed stiffness; and the largest force of a joint's lowest point on an
+/// object below it [N].
 const PRESS_RATIO: f64 = 2.0;
 const MAX_PRESS_FORCE: f64 = 1.5;
 /// Gravity torque over friction at which the downward press reaches its full value.

@@ -113,7 +113,7 @@ impl ThermalModel {
         }
     }
 
-    /// Reduces torque limits (N) [N·m] to what keeps the current within the supply: `least + s (limit − least)` with
+    /// Reduces torque limits (N) [N·m] so that the current stays within the supply: `least + s (limit − least)` with
     /// the largest s in [0, 1] that the supply allows.
     ///
     /// `torque` (N) are the expected torques without limits, `least` (N) the limits that are never reduced, those of

@@ -71,7 +71,7 @@ pub struct BatchCommand<'a> {
     pub velocity: &'a mut [f64],
 }
 
-/// A batch and what its arms have in common.
+/// Input of a batch and the parameters that its arms share.
 #[derive(Clone, Copy)]
 pub(crate) struct Batch<'a> {
     pub(crate) input: &'a BatchInput<'a>,
@@ -163,8 +163,8 @@ impl<'a> Batch<'a> {
         first.result()
     }
 
-    /// Steps all arms. `make` creates what steps the arms of a chunk; `step` steps one of them, with its state, and
-    /// writes goals, torque limits and speeds.
+    /// Steps all arms. `make` creates the stepper of a chunk; `step` steps one of its arms, with its state, and writes
+    /// goals, torque limits and speeds.
     pub(crate) fn run<A>(
         &self,
         state: Option<&mut [f64]>,

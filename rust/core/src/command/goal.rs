@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn goals_keep_their_direction_and_the_weight_comes_first() {
+    fn goals_keep_their_direction_and_the_gravity_part_moves_first() {
         let none = [0.0; 2];
         let [goal, _] = slewed([0.5, 0.2], none, [2.5, -0.3], none, 0.1);
         assert!(near(goal, [0.6, 0.175]), "a twentieth of the way, for both: {goal:?}");
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_is_not_hidden() {
+    fn a_goal_that_is_not_finite_stays_so() {
         let none = [0.0; 2];
         assert!(slewed(none, none, [f64::NAN, 0.0], none, 0.1)[0][0].is_nan());
         assert!(slewed(none, none, [0.0, 0.0], [f64::NAN, 0.0], 0.1)[0][0].is_nan());
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_force_leads_beyond_the_limit_but_not_the_joint() {
+    fn an_outward_lead_fades_once_the_joint_is_beyond_its_limit() {
         let at = |lead: f64, q: f64, slope| {
             let [lead, q, one] = [lead, q, 1.0].map(EveryJoint::splat);
             first(fade_beyond(lead, q, -one, one, slope))
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_is_no_slower_than_the_goals_nor_faster_than_the_joint() {
+    fn profile_speeds_lie_between_goal_slew_and_joint_speed() {
         let world = [0.5, 0.0, 0.0, 0.0, 0.0, 0.1].map(EveryJoint::splat);
         let at = |tool, slew, joint| first(register_speed(&world, tool, slew, EveryJoint::splat(joint)));
         for (tool, slew, joint, expected) in [

@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn an_event_needs_its_time_and_its_hysteresis() {
+    fn events_have_a_minimum_time_and_hysteresis() {
         let mut z = events(1.0);
         assert!(!feel(&mut z, -11.0, 1.0) && !feel(&mut z, -11.0, 1.0));
         assert!(feel(&mut z, -11.0, 1.0), "after 20 ms");
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn one_reading_below_starts_the_time_anew() {
+    fn one_reading_below_the_threshold_restarts_the_time() {
         let mut z = events(1.0);
         for _ in 0..10 {
             assert!(!feel(&mut z, 11.0, 1.0) && !feel(&mut z, 11.0, 1.0) && !feel(&mut z, 9.0, 1.0));
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn a_threshold_is_never_below_the_uncertainty_unless_taken_by_name() {
+    fn a_threshold_is_at_least_the_guarded_uncertainty_unless_accepted() {
         let (mut guarded, mut bare) = (events(1.0), events(0.0));
         for _ in 0..10 {
             assert!(!feel(&mut guarded, 11.0, 12.0));
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn no_time_means_at_once() {
+    fn without_a_minimum_time_events_start_and_end_at_once() {
         let mut z = Events::new(&[Some(10.0); MAX_AXES], 0.3, 0.0, 1.0);
         assert!(feel(&mut z, 10.5, 1.0) && !feel(&mut z, 1.0, 1.0));
         assert!(!feel(&mut z, f64::NAN, 1.0));

@@ -104,7 +104,7 @@ mod tests {
     const MOST: AxisVec = [100.0, 100.0, 100.0, 20.0, 20.0, 20.0];
 
     #[test]
-    fn an_estimate_is_never_farther_off_than_its_bound() {
+    fn the_error_stays_within_its_bound() {
         for seed in 1..200 {
             let rows = rows(0.37 + f64::from(seed) * 0.071);
             let noise = |i: usize| (((i + 1) as f64 * 12.9898 + f64::from(seed)).sin() * 43_758.545_3).fract();
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_joint_feels_is_uncertain_by_all_there_can_be() {
+    fn an_unobservable_axis_has_the_largest_plausible_uncertainty() {
         let mut rows = rows(0.7);
         rows[2] = [0.0; MAX_JOINTS];
         let estimator = Estimator::new(&rows, &[0.1; MAX_JOINTS], &MOST, 6, 7);

@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn without_damping_it_is_moore_and_penrose_of_every_shape_and_rank() {
+    fn without_damping_it_is_the_moore_penrose_inverse_at_every_shape_and_rank() {
         let mut deficient = jacobian(6, 7);
         let copy = deficient.row(1).into_owned() * 2.0;
         deficient.set_row(4, &copy);
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn damping_has_one_value_on_both_ways() {
+    fn damped_inverses_of_kernel_and_svd_agree() {
         let j = jacobian(6, 7);
         let lambda = (LOST_DAMPING * j.norm_squared()).sqrt();
         let (kernel, svd) = (damped_pseudo_inverse(&j, lambda * 1.0001), damped_pseudo_inverse(&j, lambda * 0.9999));
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_named() {
+    fn invalid_arguments_are_named() {
         let message = |result: Result<DMatrix<f64>>| result.unwrap_err().to_string();
         assert_eq!(
             message(damped_pseudo_inverse(&jacobian(7, 7), 0.1)),

@@ -105,7 +105,7 @@ mod tests {
 
     /// Reference: `M = Σ m J_cᵀ J_c` with Jacobians of the centres of mass by finite differences.
     #[test]
-    fn the_matrix_is_what_moving_centres_of_mass_say() {
+    fn the_matrix_agrees_with_differences_of_the_centres_of_mass() {
         let urdf = include_str!("../../robots/arm7.urdf");
         let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
         let model = Model::from_urdf_str(urdf, &options).unwrap();

@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn the_formula_is_what_a_search_finds() {
+    fn the_formula_agrees_with_a_search() {
         let noise = |i: usize| (((i + 1) as f64 * 12.9898).sin() * 43_758.545_3).fract();
         for seed in 0..500 {
             let draw = |from: usize| joints(&std::array::from_fn::<f64, 7, _>(|i| noise(seed * 40 + from + i)));

@@ -58,7 +58,7 @@ mod tests {
     use crate::math::simd::{Arithmetic, EveryJoint};
 
     #[test]
-    fn a_toggling_count_gives_no_velocity_and_a_steady_motion_the_right_one() {
+    fn a_toggling_count_gives_no_velocity_and_a_steady_motion_its_velocity() {
         let count = EveryJoint::splat(1e-3);
         let mut filter = VelocityFilter::new(&[0.0; MAX_JOINTS]);
         for tick in 0..100 {

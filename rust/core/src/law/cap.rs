@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn partly_soft_rows_follow_the_formula_and_fully_soft_ones_leave() {
+    fn partly_soft_rows_follow_the_formula_and_fully_soft_rows_drop_out() {
         let (c, s) = case();
         let softness = [0.5, 1.0, 0.0, 0.0, 0.25, 0.0];
         let demand = Demand {

@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_beyond_the_limit_keeps_the_lead_that_is_left() {
+    fn a_locked_joint_keeps_the_lead_to_its_limit() {
         let (without, one) = (vector(&[0.7, 0.2, -0.7]), EveryJoint::splat(1.0));
         let mut locks = Locks::none();
         assert!(locks.add(vector(&[1.2, 0.3, 0.5]), without, -one, one));

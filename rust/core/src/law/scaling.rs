@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_part_gives_way_first() {
+    fn the_first_part_is_scaled_first() {
         let base = vector(&[1.0, 0.0]);
         let (soft, stiff, bound) = (vector(&[4.0, 1.0]), vector(&[6.0, 1.0]), vector(&[9.0, 9.0]));
         let factors = |bound: EveryJoint| scale_to_fit(base, [soft, stiff], bound).map(f64::to_bits);
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rounding_error_at_the_bound_takes_nothing_away() {
+    fn a_rounding_error_at_the_bound_scales_nothing() {
         let base = vector(&[-4.1, 0.0]);
         for bound in [10.3, 10.7, 9.9, 6.4] {
             for soft in [17.3, 21.9, 30.1] {
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_base_beyond_the_bound_leaves_nothing() {
+    fn a_base_beyond_the_bound_removes_all_parts() {
         let factors = scale_to_fit(vector(&[5.0]), [vector(&[1.0]), vector(&[1.0])], vector(&[2.0]));
         assert_eq!(factors.map(f64::to_bits), [0, 0]);
     }

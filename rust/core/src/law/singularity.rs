@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn damping_is_continuous_where_it_sets_in() {
+    fn damping_is_continuous_at_sigma_0() {
         let at = |sigma| damping_squared(sigma, 0.02, 0.15, 0.15);
         assert!((at(0.15) - at(0.15 - 1e-12)).abs() < 1e-12);
         assert!((at(0.0) - (0.0004 + 0.0225)).abs() < 1e-15);

@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn base_two_halves_the_range_again_and_again() {
+    fn base_two_bisects_the_range() {
         let values = [1, 2, 3, 4].map(|index| radical_inverse(index, 2).to_bits());
         assert_eq!(values, [0.5, 0.25, 0.75, 0.125].map(f64::to_bits));
     }

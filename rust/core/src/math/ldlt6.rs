@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn solutions_of_numbers_and_of_rows_invert() {
+    fn solve_inverts_the_product_for_values_and_rows() {
         let m = damped(weighted_gram(&rows(), EveryJoint::splat(1.0)), &[0.1; MAX_AXES]);
         let factor = Factor::new::<Plain>(&m);
         let x = [1.0, -2.0, 3.0, 0.5, 0.0, 1.5];
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_singular_matrix_gives_finite_answers() {
+    fn a_singular_matrix_gives_finite_results() {
         let factor = Factor::new::<Plain>(&[[0.0; MAX_AXES]; MAX_AXES]);
         assert!(factor.solve::<Plain>(&[1.0; MAX_AXES]).iter().all(|x| x.is_finite()));
         let factor = Factor::new::<Plain>(&[[1.0; MAX_AXES]; MAX_AXES]);
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_of_zeros_changes_nothing_for_the_others() {
+    fn a_row_of_zeros_does_not_change_the_other_rows() {
         for zero in 0..MAX_AXES {
             let mut m = damped(weighted_gram(&rows(), EveryJoint::splat(1.0)), &[0.1; MAX_AXES]);
             (0..MAX_AXES).for_each(|i| (m[i][zero], m[zero][i]) = (0.0, 0.0));

@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn every_shape_and_rank_is_put_together_again() {
+    fn every_shape_and_rank_is_reconstructed() {
         for seed in 0..200 {
             for (rows, columns, rank) in
                 [(6, 7, 6), (6, 7, 1), (6, 7, 5), (3, 3, 1), (6, 3, 2), (2, 2, 1), (6, 16, 6), (1, 7, 1), (6, 1, 1)]
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_no_number() {
+    fn zero_and_nan_matrices() {
         assert!(Svd::new(&DMatrix::zeros(6, 7)).unwrap().sigma.amax() < f64::MIN_POSITIVE);
         assert!(singular_values(&DMatrix::from_element(2, 3, f64::NAN)).iter().all(|s| s.is_nan()));
     }

@@ -311,7 +311,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys() {
+    fn axis_keys_select_their_axes() {
         let on = |text| parse_axes("axes", text).unwrap();
         assert_eq!(on("y yaw"), [false, true, false, false, false, true]);
         assert_eq!(on("xz"), [true, false, true, false, false, false]);
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_keys_name_the_word() {
+    fn invalid_axis_keys_are_named() {
         for (text, part) in [
             ("q", "'q' is not an axis"),
             ("xx", "'x' is named twice"),

@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_word_is_read_as_it_is_written() {
+    fn every_name_parses_to_its_variant() {
         for (word, law) in Law::WORDS {
             assert_eq!((law.to_string().as_str(), word.parse()), (*word, Ok(*law)));
         }
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_word_that_is_none_is_answered_with_those_there_are() {
+    fn an_unknown_name_is_rejected_with_the_valid_names() {
         let message = "Cap".parse::<Law>().unwrap_err().to_string();
         assert_eq!(message, "law: must be one of 'cap', 'impedance', 'paper', got 'Cap'");
     }

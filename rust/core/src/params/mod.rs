@@ -1,5 +1,4 @@
-//! What the user requires and what the servos can do: settings, task axes, servo parameters; and their resolution for
-//! one arm into the constants of the control step.
+//! Settings, task axes and servo parameters, and their resolution for one arm into the constants of the control step.
 
 mod axis;
 mod axis_params;

@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_and_forces_are_checked_by_name() {
+    fn invalid_directions_and_forces_are_named() {
         let message = |settings: Result<Settings>| settings.unwrap_err().to_string();
         assert!(message(Settings::drawer("-x", None)).starts_with("axis: '-x' is not a direction"));
         assert!(message(Settings::plug("-yaw", None)).starts_with("axis: 'yaw' is not a direction"));
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plug_is_pushed_in_gently_and_pulled_out_with_all_there_is() {
+    fn a_plug_yields_on_the_side_opposite_to_the_insertion() {
         let sides = |axis: &str| Settings::plug(axis, Some(10.0)).unwrap().axes[2].effective_yields();
         assert_eq!([sides("-z"), sides("z"), sides("+z")], [Yields::Plus, Yields::Minus, Yields::Minus]);
     }

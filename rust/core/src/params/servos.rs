@@ -260,7 +260,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_single_number_holds_for_every_joint() {
+    fn a_single_number_applies_to_every_joint() {
         let servos = Servos::new(vec![100.0], vec![5.0, 6.0]).for_joints(2).unwrap();
         assert_eq!(servos.kp, [100.0, 100.0]);
         assert_eq!(servos.max_torque, [5.0, 6.0]);

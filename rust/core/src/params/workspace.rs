@@ -238,7 +238,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounding() {
+    fn values_are_rounded_to_halves_or_two_digits() {
         for (value, rounded) in [(4.03, 4.0), (15.1, 15.0), (0.948, 0.95), (40.3, 40.0), (3.555, 3.5), (0.0, 0.0)] {
             assert!((round_to_halves(value) - rounded).abs() < 1e-12);
         }

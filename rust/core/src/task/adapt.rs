@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn direction_is_named_by_the_push() {
+    fn sides_are_named_by_the_push() {
         for (e, band, slope, share) in [
             (-1.0, 0.001, 500.0, 1.0),
             (1.0, 0.001, 500.0, 0.0),

@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn within_its_limits_nothing_happens() {
+    fn a_deviation_within_its_limits_changes_nothing() {
         let pushed = Pushed { tool: &Pose::IDENTITY, base_from_task: &FRAME, before: &Pose::IDENTITY };
         assert!(pushed.keep(&[limit(0, 0.02, OnDeviationLimit::Wait)], &at(0.0199, 5.0, 1.0)).is_none());
     }
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_waiting_axis_stops_all_of_the_target_and_lets_it_retreat() {
+    fn a_waiting_axis_stops_the_whole_target_but_lets_it_retreat() {
         let tool = Pose::IDENTITY;
         let limits = [limit(0, 0.02, OnDeviationLimit::Wait)];
         let pushed = Pushed { tool: &tool, base_from_task: &FRAME, before: &at(0.01, 0.0, 0.0) };

@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lowered_speed_holds_at_once_and_a_caught_target_has_its_own_velocity() {
+    fn a_lowered_speed_limit_acts_at_once_and_a_reached_target_keeps_its_velocity() {
         let far = Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY };
         let mut governor = Governor::new(Pose::IDENTITY);
         for _ in 0..100 {
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_target_is_passed_on_as_it_is_and_not_run_past() {
+    fn a_slow_target_is_reached_without_overshoot() {
         let at = |t: f64| Pose { position: [0.1 * t.min(1.0), 0.0, 0.0], ..Pose::IDENTITY };
         let mut governor = Governor::new(Pose::IDENTITY);
         for tick in 1..200 {
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reference_waits_for_an_arm_that_lags_but_not_sideways_nor_back() {
+    fn a_reference_waits_for_a_lagging_arm_but_not_sideways_or_backward() {
         let far = |x: f64, y: f64| Pose { position: [x, y, 0.0], rotation: rotation_matrix([0.0, 0.0, 0.2 * x]) };
         let (speed, lag) = ([0.25, 1.0], [0.02, 0.0, 0.0, 0.0, 0.0, 0.1]);
         let bounds = [speed, [1.0, 4.0]];
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reference_that_begins_to_wait_brakes_within_its_bound_until_it_stands() {
+    fn a_waiting_reference_brakes_to_rest_within_its_bound() {
         let (far, lag) = (Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY }, [0.02, 0.0, 0.0, 0.0, 0.0, 0.0]);
         for acceleration in [0.05, 1.0, 20.0] {
             let bounds = [[0.25, 1.0], [acceleration, 4.0]];
@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn an_infinite_acceleration_is_at_the_speed_at_once_and_stops_at_the_target() {
+    fn with_infinite_acceleration_the_reference_starts_at_full_speed_and_stops_at_the_target() {
         let target = Pose { position: [0.1, 0.0, 0.0], ..Pose::IDENTITY };
         let mut governor = Governor::new(Pose::IDENTITY);
         for tick in 1..60 {
@@ -406,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn an_infinite_speed_hands_the_target_through() {
+    fn an_infinite_speed_limit_passes_the_target_through() {
         let target = Pose { position: [3.0, 0.0, 0.0], ..Pose::IDENTITY };
         let mut governor = Governor::new(Pose::IDENTITY);
         assert_eq!(governor.follow::<Plain>(&target, [f64::INFINITY; 2], [1.0, 4.0], 0.01), target);

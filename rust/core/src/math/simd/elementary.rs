@@ -100,7 +100,7 @@ mod tests {
     use crate::math::simd::Plain;
 
     #[test]
-    fn angles_of_the_first_quadrant() {
+    fn quadrant_angles_agree_with_atan2() {
         for i in 0..=100_000 {
             let (y, x) = (f64::from(i) / 100_000.0 * std::f64::consts::FRAC_PI_2).sin_cos();
             let off = (quadrant_angle::<Plain>(y, x) - y.atan2(x)).abs();
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn narrow_angles_without_a_root() {
+    fn narrow_angles_agree_with_atan2() {
         for i in 0..=100_000 {
             let (y, x) = (f64::from(i) / 100_000.0 * std::f64::consts::FRAC_PI_8, 1.7_f64);
             let (y, x) = (x * y.sin(), x * y.cos());
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn hyperbolic_tangents() {
+    fn hyperbolic_tangents_agree_with_the_system() {
         for i in -200_000..200_000 {
             let x = f64::from(i) * 1.7e-4;
             let off = (tanh::<Plain>(x) - x.tanh()).abs();

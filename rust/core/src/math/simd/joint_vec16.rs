@@ -1,4 +1,4 @@
-//! One number per joint of any arm, on any processor: for code that is compiled once.
+//! Vector with one number per joint of any arm, for any processor: for code that is compiled once.
 #![forbid(unsafe_code)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};

@@ -143,7 +143,7 @@ pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
     /// Loads the first [`Packed::COUNT`] numbers.
     fn of(values: &[f64; LANES]) -> Self;
 
-    /// Loads as many numbers as there are, zeros after them.
+    /// Loads all numbers of the slice, zeros after them.
     fn part(values: &[f64]) -> Self;
 
     /// Stores into the first [`Packed::COUNT`] numbers.
@@ -158,7 +158,7 @@ pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
     }
 }
 
-/// One value of each of several configurations: as many as one register holds.
+/// Register with one value of each of several configurations.
 pub(crate) trait Many: Packed + Spread<Self> {
     /// Loads eight numbers of each configuration, from rows that begin `stride` apart; 0 for a row that is incomplete.
     fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES];
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn sines_are_right_to_rounding() {
+    fn sines_agree_with_the_system_up_to_rounding() {
         for instructions in Instructions::available() {
             for largest in [1e-9, 0.8, 3.2, 100.0, 1e4, 1e6] {
                 let off = worst(instructions, largest);
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_become_columns_and_rows_again() {
+    fn rows_are_transposed_and_restored() {
         for instructions in Instructions::available() {
             for stride in [LANES, 11, 42] {
                 let table: Vec<f64> = (0..LANES * stride).map(|i| i as f64).collect();
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_that_is_not_all_there_is_left_alone() {
+    fn an_incomplete_row_is_neither_read_nor_written() {
         for instructions in Instructions::available() {
             let (_, columns, rows) = instructions.run(Turned(&[1.0; LANES + 3], LANES));
             assert!(rows[LANES..].iter().all(|&value| value < 0.0), "{instructions}");

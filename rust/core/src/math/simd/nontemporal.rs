@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fence_follows_every_stream_also_where_the_work_panics() {
+    fn a_fence_follows_every_stream_even_after_a_panic() {
         let (from, mut to) = ([1.0; 32], [0.0; 32]);
         let before = fences();
         streaming(false, |stream| assert!(stream.is_none()));
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_arrive_wherever_they_begin_and_end() {
+    fn copies_are_exact_at_every_alignment_and_length() {
         let from: Vec<f64> = (1..200).map(f64::from).collect();
         for first in 0..9 {
             for length in [0, 1, 7, 8, 9, 63, 150] {

@@ -1,4 +1,4 @@
-//! One configuration: `f64`, with and without fused multiply-add.
+//! Scalars of one configuration: `f64`, with and without fused multiply-add.
 #![forbid(unsafe_code)]
 
 use super::{Arithmetic, Spread};

@@ -1,4 +1,4 @@
-//! One number per joint of an arm, and one per task axis.
+//! Vectors with one number per joint of an arm, or one per task axis.
 #![forbid(unsafe_code)]
 
 use super::{Arithmetic, Cell, EveryJoint, Kept, LANES, Number, Spread, Wide};

@@ -62,7 +62,7 @@ macro_rules! numbers {
 
             #[inline(always)]
             fn at_least(value: Self, bound: Self) -> Self {
-                // SAFETY: as above. Of two numbers of which one is none, these instructions give the second.
+                // SAFETY: as above. If either operand is NaN, these instructions return the second.
                 Self(unsafe { [$(max(bound.0[$i], value.0[$i])),*] })
             }
 
