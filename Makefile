@@ -49,7 +49,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo campaign test test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 peers soak wheel notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 peers soak wheel notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -89,6 +89,11 @@ campaign: setup ## Every promised cap against the measured push-back, in random 
 
 # --- tests ---------------------------------------------------------------------------------------------------------
 
+check: setup lint ## Lints and unit tests, under two minutes once built
+	$(call say,unit tests)
+	@cargo test $(LOCKED) --quiet -p pliant-core --lib
+	@$(BIN)/python -m pytest -m 'not slow and not full' $(ARGS)
+
 # pytest comes last: its closing line is the one that counts.
 test: setup lint test-rust counts-check deny docs wheel test-py ## Everything that CI runs
 
@@ -117,6 +122,10 @@ test-py: setup ## Tests from Python; ARGS='-k door' picks
 	$(call say,pytest)
 	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || $(call skip,no browser: the page of pliant view is not tested in one (apt-get install -y chromium))
 	@$(BIN)/python -m pytest $(RERUN) $(ARGS)
+
+test-full: setup ## All tests, the long forms of `make test`'s included
+	$(call say,pytest$(comma) long forms included)
+	@$(BIN)/python -m pytest $(RERUN) -m '' $(ARGS)
 
 lint: lint-rust lint-py stubs ## Formats, clippy, ruff, import contracts, mypy, stubs against the binary
 

@@ -69,6 +69,7 @@ def documents() -> list[Path]:
 
 
 # Blocks of one document share names, as for a reader who types them one after the other.
+@pytest.mark.slow
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.stem)
 def test_python_in_documents_runs(document, tmp_path):
     blocks = python_blocks(document.read_text(encoding="utf-8"))
@@ -93,6 +94,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
 # PLIANT_SHORT=1 requests the shortest run that still does everything once.
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(example, tmp_path):
     done = run(str(example), cwd=tmp_path, PLIANT_SHORT="1")
@@ -122,6 +124,7 @@ def near(kept: str, now: str) -> bool:
 
 
 # The digest detects a changed example; this, a changed law.
+@pytest.mark.slow
 @pytest.mark.parametrize("number", AGAIN)
 def test_gallery_is_of_this_law(number, tmp_path):
     (example,) = (ROOT / "examples").glob(f"{number}_*.py")
@@ -138,8 +141,7 @@ def test_gallery_is_of_this_law(number, tmp_path):
 
 def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
     """Their methods are safe, but need a processor that only `Instructions` has checked."""
-    file = ROOT / "rust" / "core" / "src" / "math" / "simd" / "mod.rs"
-    text = file.read_text(encoding="utf-8")
+    text = (ROOT / "rust" / "core" / "src" / "math" / "simd" / "mod.rs").read_text(encoding="utf-8")
     shared = "".join(re.findall(r"^ *pub[^;]*;", text, re.MULTILINE))
     assert "Sse2" in shared, "every x86-64 processor has it"
     assert not re.search(r"Avx|Four\b|mod x86", shared)

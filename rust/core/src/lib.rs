@@ -15,6 +15,7 @@
 //! * [`controller`]: runs these stages once per step;
 //! * [`analysis`]: capabilities of an arm in a pose or on a path;
 //! * [`contact`]: commands and positions → estimated contact wrench;
+//! * [`arm`]: descent, hand guiding and thermal limits, beside the controller;
 //! * [`equations`]: the paper's equations for Jacobians from other libraries.
 //!
 //! ```

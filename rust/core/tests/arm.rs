@@ -5,12 +5,9 @@ mod common;
 use std::sync::Arc;
 
 use common::arm7;
-use pliant_core::hand_guiding::{HandGuidingOptions, SwingResult};
-use pliant_core::kinematics::Reference;
-use pliant_core::lowering::{DEFAULT_SPEED, LoweringPhase, LoweringStart};
-use pliant_core::{
-    ArmPoints, HandGuiding, JointVec, Lowering, MAX_JOINTS, Model, Servos, ThermalModel, ThermalOptions,
-};
+use pliant_core::arm::{DEFAULT_SPEED, HandGuidingOptions, LoweringPhase, LoweringStart, SwingResult, ThermalOptions};
+use pliant_core::kinematics::{ArmPoints, Reference};
+use pliant_core::{HandGuiding, JointVec, Lowering, MAX_JOINTS, Model, Servos, ThermalModel};
 use proptest::prelude::*;
 
 const Q: [f64; 7] = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // [rad]

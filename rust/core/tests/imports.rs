@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules of the crate, the lowest first. The folder of a module counts as one.
-const ORDER: [&str; 14] = [
+const ORDER: [&str; 15] = [
     "error",
     "math",
     "pose",
@@ -23,6 +23,7 @@ const ORDER: [&str; 14] = [
     "controller",
     "analysis",
     "contact",
+    "arm",
     "equations",
 ];
 

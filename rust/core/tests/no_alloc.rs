@@ -4,11 +4,14 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::sync::Arc;
 
+use pliant_core::arm::{DEFAULT_SPEED, HandGuidingOptions, LoweringStart, SwingResult};
+use pliant_core::kinematics::ArmPoints;
 use pliant_core::params::{
     Axis, Follow, Frame, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Projector, Task, Tracking, Yields,
 };
-use pliant_core::{Controller, ModelOptions, Settings, StepInput};
+use pliant_core::{Controller, HandGuiding, Lowering, ModelOptions, Settings, StepInput};
 
 #[path = "common/seeded.rs"]
 mod seeded;
@@ -179,4 +182,46 @@ fn feeling_a_contact_asks_for_nothing_either() {
     });
     assert_eq!(count, 0);
     assert!(contact.estimate().uncertainty[2].is_finite());
+}
+
+/// The laws beside the controller, in all phases of a descent, with positions and without.
+#[test]
+fn laws_of_an_arm_do_not_allocate() {
+    let model = seeded::arm(0, &ModelOptions::default());
+    let n = model.n();
+    let servos = seeded::servos(0).for_joints(n).unwrap();
+    let points = Arc::new(ArmPoints::new(&model, &servos.armature).unwrap());
+    let q = vec![0.2; n];
+    let start = LoweringStart { q: &q, goal: None, torque_limit: None, rest_q: Some(&q), speed: DEFAULT_SPEED };
+    let mut lowering = Lowering::new(Arc::clone(&model), &servos, points, &start).unwrap();
+    let fresh = vec![true; n];
+    let lost = vec![false; n];
+    let mut position = q.clone();
+    let count = calls(|| {
+        for tick in 0..2000 {
+            let ok = if (400..460).contains(&tick) { &lost } else { &fresh };
+            let Some(command) = lowering.step(&position, ok, 0.01, 0.02).unwrap() else { break };
+            for (q, goal) in position.iter_mut().zip(command.goal()) {
+                *q += 0.3 * (goal - *q);
+            }
+        }
+    });
+    assert_eq!(count, 0, "descent");
+
+    let zeros = vec![0.0; n];
+    let swing = SwingResult { q: &q, goal: &q, swung: &fresh, lead: &zeros, friction: &zeros };
+    let options = HandGuidingOptions {
+        stiffness_error: 2.0,
+        delay: 0.01,
+        torque_share: 0.3,
+        payload_moments: [0.1, 0.0, 0.0, 0.01],
+    };
+    let mut guiding = HandGuiding::new(model, &servos, &zeros, &swing, options).unwrap();
+    let count = calls(|| {
+        for tick in 0..200 {
+            position[0] = 0.2 + 0.002 * f64::from(tick.min(100));
+            guiding.step(&position, 0.01).unwrap();
+        }
+    });
+    assert_eq!(count, 0, "hand guiding");
 }

@@ -10,7 +10,7 @@ use crate::error::OrRaise;
 use crate::read::joints;
 
 #[doc = stub!(ArmPoints)]
-#[pyclass(module = "pliant", frozen)]
+#[pyclass(module = "pliant._core", frozen)]
 #[derive(Debug)]
 pub(crate) struct ArmPoints {
     core: CorePoints,

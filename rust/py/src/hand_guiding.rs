@@ -13,7 +13,7 @@ use crate::error::OrRaise;
 use crate::read::joints;
 
 #[doc = stub!(HandGuidingLaw)]
-#[pyclass(module = "pliant.identify")]
+#[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct HandGuidingLaw {
     core: HandGuiding,

@@ -8,7 +8,7 @@ use crate::error::OrRaise;
 use crate::read::array_into;
 
 #[doc = stub!(ThermalModel)]
-#[pyclass(module = "pliant.arm")]
+#[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct ThermalModel {
     core: CoreThermalModel,
