@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 use numpy::PyArray1;
-use pliant_core::{Controller as CoreController, Record};
+use pliant_core::{Controller as CoreController, Diagnostics as CoreDiagnostics};
 use pyo3::prelude::*;
 
 use crate::convert::new_array;
@@ -10,7 +10,7 @@ use crate::functions::table;
 
 #[pyclass(module = "pliant", frozen)]
 pub(crate) struct Diagnostics {
-    record: Record,
+    record: CoreDiagnostics,
     n: usize,
     axes: usize,
     sigma: [f64; 2],
@@ -24,12 +24,13 @@ pub(crate) struct Diagnostics {
 
 impl Diagnostics {
     pub(crate) fn new(core: &CoreController) -> Self {
+        let damping = core.singularity_damping();
         Self {
-            record: core.record(),
+            record: core.diagnostics(),
             n: core.model().n(),
-            axes: core.task_len(),
-            sigma: core.sigma(),
-            damping_constants: core.damping().into(),
+            axes: core.task_dim(),
+            sigma: core.sigma_range(),
+            damping_constants: (damping.lambda_0, damping.sigma_0, damping.lambda_max),
             gain_factor: core.gain_factor(),
             singular_values: core.singular_values().as_slice().to_vec(),
             activation: core.activation(),
