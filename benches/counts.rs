@@ -7,11 +7,11 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, Frame, Law, NullSpace, PaperOptions, Task, Yields};
+use pliant_core::params::{Axis, CompliantSide, Frame, Law, NullSpace, PaperOptions, Task};
 use pliant_core::task::pose_error;
 use pliant_core::{
-    BatchCommand, BatchInput, BatchState, Controller, Frames, Invalid, JointVec, MAX_AXES, MAX_JOINTS, Model, Pose,
-    Settings, StepInput, Targets,
+    BatchCommand, BatchInput, BatchState, Controller, JointFrames, JointVec, MAX_AXES, MAX_JOINTS, Model, OnInvalid,
+    Pose, Settings, StepInput, Targets,
 };
 
 mod setup;
@@ -58,13 +58,13 @@ fn rare(model: &Model) -> Vec<(&'static str, States)> {
 
 fn soft_y(law: Law) -> Settings {
     let mut settings = Settings { law, ..Settings::default() };
-    settings.axes[1] = Axis { yields: Some(Yields::Both), adaptation: 0.9, ..Axis::default() };
+    settings.axes[1] = Axis { yields: Some(CompliantSide::Both), adaptation: 0.9, ..Axis::default() };
     settings
 }
 
 /// Options that a step should take little longer for than without.
 fn options(settings: &Settings, n: usize) -> Vec<(&'static str, Settings)> {
-    let task = |axes: &str, frame| Task { frame, ..Task::of(axes).expect("axes") };
+    let task = |axes: &str, frame| Task { frame, ..Task::parse(axes).expect("axes") };
     let weights = (1..=n).map(|i| 0.5 + 0.1 * i as f64).collect::<Vec<f64>>();
     let mut five = Settings { task: task("xyz roll pitch", Frame::Base), ..settings.clone() };
     five.axes[5] = Axis::default();
@@ -108,7 +108,7 @@ fn stages() -> Vec<(String, Work)> {
         states.iter().map(|(q, target)| (model.forward_kinematics(q).expect("a state of this arm"), *target)).collect();
     let mut stages: Vec<(String, Work)> = Vec::new();
 
-    let (arm, at, mut frames) = (Arc::clone(&model), joints.clone(), Frames::default());
+    let (arm, at, mut frames) = (Arc::clone(&model), joints.clone(), JointFrames::default());
     stages.push((
         "forward".into(),
         Box::new(move || {
@@ -118,7 +118,7 @@ fn stages() -> Vec<(String, Work)> {
             }
         }),
     ));
-    let (arm, mut frames, mut rows) = (Arc::clone(&model), Frames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
+    let (arm, mut frames, mut rows) = (Arc::clone(&model), JointFrames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
     arm.chain().forward(&joints[0], &mut frames);
     stages.push((
         "jacobian".into(),
@@ -129,7 +129,7 @@ fn stages() -> Vec<(String, Work)> {
             }
         }),
     ));
-    let (arm, mut frames, mut torque) = (Arc::clone(&model), Frames::default(), [0.0; MAX_JOINTS]);
+    let (arm, mut frames, mut torque) = (Arc::clone(&model), JointFrames::default(), [0.0; MAX_JOINTS]);
     arm.chain().forward(&joints[0], &mut frames);
     let masses = arm.chain().masses(None);
     stages.push((
@@ -189,7 +189,7 @@ fn stages() -> Vec<(String, Work)> {
                 Box::new(move || {
                     let targets = Targets::Poses(&targets);
                     let input =
-                        BatchInput { q: black_box(&q), targets, dt: None, dq: None, invalid: Invalid::default() };
+                        BatchInput { q: black_box(&q), targets, dt: None, dq: None, invalid: OnInvalid::default() };
                     let [goal, torque_limit, velocity] = &mut out;
                     let out = BatchCommand { goal, torque_limit, velocity };
                     black_box(controller.step_batch(&input, state.as_mut(), out).is_ok());

@@ -5,7 +5,7 @@ use std::hint::black_box;
 use std::path::Path;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use pliant_core::{Frames, JointVec, MAX_AXES, MAX_JOINTS, Model, ModelOptions};
+use pliant_core::{JointFrames, JointVec, MAX_AXES, MAX_JOINTS, Model, ModelOptions};
 
 const STATES: usize = 64;
 
@@ -33,7 +33,7 @@ fn kinematics(criterion: &mut Criterion) {
     let chain = model.chain();
     let masses = chain.masses(None);
     let states = states(&model);
-    let mut frames = Frames::default();
+    let mut frames = JointFrames::default();
     let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
     let mut torque = [0.0; MAX_JOINTS];
 

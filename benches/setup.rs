@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, Damping, NullSpace, Projector, Tracking, Yields};
+use pliant_core::params::{Axis, CompliantSide, Damping, NullSpace, Projector, Tracking};
 use pliant_core::{Model, ModelOptions, Pose, Servos, Settings};
 
 /// States of one round.
@@ -50,6 +50,6 @@ pub(crate) fn paper() -> Settings {
         null_space: NullSpace { projector: Projector::Paper, limit_avoidance: 0.1, ..Settings::paper().null_space },
         ..Settings::paper()
     };
-    (settings.axes[1].yields, settings.axes[1].adaptation) = (Some(Yields::Both), 0.9);
+    (settings.axes[1].yields, settings.axes[1].adaptation) = (Some(CompliantSide::Both), 0.9);
     settings
 }

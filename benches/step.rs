@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use pliant_core::params::{
-    Axis, Damping, Follow, Law, LimitRule, NullSpace, PaperOptions, Projector, Task, Tracking, Yields,
+    Axis, CompliantSide, Damping, Follow, Law, LimitRule, NullSpace, PaperOptions, Projector, Task, Tracking,
 };
 use pliant_core::task::pose_error;
 use pliant_core::{Controller, Pose, Settings, StepInput};
@@ -20,7 +20,7 @@ use setup::{STATES, arm, paper, servos, states};
 
 fn soft_y() -> Settings {
     let mut settings = Settings::default();
-    settings.axes[1] = Axis { yields: Some(Yields::Both), adaptation: 0.9, ..Axis::default() };
+    settings.axes[1] = Axis { yields: Some(CompliantSide::Both), adaptation: 0.9, ..Axis::default() };
     settings
 }
 
@@ -57,7 +57,7 @@ fn step(criterion: &mut Criterion) {
         ),
         ("y yields, integrating", Settings { tracking: Tracking { integrate: 1.0, ..soft_y().tracking }, ..soft_y() }),
         ("impedance, y yields", Settings { law: Law::Impedance, ..soft_y() }),
-        ("xyz", Settings { task: Task::of("xyz").expect("three axes"), ..Settings::default() }),
+        ("xyz", Settings { task: Task::parse("xyz").expect("three axes"), ..Settings::default() }),
     ];
     let mut group = criterion.benchmark_group("step");
     group.throughput(Throughput::Elements(STATES as u64));

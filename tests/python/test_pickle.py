@@ -112,7 +112,7 @@ def test_a_pickle_leaves_readings_behind_and_a_copy_does_not(controller, q, targ
 def test_what_another_arm_carried_is_refused(model, q, target):
     other = pliant.robots.so101()
     for spoil, match in (
-        (lambda c: c.step(q, target), "memory"),
+        (lambda c: c.step(q, target), "state"),
         (lambda c: told(c, q), "captured"),
     ):
         controller = pliant.Controller(

@@ -62,25 +62,26 @@ pub mod params;
 pub mod pose;
 pub mod task;
 
-pub use batch::{BatchCommand, BatchInput, BatchState, Invalid, Targets};
+pub use batch::{BatchCommand, BatchInput, BatchState, OnInvalid, Targets};
 pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate};
 // Version of the matrices and vectors in public functions.
 pub use nalgebra;
 
 pub use analysis::{FeasibilityReport, Issue, PoseReport};
 pub use arm::{HandGuiding, Lowering, ThermalModel};
-pub use controller::{Carried, Command, Controller, Record, StepInput};
+pub use controller::{Command, Controller, Diagnostics, Snapshot, StepInput};
 pub use equations::{
     activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,
     null_space_projector, pose_error, responsibility,
 };
 pub use error::{Error, Result};
-pub use kinematics::{Frames, IkOptions, IkReason, IkResult, Masses, Reference};
-pub use math::simd::Instructions;
+pub use kinematics::{GroupMasses, IkOptions, IkResult, IkStatus, JointFrames, Reference};
+pub use math::simd::SimdLevel;
 pub use model::{Model, ModelOptions, Payload};
 pub use params::{
-    Axis, Compensation, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, LimitType, NullSpace,
-    OnDeviationLimit, PaperOptions, Profile, Projector, Servos, Settings, Task, TorqueLimits, Tracking, Yields,
+    Axis, AxisImpedance, AxisStrength, Compensation, CompliantSide, Damping, DampingParams, Follow, Frame, Gain,
+    GravityUse, Law, LimitRule, LimitType, NullSpace, OnDeviationLimit, PaperOptions, Profile, Projector, Servos,
+    Settings, Task, TorqueLimits, Tracking,
 };
 pub use pose::Pose;
 

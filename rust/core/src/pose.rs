@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3,
 
 use crate::error::{Error, Result};
 use crate::math::rotation::{rotation_matrix, rotation_vector};
-use crate::math::simd::{Arithmetic, Number, Plain};
+use crate::math::simd::{BaselineF64, Number, RealOps};
 use crate::math::spatial::{Mat3, cross, dot, sub};
 
 /// Largest plausible joint coordinate.
@@ -23,7 +23,7 @@ const QUATERNION_TOLERANCE: f64 = 1e-3;
 
 /// Fast-accept threshold: if the summed residuals are below it, every entry of `RᵀR − I` is within
 /// [`ROTATION_TOLERANCE`], since no entry exceeds six times the sum.
-pub(crate) const DOUBT: f64 = 0.1 * ROTATION_TOLERANCE;
+pub(crate) const FAST_TOLERANCE: f64 = 0.1 * ROTATION_TOLERANCE;
 
 /// Region of plausible target positions: a ball around the first joint.
 #[derive(Debug, Clone, Copy)]
@@ -32,8 +32,8 @@ pub(crate) struct TargetRegion {
     pub(crate) centre: [f64; 3],
     /// Largest distance from it [m].
     pub(crate) radius: f64,
-    /// [`DOUBT`] divided by the radius [1/m].
-    doubt: f64,
+    /// [`FAST_TOLERANCE`] divided by the radius [1/m].
+    tolerance_per_metre: f64,
 }
 
 impl TargetRegion {
@@ -42,7 +42,7 @@ impl TargetRegion {
 
     /// Creates a region from centre and radius [m].
     pub(crate) const fn ball(centre: [f64; 3], radius: f64) -> Self {
-        Self { centre, radius, doubt: DOUBT / radius }
+        Self { centre, radius, tolerance_per_metre: FAST_TOLERANCE / radius }
     }
 
     /// Distance of a position from the centre [m].
@@ -123,26 +123,30 @@ impl Pose {
     /// [`Pose::validate`] with the argument's name in the message.
     #[inline]
     pub(crate) fn check(&self, name: &str) -> Result<()> {
-        if self.doubt::<Plain>(&TargetRegion::ANY) <= DOUBT { Ok(()) } else { self.explain(name) }
+        if self.orthogonality_residual::<BaselineF64>(&TargetRegion::ANY) <= FAST_TOLERANCE {
+            Ok(())
+        } else {
+            self.diagnose(name)
+        }
     }
 
     /// Returns true if [`Pose::check`] refuses this pose or if it is outside `region`; uses the fast check first.
     #[inline(always)]
-    pub(crate) fn is_refused<A: Arithmetic<Real = f64>>(&self, region: &TargetRegion) -> bool {
-        !(self.doubt::<A>(region) <= DOUBT) && self.is_wrong(region)
+    pub(crate) fn is_invalid<A: RealOps<Real = f64>>(&self, region: &TargetRegion) -> bool {
+        !(self.orthogonality_residual::<A>(region) <= FAST_TOLERANCE) && self.is_invalid_slow(region)
     }
 
-    /// [`Pose::is_refused`] without the fast check.
+    /// [`Pose::is_invalid`] without the fast check.
     #[cold]
     #[inline(never)]
-    fn is_wrong(&self, region: &TargetRegion) -> bool {
-        region.excludes(&self.position) || self.explain("").is_err()
+    fn is_invalid_slow(&self, region: &TargetRegion) -> bool {
+        region.excludes(&self.position) || self.diagnose("").is_err()
     }
 
     /// Returns the error of an invalid pose.
     #[cold]
     #[inline(never)]
-    fn explain(&self, name: &str) -> Result<()> {
+    fn diagnose(&self, name: &str) -> Result<()> {
         for (axis, &value) in ["x", "y", "z"].iter().zip(&self.position) {
             if !(value.abs() <= POSITION_BOUND) {
                 let hint = if value.is_finite() { "; is it in millimetres?" } else { "" };
@@ -153,12 +157,12 @@ impl Pose {
         let mut worst: f64 = 0.0;
         for i in 0..3 {
             for j in 0..3 {
-                let error = orthogonality_error::<Plain>(&self.rotation, i, j);
+                let error = orthogonality_error::<BaselineF64>(&self.rotation, i, j);
                 // `max` would drop a NaN.
                 worst = if error > worst || error.is_nan() { error } else { worst };
             }
         }
-        if worst <= ROTATION_TOLERANCE && determinant::<Plain>(&self.rotation) >= 0.0 {
+        if worst <= ROTATION_TOLERANCE && determinant::<BaselineF64>(&self.rotation) >= 0.0 {
             return Ok(());
         }
         if worst <= ROTATION_TOLERANCE {
@@ -283,11 +287,11 @@ impl Pose {
 }
 
 impl<R: Copy> Pose<R> {
-    /// Sum of residuals; a pose with a sum of at most [`DOUBT`] is valid: one comparison instead of many.
+    /// Sum of residuals; a pose with a sum of at most [`FAST_TOLERANCE`] is valid: one comparison instead of many.
     ///
     /// The third row of a rotation is the cross product of the other two, which are orthonormal.
     #[inline(always)]
-    fn doubt<A: Arithmetic<Real = R>>(&self, region: &TargetRegion) -> R
+    fn orthogonality_residual<A: RealOps<Real = R>>(&self, region: &TargetRegion) -> R
     where
         R: Number,
     {
@@ -298,34 +302,34 @@ impl<R: Copy> Pose<R> {
         let angles = A::abs(dot::<A>(x, y)) + (A::abs(off[0]) + A::abs(off[1]) + A::abs(off[2]));
         // The sum of the components is at least the distance.
         let far = A::abs(a) + A::abs(b) + A::abs(c);
-        A::fma(A::splat(region.doubt), far, lengths + angles)
+        A::fma(A::splat(region.tolerance_per_metre), far, lengths + angles)
     }
 
-    /// Returns `fine` if this pose passes the fast check within `region`, 0 if [`Pose::is_refused`] must decide.
+    /// Returns `fine` if this pose passes the fast check within `region`, 0 if [`Pose::is_invalid`] must decide.
     #[inline(always)]
-    pub(crate) fn if_sure<A: Arithmetic<Real = R>>(&self, region: &TargetRegion, mut fine: R) -> R {
-        let (nothing, radius) = (A::splat(0.0), region.radius);
+    pub(crate) fn mask_valid<A: RealOps<Real = R>>(&self, region: &TargetRegion, mut fine: R) -> R {
+        let (zero, radius) = (A::splat(0.0), region.radius);
         let apart = sub::<A>(&self.position, &region.centre.map(A::splat));
-        fine = A::if_less(dot::<A>(&apart, &apart), A::splat(radius * radius), fine, nothing);
+        fine = A::select_lt(dot::<A>(&apart, &apart), A::splat(radius * radius), fine, zero);
         for i in 0..3 {
             for j in 0..=i {
                 let error = orthogonality_error::<A>(&self.rotation, i, j);
-                fine = A::if_less(error, A::splat(ROTATION_TOLERANCE), fine, nothing);
+                fine = A::select_lt(error, A::splat(ROTATION_TOLERANCE), fine, zero);
             }
         }
-        A::if_less(nothing, determinant::<A>(&self.rotation), fine, nothing)
+        A::select_lt(zero, determinant::<A>(&self.rotation), fine, zero)
     }
 }
 
 /// Returns the absolute value of one entry of `RᵀR − I`.
 #[inline(always)]
-fn orthogonality_error<A: Arithmetic>(r: &Mat3<A::Real>, i: usize, j: usize) -> A::Real {
+fn orthogonality_error<A: RealOps>(r: &Mat3<A::Real>, i: usize, j: usize) -> A::Real {
     let product = dot::<A>(&[r[0][i], r[1][i], r[2][i]], &[r[0][j], r[1][j], r[2][j]]);
     A::abs(product - A::splat(f64::from(u8::from(i == j))))
 }
 
 #[inline(always)]
-fn determinant<A: Arithmetic>(r: &Mat3<A::Real>) -> A::Real {
+fn determinant<A: RealOps>(r: &Mat3<A::Real>) -> A::Real {
     dot::<A>(&r[0], &cross::<A>(&r[1], &r[2]))
 }
 

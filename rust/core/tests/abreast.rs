@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use pliant_core::params::{Damping, Follow, Law, NullSpace, PaperOptions, Projector, Tracking};
-use pliant_core::{BatchInput, Controller, Instructions, Invalid, Model, ModelOptions, Settings, StepInput};
+use pliant_core::{BatchInput, Controller, Model, ModelOptions, OnInvalid, Settings, SimdLevel, StepInput};
 
 #[path = "oracle/cases.rs"]
 mod cases;
@@ -52,9 +52,9 @@ fn arms_side_by_side_are_single_arms_up_to_rounding() {
         let bad = random.below(ARMS);
         arms.q[n * bad] = f64::NAN;
         arms.flat[16 * (bad / 2) + random.below(12)] = f64::NAN;
-        let input = BatchInput { invalid: Invalid::Nan, ..arms.input(None, round % 2 == 1) };
-        for instructions in Instructions::available() {
-            controller.set_instructions(instructions);
+        let input = BatchInput { invalid: OnInvalid::Nan, ..arms.input(None, round % 2 == 1) };
+        for simd_level in SimdLevel::available() {
+            controller.set_simd_level(simd_level);
             let mut out = Out::new(ARMS, n);
             controller.step_batch(&input, None, out.command()).unwrap();
             for row in 0..ARMS {
@@ -67,8 +67,8 @@ fn arms_side_by_side_are_single_arms_up_to_rounding() {
                 let mut alone = controller.clone();
                 let want = single(&mut alone, q, &arms.poses[row], &input);
                 let near = out.is_near(row, n, &want);
-                assert!(near, "arm {row}, {instructions}, {:?}\n{:?}", controller.settings(), (q, &arms.poses[row]));
-                (locked, rows) = (locked + usize::from(alone.record().locked.contains(&true)), rows + 1);
+                assert!(near, "arm {row}, {simd_level}, {:?}\n{:?}", controller.settings(), (q, &arms.poses[row]));
+                (locked, rows) = (locked + usize::from(alone.diagnostics().locked.contains(&true)), rows + 1);
             }
         }
     }

@@ -1,4 +1,5 @@
 //! Points, descent, hand guiding and thermal budget of an arm, without physics: a quasi-static arm and hostile inputs.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 mod common;
 

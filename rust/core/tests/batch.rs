@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use pliant_core::params::{Law, Tracking};
 use pliant_core::{
-    BatchInput, BatchState, Controller, Error, Invalid, ModelOptions, Pose, Settings, StepInput, Targets,
+    BatchInput, BatchState, Controller, Error, ModelOptions, OnInvalid, Pose, Settings, StepInput, Targets,
 };
 
 #[path = "oracle/cases.rs"]
@@ -55,7 +55,7 @@ fn with_a_state_every_row_is_a_controller_of_its_own() {
                 let input = StepInput { dt, dq: (tick % 3 == 1).then_some(dq), ..StepInput::default() };
                 let want = single(own, q, &arms.poses[row], &input);
                 assert_eq!(out.row(row, n), want, "arm {row}, tick {tick}, {:?}", controller.settings());
-                locked += usize::from(own.record().locked.contains(&true));
+                locked += usize::from(own.diagnostics().locked.contains(&true));
             }
             for row in (tick..ARMS).step_by(7) {
                 let q = random.joints(&model, 0.8);
@@ -66,8 +66,8 @@ fn with_a_state_every_row_is_a_controller_of_its_own() {
                 alone[row] = controller.clone();
                 state.reset(row, None).unwrap();
             }
-            let kept = BatchState::from_numbers(n, state.numbers().to_vec()).unwrap();
-            assert_eq!(bits(kept.numbers()), bits(state.numbers()));
+            let kept = BatchState::from_vec(n, state.as_slice().to_vec()).unwrap();
+            assert_eq!(bits(kept.as_slice()), bits(state.as_slice()));
             state = kept;
         }
     }
@@ -118,7 +118,7 @@ fn other_settings_take_over_as_with_a_single_step() {
     let (mut alone, mut state) = (vec![controller.clone(); ARMS], BatchState::new(7, ARMS).unwrap());
     let mut out = Out::new(ARMS, 7);
     for axes in ["all", "xyz", "y rpy"] {
-        let task = pliant_core::params::Task::of(axes).unwrap();
+        let task = pliant_core::params::Task::parse(axes).unwrap();
         let settings =
             Settings { task, tracking: Tracking { integrate: 0.5, ..Tracking::default() }, ..Settings::default() };
         controller.update(settings.clone()).unwrap();
@@ -142,13 +142,13 @@ fn one_row_that_cannot_be_used_stops_all_and_changes_nothing() {
         let (controller, mut arms) = usual(&mut random, count);
         let (mut state, mut out) = (BatchState::new(7, count).unwrap(), Out::new(count, 7));
         controller.step_batch(&arms.input(None, false), Some(&mut state), out.command()).unwrap();
-        let before = bits(state.numbers());
+        let before = bits(state.as_slice());
         let (row, fine) = (count - 1, arms.q.clone());
         for bad in [f64::NAN, f64::INFINITY, 1e3] {
             arms.q[7 * row + 3] = bad;
             let error = controller.step_batch(&arms.input(None, false), Some(&mut state), out.command()).unwrap_err();
             assert!(error.to_string().starts_with(&format!("Q[{row}]: q[3] (elbow_pitch)")), "{error}");
-            assert_eq!(bits(state.numbers()), before);
+            assert_eq!(bits(state.as_slice()), before);
             let error = controller.step_batch(&arms.input(None, false), None, out.command()).unwrap_err();
             assert!(error.to_string().starts_with(&format!("Q[{row}]: q[3] (elbow_pitch)")), "{error}");
         }
@@ -165,10 +165,10 @@ fn one_row_that_cannot_be_used_stops_all_and_changes_nothing() {
         let error = controller.step_batch(&arms.input(None, true), Some(&mut state), out.command()).unwrap_err();
         assert!(error.to_string().contains(&format!("[{row}]: dq[0] (")), "{error}");
         state.reset(row, Some(&[1e5; 7])).unwrap();
-        let before = bits(state.numbers());
+        let before = bits(state.as_slice());
         let error = controller.step_batch(&arms.input(None, false), Some(&mut state), out.command()).unwrap_err();
         assert!(error.to_string().starts_with(&format!("state[{row}]: q[0]")), "{error}");
-        assert_eq!(bits(state.numbers()), before);
+        assert_eq!(bits(state.as_slice()), before);
     }
 }
 
@@ -178,15 +178,15 @@ fn where_asked_for_bad_rows_are_nan_and_the_others_are_stepped() {
     let (controller, mut arms) = usual(&mut random, ARMS);
     let (mut state, mut good, mut out) = (BatchState::new(7, ARMS).unwrap(), Out::new(ARMS, 7), Out::new(ARMS, 7));
     controller.step_batch(&arms.input(None, false), Some(&mut state.clone()), good.command()).unwrap();
-    let width = state.numbers().len() / ARMS;
+    let width = state.as_slice().len() / ARMS;
     for row in [0, 63, 64, 149] {
         arms.q[7 * row + row % 7] = f64::NAN;
     }
     arms.flat[16 * 20 + 3] = f64::INFINITY;
-    let input = BatchInput { invalid: Invalid::Nan, ..arms.input(None, false) };
+    let input = BatchInput { invalid: OnInvalid::Nan, ..arms.input(None, false) };
     controller.step_batch(&input, Some(&mut state), out.command()).unwrap();
     for row in 0..ARMS {
-        let kept = &state.numbers()[row * width..][..width];
+        let kept = &state.as_slice()[row * width..][..width];
         if [0, 20, 63, 64, 149].contains(&row) {
             assert!(out.0.iter().all(|all| all[row * 7..][..7].iter().all(|value| value.is_nan())));
             assert!(kept.iter().all(|value| value.to_bits() == 0), "arm {row} has not been stepped");
@@ -201,7 +201,7 @@ fn where_asked_for_bad_rows_are_nan_and_the_others_are_stepped() {
 fn one_target_for_all_and_positions_alone() {
     let mut random = Random::new(10);
     let (controller, arms) = usual(&mut random, ARMS);
-    let settings = Settings { task: pliant_core::params::Task::of("xyz").unwrap(), ..Settings::default() };
+    let settings = Settings { task: pliant_core::params::Task::parse("xyz").unwrap(), ..Settings::default() };
     let lateral = Controller::new(Arc::clone(controller.model()), settings, Some(seeded::servos(0))).unwrap();
     let positions: Vec<f64> = arms.poses.iter().flat_map(|pose| pose.position).collect();
     let mut out = Out::new(ARMS, 7);
@@ -256,7 +256,7 @@ fn states_refuse_what_they_cannot_be() {
     let error = BatchState::new(7, usize::MAX).unwrap_err();
     assert!(error.to_string().contains("bytes an arm"), "{error}");
     assert!(BatchState::new(7, usize::MAX / 4000).is_err());
-    assert!(matches!(BatchState::from_numbers(7, vec![0.0; 95]), Err(Error::Shape { .. })));
+    assert!(matches!(BatchState::from_vec(7, vec![0.0; 95]), Err(Error::Shape { .. })));
     let mut state = BatchState::new(5, 2).unwrap();
     assert_eq!((state.n(), state.len(), state.is_empty()), (5, 2, false));
     assert!(state.reset(2, None).is_err());
@@ -268,13 +268,13 @@ fn states_refuse_what_they_cannot_be() {
 fn numbers_that_no_step_has_written_harm_nobody() {
     let mut random = Random::new(12);
     let (controller, arms) = usual(&mut random, 40);
-    let width = BatchState::new(7, 1).unwrap().numbers().len();
+    let width = BatchState::new(7, 1).unwrap().as_slice().len();
     for _ in 0..200 {
         let numbers: Vec<f64> = (0..40 * width)
             .map(|i| if i % width == 0 { random.between(0.0, 64.0).floor() } else { f64::from_bits(random.next()) })
             .collect();
-        let (mut state, mut out) = (BatchState::from_numbers(7, numbers).unwrap(), Out::new(40, 7));
-        let input = BatchInput { invalid: Invalid::Nan, ..arms.input(None, false) };
+        let (mut state, mut out) = (BatchState::from_vec(7, numbers).unwrap(), Out::new(40, 7));
+        let input = BatchInput { invalid: OnInvalid::Nan, ..arms.input(None, false) };
         controller.step_batch(&input, Some(&mut state), out.command()).unwrap();
         for (limit, goal) in out.0[1].iter().zip(&out.0[0]) {
             assert!(limit.is_nan() == goal.is_nan() && (limit.is_nan() || *limit >= 0.0));

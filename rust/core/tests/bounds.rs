@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, Follow, Law, LimitRule, PaperOptions, Task, TorqueLimits, Tracking, Yields};
+use pliant_core::params::{Axis, CompliantSide, Follow, Law, LimitRule, PaperOptions, Task, TorqueLimits, Tracking};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, Settings, StepInput};
 
 #[path = "oracle/cases.rs"]
@@ -55,8 +55,8 @@ fn caps_ceilings_and_floors_hold() {
                 assert!(goal >= model.lower()[i] - out && goal <= model.upper()[i] + out);
                 assert!(command.speed_limit()[i] > 0.0);
             }
-            let record = controller.record();
-            for r in 0..controller.task_len() {
+            let record = controller.diagnostics();
+            for r in 0..controller.task_dim() {
                 if settings.law == Law::Impedance && !record.locked.contains(&true) {
                     stiff_ticks += 1;
                     assert!(record.wrench[r].abs() <= record.axis_strength[r] * (1.0 + 1e-12));
@@ -90,13 +90,13 @@ fn the_target_moves_within_its_bounds() {
     controller.reset(&q).unwrap();
     let tool = model.forward_kinematics(&q).unwrap();
     let (mut target, mut before, mut slow) = (tool, [0.0; 3], tool);
-    let mut last = controller.record().deviation;
+    let mut last = controller.diagnostics().deviation;
     for tick in 0..2000 {
         if tick % 100 == 0 {
             target = random.target(&model, &q, 0.3, 1.5);
         }
         controller.step(&q, &target, &StepInput::default()).unwrap();
-        let now = controller.record().deviation;
+        let now = controller.diagnostics().deviation;
         let velocity: [f64; 3] = std::array::from_fn(|i| (now[i] - last[i]) / 0.01);
         let size = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
         let change: [f64; 3] = std::array::from_fn(|i| (velocity[i] - before[i]) / 0.01);
@@ -109,7 +109,7 @@ fn the_target_moves_within_its_bounds() {
     for tick in 0..200 {
         slow.position[1] = tool.position[1] + 0.05 * (1.0 - (0.02 * f64::from(tick)).cos());
         controller.step(&q, &slow, &StepInput::default()).unwrap();
-        let lag = controller.record().deviation[1] - (slow.position[1] - tool.position[1]);
+        let lag = controller.diagnostics().deviation[1] - (slow.position[1] - tool.position[1]);
         assert!(lag.abs() < 1e-9, "tick {tick}: lags {lag}");
     }
 }
@@ -166,8 +166,8 @@ fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool
             let size = probe.jump(&at(s - 1), &at(s));
             if size > most {
                 let earlier = probe.at(&at(s - 1)).1;
-                let locked = |c: &Controller| c.record().locked.contains(&true);
-                let scaled = |c: &Controller| c.record().factors.iter().any(|f| *f < 1.0);
+                let locked = |c: &Controller| c.diagnostics().locked.contains(&true);
+                let scaled = |c: &Controller| c.diagnostics().factors.iter().any(|f| *f < 1.0);
                 found.push((size, locked(&controller) || locked(&earlier), scaled(&controller) || scaled(&earlier)));
             }
         }
@@ -176,10 +176,10 @@ fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool
     found
 }
 
-fn one_sided(yields: Yields, axis: &str) -> Settings {
+fn one_sided(yields: CompliantSide, axis: &str) -> Settings {
     let mut settings =
         Settings { paper_options: PaperOptions { limits: LimitRule::Demand, ..open().paper_options }, ..open() };
-    let adaptation = if yields == Yields::None { 0.0 } else { 0.9 };
+    let adaptation = if yields == CompliantSide::None { 0.0 } else { 0.9 };
     let given =
         Axis { soft: Some([0.5, 1.0]), firm: Some([2.0, 1.5]), yields: Some(yields), adaptation, ..Axis::default() };
     settings.set_axes(axis, given).unwrap();
@@ -193,7 +193,7 @@ fn commands_are_continuous() {
     for round in 0..80 {
         let index = [0, 1][round % 2];
         let model = arm(index);
-        let yields = [Yields::Plus, Yields::Minus, Yields::Both, Yields::None][round % 4];
+        let yields = [CompliantSide::Plus, CompliantSide::Minus, CompliantSide::Both, CompliantSide::None][round % 4];
         let follow = [None, Some(Follow::Hold)][usize::from(round % 5 == 0)];
         let settings = Settings {
             paper_options: PaperOptions {
@@ -225,8 +225,11 @@ fn joints_leave_the_inverse_without_a_jump() {
                 Settings { paper_options: PaperOptions { follow: Some(follow), ..open().paper_options }, ..open() };
             if soft {
                 settings = Settings {
-                    paper_options: PaperOptions { follow: Some(follow), ..one_sided(Yields::Both, "y").paper_options },
-                    ..one_sided(Yields::Both, "y")
+                    paper_options: PaperOptions {
+                        follow: Some(follow),
+                        ..one_sided(CompliantSide::Both, "y").paper_options
+                    },
+                    ..one_sided(CompliantSide::Both, "y")
                 };
             }
             // Ceilings out of the way: they have a test of their own.
@@ -240,7 +243,7 @@ fn joints_leave_the_inverse_without_a_jump() {
             let mut beyond = b.clone();
             beyond[joint] += 0.03;
             let probe = Probe { controller, target: random.target(&model, &beyond, 0.01, 0.03) };
-            let locked = |q: &[f64]| probe.at(q).1.record().locked.contains(&true);
+            let locked = |q: &[f64]| probe.at(q).1.diagnostics().locked.contains(&true);
             onsets += usize::from(!locked(&a) && locked(&b));
             found.extend(jumps(&probe, &a, &b, 1e-4));
         }
@@ -254,8 +257,8 @@ fn a_task_of_few_axes_is_continuous_too() {
     let model = arm(2);
     let mut found = Vec::new();
     for round in 0..40 {
-        let mut settings = Settings { task: Task::of(["xyz", "x z pitch"][round % 2]).unwrap(), ..open() };
-        settings.set_axes("z", Axis { yields: Some(Yields::Plus), adaptation: 0.9, ..Axis::default() }).unwrap();
+        let mut settings = Settings { task: Task::parse(["xyz", "x z pitch"][round % 2]).unwrap(), ..open() };
+        settings.set_axes("z", Axis { yields: Some(CompliantSide::Plus), adaptation: 0.9, ..Axis::default() }).unwrap();
         let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(2))).unwrap();
         let middle = random.joints(&model, 0.5);
         let probe = Probe { controller, target: model.forward_kinematics(&middle).unwrap() };
@@ -273,7 +276,7 @@ fn at_the_ceilings_only_small_jumps_remain() {
     let mut found = Vec::new();
     for round in 0..60 {
         let model = arm(0);
-        let yields = [Yields::Plus, Yields::Both][round % 2];
+        let yields = [CompliantSide::Plus, CompliantSide::Both][round % 2];
         let settings = one_sided(yields, ["y", "z", "yaw", "xyz"][(round / 4) % 4]);
         let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(0))).unwrap();
         let middle = random.joints(&model, 0.4);

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, Law, NullSpace, PaperOptions, Yields};
+use pliant_core::params::{Axis, CompliantSide, Law, NullSpace, PaperOptions};
 use pliant_core::{Controller, Model, ModelOptions, Settings, StepInput};
 
 #[path = "common/seeded.rs"]
@@ -24,7 +24,7 @@ fn arm() -> Arc<Model> {
 fn made(mut settings: Settings) -> Controller {
     settings.tracking.goal_slew = f64::INFINITY;
     (settings.max_tool_speed, settings.max_tool_acceleration) = ([f64::INFINITY; 2], [f64::INFINITY; 2]);
-    settings.set_axes("y", Axis { yields: Some(Yields::Both), ..Axis::default() }).unwrap();
+    settings.set_axes("y", Axis { yields: Some(CompliantSide::Both), ..Axis::default() }).unwrap();
     Controller::new(arm(), settings, Some(seeded::servos(0))).unwrap()
 }
 

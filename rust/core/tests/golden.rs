@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use pliant_core::params::{
-    Axis, Damping, Gain, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking, Yields,
+    Axis, CompliantSide, Damping, Gain, Law, NullSpace, PaperOptions, Projector, TorqueLimits, Tracking,
 };
 use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
 use serde_json::Value;
@@ -77,10 +77,10 @@ fn settings(case: &Value) -> Settings {
     let (soft, firm, hold) = (vector(&case["tau_min"]), vector(&case["tau_max"]), vector(&case["tau_stiff"]));
     for axis in 0..6 {
         let yields = match (toward_minus[axis], toward_plus[axis]) {
-            (true, true) => Yields::Both,
-            (true, false) => Yields::Minus,
-            (false, true) => Yields::Plus,
-            (false, false) => Yields::None,
+            (true, true) => CompliantSide::Both,
+            (true, false) => CompliantSide::Minus,
+            (false, true) => CompliantSide::Plus,
+            (false, false) => CompliantSide::None,
         };
         // Cases in which firm > hold are refused by `Axis`; the public functions cover their torques.
         let firm = firm[axis].min(hold[axis]);
@@ -89,7 +89,7 @@ fn settings(case: &Value) -> Settings {
             firm: Some([firm; 2]),
             hold: Some(hold[axis]),
             yields: Some(yields),
-            adaptation: if yields == Yields::None { 0.0 } else { number(&case["eta"]) },
+            adaptation: if yields == CompliantSide::None { 0.0 } else { number(&case["eta"]) },
             soft_until: Some(vector(&case["d_minus"])[axis]),
             firm_from: Some(vector(&case["d_plus"])[axis]),
             max_velocity: Some(f64::INFINITY),
@@ -121,7 +121,7 @@ fn the_step_reproduces_every_quantity() {
         let gradient: Vec<f64> = vector(&case["grad"]).iter().map(|g| -g).collect();
         let input = StepInput { gradient: Some(&gradient), ..StepInput::default() };
         let command = *controller.step(&q, &target(case), &input).unwrap();
-        let record = controller.record();
+        let record = controller.diagnostics();
         for axis in 0..6 {
             close("deviation", index, record.deviation[axis], vector(&case["d_rotvec"])[axis], 1.0);
             close("dx", index, record.task_velocity[axis], vector(&case["dx"])[axis], 1.0);

@@ -6,8 +6,8 @@
 use std::sync::Arc;
 
 use pliant_core::params::{
-    Axis, Compensation, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, NullSpace, OnDeviationLimit,
-    PaperOptions, Profile, Projector, Task, TorqueLimits, Tracking, Yields,
+    Axis, Compensation, CompliantSide, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, NullSpace,
+    OnDeviationLimit, PaperOptions, Profile, Projector, Task, TorqueLimits, Tracking,
 };
 use pliant_core::{Controller, Error, LimitType, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
@@ -180,7 +180,7 @@ fn hostile_inputs_leave_no_trace() {
                 let a = *controller.step(&q, &target, &StepInput::default()).unwrap();
                 let b = *twin.step(&q, &target, &StepInput::default()).unwrap();
                 assert_eq!(a, b, "{error}");
-                assert_eq!(format!("{:?}", controller.record()), format!("{:?}", twin.record()), "{error}");
+                assert_eq!(format!("{:?}", controller.diagnostics()), format!("{:?}", twin.diagnostics()), "{error}");
             }
         }
         // It still works: from here on usual readings make usual commands.
@@ -260,7 +260,9 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         hold: maybe(random, number),
         stiffness: if springs { maybe(random, |r| [number(r), 100.0 * number(r)]) } else { None },
         damping: if springs { maybe(random, |r| [number(r), number(r)]) } else { None },
-        yields: maybe(random, |r| r.pick(&[Yields::Both, Yields::Plus, Yields::Minus, Yields::None])),
+        yields: maybe(random, |r| {
+            r.pick(&[CompliantSide::Both, CompliantSide::Plus, CompliantSide::Minus, CompliantSide::None])
+        }),
         adaptation: if random.chance(0.6) { 0.0 } else { number(random) },
         soft_until: maybe(random, |r| number(r) * 0.01),
         firm_from: maybe(random, number),

@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, Law, PaperOptions, Settings, Tracking, Yields};
-use pliant_core::{Controller, Instructions, Model, ModelOptions, Pose, Servos, StepInput};
+use pliant_core::params::{Axis, CompliantSide, Law, PaperOptions, Settings, Tracking};
+use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, SimdLevel, StepInput};
 
 #[path = "common/seeded.rs"]
 mod seeded;
@@ -29,20 +29,20 @@ fn state(model: &Model, tick: usize) -> (Vec<f64>, Pose) {
     (at(0.0), model.forward_kinematics(&at(0.02)).unwrap())
 }
 
-fn controller(model: &Arc<Model>, law: Law, instructions: Instructions) -> Controller {
+fn controller(model: &Arc<Model>, law: Law, simd_level: SimdLevel) -> Controller {
     let mut settings = if law == Law::Paper { Settings::paper() } else { Settings { law, ..Settings::default() } };
-    settings.axes[1] = Axis { yields: Some(Yields::Both), adaptation: 0.9, ..Axis::default() };
+    settings.axes[1] = Axis { yields: Some(CompliantSide::Both), adaptation: 0.9, ..Axis::default() };
     let servos = Servos { friction: vec![0.2], stiffness_known: true, ..Servos::new(vec![100.0], vec![10.0]) };
     let mut controller = Controller::new(Arc::clone(model), settings, Some(servos)).unwrap();
-    controller.set_instructions(instructions);
+    controller.set_simd_level(simd_level);
     controller
 }
 
 #[test]
 fn sets_differ_by_rounding_alone() {
     let model = arm();
-    let sets = Instructions::available();
-    assert_eq!(sets[0], Instructions::BASELINE);
+    let sets = SimdLevel::available();
+    assert_eq!(sets[0], SimdLevel::BASELINE);
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
         for &set in &sets[1..] {
             let (mut plain, mut other) = (controller(&model, law, sets[0]), controller(&model, law, set));
@@ -64,7 +64,7 @@ fn sets_differ_by_rounding_alone() {
 #[test]
 fn a_set_repeats_bit_for_bit() {
     let model = arm();
-    for set in Instructions::available() {
+    for set in SimdLevel::available() {
         let (mut one, mut other) = (controller(&model, Law::Cap, set), controller(&model, Law::Cap, set));
         for tick in 0..50 {
             let (q, target) = state(&model, tick);

@@ -15,7 +15,7 @@ use common::{
 };
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
 use pliant_core::error::Error;
-use pliant_core::kinematics::{IkOptions, IkReason, Reference};
+use pliant_core::kinematics::{IkOptions, IkStatus, Reference};
 use pliant_core::model::{Model, ModelOptions, Payload};
 use pliant_core::pose::Pose;
 use proptest::prelude::*;
@@ -200,7 +200,7 @@ fn inverse_kinematics_returns_to_poses_it_was_given() {
             if six {
                 close("rotation error", solution.rotation_error, off.rotation.angle(), 1e-9);
             }
-            assert_eq!(solution.converged, solution.reason == IkReason::Converged);
+            assert_eq!(solution.converged, solution.reason == IkStatus::Converged);
             assert_eq!(solution.converged, solution.position_error <= 1e-8 && solution.rotation_error <= 1e-8);
             for k in 0..model.n() {
                 assert!(solution.q[k] >= model.lower()[k] && solution.q[k] <= model.upper()[k]);
@@ -220,14 +220,14 @@ fn inverse_kinematics_says_why_not() {
     far.position = [2.0, 0.0, 0.0];
     let solution = model.inverse_kinematics(&far, &start, &IkOptions::default()).unwrap();
     assert!(!solution.converged);
-    assert!(matches!(solution.reason, IkReason::OutOfReach { .. }));
+    assert!(matches!(solution.reason, IkStatus::OutOfReach { .. }));
     assert_eq!(solution.reason.to_string(), "out of reach: 2.000 m from the first joint, the arm reaches 0.710 m");
     // Straight out it can still point: no pose is closer than the arm is long.
     assert!(solution.position_error >= 2.0 - 0.71, "{}", solution.position_error);
 
     let behind = Pose { position: [-0.3, 0.5, 0.2], ..far };
     let solution = model.inverse_kinematics(&behind, &start, &IkOptions::default()).unwrap();
-    assert!(matches!(&solution.reason, IkReason::JointLimit { joints } if !joints.is_empty()), "{solution:?}");
+    assert!(matches!(&solution.reason, IkStatus::JointLimit { joints } if !joints.is_empty()), "{solution:?}");
 
     let bad = IkOptions { position_tolerance: 0.0, ..IkOptions::default() };
     let error = model.inverse_kinematics(&far, &start, &bad).unwrap_err().to_string();

@@ -9,7 +9,8 @@ use std::sync::Arc;
 use pliant_core::arm::{DEFAULT_SPEED, HandGuidingOptions, LoweringStart, SwingResult};
 use pliant_core::kinematics::ArmPoints;
 use pliant_core::params::{
-    Axis, Follow, Frame, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Projector, Task, Tracking, Yields,
+    Axis, CompliantSide, Follow, Frame, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Projector, Task,
+    Tracking,
 };
 use pliant_core::{Controller, HandGuiding, Lowering, ModelOptions, Settings, StepInput};
 
@@ -106,11 +107,11 @@ fn variants() -> Vec<(usize, Settings)> {
                         },
                         ..Settings::default()
                     };
-                    settings.axes[1] = axis([Yields::Both, Yields::Plus][round]);
+                    settings.axes[1] = axis([CompliantSide::Both, CompliantSide::Plus][round]);
                     settings.axes[0].deviation_limit = Some(0.001);
                     settings.axes[0].on_deviation_limit = [OnDeviationLimit::Yield, OnDeviationLimit::Wait][round];
                     all.push((0, settings.clone()));
-                    let task = Task { frame: Frame::Tool, ..Task::of("xyz").unwrap() };
+                    let task = Task { frame: Frame::Tool, ..Task::parse("xyz").unwrap() };
                     all.push((2, Settings { task, ..settings }));
                 }
             }
@@ -153,7 +154,7 @@ fn ten_thousand_steps_ask_for_nothing() {
             });
             assert_eq!(asked, 0, "{:?}", controller.settings());
             steps += 6;
-            locked += usize::from(controller.record().locked.contains(&true));
+            locked += usize::from(controller.diagnostics().locked.contains(&true));
         }
     }
     assert!(steps >= 10_000 && locked > 100, "{steps} {locked}");

@@ -4,6 +4,7 @@
 use std::cell::RefCell;
 use std::sync::Arc;
 
+use pliant_core::params::DampingParams;
 use pliant_core::params::Law;
 use pliant_core::{Controller, ModelOptions, Payload, StepInput};
 
@@ -59,7 +60,7 @@ impl Judge<'_> {
     }
 
     fn tick(&self, controller: &Controller, goal: &[f64], limit: &[f64], tick: &Tick) {
-        let (record, k) = (controller.record(), controller.task_len());
+        let (record, k) = (controller.diagnostics(), controller.task_dim());
         self.same("q", &record.q, &tick.q);
         self.same("v", &record.velocity, &tick.velocity);
         self.matrix("rows", &controller.task_jacobian(), &tick.rows);
@@ -99,7 +100,7 @@ impl Judge<'_> {
 }
 
 #[derive(Default, Debug)]
-struct Seen {
+struct Observed {
     ticks: usize,
     locked: usize,
     saturated: usize,
@@ -111,7 +112,7 @@ struct Seen {
 }
 
 /// One arm, one set of settings, a few ticks.
-fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<Vec<String>>) {
+fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, found: &RefCell<Vec<String>>) {
     let mut random = Random::new(seed);
     let random = &mut random;
     let gravity = random.pick(&[[0.0, 0.0, -9.81], [2.0, -1.0, -9.0]]);
@@ -124,7 +125,8 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
     let settings = cases::tamed(&model, settings, servos.as_ref());
     let at_limits = random.chance(0.5);
     let mut controller = Controller::new(Arc::clone(&model), settings.clone(), servos.clone()).unwrap();
-    let mut oracle = Oracle::new(&model, &settings, servos.as_ref(), controller.damping());
+    let DampingParams { lambda_0, sigma_0, lambda_max } = controller.singularity_damping();
+    let mut oracle = Oracle::new(&model, &settings, servos.as_ref(), [lambda_0, sigma_0, lambda_max]);
     let mut q = random.joints(&model, if at_limits { 1.02 } else { 0.8 });
     if random.chance(0.2) {
         // A straight arm.
@@ -154,7 +156,7 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
             oracle.delay = delay;
         }
         let command = *controller.step(&q, &target, &input).unwrap();
-        let want = oracle.step(&q, &target, &input, controller.sigma());
+        let want = oracle.step(&q, &target, &input, controller.sigma_range());
         let judge = Judge {
             case: format!("arm {index}, {law:?}, seed {seed}, tick {tick}"),
             found,
@@ -164,14 +166,14 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
         if !found.borrow().is_empty() {
             return;
         }
-        seen.ticks += 1;
-        seen.locked += usize::from(want.locked.contains(&true));
-        seen.saturated += usize::from(want.factors[1] < 1.0 || want.factors[2] < 1.0);
-        seen.slowed += usize::from(want.factors[0] < 1.0);
-        seen.faded += usize::from(want.faded);
-        seen.derated += usize::from(want.derating < 1.0);
-        seen.limited += usize::from(want.met.contains(&true));
-        seen.singular += usize::from(want.sigma[0] < 0.02);
+        observed.ticks += 1;
+        observed.locked += usize::from(want.locked.contains(&true));
+        observed.saturated += usize::from(want.factors[1] < 1.0 || want.factors[2] < 1.0);
+        observed.slowed += usize::from(want.factors[0] < 1.0);
+        observed.faded += usize::from(want.faded);
+        observed.derated += usize::from(want.derating < 1.0);
+        observed.limited += usize::from(want.met.contains(&true));
+        observed.singular += usize::from(want.sigma[0] < 0.02);
         for i in 0..n {
             q[i] += 0.01 * speed[i] + random.between(-1e-3, 1e-3);
         }
@@ -181,7 +183,7 @@ fn sequence(index: usize, law: Law, seed: u64, seen: &mut Seen, found: &RefCell<
 #[test]
 fn both_transcriptions_agree() {
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
-        let mut seen = Seen::default();
+        let mut observed = Observed::default();
         let mut wrong = Vec::new();
         for seed in 0..1440 {
             let found = RefCell::new(Vec::new());
@@ -189,7 +191,7 @@ fn both_transcriptions_agree() {
                 usize::try_from(seed % 3).unwrap(),
                 law,
                 seed * 7919 + u64::from(law == Law::Cap) + 2 * u64::from(law == Law::Impedance),
-                &mut seen,
+                &mut observed,
                 &found,
             );
             wrong.extend(found.take().into_iter().next());
@@ -198,14 +200,14 @@ fn both_transcriptions_agree() {
         // The sequences must have been where it is difficult; springs are rarely too fast.
         let slowed = if law == Law::Impedance { 30 } else { 80 };
         assert!(
-            seen.locked > 300
-                && seen.saturated > 300
-                && seen.limited > 300
-                && seen.slowed > slowed
-                && seen.singular > 200,
-            "{law:?} {seen:?}"
+            observed.locked > 300
+                && observed.saturated > 300
+                && observed.limited > 300
+                && observed.slowed > slowed
+                && observed.singular > 200,
+            "{law:?} {observed:?}"
         );
-        assert!(law != Law::Impedance || seen.derated > 300, "{seen:?}");
-        assert!(law == Law::Paper || seen.faded > 100, "{law:?} {seen:?}");
+        assert!(law != Law::Impedance || observed.derated > 300, "{observed:?}");
+        assert!(law == Law::Paper || observed.faded > 100, "{law:?} {observed:?}");
     }
 }

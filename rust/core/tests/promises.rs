@@ -4,7 +4,10 @@
 use std::sync::Arc;
 
 use nalgebra::DMatrix;
-use pliant_core::params::{Axis, Damping, Gain, Law, NullSpace, PaperOptions, Task, Tracking, Yields};
+use pliant_core::params::{
+    Axis, AxisImpedance, AxisStrength, CompliantSide, Damping, DampingParams, Gain, Law, NullSpace, PaperOptions, Task,
+    Tracking,
+};
 use pliant_core::{Controller, Error, Model, ModelOptions, Reference, Servos, Settings, StepInput};
 
 #[path = "common/seeded.rs"]
@@ -87,8 +90,8 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
     // Defaults are taken back tick by tick instead.
     let defaults = Settings { law: Law::Impedance, delay: 0.02, rate: 50.0, ..Settings::default() };
     let mut made = controller(defaults.clone()).unwrap();
-    assert_eq!(made.impedances()[0], ([800.0; 2], [0.0; 2]));
-    assert_eq!(made.impedances()[5], ([20.0; 2], [0.0; 2]));
+    assert_eq!(made.axis_impedances()[0], AxisImpedance { stiffness: [800.0; 2], damping: [0.0; 2] });
+    assert_eq!(made.axis_impedances()[5], AxisImpedance { stiffness: [20.0; 2], damping: [0.0; 2] });
     let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
     let tool = arm(0).0.forward_kinematics(&q).unwrap();
     made.step(&q, &tool, &StepInput::default()).unwrap();
@@ -109,8 +112,11 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
     assert!(message.starts_with(&format!("axes.damping: {given} is 1.")), "{message}");
     // An axis that yields has no spring.
     let mut soft = Settings { law: Law::Impedance, ..Settings::default() };
-    soft.set_axes("y", Axis { yields: Some(Yields::Plus), ..Axis::default() }).unwrap();
-    assert_eq!(controller(soft).unwrap().impedances()[1], ([800.0, 0.0], [0.0; 2]));
+    soft.set_axes("y", Axis { yields: Some(CompliantSide::Plus), ..Axis::default() }).unwrap();
+    assert_eq!(
+        controller(soft).unwrap().axis_impedances()[1],
+        AxisImpedance { stiffness: [800.0, 0.0], damping: [0.0; 2] }
+    );
 }
 
 #[test]
@@ -141,7 +147,7 @@ fn springs_belong_to_law_impedance() {
 #[test]
 fn arm7_has_its_printed_defaults() {
     let controller = controller(Settings::default()).unwrap();
-    for (axis, (soft, firm, hold)) in controller.strengths().into_iter().enumerate() {
+    for (axis, AxisStrength { soft, firm, hold }) in controller.axis_strengths().into_iter().enumerate() {
         let expected = if axis < 3 { [4.0, 15.0, 40.0] } else { [0.8, 1.5, 4.0] };
         for (value, expected) in
             [(soft[0], expected[0]), (soft[1], expected[0]), (firm[0], expected[1]), (hold, expected[2])]
@@ -149,7 +155,7 @@ fn arm7_has_its_printed_defaults() {
             assert!((value - expected).abs() < 1e-12, "axis {axis}: {soft:?} {firm:?} {hold}");
         }
     }
-    let [lambda_0, sigma_0, lambda_max] = controller.damping();
+    let DampingParams { lambda_0, sigma_0, lambda_max } = controller.singularity_damping();
     assert!((sigma_0 - 0.15).abs() < 0.005 && (lambda_0 - 0.02).abs() < 0.001, "{lambda_0} {sigma_0}");
     assert!((lambda_max - sigma_0).abs() < 1e-15 && (lambda_0 - 0.13 * sigma_0).abs() < 0.005 * sigma_0);
 }
@@ -158,14 +164,14 @@ fn arm7_has_its_printed_defaults() {
 fn damping_is_twice_the_median_over_512_poses() {
     for (index, axes) in [(0, "all"), (1, "xyz"), (2, "xyz"), (0, "x z pitch"), (2, "xyz pitch roll")] {
         let (model, servos) = arm(index);
-        let task = Task::of(axes).unwrap();
+        let task = Task::parse(axes).unwrap();
         let chosen: Vec<usize> = (0..6).filter(|&a| task.axes[a]).collect();
         let controller =
             Controller::new(Arc::clone(&model), Settings { task, ..Settings::default() }, Some(servos)).unwrap();
         let length = model.reach() / 0.71;
         let sigma = median((1..=512).map(|i| smallest(&model, &halton(&model, i), &chosen, length)).collect());
         // Two digits of it.
-        let (sigma_0, exact) = (controller.damping()[1], 2.0 * sigma);
+        let (sigma_0, exact) = (controller.singularity_damping().sigma_0, 2.0 * sigma);
         let digit = 10.0_f64.powf(exact.log10().floor() - 1.0);
         assert!((sigma_0 - exact).abs() <= 0.5 * digit + 1e-9, "{axes}: {sigma_0} {exact}");
         assert!((sigma_0 / digit - (sigma_0 / digit).round()).abs() < 1e-6, "{axes}: {sigma_0}");
@@ -175,9 +181,9 @@ fn damping_is_twice_the_median_over_512_poses() {
 #[test]
 fn the_small_arm_has_strengths_of_its_own_size() {
     let (model, servos) = arm(2);
-    let settings = Settings { task: Task::of("xyz").unwrap(), ..Settings::default() };
+    let settings = Settings { task: Task::parse("xyz").unwrap(), ..Settings::default() };
     let controller = Controller::new(model, settings, Some(servos)).unwrap();
-    let (soft, firm, hold) = controller.strengths()[0];
+    let AxisStrength { soft, firm, hold } = controller.axis_strengths()[0];
     for (value, low, high) in [(soft[0], 0.5, 1.5), (firm[0], 2.0, 5.0), (hold, 6.0, 13.0)] {
         assert!(value >= low && value <= high, "{soft:?} {firm:?} {hold}");
     }
@@ -235,7 +241,7 @@ fn the_gain_is_bounded_by_the_delay() {
     // Servos with much damping.
     let (model, servos) = arm(2);
     let stiff = Settings {
-        task: Task::of("xyz").unwrap(),
+        task: Task::parse("xyz").unwrap(),
         delay: 0.02,
         tracking: Tracking { gain: Gain::Scalar(12.0), ..Tracking::default() },
         ..Settings::default()
@@ -282,9 +288,9 @@ fn more_axes_than_joints_need_a_length_and_it_weighs() {
         let left = |length: f64| {
             let mut controller = make(Some(length), damping).unwrap();
             let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
-            assert!(controller.sigma()[0] > 1e-3, "the smallest of the five");
+            assert!(controller.sigma_range()[0] > 1e-3, "the smallest of the five");
             let rows = controller.task_jacobian();
-            let gravity = controller.record().gravity;
+            let gravity = controller.diagnostics().gravity;
             let lead: Vec<f64> = (0..5).map(|i| command.goal()[i] - q[i] - gravity[i] / 5.1).collect();
             (0.02 - (0..5).map(|i| rows[(1, i)] * lead[i]).sum::<f64>()).abs()
         };
@@ -296,9 +302,9 @@ fn more_axes_than_joints_need_a_length_and_it_weighs() {
 #[test]
 fn axes_that_an_arm_cannot_move_apart_are_refused() {
     let (model, servos) = arm(2);
-    let settings = Settings { task: Task::of("xyz pitch yaw").unwrap(), ..Settings::default() };
+    let settings = Settings { task: Task::parse("xyz pitch yaw").unwrap(), ..Settings::default() };
     match Controller::new(model, settings, Some(servos)) {
-        Ok(controller) => assert!(controller.damping()[1] > 1e-6),
+        Ok(controller) => assert!(controller.singularity_damping().sigma_0 > 1e-6),
         Err(error) => assert!(error.to_string().contains("cannot move"), "{error}"),
     }
 }
@@ -309,25 +315,25 @@ fn a_law_of_forces_needs_k_p() {
     let message = Controller::new(Arc::clone(&model), Settings::default(), None).unwrap_err().to_string();
     assert!(message.contains("shoulder_pitch") && message.contains("Servos("), "{message}");
     let mut paper = Settings { law: Law::Paper, gravity: false, ..Settings::default() };
-    paper.set_axes("y", Axis { yields: Some(Yields::Both), ..Axis::default() }).unwrap();
+    paper.set_axes("y", Axis { yields: Some(CompliantSide::Both), ..Axis::default() }).unwrap();
     Controller::new(model, paper, None).unwrap();
 }
 
 /// Largest relative error of the estimate against the SVD along a path, and the largest error in absolute terms.
 fn worst_estimate(index: usize, axes: &str, path: impl Fn(f64) -> Vec<f64>, ticks: usize) -> (f64, f64) {
     let (model, servos) = arm(index);
-    let settings = Settings { task: Task::of(axes).unwrap(), ..Settings::default() };
+    let settings = Settings { task: Task::parse(axes).unwrap(), ..Settings::default() };
     let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
-    let sigma_0 = controller.damping()[1];
+    let sigma_0 = controller.singularity_damping().sigma_0;
     let target = model.forward_kinematics(&path(0.0)).unwrap();
     let (mut relative, mut absolute): (f64, f64) = (0.0, 0.0);
     for tick in 0..=ticks {
         let q = path(tick as f64 / ticks as f64);
         controller.step(&q, &target, &StepInput::default()).unwrap();
-        if controller.record().locked.contains(&true) {
+        if controller.diagnostics().locked.contains(&true) {
             continue;
         }
-        let (got, want) = (controller.sigma()[0], controller.singular_values().min());
+        let (got, want) = (controller.sigma_range()[0], controller.singular_values().min());
         if want > 0.1 * sigma_0 {
             relative = relative.max((got - want).abs() / want);
         }
@@ -361,11 +367,11 @@ fn sigma_is_right_at_once_after_a_reset() {
         let index = round % 3;
         let (model, servos) = arm(index);
         let q = random.joints(&model, 0.9);
-        let settings = Settings { task: Task::of("xyz").unwrap(), ..Settings::default() };
+        let settings = Settings { task: Task::parse("xyz").unwrap(), ..Settings::default() };
         let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
         controller.reset(&q).unwrap();
         controller.step(&q, &model.forward_kinematics(&q).unwrap(), &StepInput::default()).unwrap();
-        let (got, want) = (controller.sigma()[0], controller.singular_values().min());
+        let (got, want) = (controller.sigma_range()[0], controller.singular_values().min());
         assert!((got - want).abs() < 0.01 * want, "{got} {want}");
     }
 }

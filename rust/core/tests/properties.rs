@@ -6,7 +6,7 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 use pliant_core::equations::{damped_pseudo_inverse, null_space_projector};
 use pliant_core::params::{
-    Axis, Damping, Frame, Law, NullSpace, PaperOptions, Projector, Task, TorqueLimits, Tracking, Yields,
+    Axis, CompliantSide, Damping, Frame, Law, NullSpace, PaperOptions, Projector, Task, TorqueLimits, Tracking,
 };
 use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
 
@@ -64,7 +64,7 @@ fn activation_is_a_distribution() {
         let mut controller = make(
             0,
             Settings {
-                task: Task::of(axes).unwrap(),
+                task: Task::parse(axes).unwrap(),
                 null_space: NullSpace { posture: Some(vec![0.1; 7]), ..paper().null_space },
                 ..paper()
             },
@@ -80,8 +80,8 @@ fn activation_is_a_distribution() {
                 assert!((column.sum() - 1.0).abs() < 1e-12, "{axes}: {}", column.sum());
             }
             // (11): budgets are spread, none is lost.
-            let record = controller.record();
-            let budget: f64 = record.axis_strength.iter().take(controller.task_len()).sum::<f64>() + 2.0;
+            let record = controller.diagnostics();
+            let budget: f64 = record.axis_strength.iter().take(controller.task_dim()).sum::<f64>() + 2.0;
             let ceiling = [10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
             if limit.iter().zip(ceiling).all(|(l, c)| *l < c) {
                 assert!((limit.iter().sum::<f64>() - budget).abs() < 1e-10);
@@ -89,9 +89,9 @@ fn activation_is_a_distribution() {
             // The size of Δx cancels.
             let other = Random::new(10).target(&model, &q, 0.01, 0.02);
             controller.reset(&q).unwrap();
-            let locked = controller.record().locked;
+            let locked = controller.diagnostics().locked;
             controller.step(&q, &other, &StepInput::default()).unwrap();
-            if locked != controller.record().locked {
+            if locked != controller.diagnostics().locked {
                 continue;
             }
             let difference = (controller.activation() - a).amax();
@@ -103,7 +103,7 @@ fn activation_is_a_distribution() {
 #[test]
 fn without_redundancy_the_null_column_is_zero() {
     let settings = Settings {
-        task: Task::of("xyz pitch roll").unwrap(),
+        task: Task::parse("xyz pitch roll").unwrap(),
         torque_limits: TorqueLimits { floor: None, ..paper().torque_limits },
         ..paper()
     };
@@ -136,7 +136,7 @@ fn the_exact_projector_moves_no_task_axis() {
     // In the step: the null part of the goal moves nothing to first order.
     let model = arm(0);
     for frame in [Frame::Base, Frame::Tool] {
-        let task = Task { frame, ..Task::of("xyz rpy").unwrap() };
+        let task = Task { frame, ..Task::parse("xyz rpy").unwrap() };
         let mut controller = make(0, Settings { task, gravity: false, ..open() });
         for _ in 0..100 {
             let q = random.joints(&model, 0.8);
@@ -145,7 +145,7 @@ fn the_exact_projector_moves_no_task_axis() {
             controller.reset(&q).unwrap();
             let input = StepInput { gradient: Some(&gradient), ..StepInput::default() };
             let goal = controller.step(&q, &target, &input).unwrap().goal().to_vec();
-            if controller.sigma()[0] > 0.01 && !controller.record().locked.contains(&true) {
+            if controller.sigma_range()[0] > 0.01 && !controller.diagnostics().locked.contains(&true) {
                 let lead = DVector::from_fn(7, |i, _| goal[i] - q[i]);
                 assert!((controller.task_jacobian() * &lead).amax() < 1e-10);
                 let torque: f64 = (0..7).map(|i| [150.0, 60.0][usize::from(i > 3)] * lead[i].abs()).sum();
@@ -177,7 +177,7 @@ fn sides_are_named_by_the_push() {
     for frame in [Frame::Base, Frame::Rotation([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])] {
         for law in [Law::Cap, Law::Impedance, Law::Paper] {
             for (axis, name) in NAMES.iter().enumerate() {
-                for (yields, pushed) in [(Yields::Plus, 1.0), (Yields::Minus, -1.0)] {
+                for (yields, pushed) in [(CompliantSide::Plus, 1.0), (CompliantSide::Minus, -1.0)] {
                     let (soft, firm) = ([1.0, 2.0], [3.0, 4.0]);
                     let mut settings = Settings { law, task: Task { frame, ..Task::default() }, ..open() };
                     let given = Axis {
@@ -198,14 +198,14 @@ fn sides_are_named_by_the_push() {
                         let amount = push * 0.5;
                         let target = shifted(&tool, frame, axis, -amount);
                         let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
-                        let record = controller.record();
+                        let record = controller.diagnostics();
                         assert!((record.deviation[axis] + amount).abs() < 1e-9, "{name}: {:?}", record.deviation);
                         let strength = if give { firm[usize::from(push > 0.0)] } else { 9.0 };
                         assert!((record.softness[axis] - f64::from(u8::from(give))).abs() < 1e-15, "{name} {push}");
                         assert!((record.axis_strength[axis] - strength).abs() < 1e-12, "{name} {push}");
                         // It pulls back toward the target: against the push.
                         let rows = controller.task_jacobian();
-                        let gravity = controller.record().gravity;
+                        let gravity = controller.diagnostics().gravity;
                         let kp = [150.0, 150.0, 150.0, 150.0, 60.0, 60.0, 60.0];
                         let lead = DVector::from_fn(7, |i, _| command.goal()[i] - q[i] - gravity[i] / kp[i]);
                         let back = (rows * lead)[axis];
@@ -249,7 +249,7 @@ fn springs_pull_home_and_dampers_take_energy() {
         let dq = random.vector(7, 0.5);
         controller.reset(&q).unwrap();
         controller.step(&q, &target, &StepInput { dq: Some(&dq), ..StepInput::default() }).unwrap();
-        let record = controller.record();
+        let record = controller.diagnostics();
         let v = controller.task_jacobian() * DVector::from_column_slice(&dq);
         for r in 0..6 {
             let force = record.wrench[r];
@@ -334,7 +334,7 @@ fn cost_gradients_are_derivatives() {
         let rest = random.joints(&model, 0.5);
         let (weights, avoidance) = (random.vector(model.n(), 1.0).iter().map(|w| w.abs()).collect::<Vec<_>>(), 0.4);
         let settings = Settings {
-            task: Task { frame, ..Task::of(axes).unwrap() },
+            task: Task { frame, ..Task::parse(axes).unwrap() },
             tracking: Tracking { damping: Damping::Fixed(0.1), ..open().tracking },
             null_space: NullSpace { posture: Some(rest.clone()), limit_avoidance: avoidance, ..open().null_space },
             paper_options: PaperOptions {
@@ -361,12 +361,12 @@ fn cost_gradients_are_derivatives() {
         }
         let mut controller = make(index, settings.clone());
         controller.step(&q, &model.forward_kinematics(&q).unwrap(), &StepInput::default()).unwrap();
-        if controller.record().locked.contains(&true) {
+        if controller.diagnostics().locked.contains(&true) {
             continue;
         }
         let want = common::finite_difference(cost, &q);
         for i in 0..q.len() {
-            let (got, want) = (controller.record().gradient[i], want[0][i]);
+            let (got, want) = (controller.diagnostics().gradient[i], want[0][i]);
             assert!((got - want).abs() < 1e-6 * want.abs().max(1.0), "{axes} {frame:?}, joint {i}: {got} {want}");
         }
     }

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use pliant_core::analysis::check_path;
 use pliant_core::params::{Axis, GravityUse, Law, NullSpace, PaperOptions, Task, TorqueLimits, Tracking};
 use pliant_core::{
-    BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Invalid, Model,
-    ModelOptions, Payload, Servos, Settings, StepInput, Targets,
+    BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Model, ModelOptions,
+    OnInvalid, Payload, Servos, Settings, StepInput, Targets,
 };
 
 #[path = "common/mod.rs"]
@@ -80,7 +80,7 @@ fn an_axis_along_which_no_joint_moves_the_tool_takes_no_torque() {
     let target = model.forward_kinematics(&[0.3, 0.5]).unwrap();
     let limits = |hold: f64| {
         let mut settings =
-            Settings { task: Task { length: Some(0.3), ..Task::of("xyz").unwrap() }, ..Settings::paper() };
+            Settings { task: Task { length: Some(0.3), ..Task::parse("xyz").unwrap() }, ..Settings::paper() };
         settings.axes[..3].fill(Axis { hold: Some(hold), ..Axis::default() });
         let mut controller = Controller::new(Arc::clone(&model), settings, None).unwrap();
         controller.step(&[0.3, 0.5], &target, &StepInput::default()).unwrap().torque_limit().to_vec()
@@ -179,7 +179,7 @@ fn a_contact_is_not_asked_about_another_arm() {
     let mut contact =
         ContactEstimator::new(&made(Settings::default(), servos()).unwrap(), ContactOptions::default()).unwrap();
     let model = Arc::new(Model::from_urdf_str(PLANAR, &ModelOptions::default()).unwrap());
-    let settings = Settings { law: Law::Cap, task: Task::of("xy").unwrap(), ..Settings::default() };
+    let settings = Settings { law: Law::Cap, task: Task::parse("xy").unwrap(), ..Settings::default() };
     let other = Controller::new(model, settings, Some(servos())).unwrap();
     let error = message(contact.update(&other, &[0.3, 0.5], &ContactInput::default()));
     assert!(error.contains("2 joints") && error.contains("7 joints"), "{error}");
@@ -195,7 +195,7 @@ fn positions_say_nothing_of_rotations() {
         targets: Targets::Positions(&target.position),
         dq: None,
         dt: None,
-        invalid: Invalid::Refuse,
+        invalid: OnInvalid::Error,
     };
     let out = BatchCommand { goal: &mut goal, torque_limit: &mut torque_limit, velocity: &mut velocity };
     assert!(message(controller.step_batch(&input, None, out)).contains("give poses"));

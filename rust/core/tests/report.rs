@@ -93,7 +93,7 @@ fn lever() -> Controller {
         <joint name="out" type="fixed"><parent link="arm"/><child link="tool"/><origin xyz="0.5 0 0"/></joint></robot>"#;
     let model = Arc::new(Model::from_urdf_str(urdf, &ModelOptions::default()).unwrap());
     let servos = Servos { friction: vec![0.2], damping: vec![0.5], ..Servos::new(vec![100.0], vec![8.0]) };
-    let settings = Settings { task: Task::of("y").unwrap(), ..Settings::default() };
+    let settings = Settings { task: Task::parse("y").unwrap(), ..Settings::default() };
     Controller::new(model, settings, Some(servos)).unwrap()
 }
 
@@ -278,7 +278,7 @@ fn tracking_raises_soft_to_three_times_the_friction_and_no_more() {
 #[test]
 fn fewer_axes_and_other_frames() {
     let mut settings = soft("y", 4.0, 15.0);
-    settings.task = Task { frame: pliant_core::params::Frame::Tool, ..Task::of("y z").unwrap() };
+    settings.task = Task { frame: pliant_core::params::Frame::Tool, ..Task::parse("y z").unwrap() };
     let controller = controller(settings);
     for seed in 0..20 {
         let q = common::state(controller.model(), seed);

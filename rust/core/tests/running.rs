@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, Compensation, Frame, Law, NullSpace, Task, Tracking, Yields};
+use pliant_core::params::{Axis, Compensation, CompliantSide, Frame, Law, NullSpace, Task, Tracking};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
 #[path = "common/seeded.rs"]
@@ -20,7 +20,7 @@ fn arm() -> Arc<Model> {
 
 fn soft_y(adaptation: f64) -> Settings {
     let mut settings = Settings::default();
-    settings.set_axes("y", Axis { yields: Some(Yields::Both), adaptation, ..Axis::default() }).unwrap();
+    settings.set_axes("y", Axis { yields: Some(CompliantSide::Both), adaptation, ..Axis::default() }).unwrap();
     settings
 }
 
@@ -45,7 +45,7 @@ fn the_slew_starts_at_reset_and_the_first_limit_is_not_slewed() {
     let (goal, limit) = goal_and_limit(&mut controller);
     // Gravity wants more than 0.01 rad at the first joint: the goal is on its way.
     assert!((goal[0] - (Q[0] - 0.01)).abs() < 1e-12, "{goal:?}");
-    let gravity = controller.record().gravity;
+    let gravity = controller.diagnostics().gravity;
     for i in 0..7 {
         assert!(limit[i] >= 1.1 * gravity[i].abs(), "{limit:?}");
     }
@@ -106,7 +106,8 @@ fn new_settings_move_no_goal_beyond_the_slew() {
                 gravity: random.pick(&[true, false]),
                 ..Settings::default()
             };
-            settings.axes[1] = Axis { yields: Some(random.pick(&[Yields::Both, Yields::None])), ..Axis::default() };
+            settings.axes[1] =
+                Axis { yields: Some(random.pick(&[CompliantSide::Both, CompliantSide::None])), ..Axis::default() };
             controller.update(settings).unwrap();
         }
         if round % 11 == 0 {
@@ -131,11 +132,11 @@ fn a_lowered_tool_speed_holds_at_once() {
     target.position[1] += 0.2;
     controller.step(&Q, &target, &StepInput::default()).unwrap();
     controller.update(Settings { max_tool_speed: [0.1, 0.5], ..Settings::default() }).unwrap();
-    let mut before = controller.record().deviation;
+    let mut before = controller.diagnostics().deviation;
     target.position[1] -= 0.4;
     for _ in 0..100 {
         controller.step(&Q, &target, &StepInput::default()).unwrap();
-        let now = controller.record().deviation;
+        let now = controller.diagnostics().deviation;
         assert!((now[1] - before[1]).abs() <= 0.1 * 0.01 + 1e-9, "{now:?} {before:?}");
         before = now;
     }
@@ -152,13 +153,13 @@ fn payload_gravity_and_delay_act_and_stay() {
     controller.step(&Q, &target, &StepInput::default()).unwrap();
     let loaded = seeded::arm(0, &ModelOptions { payload: Some(payload), gravity: vector, ..ModelOptions::default() });
     let want = loaded.gravity(&Q).unwrap();
-    assert!(largest_difference(&controller.record().gravity[..7], want.as_slice()) < 1e-12);
+    assert!(largest_difference(&controller.diagnostics().gravity[..7], want.as_slice()) < 1e-12);
     controller.set_payload(None).unwrap();
     for _ in 0..=50 {
         controller.step(&Q, &target, &StepInput::default()).unwrap();
     }
     let want = seeded::arm(0, &ModelOptions { gravity: vector, ..ModelOptions::default() }).gravity(&Q).unwrap();
-    assert!(largest_difference(&controller.record().gravity[..7], want.as_slice()) < 1e-12);
+    assert!(largest_difference(&controller.diagnostics().gravity[..7], want.as_slice()) < 1e-12);
 
     // q̂ = q + γ b_p T_d v; the delay outlives a change of other settings and a reset.
     controller.set_delay(0.02).unwrap();
@@ -166,7 +167,7 @@ fn payload_gravity_and_delay_act_and_stay() {
     controller.reset(&Q).unwrap();
     let dq = [0.5; 7];
     controller.step(&Q, &target, &StepInput { dq: Some(&dq), ..StepInput::default() }).unwrap();
-    let ahead = controller.record().q[0] - Q[0];
+    let ahead = controller.diagnostics().q[0] - Q[0];
     assert!((ahead - 0.9 * 0.02 * 0.5).abs() < 1e-12, "{ahead}");
     for wrong in [-1e-9, 0.51, f64::NAN] {
         assert!(controller.set_delay(wrong).is_err());
@@ -180,7 +181,7 @@ fn payload_gravity_and_delay_act_and_stay() {
 fn a_payload_comes_into_force_in_half_a_second() {
     let (_, mut controller, target) = make(Settings::default());
     let payload = Payload { mass: 0.4, com: [0.0, 0.03, 0.05] };
-    let weight = |controller: &Controller| controller.record().gravity[1];
+    let weight = |controller: &Controller| controller.diagnostics().gravity[1];
     let tick = |controller: &mut Controller, count: usize| {
         (0..count).for_each(|_| {
             controller.step(&Q, &target, &StepInput::default()).unwrap();
@@ -196,7 +197,8 @@ fn a_payload_comes_into_force_in_half_a_second() {
     let half = tick(&mut controller, 25) - without;
     assert!((half / more - 0.5).abs() < 1e-9, "{half} of {more}");
     let (model, settings) = (Arc::clone(controller.model()), controller.settings().clone());
-    let mut other = Controller::resumed(model, settings, Some(seeded::servos(0)), &controller.carried()).unwrap();
+    let mut other =
+        Controller::from_snapshot(model, settings, Some(seeded::servos(0)), &controller.snapshot()).unwrap();
     for count in [1, 10, 20] {
         assert_eq!(tick(&mut controller, count).to_bits(), tick(&mut other, count).to_bits());
     }
@@ -209,9 +211,9 @@ fn a_payload_comes_into_force_in_half_a_second() {
     assert!(((tick(&mut controller, 26) - without) / more - 0.89).abs() < 1e-9);
     controller.reset(&Q).unwrap();
     assert!(((tick(&mut controller, 1) - without) / more - 1.0).abs() < 1e-12);
-    let mut wrong = controller.carried();
-    wrong.fading = Some([f64::NAN; 5]);
-    assert!(Controller::resumed(Arc::clone(controller.model()), Settings::default(), None, &wrong).is_err());
+    let mut wrong = controller.snapshot();
+    wrong.payload_ramp = Some([f64::NAN; 5]);
+    assert!(Controller::from_snapshot(Arc::clone(controller.model()), Settings::default(), None, &wrong).is_err());
 }
 
 /// For servos without inertia, friction and damping: nothing is fed forward from speeds, and nothing damped by them.
@@ -289,7 +291,7 @@ fn nothing_is_stored_on_soft_axes() {
         goal = controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec();
     }
     // What the goal holds beyond gravity, as a wrench at the tool: W of the law and the stored part.
-    let (rows, record) = (controller.task_jacobian(), controller.record());
+    let (rows, record) = (controller.task_jacobian(), controller.diagnostics());
     let lead = nalgebra::DVector::from_fn(7, |i, _| goal[i] - Q[i] - record.gravity[i] / BELIEVED[i]);
     let compliance =
         nalgebra::DMatrix::from_fn(6, 6, |r, c| (0..7).map(|i| rows[(r, i)] * rows[(c, i)] / BELIEVED[i]).sum());
@@ -366,7 +368,7 @@ fn a_twist_is_fed_forward_within_the_tool_speed() {
     let (_, mut controller, target) = make(Settings::default());
     let twist = [0.0, 0.1, 0.0, 0.0, 0.0, 2.0];
     controller.step(&Q, &target, &StepInput { twist: Some(&twist), ..StepInput::default() }).unwrap();
-    let dx = controller.record().task_velocity;
+    let dx = controller.diagnostics().task_velocity;
     assert!((dx[1] - 0.1).abs() < 1e-9 && (dx[5] - 1.0).abs() < 1e-9 && dx[0].abs() < 1e-9, "{dx:?}");
 }
 
@@ -389,5 +391,5 @@ fn duty_servos_feed_their_back_emf_forward() {
     let dq = [1.0; 7];
     controller.step(&Q, &target, &StepInput { dq: Some(&dq), ..StepInput::default() }).unwrap();
     let want = 0.9 * 0.2 * (1.0_f64 / 0.05).tanh() + 0.8 * (1.2 + 1.5 + 10.7 / 5.0);
-    assert!((controller.record().feed_forward[0] - controller.record().gamma * want).abs() < 1e-12);
+    assert!((controller.diagnostics().feed_forward[0] - controller.diagnostics().gamma * want).abs() < 1e-12);
 }

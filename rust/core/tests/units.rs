@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use pliant_core::analysis::check_path;
-use pliant_core::{Controller, Error, Instructions, Model, Pose, Servos, Settings, StepInput};
+use pliant_core::{Controller, Error, Model, Pose, Servos, Settings, SimdLevel, StepInput};
 
 #[path = "common/mod.rs"]
 mod common;
@@ -18,7 +18,7 @@ fn controller(model: &Arc<Model>) -> Controller {
 /// A pose at a distance from the first joint [m].
 fn at(model: &Model, distance: f64, way: [f64; 3]) -> Pose {
     let size = way.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let centre = model.reach_from();
+    let centre = model.reach_origin();
     Pose { position: std::array::from_fn(|i| centre[i] + distance * way[i] / size), ..Pose::IDENTITY }
 }
 
@@ -26,21 +26,21 @@ fn at(model: &Model, distance: f64, way: [f64; 3]) -> Pose {
 fn the_bound_is_the_same_ball_on_all_instructions() {
     let model = Arc::new(common::arm7());
     let bound = 2.0 * model.reach() + 0.1;
-    for instructions in Instructions::available() {
+    for simd_level in SimdLevel::available() {
         let mut controller = controller(&model);
-        controller.set_instructions(instructions);
+        controller.set_simd_level(simd_level);
         for way in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [-2.0, 1.0, 0.5]] {
             for distance in [0.5 * bound, bound / 3.0_f64.sqrt(), bound - 1e-9] {
                 controller.step(&Q, &at(&model, distance, way), &StepInput::default()).unwrap();
             }
-            let before = controller.carried();
+            let before = controller.snapshot();
             for distance in [bound + 1e-9, 10.0 * bound, 1e3, 1e9, 1e300] {
                 let error = controller.step(&Q, &at(&model, distance, way), &StepInput::default()).unwrap_err();
                 assert!(matches!(&error, Error::OutOfRange { value, .. } if *value >= bound - 1e-3), "{error}");
                 assert!(error.to_string().contains("millimetres?"), "{error}");
                 assert_eq!(error, model.check_target(&at(&model, distance, way)).unwrap_err());
             }
-            assert_eq!(controller.carried(), before);
+            assert_eq!(controller.snapshot(), before);
         }
     }
 }
@@ -65,12 +65,12 @@ fn joint_targets_end_a_little_beyond_the_limits() {
             let mut wanted = Q;
             wanted[i] = limit + sign * 0.199;
             controller.step_joints(&Q, &wanted, &StepInput::default()).unwrap();
-            let before = controller.carried();
+            let before = controller.snapshot();
             wanted[i] = limit + sign * 0.201;
             let error = controller.step_joints(&Q, &wanted, &StepInput::default()).unwrap_err();
             assert!(error.to_string().contains("degrees?") && error.to_string().contains(&model.joint_names()[i]));
             check_path(&controller, &[wanted.to_vec()]).unwrap_err();
-            assert_eq!(controller.carried(), before);
+            assert_eq!(controller.snapshot(), before);
         }
     }
 }

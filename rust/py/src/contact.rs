@@ -13,7 +13,7 @@ use crate::convert::new_array;
 use crate::error::{OrRaise, config, wrong_type};
 use crate::extras::SECONDS;
 use crate::kinds::{Kind, Names};
-use crate::read::{given, joints, number, real, vector};
+use crate::read::{joints, number, real, set_if_some, vector};
 use crate::{arguments, in_use};
 
 /// Name with which a caller accepts thresholds below the uncertainty.
@@ -179,7 +179,7 @@ impl ContactEstimator {
             accept_thresholds: !accept.is_empty(),
             ..ContactOptions::default()
         };
-        given(&mut options.most, most, |pair| {
+        set_if_some(&mut options.max_wrench, most, |pair| {
             pair.extract().map_err(|_| wrong_type("most", "a pair (force [N], torque [N·m])", pair))
         })?;
         for (slot, name, expected, value) in [
@@ -193,7 +193,7 @@ impl ContactEstimator {
             (&mut options.min_time, "min_time", SECONDS, min_time),
             (&mut options.guard, "guard", SHARE, guard),
         ] {
-            given(slot, value, |value| real(name, expected, value))?;
+            set_if_some(slot, value, |value| real(name, expected, value))?;
         }
         let (core, n) = {
             let borrowed = in_use::shared(controller.bind(py))?;

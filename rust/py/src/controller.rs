@@ -5,8 +5,8 @@ use std::sync::Arc;
 use pliant_core::analysis;
 use pliant_core::params::{AXIS_NAMES, Axis as CoreAxis, Law};
 use pliant_core::{
-    Carried, Command as CoreCommand, Controller as CoreController, MAX_JOINTS, Payload as CorePayload,
-    Settings as CoreSettings,
+    Command as CoreCommand, Controller as CoreController, MAX_JOINTS, Payload as CorePayload, Settings as CoreSettings,
+    Snapshot,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -47,13 +47,13 @@ impl Controller {
         model: Py<Model>,
         settings: Py<Settings>,
         servos: Option<Py<Servos>>,
-        carried: Option<&Carried>,
+        snapshot: Option<&Snapshot>,
     ) -> PyResult<Self> {
         let arm = Arc::clone(&model.get().core);
         let (wanted, table) = (settings.get().0.clone(), servos.as_ref().map(|servos| servos.get().0.clone()));
         let core = py
-            .detach(|| match carried {
-                Some(carried) => CoreController::resumed(arm, wanted, table, carried),
+            .detach(|| match snapshot {
+                Some(snapshot) => CoreController::from_snapshot(arm, wanted, table, snapshot),
                 None => CoreController::new(arm, wanted, table),
             })
             .or_raise()?;
@@ -168,7 +168,7 @@ impl Controller {
         let mut extras = Extras::default();
         extras.read(self.n, dt, None, None, None)?;
         let call = BatchCall { targets, position_only: self.position_only, dt: extras.dt, dq, invalid, out };
-        call.run(py, &self.core, Q, state.map(BatchState::given).transpose()?)
+        call.run(py, &self.core, Q, state.map(BatchState::from_argument).transpose()?)
     }
 
     #[doc = stub!(Controller.batch_state)]
@@ -272,17 +272,15 @@ impl Controller {
         let axes = (0..AXIS_NAMES.len()).filter(|&axis| settings.task.axes[axis]);
         let out = PyDict::new(py);
         let springs = settings.law == Law::Impedance;
-        for ((axis, (soft, firm, hold)), (spring, damper)) in
-            axes.zip(self.core.strengths()).zip(self.core.impedances())
-        {
+        for ((axis, strength), impedance) in axes.zip(self.core.axis_strengths()).zip(self.core.axis_impedances()) {
             let given = settings.axes[axis];
-            let yields = Some(given.effective_yields());
+            let yields = Some(given.compliant_side());
             let filled = CoreAxis {
-                soft: Some(soft),
-                firm: Some(firm),
-                hold: Some(hold),
-                stiffness: springs.then_some(spring),
-                damping: springs.then_some(damper),
+                soft: Some(strength.soft),
+                firm: Some(strength.firm),
+                hold: Some(strength.hold),
+                stiffness: springs.then_some(impedance.stiffness),
+                damping: springs.then_some(impedance.damping),
                 yields,
                 ..given
             };
@@ -299,8 +297,8 @@ impl Controller {
 
     #[doc = stub!(Controller.instructions)]
     #[getter]
-    fn instructions(&self) -> &'static str {
-        self.core.instructions().name()
+    fn simd_level(&self) -> &'static str {
+        self.core.simd_level().name()
     }
 
     #[doc = stub!(Controller.commands_made)]
@@ -319,7 +317,7 @@ impl Controller {
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Reduced<'py>> {
         let parts = (self.model.clone_ref(py), self.settings.clone_ref(py), self.servos(py));
-        pickle::of_controller(py, parts, &self.core.carried())
+        pickle::of_controller(py, parts, &self.core.snapshot())
     }
 
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {

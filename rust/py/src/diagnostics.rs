@@ -67,7 +67,8 @@ pub(crate) struct Diagnostics {
 impl Diagnostics {
     pub(crate) fn new(core: &CoreController) -> Self {
         let (record, n, axes, [sigma_min, sigma_max]) =
-            (core.record(), core.model().n(), core.task_len(), core.sigma());
+            (core.diagnostics(), core.model().n(), core.task_dim(), core.sigma_range());
+        let damping = core.singularity_damping();
         let per_axis = |values: &[f64]| Array::vector(&values[..axes]);
         let per_joint = |values: &[f64]| Array::vector(&values[..n]);
         Self {
@@ -87,7 +88,7 @@ impl Diagnostics {
             sigma_min,
             sigma_max,
             damping: record.damping,
-            damping_constants: core.damping().into(),
+            damping_constants: (damping.lambda_0, damping.sigma_0, damping.lambda_max),
             gain_factor: core.gain_factor(),
             gamma: record.gamma,
             factors: record.factors.into(),

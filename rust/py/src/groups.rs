@@ -15,10 +15,10 @@ use crate::kinds::{AxisGains, Dampings, Flag, Gains, Joints, Kind, Number, Optio
 use crate::words::Word;
 
 /// Bitmask of the fields given to a group, in the order of [`Fields::NAMES`].
-pub(crate) type Given = u32;
+pub(crate) type FieldMask = u32;
 
 /// All fields.
-const ALL: Given = Given::MAX;
+const ALL: FieldMask = FieldMask::MAX;
 
 /// A class of related settings.
 pub(crate) trait Grouped: Fields
@@ -26,23 +26,23 @@ where
     Self::Core: Default,
 {
     /// Returns values and given fields if `value` is of this class.
-    fn of(value: &Bound<'_, PyAny>) -> Option<(Self::Core, Given)>;
+    fn of(value: &Bound<'_, PyAny>) -> Option<(Self::Core, FieldMask)>;
 
     /// Creates an object of this class.
-    fn object(core: Self::Core, given: Given, py: Python<'_>) -> PyResult<Bound<'_, PyAny>>;
+    fn object(core: Self::Core, given: FieldMask, py: Python<'_>) -> PyResult<Bound<'_, PyAny>>;
 }
 
 /// Returns true if the field `name` was given.
-fn has<G: Fields>(given: Given, name: &str) -> bool {
+fn has<G: Fields>(given: FieldMask, name: &str) -> bool {
     G::NAMES.iter().position(|known| *known == name).is_some_and(|bit| given >> bit & 1 == 1)
 }
 
 /// Returns the bitmask of the fields in `names`.
-fn bits<G: Fields>(names: Option<&Bound<'_, PyDict>>) -> PyResult<Given> {
+fn bits<G: Fields>(names: Option<&Bound<'_, PyDict>>) -> PyResult<FieldMask> {
     let Some(names) = names else { return Ok(0) };
     let mut given = 0;
     for (bit, name) in G::NAMES.iter().enumerate() {
-        given |= Given::from(names.contains(name)?) << bit;
+        given |= FieldMask::from(names.contains(name)?) << bit;
     }
     Ok(given)
 }
@@ -87,7 +87,7 @@ macro_rules! group {
         #[doc = stub!($class)]
         #[pyclass(name = $name, module = $module, frozen, eq, from_py_object)]
         #[derive(Debug, Clone)]
-        pub(crate) struct $class(pub(crate) core::$class, Given);
+        pub(crate) struct $class(pub(crate) core::$class, FieldMask);
 
         // Compares values only: a field that was not given counts with its default.
         impl PartialEq for $class {
@@ -114,11 +114,11 @@ macro_rules! group {
         }
 
         impl Grouped for $class {
-            fn of(value: &Bound<'_, PyAny>) -> Option<(Self::Core, Given)> {
+            fn of(value: &Bound<'_, PyAny>) -> Option<(Self::Core, FieldMask)> {
                 value.cast::<Self>().ok().map(|group| (group.get().0.clone(), group.get().1))
             }
 
-            fn object(core: Self::Core, given: Given, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+            fn object(core: Self::Core, given: FieldMask, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
                 Ok(Bound::new(py, Self(core, given))?.into_any())
             }
         }

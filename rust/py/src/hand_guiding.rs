@@ -25,6 +25,7 @@ pub(crate) struct HandGuidingLaw {
 impl HandGuidingLaw {
     #[new]
     #[pyo3(signature = (model, servos, *, q, goal, swung, lead, friction, damping, stiffness_error, delay, torque_share, payload_moments))]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     #[expect(clippy::too_many_arguments, reason = "the result of a swing, by name")]
     fn new(
         model: &Bound<'_, PyAny>,

@@ -17,7 +17,7 @@ use crate::kinematics::positions;
 use crate::options::Payload;
 use crate::pickle::Reduced;
 use crate::pose::matrix;
-use crate::read::{count, given, joints, pose, real};
+use crate::read::{count, joints, pose, real, set_if_some};
 use crate::servos::Servos;
 use crate::solution::{IkResult, search};
 use crate::tree::{Joint, Link};
@@ -205,8 +205,8 @@ impl Model {
 
     #[doc = stub!(Model.reach_from)]
     #[getter]
-    fn reach_from<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        frozen(py, &self.core.reach_from())
+    fn reach_origin<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        frozen(py, &self.core.reach_origin())
     }
 
     #[doc = stub!(Model.gravity_vector)]
@@ -293,14 +293,14 @@ impl Model {
         restarts: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<IkResult> {
         let mut options = IkOptions::default();
-        given(&mut options.position_tolerance, position_tolerance, |it| {
+        set_if_some(&mut options.position_tolerance, position_tolerance, |it| {
             real("position_tolerance", "a number [m]", it)
         })?;
-        given(&mut options.rotation_tolerance, rotation_tolerance, |it| {
+        set_if_some(&mut options.rotation_tolerance, rotation_tolerance, |it| {
             real("rotation_tolerance", "a number [rad]", it)
         })?;
-        given(&mut options.max_iterations, max_iterations, |it| count("max_iterations", it))?;
-        given(&mut options.restarts, restarts, |it| count("restarts", it))?;
+        set_if_some(&mut options.max_iterations, max_iterations, |it| count("max_iterations", it))?;
+        set_if_some(&mut options.restarts, restarts, |it| count("restarts", it))?;
         search(self, target, q0, axes, &options)
     }
 

@@ -1,6 +1,6 @@
 //! Pickling of models and controllers.
 
-use pliant_core::Carried;
+use pliant_core::Snapshot;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -18,7 +18,7 @@ pub(crate) type Reduced<'py> = (Bound<'py, PyAny>, Bound<'py, PyTuple>);
 /// Model, settings and servos of a controller.
 type Parts = (Py<Model>, Py<Settings>, Option<Py<Servos>>);
 
-/// The numbers of a [`Carried`]: payload, gravity, payload change, delay, captured stiffness, state.
+/// The numbers of a [`Snapshot`]: payload, gravity, payload change, delay, captured stiffness, state.
 type Numbers<'py> = (Option<Payload>, [f64; 3], Option<[f64; 5]>, f64, Option<Vec<f64>>, Bound<'py, PyAny>);
 
 /// Adds the functions that pickles call to the module, but not to its public names.
@@ -35,15 +35,15 @@ pub(crate) fn of_model<'py>(py: Python<'py>, text: &str, options: Bound<'py, PyD
     Ok((function(py, "_model")?, (text, options).into_pyobject(py)?))
 }
 
-pub(crate) fn of_controller<'py>(py: Python<'py>, parts: Parts, carried: &Carried) -> PyResult<Reduced<'py>> {
-    let memory = new_array(py, &[carried.memory.len()], &carried.memory);
+pub(crate) fn of_controller<'py>(py: Python<'py>, parts: Parts, snapshot: &Snapshot) -> PyResult<Reduced<'py>> {
+    let state = new_array(py, &[snapshot.state.len()], &snapshot.state);
     let numbers: Numbers<'py> = (
-        carried.payload.map(Payload),
-        carried.gravity,
-        carried.fading,
-        carried.delay,
-        carried.captured.clone(),
-        memory,
+        snapshot.payload.map(Payload),
+        snapshot.gravity,
+        snapshot.payload_ramp,
+        snapshot.delay,
+        snapshot.captured.clone(),
+        state,
     );
     let (model, settings, servos) = parts;
     Ok((function(py, "_controller")?, (model, settings, servos, numbers).into_pyobject(py)?))
@@ -64,8 +64,9 @@ fn controller(
     servos: Option<Py<Servos>>,
     numbers: Numbers<'_>,
 ) -> PyResult<Controller> {
-    let (payload, gravity, fading, delay, captured, memory) = numbers;
-    let memory = vector("memory", &memory)?;
-    let carried = Carried { payload: payload.map(|payload| payload.0), gravity, fading, delay, captured, memory };
-    Controller::made(py, model, settings, servos, Some(&carried))
+    let (payload, gravity, payload_ramp, delay, captured, state) = numbers;
+    let state = vector("state", &state)?;
+    let snapshot =
+        Snapshot { payload: payload.map(|payload| payload.0), gravity, payload_ramp, delay, captured, state };
+    Controller::made(py, model, settings, servos, Some(&snapshot))
 }

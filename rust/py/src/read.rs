@@ -113,7 +113,7 @@ pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>>
 #[inline(always)]
 pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
     match convert::first_numbers(value, &[4, 4]) {
-        Some(m) => from_numbers(name, &m),
+        Some(m) => from_vec(name, &m),
         None => pose_slowly(name, value, position_only),
     }
 }
@@ -152,7 +152,7 @@ fn from_array(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyRe
         ([4, 4], m) => {
             let mut all = [0.0; 16];
             all.copy_from_slice(m);
-            from_numbers(name, &all)
+            from_vec(name, &all)
         }
         ([3], &[x, y, z]) if position_only => Ok(CorePose { position: [x, y, z], ..CorePose::IDENTITY }),
         ([3], _) => Err(shape(name, &got, "(4, 4); a position alone says nothing of the task's rotations")),
@@ -162,7 +162,7 @@ fn from_array(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyRe
 }
 
 #[inline(always)]
-fn from_numbers(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
+fn from_vec(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(value, wanted): (&f64, f64)| value.to_bits() != wanted.to_bits())
     {
@@ -180,7 +180,7 @@ pub(crate) fn real(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyRe
 }
 
 /// Reads an option if it was given.
-pub(crate) fn given<'py, T>(
+pub(crate) fn set_if_some<'py, T>(
     slot: &mut T,
     value: Option<&Bound<'py, PyAny>>,
     read: impl FnOnce(&Bound<'py, PyAny>) -> PyResult<T>,

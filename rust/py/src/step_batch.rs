@@ -1,7 +1,8 @@
 //! `Controller.step_batch` and `BatchState`.
 
 use pliant_core::{
-    BatchCommand, BatchInput, BatchState as CoreState, Controller as CoreController, Invalid, Pose as CorePose, Targets,
+    BatchCommand, BatchInput, BatchState as CoreState, Controller as CoreController, OnInvalid, Pose as CorePose,
+    Targets,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -15,8 +16,8 @@ use crate::kinds::Kind;
 use crate::read::{numbers, pose};
 use crate::words::{Word, Words};
 
-impl Words for Invalid {
-    const WORDS: &'static [(&'static str, Self)] = &[("raise", Self::Refuse), ("nan", Self::Nan)];
+impl Words for OnInvalid {
+    const WORDS: &'static [(&'static str, Self)] = &[("raise", Self::Error), ("nan", Self::Nan)];
 }
 
 #[doc = stub!(BatchState)]
@@ -26,7 +27,7 @@ pub(crate) struct BatchState(CoreState);
 
 impl BatchState {
     /// Reads the argument `state`.
-    pub(crate) fn given<'a, 'py>(state: &'a Bound<'py, PyAny>) -> PyResult<&'a Bound<'py, Self>> {
+    pub(crate) fn from_argument<'a, 'py>(state: &'a Bound<'py, PyAny>) -> PyResult<&'a Bound<'py, Self>> {
         state.cast().map_err(|_| wrong_type("state", "a BatchState, as batch_state(N) makes one", state))
     }
 
@@ -41,11 +42,11 @@ impl BatchState {
     #[new]
     fn new(n: &Bound<'_, PyAny>, numbers: &Bound<'_, PyAny>) -> PyResult<Self> {
         let n = crate::read::count("n", n)?;
-        CoreState::from_numbers(n, crate::read::numbers("numbers", numbers)?.1).or_raise().map(Self)
+        CoreState::from_vec(n, crate::read::numbers("numbers", numbers)?.1).or_raise().map(Self)
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> (usize, Bound<'py, PyAny>) {
-        let numbers = self.0.numbers();
+        let numbers = self.0.as_slice();
         (self.0.n(), new_array(py, &[numbers.len()], numbers))
     }
 
@@ -158,7 +159,7 @@ impl<'py> BatchCall<'_, 'py> {
         {
             return Err(shape("dq", &[dq.count, n], format!("({count}, {n})")));
         }
-        let invalid = self.invalid.map_or(Ok(Invalid::Refuse), |word| Word::<Invalid>::read("invalid", word))?;
+        let invalid = self.invalid.map_or(Ok(OnInvalid::Error), |word| Word::<OnInvalid>::read("invalid", word))?;
         let mut arrays = Vec::with_capacity(3);
         for i in 0..3 {
             let own = own.as_ref().map(|own| &own[i]);

@@ -2,7 +2,7 @@
 
 use pliant_core::MAX_AXES;
 use pliant_core::params::{
-    AXIS_NAMES, Axis as CoreAxis, OnDeviationLimit, Profile, Task as CoreTask, Yields, parse_axes,
+    AXIS_NAMES, Axis as CoreAxis, CompliantSide, OnDeviationLimit, Profile, Task as CoreTask, parse_axes,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping, PyMappingProxy, PyTuple};
@@ -87,7 +87,7 @@ fields! {
         hold: Optional<Number>,
         stiffness: Optional<Sides>,
         damping: Optional<Sides>,
-        yields: Optional<Word<Yields>>,
+        yields: Optional<Word<CompliantSide>>,
         adaptation: Number,
         soft_until: Optional<Number>,
         firm_from: Optional<Number>,
@@ -124,7 +124,7 @@ impl Kind for TaskField {
             return Ok(task.get().0.clone());
         }
         match value.extract::<String>() {
-            Ok(key) => CoreTask::of(&key).or_raise(),
+            Ok(key) => CoreTask::parse(&key).or_raise(),
             Err(_) => {
                 Err(config(name, format!("must be a Task or an axis key such as 'xyz rpy', got {}", shown(value))))
             }

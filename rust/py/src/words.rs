@@ -3,7 +3,7 @@
 use std::marker::PhantomData;
 
 use pliant_core::{
-    Follow, GravityUse, Law, LimitRule, LimitType, OnDeviationLimit, Profile, Projector, Reference, Yields,
+    CompliantSide, Follow, GravityUse, Law, LimitRule, LimitType, OnDeviationLimit, Profile, Projector, Reference,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -44,12 +44,12 @@ impl<E: Words> Kind for Word<E> {
 macro_rules! words_of_core {
     ($($choice:ty),*) => {
         $(impl Words for $choice {
-            const WORDS: &'static [(&'static str, Self)] = <$choice>::WORDS;
+            const WORDS: &'static [(&'static str, Self)] = <$choice>::NAMES;
         })*
     };
 }
 
-words_of_core!(Law, Follow, LimitRule, Projector, Profile, OnDeviationLimit, Yields, LimitType, Reference);
+words_of_core!(Law, Follow, LimitRule, Projector, Profile, OnDeviationLimit, CompliantSide, LimitType, Reference);
 
 impl Words for GravityUse {
     const WORDS: &'static [(&'static str, Self)] =

@@ -1,139 +1,139 @@
 //! Force with which an axis pushes back, and the contribution of the other axes.
 
 use crate::command::host_loss::TRAVEL;
-use crate::command::torque_limit::Load;
-use crate::controller::Record;
+use crate::command::torque_limit::LimitTerms;
+use crate::controller::Diagnostics;
 use crate::kinematics::statics::static_force;
+use crate::law::AxisPush;
 use crate::law::activation::Activation;
-use crate::law::nullspace::fade_squared;
+use crate::law::nullspace::projector_damping_sq;
 use crate::math::ldlt6::pseudo_inverse;
-use crate::math::rows::{axes, load_rows, rows_array, transpose_times, wide};
-use crate::math::simd::{Arithmetic, EveryJoint, Lanes};
-use crate::params::{Law, LimitRule, Plan, Settings};
+use crate::math::rows::{load_rows, store_rows, tr_mul};
+use crate::math::simd::{JointVec16, JointVector, RealOps, TaskVector};
+use crate::params::{LimitRule, Params, Settings};
 use crate::task::compliance::{compliance, strength};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
-type Axes = <EveryJoint as Lanes>::Axes;
+type Axes = <JointVec16 as JointVector>::Axes;
 
 /// The pose of one step, with the quantities of the law.
-pub(super) struct Pose<'a> {
-    plan: &'a Plan,
+pub(super) struct StepAnalysis<'a> {
+    params: &'a Params,
     settings: &'a Settings,
-    record: &'a Record,
+    record: &'a Diagnostics,
     /// Activation matrix; `Some` if the law computes its torque limits from it.
-    shares: Option<Activation<EveryJoint>>,
+    shares: Option<Activation<JointVec16>>,
     /// Budget of the null-space motion under the sum rule [N·m].
     null: JointVec,
 }
 
-impl<'a> Pose<'a> {
-    pub(super) fn new(plan: &'a Plan, settings: &'a Settings, record: &'a Record) -> Self {
-        let needed = plan.law == Law::Paper || plan.limits == LimitRule::Sum;
-        let shares = needed.then(|| record.shares(plan));
-        let null = shares.map_or([0.0; MAX_JOINTS], |shares| shares.null().map(|share| share * plan.null_torque));
-        Self { plan, settings, record, shares: shares.filter(|_| plan.law == Law::Paper), null }
+impl<'a> StepAnalysis<'a> {
+    pub(super) fn new(params: &'a Params, settings: &'a Settings, record: &'a Diagnostics) -> Self {
+        let needed = !params.law.by_force() || params.limits == LimitRule::Sum;
+        let shares = needed.then(|| record.shares(params));
+        let null = shares.map_or([0.0; MAX_JOINTS], |shares| shares.null().map(|share| share * params.null_torque));
+        Self { params, settings, record, shares: shares.filter(|_| !params.law.by_force()), null }
     }
 
     /// `Σ_i |J⁺_ij| τ_f,i` of each axis, static friction under the arm's weight: a motion of the tool along the axis
     /// turns every joint against its friction.
     pub(super) fn friction(&self) -> AxisVec {
-        let (plan, record) = (self.plan, self.record);
-        let scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(&record.rows)));
-        let [sigma_min, sigma_max] = record.sigma(plan);
-        let squared = [fade_squared(sigma_min, sigma_max); MAX_AXES];
+        let (params, record) = (self.params, self.record);
+        let scaled = store_rows(&params.scale_rows(&load_rows::<JointVec16>(&record.rows)));
+        let [sigma_min, sigma_max] = record.sigma(params);
+        let squared = [projector_damping_sq(sigma_min, sigma_max); MAX_AXES];
         let inverse = pseudo_inverse(&scaled, &[1.0; MAX_JOINTS], &squared);
         let mut out = [0.0; MAX_AXES];
-        for r in 0..plan.k.min(MAX_AXES) {
+        for r in 0..params.k.min(MAX_AXES) {
             let felt: f64 =
-                (0..plan.n).map(|i| inverse[r][i].abs() * plan.servos.friction_at_rest(i, record.gravity[i])).sum();
-            out[r] = felt * plan.row_scale[r];
+                (0..params.n).map(|i| inverse[r][i].abs() * params.servos.friction_at_rest(i, record.gravity[i])).sum();
+            out[r] = felt * params.row_scale[r];
         }
         out
     }
 
     /// Returns the share of the friction that the feed-forward leaves.
     pub(super) fn friction_share_left(&self) -> f64 {
-        match self.plan.law {
-            Law::Cap | Law::Impedance => 1.0 - (self.settings.compensation.friction * self.record.gamma).min(1.0),
-            Law::Paper => 1.0,
+        if !self.params.law.by_force() {
+            return 1.0;
         }
+        1.0 - (self.settings.compensation.friction * self.record.gamma).min(1.0)
     }
 
     /// Force at which axis `row`, pushed toward `side`, yields: at a small and at a large deviation.
-    pub(super) fn gives_way(&self, row: usize, side: usize) -> [f64; 2] {
-        let (plan, record) = (self.plan, self.record);
-        let axis = &plan.rows[row];
+    pub(super) fn yield_forces_at(&self, row: usize, side: usize) -> [f64; 2] {
+        let (params, record) = (self.params, self.record);
+        let axis = &params.per_axis[row];
         let d = [axis.soft_until, axis.firm_from];
-        match plan.law {
-            Law::Cap | Law::Impedance => {
-                let sign = [-1.0, 1.0][side];
-                let ceiling = static_force(&record.rows[row], sign, &plan.servos.torque, &record.gravity, plan.n);
-                d.map(|d| self.cap(row, side, d).min(ceiling))
-            }
-            Law::Paper => {
-                let strengths = if axis.yields[side] > 0.0 {
-                    [1.0, 0.0].map(|c| strength(c, axis.soft[side], axis.firm[side], axis.profile))
-                } else {
-                    [axis.hold; 2]
-                };
-                strengths.map(|most| self.with_strength(row, side, most))
-            }
+        if params.law.by_force() {
+            let sign = [-1.0, 1.0][side];
+            let ceiling = static_force(&record.rows[row], sign, &params.servos.torque, &record.gravity, params.n);
+            return d.map(|d| self.cap_at(row, side, d).min(ceiling));
         }
+        let strengths = if axis.yields[side] > 0.0 {
+            [1.0, 0.0].map(|c| strength(c, axis.soft[side], axis.firm[side], axis.profile))
+        } else {
+            [axis.hold; 2]
+        };
+        strengths.map(|max| self.capacity_with(row, side, max))
     }
 
-    /// Force of law `cap`, `min(F, h K_x (1 − η)|e| / C_jj)`, or of law `impedance`, `min(F, K (1 − η)|e|)`, at `ẽ` =
-    /// `threshold`, at most the simulated distance of a push.
-    fn cap(&self, row: usize, side: usize, threshold: f64) -> f64 {
-        let (plan, record) = (self.plan, self.record);
-        let axis = &plan.rows[row];
+    /// Force of a law that is defined by forces, at most the strength, at `ẽ` = `threshold`, at most the simulated
+    /// distance of a push.
+    fn cap_at(&self, row: usize, side: usize, threshold: f64) -> f64 {
+        let (params, record) = (self.params, self.record);
+        let axis = &params.per_axis[row];
         let w = axis.yields[side];
         let left = 1.0 - axis.eta * w;
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
         let e = if self.settings.paper_options.raw_deviation { threshold } else { threshold / left }.min(travel);
-        let seen = if self.settings.paper_options.raw_deviation { e } else { left * e };
-        let c = compliance(seen, axis.soft_until, axis.firm_from);
+        let deviation = if self.settings.paper_options.raw_deviation { e } else { left * e };
+        let c = compliance(deviation, axis.soft_until, axis.firm_from);
         let soft = strength(c, axis.soft[side], axis.firm[side], axis.profile);
-        let most = w * soft + (1.0 - w) * axis.hold;
-        if plan.law == Law::Impedance {
-            return most.min(record.gain_factor * axis.stiffness[side] * left * e);
-        }
-        let own: f64 = (0..plan.n).map(|i| record.rows[row][i].powi(2) * plan.servos.compliance[i]).sum();
-        let damping = plan.damping_scale[row] * record.damping * record.damping / plan.servos.kp_mean;
-        let h = self.settings.paper_options.horizon;
-        let bound = h * if w > 0.0 { axis.soft_step_limit } else { axis.step_limit };
-        let step = (h * plan.kx_derating * plan.kx[row][row] * left * e).min(bound);
-        most.min(step / (own + (1.0 - w) * damping))
+        let max = w * soft + (1.0 - w) * axis.hold;
+        let push = AxisPush {
+            params,
+            horizon: self.settings.paper_options.horizon,
+            row,
+            side,
+            j_row: &record.rows[row],
+            damping: params.damping_scale[row] * record.damping * record.damping / params.servos.kp_mean,
+            gain_factor: record.gain_factor,
+            share: left,
+            deviation: e,
+        };
+        max.min(push.force())
     }
 
     /// Deviation [m, rad] at which a yielding axis exerts its whole cap under the laws with a cap, at most the
     /// simulated distance.
-    pub(super) fn full(&self, row: usize, side: usize) -> f64 {
-        let axis = &self.plan.rows[row];
+    pub(super) fn full_cap_deviation(&self, row: usize, side: usize) -> f64 {
+        let axis = &self.params.per_axis[row];
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
-        let [small, large] = self.gives_way(row, side);
+        let [small, large] = self.yield_forces_at(row, side);
         let left = if self.settings.paper_options.raw_deviation { 1.0 } else { 1.0 - axis.eta };
         let from = if large > small { axis.firm_from / left } else { 0.0 };
-        let slope = self.cap(row, side, 1e-4) / 1e-4;
+        let slope = self.cap_at(row, side, 1e-4) / 1e-4;
         from.max(large / slope).min(travel)
     }
 
     /// Static force that the limits hold if axis `row` has this strength and the others keep theirs.
-    fn with_strength(&self, row: usize, side: usize, most: f64) -> f64 {
+    fn capacity_with(&self, row: usize, side: usize, max: f64) -> f64 {
         let mut all = self.record.axis_strength;
-        all[row] = most;
-        self.held(row, side, &all)
+        all[row] = max;
+        self.static_capacity(row, side, &all)
     }
 
     /// Returns the strength of the axis at its own strength 0, and the axis with the largest share of it.
     pub(super) fn coupling(&self, row: usize, side: usize) -> (f64, Option<usize>) {
-        let mut most = self.record.axis_strength;
-        most[row] = 0.0;
-        let whole = self.held(row, side, &most);
+        let mut max = self.record.axis_strength;
+        max[row] = 0.0;
+        let whole = self.static_capacity(row, side, &max);
         let (mut least, mut with) = (whole - 1e-9 * whole.abs(), None);
-        for other in (0..self.plan.k).filter(|&other| other != row) {
-            let mut fewer = most;
+        for other in (0..self.params.k).filter(|&other| other != row) {
+            let mut fewer = max;
             fewer[other] = 0.0;
-            let force = self.held(row, side, &fewer);
+            let force = self.static_capacity(row, side, &fewer);
             if force < least {
                 (least, with) = (force, Some(other));
             }
@@ -141,26 +141,31 @@ impl<'a> Pose<'a> {
         (whole, with)
     }
 
-    /// Static force along `row` that the limits of the law hold if each axis may demand `most`.
-    fn held(&self, row: usize, side: usize, most: &AxisVec) -> f64 {
-        let (plan, record, n) = (self.plan, self.record, self.plan.n);
+    /// Static force along `row` that the limits of the law hold if each axis may demand `max`.
+    fn static_capacity(&self, row: usize, side: usize, max: &AxisVec) -> f64 {
+        let (params, record, n) = (self.params, self.record, self.params.n);
         let gravity = if self.settings.gravity_use().in_limits() { record.gravity } else { [0.0; MAX_JOINTS] };
-        let wrench: Axes = wide(&record.wrench);
-        let load = Load {
-            gravity: EveryJoint::load(&gravity),
-            feed_forward: EveryJoint::load(&record.feed_forward),
-            task: transpose_times(&load_rows(&record.rows), &axes(Axes::clip(wrench, wide(most)))),
-            offset: EveryJoint::splat(0.0),
+        let wrench: Axes = TaskVector::from_axes(&record.wrench);
+        let terms = LimitTerms {
+            gravity: JointVec16::load(&gravity),
+            feed_forward: JointVec16::load(&record.feed_forward),
+            task: tr_mul(
+                &load_rows(&record.rows),
+                &TaskVector::to_axes(Axes::clamp_abs(wrench, TaskVector::from_axes(max))),
+            ),
+            offset: JointVec16::splat(0.0),
             gravity_scale: self.settings.paper_options.gravity_scale,
-            margin: EveryJoint::load(&plan.margin),
+            margin: JointVec16::load(&params.limit_margin),
         };
-        let mut limit = match (&self.shares, plan.limits) {
-            (Some(shares), _) => load.budget(shares.distribute(wide(most), plan.null_torque)).array(),
-            (None, LimitRule::Demand) => load.demand().array(),
-            (None, LimitRule::Sum) => load.sum(&record.rows, most, &self.null),
+        let mut limit = match (&self.shares, params.limits) {
+            (Some(shares), _) => {
+                terms.budget(shares.distribute(TaskVector::from_axes(max), params.null_torque)).to_joints()
+            }
+            (None, LimitRule::Demand) => terms.demand().to_joints(),
+            (None, LimitRule::Sum) => terms.sum(&record.rows, max, &self.null),
         };
         for i in 0..n {
-            limit[i] = limit[i].max(plan.floor[i]).min(plan.servos.torque[i]);
+            limit[i] = limit[i].max(params.min_torque_limit[i]).min(params.servos.torque[i]);
         }
         let sign = [-1.0, 1.0][side];
         static_force(&record.rows[row], sign, &limit, &record.gravity, n)

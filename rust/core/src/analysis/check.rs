@@ -1,16 +1,16 @@
 //! Feasibility check before torque on: compares the settings with the capabilities of the arm in a pose or on a path,
 //! and names the settings to change.
 
-use crate::analysis::axis_strength::Pose;
+use crate::analysis::axis_strength::StepAnalysis;
 use crate::analysis::display::number;
 use crate::analysis::findings::{
-    Near, Past, Worst, axis_findings, host_loss_finding, joint_findings, stop_findings, way_findings,
+    PathSingularity, PathStop, Worst, axis_findings, host_loss_finding, joint_findings, path_findings, stop_findings,
 };
-use crate::analysis::report::{at_rest, host_loss, limits_in_force, spread, way};
+use crate::analysis::report::{at_rest, current_limits, host_loss_now, pad, push_path};
 use crate::controller::Controller;
 use crate::error::{Error, Result};
 use crate::kinematics::statics::static_force;
-use crate::kinematics::{Frames, IkOptions};
+use crate::kinematics::{IkOptions, JointFrames};
 use crate::params::{AXIS_NAMES, Frame};
 use crate::pose::Pose as ToolPose;
 
@@ -87,44 +87,45 @@ pub struct FeasibilityReport {
 /// ```
 pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<FeasibilityReport> {
     if path.is_empty() {
-        let expected = format!("(N, {}) with N of at least 1", controller.plan.n);
-        return Err(Error::Shape { what: "path".into(), got: format!("(0, {})", controller.plan.n), expected });
+        let expected = format!("(N, {}) with N of at least 1", controller.params.n);
+        return Err(Error::Shape { what: "path".into(), got: format!("(0, {})", controller.params.n), expected });
     }
     for (index, q) in path.iter().enumerate() {
         controller.joint_target("q", q).map_err(|error| error.in_row("path", index))?;
     }
-    let (k, n, torque) = (controller.plan.k, controller.plan.n, controller.plan.servos.torque);
-    let mut lack = vec![[Worst::NONE; 2]; k];
+    let (k, n, torque) = (controller.params.k, controller.params.n, controller.params.servos.torque);
+    let mut capacity_deficit = vec![[Worst::NONE; 2]; k];
     let mut rub = vec![Worst::NONE; k];
-    let mut near = vec![[(Worst::NONE, None); 2] as [Near; 2]; k];
-    let mut past = vec![[(Worst::NONE, None); 2] as [Past; 2]; k];
+    let mut near = vec![[(Worst::NONE, None); 2] as [PathStop; 2]; k];
+    let mut past = vec![[(Worst::NONE, None); 2] as [PathSingularity; 2]; k];
     let (mut weight, mut limit, mut outside) = (vec![Worst::NONE; n], vec![Worst::NONE; n], vec![Worst::NONE; n]);
     let mut singular = Worst::NONE;
-    let mut dead = (Worst::NONE, 0, 1.0);
+    let mut host_loss = (Worst::NONE, 0, 1.0);
     for (index, q) in path.iter().enumerate() {
         let rest = at_rest(controller, q)?;
-        let (record, limits) = (&rest.record(), limits_in_force(&rest));
-        let pose = Pose::new(&rest.plan, rest.settings(), record);
+        let (record, limits) = (&rest.diagnostics(), current_limits(&rest));
+        let pose = StepAnalysis::new(&rest.params, rest.settings(), record);
         let friction = pose.friction();
-        let mut frames = Frames::default();
+        let mut frames = JointFrames::default();
         rest.model().chain().forward(&record.q, &mut frames);
-        let rubs = std::array::from_fn(|i| rest.plan.servos.friction_at_rest(i, record.gravity[i]));
-        let way = way(&rest, &frames, &rubs);
-        if controller.plan.max_host_loss_force.is_some() {
-            let goal = spread(rest.command.goal());
-            let (force, row, sign) = host_loss(&rest, &frames, &goal, &limits, &rubs).worst(f64::INFINITY);
-            if force > dead.0.value {
-                dead = (Worst { value: force, pose: index }, row, sign);
+        let static_friction = std::array::from_fn(|i| rest.params.servos.friction_at_rest(i, record.gravity[i]));
+        let push_path = push_path(&rest, &frames, &static_friction);
+        if controller.params.max_host_loss_force.is_some() {
+            let goal = pad(rest.command.goal());
+            let (force, row, sign) =
+                host_loss_now(&rest, &frames, &goal, &limits, &static_friction).worst_push(f64::INFINITY);
+            if force > host_loss.0.value {
+                host_loss = (Worst { value: force, pose: index }, row, sign);
             }
         }
         for r in 0..k {
             for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
                 let force = static_force(&record.rows[r], sign, &torque, &record.gravity, n);
-                lack[r][side].see(-force, index);
-                if rest.plan.rows[r].yields[side] <= 0.0 {
+                capacity_deficit[r][side].update(-force, index);
+                if rest.params.per_axis[r].yields[side] <= 0.0 {
                     continue;
                 }
-                let push = way.follow(r, sign);
+                let push = push_path.simulate(r, sign);
                 if -push.sigma > past[r][side].0.value {
                     let worst = Worst { value: -push.sigma, pose: index };
                     past[r][side] = (worst, Some((push, friction[r])));
@@ -133,26 +134,26 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
                     && -stop.distance > near[r][side].0.value
                 {
                     let worst = Worst { value: -stop.distance, pose: index };
-                    near[r][side] = (worst, Some((stop.joint, pose.full(r, side))));
+                    near[r][side] = (worst, Some((stop.joint, pose.full_cap_deviation(r, side))));
                 }
             }
-            rub[r].see(friction[r] * pose.friction_share_left(), index);
+            rub[r].update(friction[r] * pose.friction_share_left(), index);
         }
         for i in 0..n {
-            weight[i].see(record.gravity[i].abs() - torque[i], index);
-            limit[i].see(record.gravity[i].abs() - limits[i], index);
-            outside[i].see((controller.plan.lower[i] - q[i]).max(q[i] - controller.plan.upper[i]), index);
+            weight[i].update(record.gravity[i].abs() - torque[i], index);
+            limit[i].update(record.gravity[i].abs() - limits[i], index);
+            outside[i].update((controller.params.lower[i] - q[i]).max(q[i] - controller.params.upper[i]), index);
         }
-        singular.see(-rest.sigma()[0], index);
+        singular.update(-rest.sigma_range()[0], index);
     }
     let mut findings = joint_findings(controller, &weight, &limit, &outside);
     for r in 0..k {
-        axis_findings(controller, r, lack[r], rub[r], &mut findings);
+        axis_findings(controller, r, capacity_deficit[r], rub[r], &mut findings);
         stop_findings(controller, r, near[r], &mut findings);
-        way_findings(controller, r, past[r], &mut findings);
+        path_findings(controller, r, past[r], &mut findings);
     }
-    findings.extend(host_loss_finding(controller, dead.0, dead.1, dead.2));
-    let least = NEAR_SINGULAR * controller.plan.damping.sigma_0;
+    findings.extend(host_loss_finding(controller, host_loss.0, host_loss.1, host_loss.2));
+    let least = NEAR_SINGULAR * controller.params.damping.sigma_0;
     if -singular.value < least {
         findings.push(Issue {
             pose: singular.pose,
@@ -173,9 +174,9 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
         achievable: !findings.iter().any(|finding| finding.required),
         poses: path.len(),
         findings,
-        axes: controller.plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
-        capacity: lack.iter().map(|sides| sides.map(|worst| -worst.value)).collect(),
-        worst_pose: lack.iter().map(|sides| sides.map(|worst| worst.pose)).collect(),
+        axes: controller.params.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
+        capacity: capacity_deficit.iter().map(|sides| sides.map(|worst| -worst.value)).collect(),
+        worst_pose: capacity_deficit.iter().map(|sides| sides.map(|worst| worst.pose)).collect(),
         friction_left: rub.iter().map(|worst| worst.value).collect(),
         stop_distance: near.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
         sigma_min: -singular.value,

@@ -67,7 +67,7 @@ impl PoseReport {
                 out.extend([1, 0].map(|side| format!("{}{} {}", SIDES[side], self.axes[row], said[side])));
             }
             out.extend([1, 0].into_iter().filter_map(|side| self.stop_sentence(row, side)));
-            out.extend([1, 0].into_iter().filter_map(|side| self.way_sentence(row, side)));
+            out.extend([1, 0].into_iter().filter_map(|side| self.path_sentence(row, side)));
             out.extend(self.deviation_sentence(row));
             if let (hold, Some(default)) = self.hold[row] {
                 out.push(format!(
@@ -137,17 +137,17 @@ impl PoseReport {
 
     /// Sentence for a host-loss force above the allowed one, because the limits must hold the arm.
     fn host_loss_sentence(&self) -> Option<String> {
-        let most = self.max_host_loss_force?;
+        let max = self.max_host_loss_force?;
         let above = |row: usize, side: usize| {
             let force = self.host_loss_force[row][side];
-            let over = self.unit(row) == "N" && force.is_finite() && force > most * (1.0 + 1e-9);
+            let over = self.unit(row) == "N" && force.is_finite() && force > max * (1.0 + 1e-9);
             over.then(|| format!("{}{} {} N", SIDES[side], self.axes[row], number(force)))
         };
         let over: Vec<String> =
             (0..self.axes.len()).flat_map(|row| [1, 0].into_iter().filter_map(move |side| above(row, side))).collect();
         (!over.is_empty()).then(|| {
-            let (most, over) = (number(most), over.join(", "));
-            format!("torque_limits.max_host_loss_force is {most} N, but limits that just hold the arm leave {over}.")
+            let (max, over) = (number(max), over.join(", "));
+            format!("torque_limits.max_host_loss_force is {max} N, but limits that just hold the arm leave {over}.")
         })
     }
 
@@ -209,7 +209,7 @@ impl PoseReport {
     }
 
     /// Sentence for a singular pose that a push along a yielding axis reaches.
-    fn way_sentence(&self, row: usize, side: usize) -> Option<String> {
+    fn path_sentence(&self, row: usize, side: usize) -> Option<String> {
         let (sigma, far) = (self.way_sigma[row][side], self.way_distance[row][side]);
         let near = self.yields[row][side] && far > 0.0 && sigma < NEAR_SINGULAR * self.sigma_0;
         near.then(|| {

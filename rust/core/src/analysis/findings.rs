@@ -2,9 +2,9 @@
 
 use crate::analysis::check::{Issue, NEAR_SINGULAR};
 use crate::analysis::display::{length, number, round_down, round_up, unit};
-use crate::analysis::push_path::Push;
+use crate::analysis::push_path::PathResult;
 use crate::controller::Controller;
-use crate::params::{AXIS_NAMES, Law};
+use crate::params::AXIS_NAMES;
 
 /// The worst value of a path and its pose.
 #[derive(Clone, Copy)]
@@ -16,7 +16,7 @@ pub(super) struct Worst {
 impl Worst {
     pub(super) const NONE: Self = Self { value: f64::NEG_INFINITY, pose: 0 };
 
-    pub(super) fn see(&mut self, value: f64, pose: usize) {
+    pub(super) fn update(&mut self, value: f64, pose: usize) {
         if value > self.value {
             *self = Self { value, pose };
         }
@@ -24,10 +24,10 @@ impl Worst {
 }
 
 /// The smallest σ_min on the path of a push, with that path and the friction before it.
-pub(super) type Past = (Worst, Option<(Push, f64)>);
+pub(super) type PathSingularity = (Worst, Option<(PathResult, f64)>);
 
 /// The smallest distance to a stop, its joint, and the deviation at which the axis exerts its whole cap.
-pub(super) type Near = (Worst, Option<(usize, f64)>);
+pub(super) type PathStop = (Worst, Option<(usize, f64)>);
 
 pub(super) fn joint_findings(
     controller: &Controller,
@@ -44,7 +44,7 @@ pub(super) fn joint_findings(
         if outside[i].value > 1e-6 {
             add(outside[i], format!("is {} rad beyond its position limit", number(outside[i].value)), None, None);
         }
-        let usable = controller.plan.servos.torque[i];
+        let usable = controller.params.servos.torque[i];
         if weight[i].value > 0.0 {
             let needs = usable + weight[i].value;
             add(
@@ -74,11 +74,11 @@ pub(super) fn joint_findings(
 
 /// Position limits that are met before an axis exerts its whole cap; at that deviation the stop adds its force to
 /// the cap.
-pub(super) fn stop_findings(controller: &Controller, r: usize, near: [Near; 2], out: &mut Vec<Issue>) {
-    if controller.plan.law == Law::Paper {
+pub(super) fn stop_findings(controller: &Controller, r: usize, near: [PathStop; 2], out: &mut Vec<Issue>) {
+    if !controller.params.law.by_force() {
         return; // Law `paper` has no force cap to compare with.
     }
-    let axis = controller.plan.rows[r].axis;
+    let axis = controller.params.per_axis[r].axis;
     let name = AXIS_NAMES[axis];
     for (side, (worst, what)) in near.into_iter().enumerate() {
         let distance = -worst.value;
@@ -102,8 +102,8 @@ pub(super) fn stop_findings(controller: &Controller, r: usize, near: [Near; 2], 
 }
 
 /// Singular poses that a push reaches from poses that are not near singular.
-pub(super) fn way_findings(controller: &Controller, r: usize, past: [Past; 2], out: &mut Vec<Issue>) {
-    let (axis, least) = (controller.plan.rows[r].axis, NEAR_SINGULAR * controller.plan.damping.sigma_0);
+pub(super) fn path_findings(controller: &Controller, r: usize, past: [PathSingularity; 2], out: &mut Vec<Issue>) {
+    let (axis, least) = (controller.params.per_axis[r].axis, NEAR_SINGULAR * controller.params.damping.sigma_0);
     for (side, (worst, what)) in past.into_iter().enumerate() {
         if let Some((push, friction)) = what.filter(|(push, _)| push.sigma < least && push.at > 0.0) {
             out.push(Issue {
@@ -129,14 +129,14 @@ pub(super) fn way_findings(controller: &Controller, r: usize, past: [Past; 2], o
 
 /// Force on a hand after a host loss above the allowed one, although the limits hold no more than the arm's weight.
 pub(super) fn host_loss_finding(controller: &Controller, worst: Worst, row: usize, sign: f64) -> Option<Issue> {
-    let most = controller.plan.max_host_loss_force.filter(|most| worst.value > most * (1.0 + 1e-9))?;
+    let max = controller.params.max_host_loss_force.filter(|max| worst.value > max * (1.0 + 1e-9))?;
     Some(Issue {
         pose: worst.pose,
-        about: format!("{}{}", if sign < 0.0 { "−" } else { "+" }, AXIS_NAMES[controller.plan.rows[row].axis]),
+        about: format!("{}{}", if sign < 0.0 { "−" } else { "+" }, AXIS_NAMES[controller.params.per_axis[row].axis]),
         required: true,
         reason: format!(
             "torque_limits.max_host_loss_force is {} N, but limits that just hold the arm leave {} N to a hand",
-            number(most),
+            number(max),
             number(worst.value)
         ),
         setting: Some("torque_limits.max_host_loss_force".into()),
@@ -144,24 +144,30 @@ pub(super) fn host_loss_finding(controller: &Controller, worst: Worst, row: usiz
     })
 }
 
-pub(super) fn axis_findings(controller: &Controller, r: usize, lack: [Worst; 2], rub: Worst, out: &mut Vec<Issue>) {
-    if controller.plan.law == Law::Paper {
+pub(super) fn axis_findings(
+    controller: &Controller,
+    r: usize,
+    capacity_deficit: [Worst; 2],
+    rub: Worst,
+    out: &mut Vec<Issue>,
+) {
+    if !controller.params.law.by_force() {
         return; // Law `paper` has budgets, not forces; see the report.
     }
-    let row = &controller.plan.rows[r];
-    let (name, given, unit) = (AXIS_NAMES[row.axis], &controller.settings().axes[row.axis], unit(row.axis));
+    let row = &controller.params.per_axis[r];
+    let (name, user, unit) = (AXIS_NAMES[row.axis], &controller.settings().axes[row.axis], unit(row.axis));
     for side in 0..2 {
-        let (has, about) = (-lack[side].value, format!("{}{name}", ["−", "+"][side]));
+        let (has, about) = (-capacity_deficit[side].value, format!("{}{name}", ["−", "+"][side]));
         let asked: &[(&str, f64, bool)] = if row.yields[side] > 0.0 {
-            &[("firm", row.firm[side], given.firm.is_some()), ("soft", row.soft[side], given.soft.is_some())]
+            &[("firm", row.firm[side], user.firm.is_some()), ("soft", row.soft[side], user.soft.is_some())]
         } else {
-            &[("hold", row.hold, given.hold.is_some())]
+            &[("hold", row.hold, user.hold.is_some())]
         };
         for &(field, strength, required) in asked {
             if strength > has {
-                let most = round_down(has).max(0.0);
+                let max = round_down(has).max(0.0);
                 out.push(Issue {
-                    pose: lack[side].pose,
+                    pose: capacity_deficit[side].pose,
                     about: about.clone(),
                     required,
                     reason: format!(
@@ -170,7 +176,7 @@ pub(super) fn axis_findings(controller: &Controller, r: usize, lack: [Worst; 2],
                         number(has)
                     ),
                     setting: (has > 0.0).then(|| format!("axes.{name}.{field}")),
-                    value: (has > 0.0).then_some(most),
+                    value: (has > 0.0).then_some(max),
                 });
             }
         }
@@ -178,7 +184,7 @@ pub(super) fn axis_findings(controller: &Controller, r: usize, lack: [Worst; 2],
             out.push(Issue {
                 pose: rub.pose,
                 about,
-                required: given.soft.is_some(),
+                required: user.soft.is_some(),
                 reason: format!(
                     "soft is {} {unit}, friction leaves {} {unit}: it cannot track",
                     number(row.soft[side]),

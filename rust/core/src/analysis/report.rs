@@ -6,14 +6,14 @@
 use crate::command::host_loss::HostLoss;
 use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
-use crate::kinematics::Frames;
+use crate::kinematics::JointFrames;
 use crate::kinematics::statics::static_force;
 use crate::params::{AXIS_NAMES, Law, OnDeviationLimit};
 use crate::pose::COORDINATE_BOUND;
 use crate::{JointVec, MAX_JOINTS};
 
-use crate::analysis::axis_strength::Pose;
-use crate::analysis::push_path::Way;
+use crate::analysis::axis_strength::StepAnalysis;
+use crate::analysis::push_path::PushPath;
 
 /// Capabilities of one pose with the current settings; one entry per task axis or per joint.
 ///
@@ -106,10 +106,10 @@ pub struct PoseReport {
 /// # Errors
 /// [`Error::Config`] before the first step.
 pub fn report(controller: &Controller) -> Result<PoseReport> {
-    if controller.memory.limit.is_none() {
+    if controller.state.limit.is_none() {
         return Err(Error::config("report", "no step has been made yet: make one, or report on a given q"));
     }
-    Ok(compose(controller))
+    Ok(build_report(controller))
 }
 
 /// Reports on the arm at rest on its target in `q` (n) [rad]. Does not change the controller.
@@ -133,7 +133,7 @@ pub fn report(controller: &Controller) -> Result<PoseReport> {
 /// # }
 /// ```
 pub fn report_at(controller: &Controller, q: &[f64]) -> Result<PoseReport> {
-    Ok(compose(&at_rest(controller, q)?))
+    Ok(build_report(&at_rest(controller, q)?))
 }
 
 /// Returns a copy of this controller after its first step, on its target in `q`.
@@ -143,49 +143,49 @@ pub(super) fn at_rest(controller: &Controller, q: &[f64]) -> Result<Controller> 
     // At rest the goals have reached their final values.
     copy.settings.tracking.goal_slew = f64::INFINITY;
     copy.reset(q)?;
-    let mut frames = Frames::default();
+    let mut frames = JointFrames::default();
     copy.model().chain().forward(&at, &mut frames);
     copy.step(q, &frames.tool, &StepInput::default())?;
     Ok(copy)
 }
 
-fn compose(controller: &Controller) -> PoseReport {
-    let (plan, record) = (&controller.plan, &controller.record());
-    let (k, n) = (plan.k, plan.n);
-    let limit = limits_in_force(controller);
-    let pose = Pose::new(plan, controller.settings(), record);
-    let singular = record.singular_values(plan);
+fn build_report(controller: &Controller) -> PoseReport {
+    let (params, record) = (&controller.params, &controller.diagnostics());
+    let (k, n) = (params.k, params.n);
+    let limit = current_limits(controller);
+    let pose = StepAnalysis::new(params, controller.settings(), record);
+    let singular = record.singular_values(params);
     let sigma_min = singular.iter().copied().fold(f64::INFINITY, f64::min);
     let friction = pose.friction();
     let mut report = PoseReport {
-        axes: plan.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
+        axes: params.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
         joints: controller.model().joint_names().to_vec(),
-        law: plan.law,
+        law: params.law,
         q: record.q[..n].to_vec(),
         torque_limit: limit[..n].to_vec(),
         static_force: Vec::with_capacity(k),
         capacity: Vec::with_capacity(k),
         gives_way: Vec::with_capacity(k),
-        yields: plan.rows[..k].iter().map(|row| row.yields.map(|w| w > 0.0)).collect(),
+        yields: params.per_axis[..k].iter().map(|row| row.yields.map(|w| w > 0.0)).collect(),
         friction: friction[..k].to_vec(),
         friction_left: friction[..k].iter().map(|f| f * pose.friction_share_left()).collect(),
         coupling: Vec::with_capacity(k),
         coupled_to: Vec::with_capacity(k),
-        thresholds: plan.rows[..k]
+        thresholds: params.per_axis[..k]
             .iter()
             .map(|row| [row.soft_until, row.firm_from].map(|d| d / (1.0 - row.eta)))
             .collect(),
         gravity_margin: (0..n).map(|i| [limit[i] - record.gravity[i], limit[i] + record.gravity[i]]).collect(),
         sigma_min,
         condition: singular.max() / sigma_min,
-        sigma_0: plan.damping.sigma_0,
+        sigma_0: params.damping.sigma_0,
         saturated: record.saturated[..n].to_vec(),
         locked: record.locked[..n].to_vec(),
         host_loss_force: Vec::with_capacity(k),
-        max_host_loss_force: plan.max_host_loss_force,
+        max_host_loss_force: params.max_host_loss_force,
         gain_factor: controller.gain_factor(),
         damping_factor: controller.damping_factor(),
-        hold: plan.rows[..k].iter().map(|row| (row.hold, row.raised_from)).collect(),
+        hold: params.per_axis[..k].iter().map(|row| (row.hold, row.default_hold)).collect(),
         stop_distance: Vec::with_capacity(k),
         stop_joint: Vec::with_capacity(k),
         stop_room: Vec::with_capacity(k),
@@ -194,36 +194,40 @@ fn compose(controller: &Controller) -> PoseReport {
         way_sigma: Vec::with_capacity(k),
         way_distance: Vec::with_capacity(k),
         deviation_limit: vec![[f64::INFINITY; 2]; k],
-        on_deviation_limit: plan.axes.iter().map(|&axis| controller.settings().axes[axis].on_deviation_limit).collect(),
+        on_deviation_limit: params
+            .axes
+            .iter()
+            .map(|&axis| controller.settings().axes[axis].on_deviation_limit)
+            .collect(),
         prismatic: controller.model().prismatic().to_vec(),
     };
-    for limit in &plan.deviation_limits {
-        for (slot, _) in report.deviation_limit.iter_mut().zip(&plan.axes).filter(|(_, axis)| **axis == limit.axis) {
-            *slot = limit.most;
+    for limit in &params.deviation_limits {
+        for (slot, _) in report.deviation_limit.iter_mut().zip(&params.axes).filter(|(_, axis)| **axis == limit.axis) {
+            *slot = limit.max;
         }
     }
-    let mut rubs = [0.0; MAX_JOINTS];
-    (0..n).for_each(|i| rubs[i] = plan.servos.friction_at_rest(i, record.gravity[i]));
-    let mut frames = Frames::default();
+    let mut static_friction = [0.0; MAX_JOINTS];
+    (0..n).for_each(|i| static_friction[i] = params.servos.friction_at_rest(i, record.gravity[i]));
+    let mut frames = JointFrames::default();
     controller.model().chain().forward(&record.q, &mut frames);
-    let way = way(controller, &frames, &rubs);
-    let goal = spread(controller.command.goal());
-    let dead = host_loss(controller, &frames, &goal, &limit, &rubs);
-    let rest = dead.settled();
+    let push_path = push_path(controller, &frames, &static_friction);
+    let goal = pad(controller.command.goal());
+    let host_loss = host_loss_now(controller, &frames, &goal, &limit, &static_friction);
+    let rest = host_loss.equilibrium();
     for row in 0..k {
         let hold =
             |limit: &JointVec| [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n));
         report.static_force.push(hold(&limit));
-        report.capacity.push(hold(&plan.servos.torque));
-        report.gives_way.push([0, 1].map(|side| pose.gives_way(row, side)));
+        report.capacity.push(hold(&params.servos.torque));
+        report.gives_way.push([0, 1].map(|side| pose.yield_forces_at(row, side)));
         let coupling = [0, 1].map(|side| pose.coupling(row, side));
         report.coupling.push(coupling.map(|(force, _)| force));
-        report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[plan.axes[other]])));
+        report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[params.axes[other]])));
         report.host_loss_force.push([-1.0, 1.0].map(|sign| {
-            let met = dead.largest(&rest, row, sign);
-            if met.walled { f64::INFINITY } else { met.force }
+            let result = host_loss.max_push_force(&rest, row, sign);
+            if result.blocked { f64::INFINITY } else { result.force }
         }));
-        let pushes = [-1.0, 1.0].map(|sign| way.follow(row, sign));
+        let pushes = [-1.0, 1.0].map(|sign| push_path.simulate(row, sign));
         let stops = pushes.map(|push| push.stop);
         report.way_friction.push(pushes.map(|push| push.friction));
         report.way_sigma.push(pushes.map(|push| push.sigma));
@@ -237,26 +241,32 @@ fn compose(controller: &Controller) -> PoseReport {
 }
 
 /// Returns the push paths from the last step's pose; `friction` at rest [N·m].
-pub(super) fn way<'a>(controller: &'a Controller, frames: &Frames, friction: &'a JointVec) -> Way<'a> {
-    let base_from_task = controller.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool);
-    Way { model: controller.model(), plan: &controller.plan, base_from_task, q: &controller.record.q, friction }
+pub(super) fn push_path<'a>(controller: &'a Controller, frames: &JointFrames, friction: &'a JointVec) -> PushPath<'a> {
+    let base_from_task = controller.params.base_from_task::<crate::math::simd::BaselineF64>(&frames.tool);
+    PushPath {
+        model: controller.model(),
+        params: &controller.params,
+        base_from_task,
+        q: &controller.diagnostics.q,
+        friction,
+    }
 }
 
 /// Returns the arm with its last command, for a host loss now.
-pub(super) fn host_loss<'a>(
+pub(super) fn host_loss_now<'a>(
     controller: &'a Controller,
-    frames: &Frames,
+    frames: &JointFrames,
     goal: &'a JointVec,
     limit: &'a JointVec,
     friction: &'a JointVec,
 ) -> HostLoss<'a> {
     HostLoss {
         chain: controller.model().chain(),
-        plan: &controller.plan,
+        params: &controller.params,
         masses: &controller.masses,
         gravity: controller.gravity,
-        base_from_task: controller.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool),
-        q: &controller.record.q,
+        base_from_task: controller.params.base_from_task::<crate::math::simd::BaselineF64>(&frames.tool),
+        q: &controller.diagnostics.q,
         goal,
         limit,
         friction,
@@ -264,11 +274,11 @@ pub(super) fn host_loss<'a>(
 }
 
 /// Returns the limits of the last command.
-pub(super) fn limits_in_force(controller: &Controller) -> JointVec {
-    spread(controller.command.torque_limit())
+pub(super) fn current_limits(controller: &Controller) -> JointVec {
+    pad(controller.command.torque_limit())
 }
 
-pub(super) fn spread(values: &[f64]) -> JointVec {
+pub(super) fn pad(values: &[f64]) -> JointVec {
     let mut out = [0.0; MAX_JOINTS];
     for (slot, value) in out.iter_mut().zip(values) {
         *slot = *value;

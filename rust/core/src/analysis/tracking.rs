@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::analysis::axis_strength::Pose;
+use crate::analysis::axis_strength::StepAnalysis;
 use crate::analysis::display::round_up;
 use crate::analysis::report::at_rest;
 use crate::controller::Controller;
@@ -14,7 +14,7 @@ use crate::{AxisVec, MAX_AXES};
 /// Strength of an axis that tracks a moving target, relative to its static friction, which it must overcome at starts
 /// and reversals, before the feed-forward acts. Measured with sinusoids: 2 is enough if friction is known, 3 if it is
 /// known to 30 % and delayed by one step each way; with 1 the axis lags, below 1 it does not move.
-const FOLLOWS: f64 = 3.0;
+const TRACKING_FRICTION_RATIO: f64 = 3.0;
 
 /// Returns the settings with `soft` of every yielding axis raised to at least three times its friction: a softer
 /// axis may not track.
@@ -31,38 +31,39 @@ pub fn raise_soft(
     path: &[Vec<f64>],
 ) -> Result<Settings> {
     let controller = Controller::new(Arc::clone(model), settings.clone(), servos.cloned())?;
-    let plan = &controller.plan;
+    let params = &controller.params;
     let least = if path.is_empty() {
-        let n = plan.n;
-        let seen: Vec<AxisVec> =
-            workspace::poses(model).map(|q| least_soft(&controller, &q[..n])).collect::<Result<_>>()?;
+        let n = params.n;
+        let strengths: Vec<AxisVec> = workspace::sample_configurations(model)
+            .map(|q| min_tracking_strength(&controller, &q[..n]))
+            .collect::<Result<_>>()?;
         let mut out = [0.0; MAX_AXES];
-        for (r, slot) in out.iter_mut().enumerate().take(plan.k) {
-            *slot = workspace::median(&mut seen.iter().map(|one| one[r]).collect::<Vec<_>>());
+        for (r, slot) in out.iter_mut().enumerate().take(params.k) {
+            *slot = workspace::median(&mut strengths.iter().map(|one| one[r]).collect::<Vec<_>>());
         }
         out
     } else {
         let mut out = [0.0; MAX_AXES];
         for q in path {
-            let seen = least_soft(&controller, q)?;
-            (0..plan.k).for_each(|r| out[r] = seen[r].max(out[r]));
+            let strengths = min_tracking_strength(&controller, q)?;
+            (0..params.k).for_each(|r| out[r] = strengths[r].max(out[r]));
         }
         out
     };
     let mut raised = settings.clone();
-    for (row, least) in plan.rows.iter().zip(least).take(plan.k) {
+    for (row, least) in params.per_axis.iter().zip(least).take(params.k) {
         let mut soft = row.soft;
         for side in (0..2).filter(|&side| row.yields[side] > 0.0) {
             soft[side] = soft[side].max(round_up(least));
         }
         if (0..2).any(|side| row.yields[side] > 0.0 && row.soft[side] < least) {
             let axis = &mut raised.axes[row.axis];
-            axis.yields = Some(axis.effective_yields());
+            axis.yields = Some(axis.compliant_side());
             axis.soft = Some(soft);
             // A value that is not set adapts by itself.
             axis.firm = axis.firm.map(|firm| [0, 1].map(|side| firm[side].max(soft[side])));
-            let most = soft[0].max(soft[1]);
-            axis.hold = axis.hold.map(|hold| hold.max(most));
+            let max = soft[0].max(soft[1]);
+            axis.hold = axis.hold.map(|hold| hold.max(max));
         }
     }
     Ok(raised)
@@ -70,10 +71,10 @@ pub fn raise_soft(
 
 /// Returns the strength with which each axis tracks a moving target, from rest in `q`. Law `paper` has budgets, not
 /// forces: there it is the friction.
-fn least_soft(controller: &Controller, q: &[f64]) -> Result<AxisVec> {
+fn min_tracking_strength(controller: &Controller, q: &[f64]) -> Result<AxisVec> {
     let resting = at_rest(controller, q)?;
-    let record = resting.record();
-    let pose = Pose::new(&resting.plan, resting.settings(), &record);
-    let times = if controller.plan.law.by_force() { FOLLOWS } else { 1.0 };
+    let record = resting.diagnostics();
+    let pose = StepAnalysis::new(&resting.params, resting.settings(), &record);
+    let times = if controller.params.law.by_force() { TRACKING_FRICTION_RATIO } else { 1.0 };
     Ok(pose.friction().map(|friction| times * friction))
 }

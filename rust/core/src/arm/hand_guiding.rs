@@ -19,8 +19,8 @@ use std::sync::Arc;
 use super::{finite_joint_vector, holding_torque, padded};
 use crate::controller::Command;
 use crate::error::{Error, Result};
-use crate::kinematics::{Masses, Reference};
-use crate::math::simd::Plain;
+use crate::kinematics::{GroupMasses, Reference};
+use crate::math::simd::BaselineF64;
 use crate::math::spatial::{cross, dot, rotate};
 use crate::model::Model;
 use crate::params::Servos;
@@ -81,7 +81,7 @@ pub struct HandGuidingOptions {
 #[derive(Debug, Clone)]
 pub struct HandGuiding {
     model: Arc<Model>,
-    masses: Masses,
+    masses: GroupMasses,
     options: HandGuidingOptions,
     n: usize,
     kp: JointVec,
@@ -293,11 +293,12 @@ impl HandGuiding {
             let g = self.model.gravity_vector();
             let mut rows: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
             if let Ok(pose) = self.model.kinematics_into(&q[..self.n], Reference::WorldAligned, &mut rows) {
-                let moments = rotate::<Plain>(&pose.rotation, &moments);
+                let moments = rotate::<BaselineF64>(&pose.rotation, &moments);
                 for (i, torque) in torques.iter_mut().enumerate().take(self.n) {
                     let linear = [rows[0][i], rows[1][i], rows[2][i]];
                     let angular = [rows[3][i], rows[4][i], rows[5][i]];
-                    *torque -= mass * dot::<Plain>(&g, &linear) + dot::<Plain>(&g, &cross::<Plain>(&angular, &moments));
+                    *torque -= mass * dot::<BaselineF64>(&g, &linear)
+                        + dot::<BaselineF64>(&g, &cross::<BaselineF64>(&angular, &moments));
                 }
             }
         }

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use super::{finite_joint_vector, holding_torque, padded};
 use crate::controller::Command;
 use crate::error::{Error, Result};
-use crate::kinematics::{ArmGeometry, ArmPoints, MAX_POINTS, Masses};
+use crate::kinematics::{ArmGeometry, ArmPoints, GroupMasses, MAX_POINTS};
 use crate::model::Model;
 use crate::params::Servos;
 use crate::{JointVec, MAX_JOINTS};
@@ -160,7 +160,7 @@ impl History {
 pub struct Lowering {
     model: Arc<Model>,
     points: Arc<ArmPoints>,
-    masses: Masses,
+    masses: GroupMasses,
     n: usize,
     kp: JointVec,
     max_torque: JointVec,
@@ -310,7 +310,7 @@ impl Lowering {
             return Ok(None);
         }
         // A NaN counts as 0.
-        let dt = dt.max(0.0).min(MAX_TICK);
+        let dt = if dt > 0.0 { dt.min(MAX_TICK) } else { 0.0 };
         let mut good = [false; MAX_JOINTS];
         for i in 0..self.n {
             good[i] = fresh[i] && q[i].is_finite();

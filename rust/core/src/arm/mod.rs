@@ -7,7 +7,7 @@ mod lowering;
 mod thermal;
 
 use crate::error::{Error, Result};
-use crate::kinematics::{Frames, Masses};
+use crate::kinematics::{GroupMasses, JointFrames};
 use crate::model::Model;
 use crate::{JointVec, MAX_JOINTS};
 
@@ -32,8 +32,8 @@ fn padded(values: &[f64], fill: f64) -> JointVec {
 }
 
 /// Torques that hold the arm at q, with the model's payload [N·m].
-fn holding_torque(model: &Model, masses: &Masses, q: &JointVec) -> JointVec {
-    let (mut frames, mut torques) = (Frames::default(), [0.0; MAX_JOINTS]);
+fn holding_torque(model: &Model, masses: &GroupMasses, q: &JointVec) -> JointVec {
+    let (mut frames, mut torques) = (JointFrames::default(), [0.0; MAX_JOINTS]);
     model.chain().forward(q, &mut frames);
     model.chain().gravity(&frames, masses, model.gravity_vector(), &mut torques);
     torques

@@ -7,22 +7,22 @@ use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::batch::soa::Abreast;
-use crate::batch::state::{Kept, width};
+use crate::batch::soa::SoaStep;
+use crate::batch::state::{RowStatus, row_len};
 use crate::error::{Error, Result};
-use crate::kinematics::Masses;
+use crate::kinematics::GroupMasses;
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::math::simd::Instructions;
-use crate::math::thread_pool::on_every_core;
+use crate::math::simd::SimdLevel;
+use crate::math::thread_pool::install;
 use crate::model::Model;
-use crate::params::{Plan, Settings};
+use crate::params::{Params, Settings};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
 
 pub use state::BatchState;
 
 /// Arms per chunk, one bit each in a mask. A batch of this size runs on the caller's thread.
-const PIECE: usize = 64;
+const CHUNK: usize = 64;
 
 /// Targets (`N`) of the arms.
 #[derive(Debug, Clone, Copy)]
@@ -37,10 +37,10 @@ pub enum Targets<'a> {
 
 /// Handling of an arm whose positions, target or velocity are invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Invalid {
+pub enum OnInvalid {
     /// Step no arm; the error names the first such row.
     #[default]
-    Refuse,
+    Error,
     /// Its command is NaN and its state is unchanged; the others are stepped.
     Nan,
 }
@@ -57,7 +57,7 @@ pub struct BatchInput<'a> {
     /// Joint velocities (`N` × n) [rad/s] in place of the filtered ones.
     pub dq: Option<&'a [f64]>,
     /// Handling of invalid rows.
-    pub invalid: Invalid,
+    pub invalid: OnInvalid,
 }
 
 /// Output of `N` arms: as [`Command`](crate::Command), one row (n) per arm.
@@ -76,11 +76,11 @@ pub struct BatchCommand<'a> {
 pub(crate) struct Batch<'a> {
     pub(crate) input: &'a BatchInput<'a>,
     pub(crate) model: &'a Model,
-    pub(crate) plan: &'a Plan,
+    pub(crate) params: &'a Params,
     pub(crate) settings: &'a Settings,
-    pub(crate) masses: &'a Masses,
+    pub(crate) masses: &'a GroupMasses,
     pub(crate) gravity: &'a [f64; 3],
-    pub(crate) instructions: Instructions,
+    pub(crate) simd_level: SimdLevel,
 }
 
 /// Input of one arm.
@@ -106,7 +106,7 @@ impl<'a> BatchInput<'a> {
     ///
     /// The step checks the lengths.
     pub fn new(q: &'a [f64], targets: Targets<'a>) -> Self {
-        Self { q, targets, dt: None, dq: None, invalid: Invalid::default() }
+        Self { q, targets, dt: None, dq: None, invalid: OnInvalid::default() }
     }
 }
 
@@ -139,26 +139,28 @@ impl<'a> Batch<'a> {
 
     /// Checks all rows before anything is changed.
     pub(crate) fn check_rows(&self, rows: &[f64]) -> Result<()> {
-        let (n, first) = (self.model.n(), First::default());
+        let (n, first) = (self.model.n(), FirstError::default());
         let check = |(index, rows): (usize, &[f64])| {
-            for (i, kept) in rows.chunks_exact(width(n)).enumerate() {
-                let row = index * PIECE + i;
-                let fine = self.arm(row).and_then(|_| match Kept::of(kept, n) {
-                    Kept::Waiting(q) => {
-                        self.plan.positions(self.model, "q", q).map(|_| ()).map_err(|error| error.in_row("state", row))
-                    }
-                    Kept::New | Kept::Running => Ok(()),
+            for (i, row_state) in rows.chunks_exact(row_len(n)).enumerate() {
+                let row = index * CHUNK + i;
+                let checked = self.arm(row).and_then(|_| match RowStatus::of(row_state, n) {
+                    RowStatus::ReferenceHold(q) => self
+                        .params
+                        .positions(self.model, "q", q)
+                        .map(|_| ())
+                        .map_err(|error| error.in_row("state", row)),
+                    RowStatus::New | RowStatus::Running => Ok(()),
                 });
-                if let Err(error) = fine {
+                if let Err(error) = checked {
                     first.report(row, error);
                 }
             }
         };
-        let pieces = rows.par_chunks(PIECE * width(n)).enumerate();
-        if rows.len() <= PIECE * width(n) {
+        let chunks = rows.par_chunks(CHUNK * row_len(n)).enumerate();
+        if rows.len() <= CHUNK * row_len(n) {
             check((0, rows));
         } else {
-            on_every_core(|| pieces.for_each(check))?;
+            install(|| chunks.for_each(check))?;
         }
         first.result()
     }
@@ -172,40 +174,42 @@ impl<'a> Batch<'a> {
         make: impl Fn() -> A + Sync + Send,
         step: impl Fn(&mut A, &ArmInput<'a>, Option<&mut [f64]>, [&mut [f64]; 3]) -> Result<()> + Sync + Send,
     ) -> Result<()> {
-        let (n, first) = (self.model.n(), First::default());
+        let (n, first) = (self.model.n(), FirstError::default());
         let BatchCommand { goal, torque_limit, velocity } = out;
-        let abreast = state.is_none() && soa::goes_abreast(self.plan);
-        let chunk = |own: &mut Option<A>, index: usize, mut kept: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
-            let mut left = u64::MAX;
-            if abreast {
-                let outs = outs.each_mut().map(|out| &mut **out);
-                left = self.instructions.run(Abreast { batch: self, first: index * PIECE, outs });
-            }
-            if left == 0 {
-                return;
-            }
-            let arm = own.get_or_insert_with(&make);
-            let [goals, limits, velocities] = outs;
-            let outs = goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
-            for (i, ((goal, limit), velocity)) in outs.enumerate() {
-                if left >> i & 1 == 0 {
-                    continue;
+        let soa = state.is_none() && soa::supports_soa(self.params);
+        let chunk =
+            |slot: &mut Option<A>, index: usize, mut row_state: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
+                let mut pending = u64::MAX;
+                if soa {
+                    let outs = outs.each_mut().map(|out| &mut **out);
+                    pending = self.simd_level.dispatch(SoaStep { batch: self, first: index * CHUNK, outs });
                 }
-                let row = index * PIECE + i;
-                let kept = kept.as_deref_mut().map(|rows| &mut rows[i * width(n)..][..width(n)]);
-                let outs = [&mut *goal, &mut *limit, &mut *velocity];
-                if let Err(error) = self.arm(row).and_then(|input| step(arm, &input, kept, outs)) {
-                    for out in [goal, limit, velocity] {
-                        out.fill(f64::NAN);
+                if pending == 0 {
+                    return;
+                }
+                let arm = slot.get_or_insert_with(&make);
+                let [goals, limits, velocities] = outs;
+                let outs =
+                    goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
+                for (i, ((goal, limit), velocity)) in outs.enumerate() {
+                    if pending >> i & 1 == 0 {
+                        continue;
                     }
-                    if self.input.invalid == Invalid::Refuse {
-                        first.report(row, error);
+                    let row = index * CHUNK + i;
+                    let row_state = row_state.as_deref_mut().map(|rows| &mut rows[i * row_len(n)..][..row_len(n)]);
+                    let outs = [&mut *goal, &mut *limit, &mut *velocity];
+                    if let Err(error) = self.arm(row).and_then(|input| step(arm, &input, row_state, outs)) {
+                        for out in [goal, limit, velocity] {
+                            out.fill(f64::NAN);
+                        }
+                        if self.input.invalid == OnInvalid::Error {
+                            first.report(row, error);
+                        }
                     }
                 }
-            }
-        };
+            };
         let outs = [goal, torque_limit, velocity];
-        let size = PIECE * n;
+        let size = CHUNK * n;
         if self.input.q.len() <= size {
             chunk(&mut None, 0, state, outs);
             return first.result();
@@ -213,11 +217,12 @@ impl<'a> Batch<'a> {
         let outs = outs.map(|out| out.par_chunks_mut(size));
         let [goals, limits, velocities] = outs;
         let outs = (goals, limits, velocities).into_par_iter().enumerate();
-        on_every_core(|| match state {
-            None => outs.for_each_init(|| None, |own, (index, (a, b, c))| chunk(own, index, None, [a, b, c])),
-            Some(state) => outs
-                .zip(state.par_chunks_mut(PIECE * width(n)))
-                .for_each_init(|| None, |own, ((index, (a, b, c)), kept)| chunk(own, index, Some(kept), [a, b, c])),
+        install(|| match state {
+            None => outs.for_each_init(|| None, |slot, (index, (a, b, c))| chunk(slot, index, None, [a, b, c])),
+            Some(state) => outs.zip(state.par_chunks_mut(CHUNK * row_len(n))).for_each_init(
+                || None,
+                |slot, ((index, (a, b, c)), row_state)| chunk(slot, index, Some(row_state), [a, b, c]),
+            ),
         })?;
         first.result()
     }
@@ -226,7 +231,7 @@ impl<'a> Batch<'a> {
     fn arm(&self, row: usize) -> Result<ArmInput<'a>> {
         let (n, model) = (self.model.n(), self.model);
         let q = &self.input.q[row * n..][..n];
-        let q = self.plan.positions(model, "q", q).map_err(|error| error.in_row("Q", row))?;
+        let q = self.params.positions(model, "q", q).map_err(|error| error.in_row("Q", row))?;
         let dq = self.input.dq.map(|dq| &dq[row * n..][..n]);
         if let Some(dq) = dq {
             model.joints_within("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
@@ -255,15 +260,15 @@ impl<'a> Batch<'a> {
     }
 
     fn check_target(&self, what: &str, target: &Pose) -> Result<()> {
-        self.model.check_target_in(what, target, &self.plan.target_region)
+        self.model.check_target_in(what, target, &self.params.target_region)
     }
 }
 
 /// Error of the first failed row, from any thread.
 #[derive(Default)]
-struct First(Mutex<Option<(usize, Error)>>);
+struct FirstError(Mutex<Option<(usize, Error)>>);
 
-impl First {
+impl FirstError {
     fn report(&self, row: usize, error: Error) {
         let mut slot = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if slot.as_ref().is_none_or(|(other, _)| row < *other) {

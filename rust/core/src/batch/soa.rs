@@ -3,23 +3,23 @@
 //! Rare cases (an invalid input, a joint at its limit) are left to single steps.
 
 use crate::batch::{Batch, Targets};
-use crate::command::goal::{Solution, register_speed};
-use crate::command::torque_limit::finish;
+use crate::command::goal::{JointTargets, profile_velocity};
+use crate::command::torque_limit::bound_and_slew;
 use crate::kinematics::batch::{gather, scatter};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::law::friction::Fed;
-use crate::law::paper::{is_printed, printed};
-use crate::law::singularity::{Condition, row_damping};
-use crate::law::{Pacing, Tick};
-use crate::math::simd::{ABREAST, Arithmetic, Columns, Kernel, Lanes, Machine, Many, NEGLIGIBLE, Packed};
-use crate::params::{GravityUse, Plan};
+use crate::law::friction::FrictionGains;
+use crate::law::paper::{is_published, published_motion};
+use crate::law::singularity::{SingularityState, row_damping};
+use crate::law::{LawInput, Pacing};
+use crate::math::simd::{Isa, JointVector, Kernel, NEGLIGIBLE, RealOps, SOA_MAX_JOINTS, SimdVec, SoaLanes, SoaVec};
+use crate::params::{GravityUse, Params};
 use crate::pose::Pose;
-use crate::task::demand::Wish;
-use crate::task::{Seen, pose_error_by};
+use crate::task::demand::AxisDemand;
+use crate::task::{ArmState, pose_error_by};
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// One chunk of the rows of a batch.
-pub(super) struct Abreast<'a> {
+pub(super) struct SoaStep<'a> {
     pub(super) batch: &'a Batch<'a>,
     /// Index of the first row.
     pub(super) first: usize,
@@ -31,111 +31,122 @@ pub(super) struct Abreast<'a> {
 type Jacobians<W> = [[W; MAX_JOINTS]; MAX_AXES];
 
 /// Returns true if the settings and the arm allow interleaved steps.
-pub(super) fn goes_abreast(plan: &Plan) -> bool {
-    plan.n <= ABREAST && is_printed(plan) && plan.deviation_limits.is_empty() && plan.max_host_loss_force.is_none()
+pub(super) fn supports_soa(params: &Params) -> bool {
+    params.n <= SOA_MAX_JOINTS
+        && is_published(params)
+        && params.deviation_limits.is_empty()
+        && params.max_host_loss_force.is_none()
 }
 
-impl Kernel for Abreast<'_> {
+impl Kernel for SoaStep<'_> {
     /// Rows that are left to single steps, the first in the lowest bit.
     type Output = u64;
 
     #[inline(always)]
-    fn run<M: Machine>(mut self) -> u64 {
-        let (n, mut left) = (self.batch.plan.n.clamp(1, ABREAST), 0);
-        let (rows, count) = (self.outs[0].len() / n, M::Many::COUNT);
-        let mut jacobians = [[M::Many::splat(0.0); MAX_JOINTS]; MAX_AXES];
+    fn run<M: Isa>(mut self) -> u64 {
+        let (n, mut pending) = (self.batch.params.n.clamp(1, SOA_MAX_JOINTS), 0);
+        let (rows, count) = (self.outs[0].len() / n, M::F64xN::COUNT);
+        let mut jacobians = [[M::F64xN::splat(0.0); MAX_JOINTS]; MAX_AXES];
         let mut from = 0;
         while from < rows {
-            let sure = self.rows::<M::Many>(n, from, &mut jacobians).numbers();
+            let valid = self.rows::<M::F64xN>(n, from, &mut jacobians).to_array();
             for lane in 0..count.min(rows - from) {
-                left |= u64::from(sure[lane] == 0.0) << (from + lane);
+                pending |= u64::from(valid[lane] == 0.0) << (from + lane);
             }
             from += count;
         }
-        left
+        pending
     }
 }
 
-impl Abreast<'_> {
+impl SoaStep<'_> {
     /// Steps one register of rows, beginning at `from`; returns 0 for rows that are left to single steps, else 1.
     #[inline(always)]
-    fn rows<W: Many>(&mut self, n: usize, from: usize, jacobians: &mut Jacobians<W>) -> W {
-        let Batch { plan, settings, model, masses, gravity, input, .. } = *self.batch;
-        let (row, nothing, mut sure) = (self.first + from, W::splat(0.0), W::splat(1.0));
+    fn rows<W: SoaLanes>(&mut self, n: usize, from: usize, jacobians: &mut Jacobians<W>) -> W {
+        let Batch { params, settings, model, masses, gravity, input, .. } = *self.batch;
+        let (row, zero, mut valid) = (self.first + from, W::splat(0.0), W::splat(1.0));
         let mut q = gather::<W>(&input.q[n * row..], n);
         for i in 0..n {
-            sure = W::if_less(W::splat(plan.readable[0][i]), q[i], sure, nothing);
-            sure = W::if_less(q[i], W::splat(plan.readable[1][i]), sure, nothing);
+            valid = W::select_lt(W::splat(params.q_plausible[0][i]), q[i], valid, zero);
+            valid = W::select_lt(q[i], W::splat(params.q_plausible[1][i]), valid, zero);
         }
-        for i in 0..ABREAST {
-            q[i] = if i < n { without_negligible(q[i]) } else { nothing };
+        for i in 0..SOA_MAX_JOINTS {
+            q[i] = if i < n { flush_subnormals(q[i]) } else { zero };
         }
-        let mut velocity = Columns::<W, ABREAST>::splat(0.0);
+        let mut velocity = SoaVec::<W, SOA_MAX_JOINTS>::splat(0.0);
         if let Some(dq) = input.dq {
             let mut dq = gather::<W>(&dq[n * row..], n);
-            for i in 0..ABREAST {
-                sure = if i < n { W::if_less(W::abs(dq[i]), W::splat(SPEED_BOUND), sure, nothing) } else { sure };
-                dq[i] = if i < n { without_negligible(dq[i]) } else { nothing };
+            for i in 0..SOA_MAX_JOINTS {
+                valid = if i < n { W::select_lt(W::abs(dq[i]), W::splat(SPEED_BOUND), valid, zero) } else { valid };
+                dq[i] = if i < n { flush_subnormals(dq[i]) } else { zero };
             }
-            velocity = Columns::of_joints(&dq);
+            velocity = SoaVec::from_joints(&dq);
         }
-        let target = self.targets(row, &mut sure);
+        let target = self.targets(row, &mut valid);
 
         let view =
-            model.chain().look_abreast(&q, masses, gravity, settings.gravity_use() != GravityUse::Off, jacobians);
-        let (q, mut turned) = (Columns::<W, ABREAST>::of_joints(&q), None);
-        let seen = Seen::new(plan, settings, q, &view, &mut turned);
-        let error = pose_error_by::<W>(&seen.view.tool, &target);
-        let wish = Wish::new(plan, settings, plan.in_rows(&seen.base_from_task, &error), Columns::splat(0.0));
-        let rest = plan.rest.as_ref().map_or(q, Columns::load);
-        let (lambda, integral) = (W::splat(plan.damping.lambda_0), Columns::splat(0.0));
-        let condition = Condition { damping: lambda * lambda, mu_squared: nothing, factor: None, gamma: W::splat(1.0) };
-        let tick = Tick {
-            plan,
+            model.chain().evaluate_soa(&q, masses, gravity, settings.gravity_use() != GravityUse::Off, jacobians);
+        let (q, mut turned) = (SoaVec::<W, SOA_MAX_JOINTS>::from_joints(&q), None);
+        let arm = ArmState::new(params, settings, q, &view, &mut turned);
+        let error = pose_error_by::<W>(&arm.view.tool, &target);
+        let demand =
+            AxisDemand::new(params, settings, params.to_task_rows(&arm.base_from_task, &error), SoaVec::splat(0.0));
+        let rest = params.posture.as_ref().map_or(q, SoaVec::load);
+        let (lambda, integral) = (W::splat(params.damping.lambda_0), SoaVec::splat(0.0));
+        let singularity =
+            SingularityState { damping: lambda * lambda, mu_squared: zero, factor: None, gamma: W::splat(1.0) };
+        let input = LawInput {
+            params,
             horizon: settings.paper_options.horizon,
-            rows: seen.rows,
-            scaled_rows: seen.rows, // the published law uses unscaled rows only
-            condition: &condition,
-            damping: row_damping::<Columns<W, ABREAST>>(plan, &condition),
-            pacing: Pacing::none(), // stateless steps have no reference velocity
-            wish: &wish,
+            rows: arm.rows,
+            scaled_rows: arm.rows, // the published law uses unscaled rows only
+            singularity: &singularity,
+            damping: row_damping::<SoaVec<W, SOA_MAX_JOINTS>>(params, &singularity),
+            pacing: Pacing::zero(), // stateless steps have no reference velocity
+            demand: &demand,
             velocity,
-            gradient: plan.cost.gradient(q, rest, 1.0),
-            gravity: seen.gravity_in_goal,
-            fed: Fed::new::<W>(settings, condition.gamma),
+            gradient: params.cost.gradient(q, rest, 1.0),
+            gravity: arm.gravity_in_goal,
+            friction_gains: FrictionGains::new::<W>(settings, singularity.gamma),
             integral,
         };
-        let (motion, budget) = printed(&tick);
-        let solution = Solution::new(plan, &tick, &seen, (motion, None));
-        let wanted = solution.load(plan, settings, (q, integral), &seen, &wish).budget(budget);
-        let load = |values| Columns::<W, ABREAST>::load(values);
-        let limit = finish(wanted, None, load(&plan.floor), load(&plan.servos.torque), Columns::splat(0.0));
-        let goal = solution.goal(plan, settings, limit);
-        let speed = register_speed(
-            &seen.view.world,
+        let (motion, budget) = published_motion(&input);
+        let solution = JointTargets::new(params, &input, &arm, (motion, None));
+        let wanted = solution.limit_terms(params, settings, (q, integral), &arm, &demand).budget(budget);
+        let load = |values| SoaVec::<W, SOA_MAX_JOINTS>::load(values);
+        let limit = bound_and_slew(
+            wanted,
+            None,
+            load(&params.min_torque_limit),
+            load(&params.servos.torque),
+            SoaVec::splat(0.0),
+        );
+        let goal = solution.goal(params, settings, limit);
+        let speed = profile_velocity(
+            &arm.view.j_base,
             settings.max_tool_speed,
             settings.tracking.goal_slew,
-            load(&plan.joint_speed),
+            load(&params.joint_speed),
         );
 
-        let (moving, goals, limits) = (solution.moving.numbers(), goal.numbers(), limit.numbers());
+        let (q_goal, goals, limits) = (solution.q_goal.to_array(), goal.to_array(), limit.to_array());
         for i in 0..n {
-            sure = W::if_less(W::splat(plan.upper[i]), moving[i], nothing, sure);
-            sure = W::if_less(moving[i], W::splat(plan.lower[i]), nothing, sure);
-            sure = W::if_less(W::abs(goals[i]) + W::abs(limits[i]), W::splat(f64::INFINITY), sure, nothing);
+            valid = W::select_lt(W::splat(params.upper[i]), q_goal[i], zero, valid);
+            valid = W::select_lt(q_goal[i], W::splat(params.lower[i]), zero, valid);
+            valid = W::select_lt(W::abs(goals[i]) + W::abs(limits[i]), W::splat(f64::INFINITY), valid, zero);
         }
         let [a, b, c] = &mut self.outs;
         scatter::<W>(&goals, n, &mut a[n * from..]);
         scatter::<W>(&limits, n, &mut b[n * from..]);
-        scatter::<W>(&speed.numbers(), n, &mut c[n * from..]);
-        sure
+        scatter::<W>(&speed.to_array(), n, &mut c[n * from..]);
+        valid
     }
 
-    /// Loads the targets of the arms beginning at `row`; sets `sure` to 0 for targets that may be invalid.
+    /// Loads the targets of the arms beginning at `row`; sets `valid` to 0 for targets that may be invalid.
     #[inline(always)]
-    fn targets<W: Many>(&self, row: usize, sure: &mut W) -> Pose<W> {
-        let (nothing, one) = (W::splat(0.0), W::splat(1.0));
-        let mut target = Pose { rotation: [[nothing; 3]; 3], position: [nothing; 3] };
+    fn targets<W: SoaLanes>(&self, row: usize, valid: &mut W) -> Pose<W> {
+        let (zero, one) = (W::splat(0.0), W::splat(1.0));
+        let mut target = Pose { rotation: [[zero; 3]; 3], position: [zero; 3] };
         match self.batch.input.targets {
             Targets::One(pose) => {
                 for i in 0..3 {
@@ -152,9 +163,9 @@ impl Abreast<'_> {
                     target.position[i] = m[4 * i + 3];
                 }
                 for off in [m[12], m[13], m[14], m[15] - one] {
-                    *sure = W::if_less(W::abs(off), W::splat(1e-9), *sure, nothing);
+                    *valid = W::select_lt(W::abs(off), W::splat(1e-9), *valid, zero);
                 }
-                *sure = target.if_sure::<W>(&self.batch.plan.target_region, *sure);
+                *valid = target.mask_valid::<W>(&self.batch.params.target_region, *valid);
             }
             Targets::Positions(values) => {
                 let p = gather::<W>(&values[3 * row..], 3);
@@ -162,7 +173,7 @@ impl Abreast<'_> {
                     target.rotation[i][i] = one;
                     target.position[i] = p[i];
                 }
-                *sure = target.if_sure::<W>(&self.batch.plan.target_region, *sure);
+                *valid = target.mask_valid::<W>(&self.batch.params.target_region, *valid);
             }
         }
         target
@@ -171,6 +182,6 @@ impl Abreast<'_> {
 
 /// Flushes a negligibly small position to 0, as a single step does.
 #[inline(always)]
-fn without_negligible<W: Many>(value: W) -> W {
-    W::if_less(W::abs(value), W::splat(NEGLIGIBLE), W::splat(0.0), value)
+fn flush_subnormals<W: SoaLanes>(value: W) -> W {
+    W::select_lt(W::abs(value), W::splat(NEGLIGIBLE), W::splat(0.0), value)
 }

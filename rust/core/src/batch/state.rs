@@ -6,7 +6,7 @@ use crate::pose::COORDINATE_BOUND;
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Length of the row of an arm of `n` joints.
-pub(crate) const fn width(n: usize) -> usize {
+pub(crate) const fn row_len(n: usize) -> usize {
     2 + 7 * n + 3 * MAX_AXES + 2 * POSE + MAX_AXES + 2
 }
 
@@ -21,16 +21,16 @@ pub(crate) enum Flag {
     Cold = 2,
     Limited = 4,
     /// Reset to the stored goals before the next step.
-    Waiting = 8,
+    ReferenceHold = 8,
 }
 
 /// Status of an arm whose state is in a row.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Kept<'a> {
+pub(crate) enum RowStatus<'a> {
     /// Not started.
     New,
     /// Reset to these positions before the next step.
-    Waiting(&'a [f64]),
+    ReferenceHold(&'a [f64]),
     /// At least one step has run.
     Running,
 }
@@ -57,9 +57,9 @@ impl BatchState {
             return Err(Error::out_of_range("joints", n as f64, format!("1 to {MAX_JOINTS}")));
         }
         let mut rows = Vec::new();
-        let room = count.checked_mul(width(n)).filter(|&size| rows.try_reserve_exact(size).is_ok());
+        let room = count.checked_mul(row_len(n)).filter(|&size| rows.try_reserve_exact(size).is_ok());
         let size = room.ok_or_else(|| {
-            Error::out_of_range("arms", count as f64, format!("the free memory at {} bytes an arm", 8 * width(n)))
+            Error::out_of_range("arms", count as f64, format!("the free memory at {} bytes an arm", 8 * row_len(n)))
         })?;
         rows.resize(size, 0.0);
         Ok(Self { n, rows, settings: None })
@@ -69,16 +69,16 @@ impl BatchState {
     ///
     /// # Errors
     /// As [`BatchState::new`]; [`Error::Shape`] if the length is not a multiple of one arm's length.
-    pub fn from_numbers(n: usize, numbers: Vec<f64>) -> Result<Self> {
+    pub fn from_vec(n: usize, numbers: Vec<f64>) -> Result<Self> {
         let empty = Self::new(n, 0)?;
-        if !numbers.len().is_multiple_of(width(n)) {
-            return Err(Error::rows("state", numbers.len(), width(n)));
+        if !numbers.len().is_multiple_of(row_len(n)) {
+            return Err(Error::rows("state", numbers.len(), row_len(n)));
         }
         Ok(Self { rows: numbers, ..empty })
     }
 
     /// Returns the whole state, to be stored and read by the same version of this crate.
-    pub fn numbers(&self) -> &[f64] {
+    pub fn as_slice(&self) -> &[f64] {
         &self.rows
     }
 
@@ -89,7 +89,7 @@ impl BatchState {
 
     /// Number of arms.
     pub fn len(&self) -> usize {
-        self.rows.len() / width(self.n)
+        self.rows.len() / row_len(self.n)
     }
 
     /// Returns true if there are no arms.
@@ -110,9 +110,9 @@ impl BatchState {
                 return Err(Error::out_of_range("q", value, format!("±{COORDINATE_BOUND:e}")).in_row("Q", index));
             }
         }
-        let (width, count) = (width(self.n), self.len());
+        let (row_len, count) = (row_len(self.n), self.len());
         let missing = || Error::out_of_range("arm", index as f64, format!("a state of {count} arms"));
-        Kept::renew(self.rows.chunks_exact_mut(width).nth(index).ok_or_else(missing)?, q);
+        RowStatus::reset_row(self.rows.chunks_exact_mut(row_len).nth(index).ok_or_else(missing)?, q);
         Ok(())
     }
 
@@ -138,21 +138,21 @@ impl Flag {
     }
 }
 
-impl<'a> Kept<'a> {
+impl<'a> RowStatus<'a> {
     /// Returns the status of a row of an arm of `n` joints.
     pub(crate) fn of(row: &'a [f64], n: usize) -> Self {
         match row.split_first() {
-            Some((&flags, rest)) if Flag::Waiting.is_in(flags) => Self::Waiting(&rest[..n.min(rest.len())]),
+            Some((&flags, rest)) if Flag::ReferenceHold.is_in(flags) => Self::ReferenceHold(&rest[..n.min(rest.len())]),
             Some((&flags, _)) if Flag::Started.is_in(flags) => Self::Running,
             _ => Self::New,
         }
     }
 
     /// Resets `row`: to `q`, or to the positions of its next step.
-    pub(crate) fn renew(row: &mut [f64], q: Option<&[f64]>) {
+    pub(crate) fn reset_row(row: &mut [f64], q: Option<&[f64]>) {
         row.fill(0.0);
         if let (Some(q), Some((first, rest))) = (q, row.split_first_mut()) {
-            *first = f64::from(Flag::Waiting as u32);
+            *first = f64::from(Flag::ReferenceHold as u32);
             rest.iter_mut().zip(q).for_each(|(slot, value)| *slot = *value);
         }
     }

@@ -1,13 +1,13 @@
 //! Joint torque limits.
 
 use crate::law::activation::Activation;
-use crate::math::simd::{Arithmetic, EveryJoint, Joints, Lanes};
-use crate::params::Plan;
+use crate::math::simd::{JointVec16, JointVector, RealOps, SingleArmJoints};
+use crate::params::Params;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Terms of the torque limits; all in N·m, one per joint.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Load<J> {
+pub(crate) struct LimitTerms<J> {
     /// Gravity torques.
     pub(crate) gravity: J,
     /// Feed-forward of friction and damping.
@@ -22,12 +22,12 @@ pub(crate) struct Load<J> {
     pub(crate) margin: J,
 }
 
-impl<J: Lanes> Load<J> {
+impl<J: JointVector> LimitTerms<J> {
     /// Line 12: torque that the law demands in this step, at least gravity, plus a margin.
     #[inline(always)]
     pub(crate) fn demand(&self) -> J {
         let wanted = self.gravity + self.task + self.feed_forward + self.offset;
-        J::at_least(J::abs(wanted), J::splat(self.gravity_scale) * J::abs(self.gravity)) + self.margin
+        J::max(J::abs(wanted), J::splat(self.gravity_scale) * J::abs(self.gravity)) + self.margin
     }
 
     /// (11) with gravity: the budgets of law `paper` plus the gravity torques.
@@ -37,16 +37,16 @@ impl<J: Lanes> Load<J> {
     }
 }
 
-impl<J: Joints> Load<J> {
+impl<J: SingleArmJoints> LimitTerms<J> {
     /// Sum over all axes of their largest demands: `s_g |g| + Σ_j |J_ji| most_j + null_i + |ff|`.
     #[cold]
     #[inline(never)]
-    pub(crate) fn sum(&self, rows: &Rows, most: &AxisVec, null: &JointVec) -> JointVec {
-        let mut out = J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), J::abs(self.feed_forward)).array();
+    pub(crate) fn sum(&self, rows: &Rows, max: &AxisVec, null: &JointVec) -> JointVec {
+        let mut out = J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), J::abs(self.feed_forward)).to_joints();
         for i in 0..MAX_JOINTS {
             out[i] += null[i];
             for r in 0..MAX_AXES {
-                out[i] += rows[r][i].abs() * most[r];
+                out[i] += rows[r][i].abs() * max[r];
             }
         }
         out
@@ -54,58 +54,58 @@ impl<J: Joints> Load<J> {
 }
 
 /// Inputs of the sum rule, which few settings use.
-pub(crate) struct Asked {
+pub(crate) struct SumRuleInput {
     pub(crate) rows: Rows,
     pub(crate) gradient: JointVec,
     pub(crate) damping: f64,
     pub(crate) sigma: [f64; 2],
-    pub(crate) most: AxisVec,
-    pub(crate) gravity: EveryJoint,
-    pub(crate) feed_forward: EveryJoint,
+    pub(crate) max: AxisVec,
+    pub(crate) gravity: JointVec16,
+    pub(crate) feed_forward: JointVec16,
 }
 
-impl Asked {
+impl SumRuleInput {
     #[cold]
     #[inline(never)]
-    pub(crate) fn sum(&self, plan: &Plan, gravity_scale: f64) -> JointVec {
+    pub(crate) fn sum(&self, params: &Params, gravity_scale: f64) -> JointVec {
         let Self { rows, gradient, .. } = self;
-        let null = Activation::of_step(plan, rows, gradient, self.damping, || self.sigma)
+        let null = Activation::of_step(params, rows, gradient, self.damping, || self.sigma)
             .null()
-            .map(|share| share * plan.null_torque);
-        let nothing = EveryJoint::splat(0.0);
-        let load = Load {
+            .map(|share| share * params.null_torque);
+        let zero = JointVec16::splat(0.0);
+        let load = LimitTerms {
             gravity: self.gravity,
             feed_forward: self.feed_forward,
-            task: nothing,
-            offset: nothing,
+            task: zero,
+            offset: zero,
             gravity_scale,
-            margin: nothing,
+            margin: zero,
         };
-        load.sum(&self.rows, &self.most, &null)
+        load.sum(&self.rows, &self.max, &null)
     }
 }
 
 /// Applies minimum, ceiling and slew: limits fall at once and rise within the stiffening time.
 #[inline(always)]
-pub(crate) fn finish<J: Lanes>(wanted: J, before: Option<J>, floor: J, ceiling: J, rise: J) -> J {
-    let mut limit = J::at_most(wanted, ceiling);
+pub(crate) fn bound_and_slew<J: JointVector>(wanted: J, before: Option<J>, floor: J, ceiling: J, rise: J) -> J {
+    let mut limit = J::min(wanted, ceiling);
     if let Some(before) = before {
-        limit = J::at_most(limit, before + rise);
+        limit = J::min(limit, before + rise);
     }
     // Apply the minimum last: a raised minimum takes effect at once.
-    J::at_most(J::at_least(limit, floor), ceiling)
+    J::min(J::max(limit, floor), ceiling)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::simd::{Arithmetic, EveryJoint};
+    use crate::math::simd::{JointVec16, RealOps};
 
     #[test]
     fn limits_fall_at_once_and_rise_slowly() {
         let at = |wanted, before| {
-            let [wanted, before, floor, ceiling, rise] = [wanted, before, 0.2, 10.0, 0.5].map(EveryJoint::splat);
-            finish(wanted, Some(before), floor, ceiling, rise).array()[0]
+            let [wanted, before, floor, ceiling, rise] = [wanted, before, 0.2, 10.0, 0.5].map(JointVec16::splat);
+            bound_and_slew(wanted, Some(before), floor, ceiling, rise).to_joints()[0]
         };
         assert!((at(3.0, 8.0) - 3.0).abs() < 1e-15);
         assert!((at(8.0, 3.0) - 3.5).abs() < 1e-15);

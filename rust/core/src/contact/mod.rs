@@ -19,7 +19,7 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 pub use options::ContactOptions;
 
 use events::Events;
-use residual::{Errors, Joints};
+use residual::{ModelErrors, ServoModel};
 
 /// Number of stored commands: a goal acts T_d after the reading from which it was computed.
 const HISTORY: usize = 64;
@@ -106,10 +106,10 @@ struct Tare {
     /// Residual at the tare [N·m].
     residual: JointVec,
     /// Servo and gravity torques at the tare [N·m]; errors proportional to them count from there.
-    given: JointVec,
+    servo_torque: JointVec,
     gravity: JointVec,
     /// Bound on the friction torque contained in the tare.
-    hidden: JointVec,
+    friction_bound: JointVec,
     /// Torques per mass at the tool [N·m/kg].
     payload: JointVec,
 }
@@ -117,29 +117,29 @@ struct Tare {
 impl Tare {
     const NONE: Self = Self {
         residual: [0.0; MAX_JOINTS],
-        given: [0.0; MAX_JOINTS],
+        servo_torque: [0.0; MAX_JOINTS],
         gravity: [0.0; MAX_JOINTS],
-        hidden: [0.0; MAX_JOINTS],
+        friction_bound: [0.0; MAX_JOINTS],
         payload: [0.0; MAX_JOINTS],
     };
 }
 
 /// State between readings.
 #[derive(Debug, Clone, Copy)]
-struct Memory {
+struct State {
     filter: VelocityFilter,
     /// Previous reading [rad], and low-passed velocity [rad/s].
-    before: JointVec,
-    slow: JointVec,
+    previous_q: JointVec,
+    lowpassed_velocity: JointVec,
     /// `g − τ`, delayed like the velocities; low-passed residual without acceleration; with acceleration [N·m].
-    held: JointVec,
+    static_residual: JointVec,
     low_passed: JointVec,
     residual: JointVec,
     uncertainty: JointVec,
     /// True after the first reading.
     started: bool,
     /// True if residual and uncertainty are valid.
-    warm: bool,
+    filters_ready: bool,
     sent: [Sent; HISTORY],
     /// Index of the newest command, and number of commands.
     newest: usize,
@@ -148,7 +148,7 @@ struct Memory {
     stop: Events,
     estimate: WrenchEstimate,
     /// Tare that the present reading would give.
-    here: Tare,
+    tare_candidate: Tare,
 }
 
 /// Contact estimator of one arm; call [`update`](ContactEstimator::update) once per cycle, before the controller's
@@ -177,15 +177,15 @@ struct Memory {
 #[derive(Debug, Clone)]
 pub struct ContactEstimator {
     options: ContactOptions,
-    joints: Joints,
+    joints: ServoModel,
     /// Indices of the estimated axes.
     axes: Vec<usize>,
-    most: AxisVec,
-    errors: Errors,
+    max_wrench: AxisVec,
+    errors: ModelErrors,
     constants: Option<JointVec>,
     tare: Tare,
     tared: bool,
-    memory: Memory,
+    state: State,
 }
 
 impl ContactEstimator {
@@ -209,18 +209,18 @@ impl ContactEstimator {
         if axes.is_empty() {
             return Err(Error::config("axes", "no axis given; e.g. \"xyz rpy\", \"xyz\", \"z\""));
         }
-        let mut most = [0.0; MAX_AXES];
-        for (slot, &axis) in most.iter_mut().zip(&axes) {
-            *slot = options.most[usize::from(axis >= 3)];
+        let mut max_wrench = [0.0; MAX_AXES];
+        for (slot, &axis) in max_wrench.iter_mut().zip(&axes) {
+            *slot = options.max_wrench[usize::from(axis >= 3)];
         }
         let kp_error = options.kp_error.unwrap_or(if servos.stiffness_known { 0.1 } else { 0.25 });
-        let errors = Errors {
+        let errors = ModelErrors {
             friction: options.friction_error,
-            given: kp_error,
+            servo_torque: kp_error,
             gravity: options.gravity_error,
             inertia: options.inertia_error,
         };
-        let joints = Joints::new(servos, &controller.plan.servos, n)?;
+        let joints = ServoModel::new(servos, &controller.params.servos, n)?;
         let (hysteresis, min_time, guard) = (options.hysteresis, options.min_time, options.guard());
         let constants = options.torque_constant.as_ref().map(|values| {
             let mut out = [0.0; MAX_JOINTS];
@@ -231,28 +231,28 @@ impl ContactEstimator {
         let contact = Self {
             tare: Tare::NONE,
             tared: false,
-            memory: Memory {
+            state: State {
                 filter: VelocityFilter::new(&resting),
-                before: resting,
-                slow: resting,
-                held: resting,
+                previous_q: resting,
+                lowpassed_velocity: resting,
+                static_residual: resting,
                 low_passed: resting,
                 residual: resting,
                 uncertainty: resting,
                 started: false,
-                warm: false,
+                filters_ready: false,
                 sent: [Sent { goal: resting, limit: resting }; HISTORY],
                 newest: 0,
                 count: 0,
                 touch: Events::new(&options.touch, hysteresis, min_time, guard),
                 stop: Events::new(&options.stop, hysteresis, min_time, guard),
                 estimate: WrenchEstimate::empty(n),
-                here: Tare::NONE,
+                tare_candidate: Tare::NONE,
             },
             constants,
             joints,
             axes,
-            most,
+            max_wrench,
             errors,
             options,
         };
@@ -272,7 +272,7 @@ impl ContactEstimator {
 
     /// The last estimate.
     pub const fn estimate(&self) -> &WrenchEstimate {
-        &self.memory.estimate
+        &self.state.estimate
     }
 
     /// Returns true while a tare is set.
@@ -282,11 +282,11 @@ impl ContactEstimator {
 
     /// Clears velocity, filter, commands and events; keeps the tare.
     pub fn reset(&mut self) {
-        let memory = &mut self.memory;
-        (memory.started, memory.warm, memory.count) = (false, false, 0);
-        memory.touch.reset();
-        memory.stop.reset();
-        memory.estimate = WrenchEstimate::empty(self.joints.n);
+        let state = &mut self.state;
+        (state.started, state.filters_ready, state.count) = (false, false, 0);
+        state.touch.reset();
+        state.stop.reset();
+        state.estimate = WrenchEstimate::empty(self.joints.n);
     }
 
     /// Takes the present residual as zero: later estimates are relative to it.
@@ -297,10 +297,10 @@ impl ContactEstimator {
     /// # Errors
     /// [`Error::Config`] before the first reading.
     pub fn tare(&mut self) -> Result<()> {
-        if !self.memory.warm {
+        if !self.state.filters_ready {
             return Err(Error::config("tare", "nothing has been felt yet: update with a reading first"));
         }
-        (self.tare, self.tared) = (self.memory.here, true);
+        (self.tare, self.tared) = (self.state.tare_candidate, true);
         Ok(())
     }
 

@@ -33,7 +33,7 @@ pub struct ContactOptions {
     /// Torque of the motors, gears included, per current [N·m/A]; needed if a current is given.
     pub torque_constant: Option<Vec<f64>>,
     /// Largest plausible force [N] and torque [N·m] of the surroundings: the uncertainty of unobservable axes.
-    pub most: [f64; 2],
+    pub max_wrench: [f64; 2],
     /// Threshold of a touch [N] ([N·m]), per axis.
     pub touch: [Option<f64>; MAX_AXES],
     /// Threshold of a stop [N] ([N·m]), per axis.
@@ -60,7 +60,7 @@ impl Default for ContactOptions {
             inertia_error: 0.3,
             load_error: 0.2,
             torque_constant: None,
-            most: [100.0, 20.0],
+            max_wrench: [100.0, 20.0],
             touch: [None; MAX_AXES],
             stop: [None; MAX_AXES],
             hysteresis: 0.3,
@@ -77,11 +77,11 @@ impl ContactOptions {
     /// # Errors
     /// [`Error::OutOfRange`] or [`Error::Config`] naming the option, [`Error::Shape`] for the torque constants.
     pub fn validate(&self, n: usize) -> Result<()> {
-        let within = |what: &str, value: f64, most: f64| {
-            if (0.0..=most).contains(&value) {
+        let within = |what: &str, value: f64, max_wrench: f64| {
+            if (0.0..=max_wrench).contains(&value) {
                 Ok(())
             } else {
-                Err(Error::out_of_range(what, value, format!("[0, {most}]")))
+                Err(Error::out_of_range(what, value, format!("[0, {max_wrench}]")))
             }
         };
         within("filter [s]", self.filter, LONGEST)?;
@@ -94,9 +94,9 @@ impl ContactOptions {
         within("load_error", self.load_error, 10.0)?;
         within("hysteresis", self.hysteresis, 0.95)?;
         within("guard", self.guard, 1.0)?;
-        for (what, most) in ["most (force) [N]", "most (torque) [N·m]"].into_iter().zip(self.most) {
-            if !(most > 0.0 && most <= FORCE_BOUND) {
-                return Err(Error::out_of_range(what, most, format!("(0, {FORCE_BOUND:e}]")));
+        for (what, max_wrench) in ["most (force) [N]", "most (torque) [N·m]"].into_iter().zip(self.max_wrench) {
+            if !(max_wrench > 0.0 && max_wrench <= FORCE_BOUND) {
+                return Err(Error::out_of_range(what, max_wrench, format!("(0, {FORCE_BOUND:e}]")));
             }
         }
         for (name, thresholds) in [("touch", &self.touch), ("stop", &self.stop)] {

@@ -6,27 +6,27 @@ use crate::params::{ServoArrays, Servos};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Smallest uncertainty of a joint's torque, as a share of the usable torque.
-const LEAST: f64 = 1e-4;
+const MIN_UNCERTAINTY: f64 = 1e-4;
 
 /// Servo parameters of the estimator, neutral values in the padding.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Joints {
+pub(super) struct ServoModel {
     pub(super) n: usize,
     pub(super) kp: JointVec,
     pub(super) kv: JointVec,
     /// Friction parameters.
     pub(super) servos: ServoArrays,
     /// Damping of gears and back-EMF, not subject to the torque limit.
-    pub(super) gears: JointVec,
-    /// Part of `gears` that a measured load already includes: the back-EMF of duty-limited servos.
+    pub(super) gear_damping: JointVec,
+    /// Part of `gear_damping` that a measured load already includes: the back-EMF of duty-limited servos.
     pub(super) back_emf: JointVec,
     pub(super) armature: JointVec,
     pub(super) count: JointVec,
     /// Usable torque [N·m].
-    pub(super) usable: JointVec,
+    pub(super) max_torque: JointVec,
 }
 
-impl Joints {
+impl ServoModel {
     pub(super) fn new(servos: &Servos, arrays: &ServoArrays, n: usize) -> Result<Self> {
         let servos = servos.for_joints(n)?;
         let spread = |values: &[f64]| {
@@ -39,24 +39,24 @@ impl Joints {
             kp: spread(&servos.kp),
             kv: spread(&servos.kv),
             servos: *arrays,
-            gears: [0.0; MAX_JOINTS],
+            gear_damping: [0.0; MAX_JOINTS],
             back_emf: [0.0; MAX_JOINTS],
             armature: spread(&servos.armature),
             count: spread(&servos.encoder_step),
-            usable: spread(&servos.max_torque),
+            max_torque: spread(&servos.max_torque),
         };
-        let own = spread(&servos.damping);
+        let servo_damping = spread(&servos.damping);
         for i in 0..out.n {
             // The controller's damping is the sum of gears, the servo's own damping and back-EMF.
-            out.gears[i] = arrays.damping[i] - out.kv[i];
-            out.back_emf[i] = out.gears[i] - own[i];
+            out.gear_damping[i] = arrays.damping[i] - out.kv[i];
+            out.back_emf[i] = out.gear_damping[i] - servo_damping[i];
         }
         Ok(out)
     }
 
     /// Returns the torque of each servo [N·m], `clip(k_p (goal − q) − k_v v, ±limit)`, and whether it is at the limit.
     #[inline]
-    pub(super) fn given(
+    pub(super) fn servo_torque(
         &self,
         goal: &JointVec,
         limit: &JointVec,
@@ -66,9 +66,9 @@ impl Joints {
         let (mut out, mut saturated) = ([0.0; MAX_JOINTS], [false; MAX_JOINTS]);
         for i in 0..self.n {
             let wanted = self.kp[i] * (goal[i] - q[i]) - self.kv[i] * v[i];
-            let most = limit[i].max(0.0);
-            out[i] = wanted.clamp(-most, most);
-            saturated[i] = wanted.abs() > most;
+            let max = limit[i].max(0.0);
+            out[i] = wanted.clamp(-max, max);
+            saturated[i] = wanted.abs() > max;
         }
         (out, saturated)
     }
@@ -76,10 +76,10 @@ impl Joints {
 
 /// Relative errors of the parts of a residual.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Errors {
+pub(super) struct ModelErrors {
     /// Errors of friction and damping, of the servos' torque, of gravity, of acceleration.
     pub(super) friction: f64,
-    pub(super) given: f64,
+    pub(super) servo_torque: f64,
     pub(super) gravity: f64,
     pub(super) inertia: f64,
 }
@@ -87,9 +87,9 @@ pub(super) struct Errors {
 /// Torque balance of all joints at one reading.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Balance<'a> {
-    pub(super) joints: &'a Joints,
+    pub(super) joints: &'a ServoModel,
     /// Torque of the servos [N·m], and whether it was measured.
-    pub(super) given: &'a JointVec,
+    pub(super) servo_torque: &'a JointVec,
     pub(super) measured: bool,
     pub(super) saturated: &'a [bool; MAX_JOINTS],
     pub(super) gravity: &'a JointVec,
@@ -119,17 +119,17 @@ pub(super) struct Noise {
 impl Balance<'_> {
     /// `g − τ` without the servos' own damping [N·m]: the part that depends on positions.
     #[inline]
-    pub(super) fn held(&self) -> JointVec {
+    pub(super) fn static_residual(&self) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..self.joints.n {
-            out[i] = self.gravity[i] - self.given[i] - self.own_damping(i) * self.velocity[i];
+            out[i] = self.gravity[i] - self.servo_torque[i] - self.own_damping(i) * self.velocity[i];
         }
         out
     }
 
     /// `τ_f tanh(v/v₀) + d v` with the servos' own damping [N·m]: the part that depends on velocities.
     #[inline]
-    pub(super) fn resisted(&self) -> JointVec {
+    pub(super) fn friction_torque(&self) -> JointVec {
         let (joints, v) = (self.joints, self.velocity);
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
@@ -141,7 +141,7 @@ impl Balance<'_> {
 
     /// `M q̈` [N·m].
     #[inline]
-    pub(super) fn accelerating(&self) -> JointVec {
+    pub(super) fn inertial_torque(&self) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..self.joints.n {
             out[i] = self.joints.armature[i] * self.acceleration[i];
@@ -157,18 +157,18 @@ impl Balance<'_> {
     /// Dry friction of a joint that may be at rest lies anywhere within ±τ_f (1 + share). Of a joint that certainly
     /// moves only its share is uncertain.
     #[inline]
-    pub(super) fn resistance_error(&self, errors: &Errors) -> JointVec {
-        let (joints, accelerating) = (self.joints, self.accelerating());
+    pub(super) fn friction_error(&self, errors: &ModelErrors) -> JointVec {
+        let (joints, inertial_torque) = (self.joints, self.inertial_torque());
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
             let (speed, off) = (self.velocity[i].abs(), self.velocity_error[i]);
             let believed = (speed / self.friction_speed).tanh();
             let sure = ((speed - off).max(0.0) / self.friction_speed).tanh();
-            let (moving, rest) = (self.friction(i), joints.servos.friction_at_rest(i, self.given[i]));
+            let (moving, rest) = (self.friction(i), joints.servos.friction_at_rest(i, self.servo_torque[i]));
             let share = errors.friction * (sure * moving + (1.0 - sure) * rest);
             let dry = rest * (1.0 + believed - 2.0 * sure) + share;
             let viscous = errors.friction * self.damping(i) * speed;
-            out[i] = dry + viscous + errors.inertia * accelerating[i].abs() + LEAST * joints.usable[i];
+            out[i] = dry + viscous + errors.inertia * inertial_torque[i].abs() + MIN_UNCERTAINTY * joints.max_torque[i];
         }
         out
     }
@@ -203,10 +203,10 @@ impl Balance<'_> {
     #[inline]
     fn friction(&self, i: usize) -> f64 {
         let servos = &self.joints.servos;
-        let x = self.velocity[i].abs() * servos.stribeck_slowness[i];
+        let x = self.velocity[i].abs() * servos.inv_stribeck_speed[i];
         let at_rest = 1.0 / (1.0 + x + x * x);
         let loaded = servos.load_friction[i] + at_rest * servos.load_stribeck[i];
-        servos.friction[i] + at_rest * servos.stribeck[i] + loaded * self.given[i].abs()
+        servos.friction[i] + at_rest * servos.stribeck[i] + loaded * self.servo_torque[i].abs()
     }
 
     /// Returns the servo's own damping if it is known to be part of the torque [N·m·s/rad].
@@ -217,6 +217,6 @@ impl Balance<'_> {
 
     #[inline]
     fn damping(&self, i: usize) -> f64 {
-        self.joints.gears[i] - if self.measured { self.joints.back_emf[i] } else { 0.0 }
+        self.joints.gear_damping[i] - if self.measured { self.joints.back_emf[i] } else { 0.0 }
     }
 }

@@ -1,13 +1,13 @@
 //! Update with one reading: residual, low-pass, wrench, events; and the uncertainty of an arm at rest.
 
-use super::residual::{Balance, Errors, Noise};
+use super::residual::{Balance, ModelErrors, Noise};
 use super::wrench::Estimator;
-use super::{ContactEstimator, ContactInput, HISTORY, Memory, Sent, Tare, WrenchEstimate};
+use super::{ContactEstimator, ContactInput, HISTORY, Sent, State, Tare, WrenchEstimate};
 use crate::controller::{Controller, period};
 use crate::error::{Error, Result};
-use crate::kinematics::Frames;
+use crate::kinematics::JointFrames;
 use crate::kinematics::velocity_filter::{Filtered, SPEED_BOUND, VelocityFilter};
-use crate::math::simd::{EveryJoint, Lanes};
+use crate::math::simd::{JointVec16, JointVector};
 use crate::params::{AXIS_NAMES, workspace};
 use crate::pose::COORDINATE_BOUND;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -16,28 +16,28 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 const LOAD_BOUND: f64 = 1e6;
 
 /// Standard deviation [counts] of a reading that is rounded to counts and toggles by one count half of the time.
-const READING_NOISE: f64 = 0.76;
+const QUANTIZATION_STD: f64 = 0.76;
 
 /// Number of standard deviations taken as the noise bound.
-const SIGMAS: f64 = 3.0;
+const NOISE_SIGMAS: f64 = 3.0;
 
 /// Stride over the survey's poses at which the uncertainty is evaluated.
-const EVERY: usize = 8;
+const SAMPLE_STRIDE: usize = 8;
 
 /// State of the arm at one reading.
-struct Seen {
+struct ArmState {
     /// Rows of the estimated axes, in the task frame.
     rows: Rows,
     base_from_task: [[f64; 3]; 3],
     gravity: JointVec,
     /// Gravity torques of a mass at the tool [N·m/kg].
     payload: JointVec,
-    frames: Frames,
+    frames: JointFrames,
 }
 
 /// Motion of the joints.
 #[derive(Default)]
-struct Motion {
+struct JointMotion {
     /// Mean of the last two positions, which corresponds to the servos' mean torque.
     middle: JointVec,
     velocity: JointVec,
@@ -71,31 +71,31 @@ impl ContactEstimator {
         let measured = self.measured(controller, input)?;
         let sent = sent(controller, input)?;
 
-        let mut memory = self.memory;
+        let mut state = self.state;
         if let Some(sent) = sent {
-            memory.newest = (memory.newest + 1) % HISTORY;
-            memory.sent[memory.newest % HISTORY] = sent;
-            memory.count = (memory.count + 1).min(HISTORY);
+            state.newest = (state.newest + 1) % HISTORY;
+            state.sent[state.newest % HISTORY] = sent;
+            state.count = (state.count + 1).min(HISTORY);
         }
-        let motion = self.motion(controller, &q, dq.as_ref(), dt, &mut memory);
-        let (torque, saturated) = match (measured, memory.in_force(controller.delay(), dt)) {
+        let motion = self.motion(controller, &q, dq.as_ref(), dt, &mut state);
+        let (torque, saturated) = match (measured, state.command_at_reading(controller.delay(), dt)) {
             (Some(load), _) => (load, [false; MAX_JOINTS]),
-            (None, Some(sent)) => self.joints.given(&sent.goal, &sent.limit, &motion.middle, &motion.velocity),
+            (None, Some(sent)) => self.joints.servo_torque(&sent.goal, &sent.limit, &motion.middle, &motion.velocity),
             (None, None) => {
-                memory.estimate = WrenchEstimate { velocity: motion.velocity, ..WrenchEstimate::empty(self.joints.n) };
-                self.memory = memory;
-                return Ok(&self.memory.estimate);
+                state.estimate = WrenchEstimate { velocity: motion.velocity, ..WrenchEstimate::empty(self.joints.n) };
+                self.state = state;
+                return Ok(&self.state.estimate);
             }
         };
-        let seen = self.look(controller, &q);
+        let arm = self.arm_state(controller, &q);
         let mut mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
-        controller.model().chain().mass_matrix(&seen.frames, &controller.masses, &mut mass);
+        controller.model().chain().mass_matrix(&arm.frames, &controller.masses, &mut mass);
         let balance = Balance {
             joints: &self.joints,
-            given: &torque,
+            servo_torque: &torque,
             measured: measured.is_some(),
             saturated: &saturated,
-            gravity: &seen.gravity,
+            gravity: &arm.gravity,
             mass: &mass,
             velocity: &motion.velocity,
             velocity_error: &motion.velocity_error,
@@ -103,46 +103,52 @@ impl ContactEstimator {
             noise: &motion.noise,
             friction_speed: controller.settings().paper_options.friction_speed,
         };
-        let errors = Errors {
-            given: if measured.is_some() { self.options.load_error } else { self.errors.given },
+        let errors = ModelErrors {
+            servo_torque: if measured.is_some() { self.options.load_error } else { self.errors.servo_torque },
             ..self.errors
         };
-        let resistance = balance.resistance_error(&errors);
-        let (own, moving) = (balance.held(), balance.resisted());
-        let open = self.open(&errors, &resistance, &torque, &seen.gravity);
+        let resistance = balance.friction_error(&errors);
+        let (static_part, moving) = (balance.static_residual(), balance.friction_torque());
+        let static_uncertainty = self.static_uncertainty(&errors, &resistance, &torque, &arm.gravity);
         // Velocities lag behind positions: delay the terms without velocity, so that all terms refer to the same time.
-        let wait =
-            if memory.warm && dq.is_none() { dt / (controller.settings().tracking.velocity_filter + dt) } else { 1.0 };
-        let share = if memory.warm { dt / (self.options.filter + dt) } else { 1.0 };
+        let wait = if state.filters_ready && dq.is_none() {
+            dt / (controller.settings().tracking.velocity_filter + dt)
+        } else {
+            1.0
+        };
+        let share = if state.filters_ready { dt / (self.options.filter + dt) } else { 1.0 };
         for i in 0..self.joints.n {
-            memory.held[i] += wait * (own[i] - memory.held[i]);
-            memory.low_passed[i] += share * (memory.held[i] + moving[i] - memory.low_passed[i]);
+            state.static_residual[i] += wait * (static_part[i] - state.static_residual[i]);
+            state.low_passed[i] += share * (state.static_residual[i] + moving[i] - state.low_passed[i]);
             // Until the filters have settled, bound the residual by the full servo torque.
-            let before = memory.uncertainty[i];
-            memory.uncertainty[i] =
-                if memory.warm { before + share * (open[i] - before) } else { open[i] + self.joints.usable[i] };
+            let before = state.uncertainty[i];
+            state.uncertainty[i] = if state.filters_ready {
+                before + share * (static_uncertainty[i] - before)
+            } else {
+                static_uncertainty[i] + self.joints.max_torque[i]
+            };
         }
         // The low-pass of an acceleration is the velocity minus its own low-pass: no second differentiation.
-        let accelerating = balance.accelerating();
-        (0..self.joints.n).for_each(|i| memory.residual[i] = memory.low_passed[i] + accelerating[i]);
-        memory.warm = true;
-        memory.here = Tare {
-            residual: memory.residual,
-            given: torque,
-            gravity: seen.gravity,
-            hidden: resistance,
-            payload: seen.payload,
+        let inertial_torque = balance.inertial_torque();
+        (0..self.joints.n).for_each(|i| state.residual[i] = state.low_passed[i] + inertial_torque[i]);
+        state.filters_ready = true;
+        state.tare_candidate = Tare {
+            residual: state.residual,
+            servo_torque: torque,
+            gravity: arm.gravity,
+            friction_bound: resistance,
+            payload: arm.payload,
         };
-        let mut estimate = self.wrench(&seen, &memory.residual, &memory.uncertainty, &balance);
+        let mut estimate = self.wrench(&arm, &state.residual, &state.uncertainty, &balance);
         (estimate.torque, estimate.velocity, estimate.saturated) = (torque, motion.velocity, saturated);
-        estimate.touch = memory.touch.update(&estimate.force, &estimate.uncertainty, dt);
-        estimate.stop = memory.stop.update(&estimate.force, &estimate.uncertainty, dt);
+        estimate.touch = state.touch.update(&estimate.force, &estimate.uncertainty, dt);
+        estimate.stop = state.stop.update(&estimate.force, &estimate.uncertainty, dt);
         if !estimate.force_base.iter().all(|x| x.is_finite()) {
             return Err(Error::config("contact", "the estimate is not finite for this q, load and servo table"));
         }
-        memory.estimate = estimate;
-        self.memory = memory;
-        Ok(&self.memory.estimate)
+        state.estimate = estimate;
+        self.state = state;
+        Ok(&self.state.estimate)
     }
 
     /// Returns the error bound of an estimate for the arm at rest in `q` (n) [rad], holding its own weight: (6,) [N,
@@ -157,8 +163,10 @@ impl ContactEstimator {
 
     /// Returns the median of [`ContactEstimator::uncertainty_at`] over poses in the whole joint space.
     pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
-        let found: Vec<AxisVec> =
-            workspace::poses(controller.model()).step_by(EVERY).map(|q| self.at_rest(controller, &q)).collect();
+        let found: Vec<AxisVec> = workspace::sample_configurations(controller.model())
+            .step_by(SAMPLE_STRIDE)
+            .map(|q| self.at_rest(controller, &q))
+            .collect();
         let mut out = [f64::INFINITY; MAX_AXES];
         for &axis in &self.axes {
             out[axis] = workspace::median(&mut found.iter().map(|bound| bound[axis]).collect::<Vec<_>>());
@@ -201,14 +209,14 @@ impl ContactEstimator {
     }
 
     fn at_rest(&self, controller: &Controller, q: &JointVec) -> AxisVec {
-        let (seen, zero) = (self.look(controller, q), [0.0; MAX_JOINTS]);
+        let (arm, zero) = (self.arm_state(controller, q), [0.0; MAX_JOINTS]);
         let mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
         let balance = Balance {
             joints: &self.joints,
-            given: &seen.gravity,
+            servo_torque: &arm.gravity,
             measured: false,
             saturated: &[false; MAX_JOINTS],
-            gravity: &seen.gravity,
+            gravity: &arm.gravity,
             mass: &mass,
             velocity: &zero,
             velocity_error: &zero,
@@ -216,9 +224,9 @@ impl ContactEstimator {
             noise: &Noise { reading: self.reading_noise(controller.settings().rate.recip()), ..Noise::default() },
             friction_speed: controller.settings().paper_options.friction_speed,
         };
-        let resistance = balance.resistance_error(&self.errors);
-        let open = self.open(&self.errors, &resistance, &seen.gravity, &seen.gravity);
-        self.wrench(&seen, &zero, &open, &balance).uncertainty
+        let resistance = balance.friction_error(&self.errors);
+        let static_uncertainty = self.static_uncertainty(&self.errors, &resistance, &arm.gravity, &arm.gravity);
+        self.wrench(&arm, &zero, &static_uncertainty, &balance).uncertainty
     }
 
     /// Returns torques from a measured load or current.
@@ -245,73 +253,79 @@ impl ContactEstimator {
         q: &JointVec,
         dq: Option<&JointVec>,
         dt: f64,
-        memory: &mut Memory,
-    ) -> Motion {
+        state: &mut State,
+    ) -> JointMotion {
         let filter = controller.settings().tracking.velocity_filter;
-        if !memory.started {
-            (memory.filter, memory.before) = (VelocityFilter::new(q), *q);
-            (memory.slow, memory.started) = (dq.copied().unwrap_or_default(), true);
+        if !state.started {
+            (state.filter, state.previous_q) = (VelocityFilter::new(q), *q);
+            (state.lowpassed_velocity, state.started) = (dq.copied().unwrap_or_default(), true);
         }
-        let held = EveryJoint::load(q);
-        memory.filter.keep(match dq {
-            Some(dq) => Filtered { held, velocity: EveryJoint::load(dq) },
-            None => memory.filter.after(held, EveryJoint::load(&self.joints.count), filter, dt),
+        let backlash_output = JointVec16::load(q);
+        state.filter.set(match dq {
+            Some(dq) => Filtered { backlash_output, velocity: JointVec16::load(dq) },
+            None => state.filter.update(backlash_output, JointVec16::load(&self.joints.count), filter, dt),
         });
-        let velocity = memory.filter.velocity;
-        let mut motion = Motion { velocity, ..Motion::default() };
+        let velocity = state.filter.velocity;
+        let mut motion = JointMotion { velocity, ..JointMotion::default() };
         motion.noise.reading = self.reading_noise(dt);
         let (span, share) = (self.options.filter + dt, dt / (filter + dt));
         for i in 0..self.joints.n {
-            motion.middle[i] = 0.5 * (memory.before[i] + q[i]);
-            motion.acceleration[i] = (velocity[i] - memory.slow[i]) / span;
-            memory.slow[i] += dt * motion.acceleration[i];
+            motion.middle[i] = 0.5 * (state.previous_q[i] + q[i]);
+            motion.acceleration[i] = (velocity[i] - state.lowpassed_velocity[i]) / span;
+            state.lowpassed_velocity[i] += dt * motion.acceleration[i];
             if dq.is_none() {
                 let count = self.joints.count[i];
                 motion.velocity_error[i] = count / (filter + dt) + filter * motion.acceleration[i].abs();
                 // Differences of noisy readings after a one-pole filter; the backlash of one count suppresses toggling
                 // at rest.
-                let toggling = READING_NOISE * count * share / dt * (2.0 / (2.0 - share)).sqrt();
+                let toggling = QUANTIZATION_STD * count * share / dt * (2.0 / (2.0 - share)).sqrt();
                 motion.noise.velocity[i] = toggling.min(velocity[i].abs());
                 motion.noise.acceleration[i] = motion.noise.velocity[i] / span;
             }
         }
-        memory.before = *q;
+        state.previous_q = *q;
         motion
     }
 
     /// Returns the noise of the low-passed mean of two readings [rad].
     fn reading_noise(&self, dt: f64) -> JointVec {
         let share = dt / (self.options.filter + dt);
-        let passed = READING_NOISE * (0.5 * (share / (2.0 - share)).max(0.0)).sqrt();
+        let passed = QUANTIZATION_STD * (0.5 * (share / (2.0 - share)).max(0.0)).sqrt();
         self.joints.count.map(|count| passed * count)
     }
 
-    fn look(&self, controller: &Controller, q: &JointVec) -> Seen {
+    fn arm_state(&self, controller: &Controller, q: &JointVec) -> ArmState {
         let chain = controller.model().chain();
-        let mut frames = Frames::default();
-        let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
+        let mut frames = JointFrames::default();
+        let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
         let (mut gravity, mut payload) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         chain.forward(q, &mut frames);
-        chain.jacobian(&frames, &mut world);
+        chain.jacobian(&frames, &mut j_base);
         chain.gravity(&frames, &controller.masses, controller.gravity, &mut gravity);
-        let base_from_task = controller.plan.base_from_task::<crate::math::simd::Plain>(&frames.tool);
-        for (row, g) in world.iter().zip(controller.gravity) {
+        let base_from_task = controller.params.base_from_task::<crate::math::simd::BaselineF64>(&frames.tool);
+        for (row, g) in j_base.iter().zip(controller.gravity) {
             for i in 0..self.joints.n {
                 payload[i] -= row[i] * g;
             }
         }
-        let rows = crate::kinematics::task_rows(&world, &base_from_task, &self.axes);
-        Seen { rows, base_from_task, gravity, payload, frames }
+        let rows = crate::kinematics::task_rows(&j_base, &base_from_task, &self.axes);
+        ArmState { rows, base_from_task, gravity, payload, frames }
     }
 
     /// Returns the uncertainty of a residual without the tool's load [N·m]; errors that a tare removed count from the
     /// tare.
-    fn open(&self, errors: &Errors, resistance: &JointVec, torque: &JointVec, gravity: &JointVec) -> JointVec {
+    fn static_uncertainty(
+        &self,
+        errors: &ModelErrors,
+        resistance: &JointVec,
+        torque: &JointVec,
+        gravity: &JointVec,
+    ) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..self.joints.n {
-            let given = errors.given * (torque[i] - self.tare.given[i]).abs();
+            let servo_torque = errors.servo_torque * (torque[i] - self.tare.servo_torque[i]).abs();
             let weight = errors.gravity * (gravity[i] - self.tare.gravity[i]).abs();
-            out[i] = resistance[i] + self.tare.hidden[i] + given + weight;
+            out[i] = resistance[i] + self.tare.friction_bound[i] + servo_torque + weight;
         }
         out
     }
@@ -319,31 +333,35 @@ impl ContactEstimator {
     /// Computes the wrench from a residual minus the tare, in task and base axes.
     fn wrench(
         &self,
-        seen: &Seen,
+        arm: &ArmState,
         residual: &JointVec,
         uncertainty: &JointVec,
         balance: &Balance<'_>,
     ) -> WrenchEstimate {
         let (k, n) = (self.axes.len(), self.joints.n);
-        let (mut felt, mut payload) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
+        let (mut external, mut payload) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         for i in 0..n {
-            felt[i] = residual[i] - self.tare.residual[i];
-            payload[i] = self.options.payload_error * (seen.payload[i] - self.tare.payload[i]);
+            external[i] = residual[i] - self.tare.residual[i];
+            payload[i] = self.options.payload_error * (arm.payload[i] - self.tare.payload[i]);
         }
         // Constant errors add up linearly (worst case), noise by squares (three standard deviations).
-        let (own, shared) = (balance.own_noise(), balance.shared_noise());
+        let (noise, shared) = (balance.own_noise(), balance.shared_noise());
         let mut total = *uncertainty;
         for i in 0..n {
-            total[i] += SIGMAS * (own[i] * own[i] + shared[i].iter().map(|x| x * x).sum::<f64>()).sqrt();
+            total[i] += NOISE_SIGMAS * (noise[i] * noise[i] + shared[i].iter().map(|x| x * x).sum::<f64>()).sqrt();
         }
-        let estimator = Estimator::new(&seen.rows, &total, &self.most, k, n);
-        let (force, mut bound) = (estimator.apply(&felt), estimator.bound(uncertainty));
-        bound.iter_mut().zip(estimator.noise(&own, &shared)).for_each(|(bound, noise)| *bound += SIGMAS * noise);
+        let estimator = Estimator::new(&arm.rows, &total, &self.max_wrench, k, n);
+        let (force, mut bound) = (estimator.apply(&external), estimator.bound(uncertainty));
+        bound
+            .iter_mut()
+            .zip(estimator.noise(&noise, &shared))
+            .for_each(|(bound, noise)| *bound += NOISE_SIGMAS * noise);
         // The payload error is one number for all joints, so its effect is not summed joint by joint.
         bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
-        let residual_ratio = (0..n).fold(0.0_f64, |most, i| most.max((felt[i].abs() - payload[i].abs()) / total[i]));
+        let residual_ratio =
+            (0..n).fold(0.0_f64, |max_wrench, i| max_wrench.max((external[i].abs() - payload[i].abs()) / total[i]));
         let mut out = WrenchEstimate {
-            torque_residual: felt,
+            torque_residual: external,
             torque_uncertainty: total,
             residual_ratio,
             ..WrenchEstimate::empty(n)
@@ -355,7 +373,7 @@ impl ContactEstimator {
             let (block, row) = (axis / 3 * 3, axis % 3);
             out.uncertainty_base[axis] = 0.0;
             for column in 0..3 {
-                let turn = seen.base_from_task[row][column];
+                let turn = arm.base_from_task[row][column];
                 if turn.abs() > 1e-12 {
                     out.force_base[axis] += turn * out.force[block + column];
                     out.uncertainty_base[axis] += turn.abs() * out.uncertainty[block + column];
@@ -366,9 +384,9 @@ impl ContactEstimator {
     }
 }
 
-impl Memory {
+impl State {
     /// Returns the command that the servos followed when the current reading was taken, `None` if unknown.
-    fn in_force(&self, delay: f64, dt: f64) -> Option<Sent> {
+    fn command_at_reading(&self, delay: f64, dt: f64) -> Option<Sent> {
         let mut ago = 0;
         let mut passed = 0.5 * dt;
         while passed < delay && ago < HISTORY {
@@ -386,5 +404,5 @@ fn sent(controller: &Controller, input: &ContactInput<'_>) -> Result<Option<Sent
         let limit = controller.model().joints_within("torque_limit", limit, LOAD_BOUND)?;
         return Ok(Some(Sent { goal, limit }));
     }
-    Ok(controller.memory.limit.map(|limit| Sent { goal: controller.memory.goal, limit }))
+    Ok(controller.state.limit.map(|limit| Sent { goal: controller.state.goal, limit }))
 }

@@ -1,8 +1,8 @@
 //! Wrench and error bound from residual joint torques.
 
-use crate::math::ldlt6::factor_of;
-use crate::math::rows::{JointMatrix, load_rows, rows_array};
-use crate::math::simd::{EveryJoint, Lanes, Plain};
+use crate::math::ldlt6::factor_gram;
+use crate::math::rows::{JointMatrix, load_rows, store_rows};
+use crate::math::simd::{BaselineF64, JointVec16, JointVector};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Linear estimate `F = G r` of `r = JᵀF + ε`, `|ε_i| ≤ u_i`, `|F_k| ≤ most_k`.
@@ -10,16 +10,16 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 pub(super) struct Estimator {
     /// `G = (J W Jᵀ + P⁻¹)⁻¹ J W` with `W = diag(1/u²)`, `P = diag(most²)`: k × n.
     gain: Rows,
-    /// `|G Jᵀ − I| most`: bias of the estimator itself, equal to `most` along unobservable axes.
-    blind: AxisVec,
+    /// `|G Jᵀ − I| max_wrench`: bias of the estimator itself, equal to `max_wrench` along unobservable axes.
+    regularization_bias: AxisVec,
     k: usize,
     n: usize,
 }
 
 impl Estimator {
-    /// Creates the estimator for `k` rows of `n` joints; all entries of `uncertainty` and `most` are positive.
+    /// Creates the estimator for `k` rows of `n` joints; all entries of `uncertainty` and `max_wrench` are positive.
     #[inline]
-    pub(super) fn new(rows: &Rows, uncertainty: &JointVec, most: &AxisVec, k: usize, n: usize) -> Self {
+    pub(super) fn new(rows: &Rows, uncertainty: &JointVec, max_wrench: &AxisVec, k: usize, n: usize) -> Self {
         let (k, n) = (k.min(MAX_AXES), n.min(MAX_JOINTS));
         let mut weight = [0.0; MAX_JOINTS];
         for i in 0..n {
@@ -27,22 +27,22 @@ impl Estimator {
         }
         let mut prior = [0.0; MAX_AXES];
         for r in 0..k {
-            prior[r] = 1.0 / (most[r] * most[r]);
+            prior[r] = 1.0 / (max_wrench[r] * max_wrench[r]);
         }
-        let (rows, weight) = (load_rows(rows), EveryJoint::load(&weight));
-        let factor = factor_of(&rows, weight, &prior);
-        let gain = rows_array(&factor.weighted_rows(&rows, weight));
-        let mut blind = [0.0; MAX_AXES];
+        let (rows, weight) = (load_rows(rows), JointVec16::load(&weight));
+        let factor = factor_gram(&rows, weight, &prior);
+        let gain = store_rows(&factor.weighted_rows(&rows, weight));
+        let mut regularization_bias = [0.0; MAX_AXES];
         for c in 0..k {
             // G Jᵀ − I = −(J W Jᵀ + P⁻¹)⁻¹ P⁻¹, without cancellation.
-            let mut own = [0.0; MAX_AXES];
-            own[c] = prior[c];
-            let column = factor.solve::<Plain>(&own);
+            let mut noise = [0.0; MAX_AXES];
+            noise[c] = prior[c];
+            let column = factor.solve::<BaselineF64>(&noise);
             for r in 0..k {
-                blind[r] += column[r].abs() * most[c];
+                regularization_bias[r] += column[r].abs() * max_wrench[c];
             }
         }
-        Self { gain, blind, k, n }
+        Self { gain, regularization_bias, k, n }
     }
 
     /// `G v`.
@@ -59,12 +59,12 @@ impl Estimator {
 
     /// Returns the standard deviations of `G ε`: `own` noise of each joint, and column j of `shared` in all joints.
     #[inline]
-    pub(super) fn noise(&self, own: &JointVec, shared: &JointMatrix) -> AxisVec {
+    pub(super) fn noise(&self, noise: &JointVec, shared: &JointMatrix) -> AxisVec {
         let mut out = [0.0; MAX_AXES];
         for r in 0..self.k {
             let (mut squares, mut columns) = (0.0, [0.0; MAX_JOINTS]);
             for i in 0..self.n {
-                squares += (self.gain[r][i] * own[i]).powi(2);
+                squares += (self.gain[r][i] * noise[i]).powi(2);
                 for j in 0..MAX_JOINTS {
                     columns[j] += self.gain[r][i] * shared[i][j];
                 }
@@ -74,10 +74,10 @@ impl Estimator {
         out
     }
 
-    /// `|G| u + |G Jᵀ − I| most`: bound on the error of the estimate.
+    /// `|G| u + |G Jᵀ − I| max_wrench`: bound on the error of the estimate.
     #[inline]
     pub(super) fn bound(&self, uncertainty: &JointVec) -> AxisVec {
-        let mut out = self.blind;
+        let mut out = self.regularization_bias;
         for r in 0..self.k {
             for i in 0..self.n {
                 out[r] += self.gain[r][i].abs() * uncertainty[i];
@@ -101,7 +101,7 @@ mod tests {
         rows
     }
 
-    const MOST: AxisVec = [100.0, 100.0, 100.0, 20.0, 20.0, 20.0];
+    const MAX: AxisVec = [100.0, 100.0, 100.0, 20.0, 20.0, 20.0];
 
     #[test]
     fn the_error_stays_within_its_bound() {
@@ -109,12 +109,12 @@ mod tests {
             let rows = rows(0.37 + f64::from(seed) * 0.071);
             let noise = |i: usize| (((i + 1) as f64 * 12.9898 + f64::from(seed)).sin() * 43_758.545_3).fract();
             let (mut u, mut r) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-            let truth: AxisVec = std::array::from_fn(|k| MOST[k] * noise(k));
+            let truth: AxisVec = std::array::from_fn(|k| MAX[k] * noise(k));
             for i in 0..7 {
                 u[i] = 0.01 + noise(i + 10).abs();
                 r[i] = (0..6).map(|k| rows[k][i] * truth[k]).sum::<f64>() + u[i] * noise(i + 20).signum();
             }
-            let estimator = Estimator::new(&rows, &u, &MOST, 6, 7);
+            let estimator = Estimator::new(&rows, &u, &MAX, 6, 7);
             let (found, bound) = (estimator.apply(&r), estimator.bound(&u));
             for k in 0..6 {
                 assert!((found[k] - truth[k]).abs() <= bound[k] * (1.0 + 1e-9) + 1e-9, "{k} {found:?} {truth:?}");
@@ -127,7 +127,7 @@ mod tests {
     fn an_unobservable_axis_has_the_largest_plausible_uncertainty() {
         let mut rows = rows(0.7);
         rows[2] = [0.0; MAX_JOINTS];
-        let estimator = Estimator::new(&rows, &[0.1; MAX_JOINTS], &MOST, 6, 7);
+        let estimator = Estimator::new(&rows, &[0.1; MAX_JOINTS], &MAX, 6, 7);
         assert!((estimator.bound(&[0.1; MAX_JOINTS])[2] - 100.0).abs() < 1e-9);
         assert!(estimator.apply(&[1.0; MAX_JOINTS])[2].abs() < 1e-12, "and nothing is felt there");
         assert!(estimator.bound(&[0.1; MAX_JOINTS])[0] < 50.0, "the others are not touched by it");

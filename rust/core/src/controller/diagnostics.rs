@@ -4,14 +4,14 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::law::activation::{Activation, product, responsibility};
 use crate::law::nullspace::{step_projector, step_pseudo_inverse};
-use crate::math::simd::EveryJoint;
-use crate::params::Plan;
+use crate::math::simd::JointVec16;
+use crate::params::Params;
 use crate::pose::Pose;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Intermediates of the last step; 6-vectors hold one entry per task axis, in the order of the task's axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Record {
+pub struct Diagnostics {
     /// Predicted positions q̂ [rad].
     pub q: JointVec,
     /// Filtered velocity v [rad/s].
@@ -62,7 +62,7 @@ pub struct Record {
     pub reference: Pose,
 }
 
-impl Record {
+impl Diagnostics {
     pub(crate) fn empty() -> Self {
         Self {
             q: [0.0; MAX_JOINTS],
@@ -91,42 +91,42 @@ impl Record {
     }
 
     /// Returns the smallest and largest singular value of the scaled task rows.
-    pub(crate) fn sigma(&self, plan: &Plan) -> [f64; 2] {
+    pub(crate) fn sigma(&self, params: &Params) -> [f64; 2] {
         self.followed_sigma.unwrap_or_else(|| {
-            let all = self.singular_values(plan);
+            let all = self.singular_values(params);
             [all.min(), all.max()]
         })
     }
 
-    fn pseudo_inverse(&self, plan: &Plan) -> Rows {
-        step_pseudo_inverse(plan, &self.rows, self.damping)
+    fn pseudo_inverse(&self, params: &Params) -> Rows {
+        step_pseudo_inverse(params, &self.rows, self.damping)
     }
 
     /// Returns A of (10) over all joints, including locked ones.
-    pub(crate) fn shares(&self, plan: &Plan) -> Activation<EveryJoint> {
-        Activation::of_step(plan, &self.rows, &self.gradient, self.damping, || self.sigma(plan))
+    pub(crate) fn shares(&self, params: &Params) -> Activation<JointVec16> {
+        Activation::of_step(params, &self.rows, &self.gradient, self.damping, || self.sigma(params))
     }
 
     /// Activation matrix A of (10), n × (k + 1), the null-space column last.
-    pub(crate) fn activation(&self, plan: &Plan) -> DMatrix<f64> {
-        self.shares(plan).matrix(plan.k, plan.n)
+    pub(crate) fn activation(&self, params: &Params) -> DMatrix<f64> {
+        self.shares(params).matrix(params.k, params.n)
     }
 
     /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|` and `|α N∇g|`.
-    pub(crate) fn responsibility(&self, plan: &Plan) -> DMatrix<f64> {
-        let projector = step_projector(plan, &self.rows, self.damping, || self.sigma(plan));
+    pub(crate) fn responsibility(&self, params: &Params) -> DMatrix<f64> {
+        let projector = step_projector(params, &self.rows, self.damping, || self.sigma(params));
         let null = product(&projector, &self.gradient);
-        responsibility(&self.pseudo_inverse(plan), &self.task_velocity, &null, plan.alpha, (plan.k, plan.n))
+        responsibility(&self.pseudo_inverse(params), &self.task_velocity, &null, params.alpha, (params.k, params.n))
     }
 
     /// The task rows, k × n.
-    pub(crate) fn task_jacobian(&self, plan: &Plan) -> DMatrix<f64> {
-        DMatrix::from_fn(plan.k, plan.n, |r, i| self.rows[r][i])
+    pub(crate) fn task_jacobian(&self, params: &Params) -> DMatrix<f64> {
+        DMatrix::from_fn(params.k, params.n, |r, i| self.rows[r][i])
     }
 
     /// All singular values of the scaled task rows, largest first (an SVD: off the hot path).
-    pub(crate) fn singular_values(&self, plan: &Plan) -> DVector<f64> {
-        let scaled = |r: usize, i: usize| plan.row_scale[r] * self.rows[r][i];
-        crate::math::svd::singular_values(&DMatrix::from_fn(plan.k, plan.n, scaled))
+    pub(crate) fn singular_values(&self, params: &Params) -> DVector<f64> {
+        let scaled = |r: usize, i: usize| params.row_scale[r] * self.rows[r][i];
+        crate::math::svd::singular_values(&DMatrix::from_fn(params.k, params.n, scaled))
     }
 }

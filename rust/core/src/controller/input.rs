@@ -2,9 +2,9 @@
 
 use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::math::simd::{Lanes, NEGLIGIBLE};
+use crate::math::simd::{JointVector, NEGLIGIBLE};
 use crate::model::Model;
-use crate::params::Plan;
+use crate::params::Params;
 use crate::pose::COORDINATE_BOUND;
 use crate::{AxisVec, JointVec};
 
@@ -43,13 +43,13 @@ impl Input {
     /// Reads and checks the input of a step into `self`: the struct is large and usually almost empty, so it is not
     /// returned by value.
     #[inline]
-    pub(super) fn read(&mut self, model: &Model, plan: &Plan, rate: f64, input: &StepInput<'_>) -> Result<()> {
+    pub(super) fn read(&mut self, model: &Model, params: &Params, rate: f64, input: &StepInput<'_>) -> Result<()> {
         self.dt = period(input.dt.unwrap_or(1.0 / rate))?;
         if let Some(twist) = input.twist {
             self.twist = Some(checked_twist(twist)?);
         }
         if let Some(posture) = input.posture {
-            self.rest = Some(plan.positions(model, "posture", posture)?);
+            self.rest = Some(params.positions(model, "posture", posture)?);
         }
         if let Some(dq) = input.dq {
             self.dq = Some(model.joints_within("dq", dq, SPEED_BOUND)?);
@@ -76,8 +76,8 @@ fn no_period(dt: f64) -> Error {
 
 /// Flushes negligibly small positions to 0.
 #[inline(always)]
-pub(super) fn without_negligible<J: Lanes>(q: J) -> J {
-    J::if_less(J::abs(q), J::splat(NEGLIGIBLE), J::splat(0.0), q)
+pub(super) fn flush_subnormals<J: JointVector>(q: J) -> J {
+    J::select_lt(J::abs(q), J::splat(NEGLIGIBLE), J::splat(0.0), q)
 }
 
 fn checked_twist(twist: &AxisVec) -> Result<AxisVec> {

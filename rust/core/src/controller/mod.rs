@@ -12,29 +12,29 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::batch::state::{Kept, width};
-use crate::batch::{ArmInput, Batch, BatchCommand, BatchInput, BatchState, Invalid};
+use crate::batch::state::{RowStatus, row_len};
+use crate::batch::{ArmInput, Batch, BatchCommand, BatchInput, BatchState, OnInvalid};
 use crate::error::{Error, Result};
-use crate::kinematics::{Frames, LookScratch, Masses};
-use crate::law::impedance;
-use crate::math::simd::Instructions;
+use crate::kinematics::{GroupMasses, JointFrames, KinematicScratch};
+use crate::law;
+use crate::math::simd::SimdLevel;
 use crate::math::singular_values::SingularValues;
 use crate::model::{Model, Payload};
-use crate::params::workspace::{self, Surveyed};
-use crate::params::{GravityUse, Law, Plan, Servos, Settings};
+use crate::params::workspace::{self, WorkspaceStats};
+use crate::params::{AxisImpedance, AxisParams, AxisStrength, DampingParams, GravityUse, Params, Servos, Settings};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_JOINTS};
 
 pub use command::Command;
-pub use diagnostics::Record;
+pub use diagnostics::Diagnostics;
 pub use input::StepInput;
 pub(crate) use input::period;
-pub use snapshot::Carried;
+pub use snapshot::Snapshot;
 
 use input::Input;
-use payload_ramp::{Fade, carries};
-use state::Memory;
-use step::Cycle;
+use payload_ramp::{PayloadRamp, mass_moment};
+use state::State;
+use step::StepContext;
 
 /// Compliant task-space controller of one arm.
 #[derive(Debug, Clone)]
@@ -42,21 +42,21 @@ pub struct Controller {
     pub(crate) model: Arc<Model>,
     pub(crate) settings: Settings,
     servos: Option<Servos>,
-    surveyed: Surveyed,
-    pub(crate) plan: Plan,
-    pub(crate) masses: Masses,
+    workspace_stats: WorkspaceStats,
+    pub(crate) params: Params,
+    pub(crate) masses: GroupMasses,
     payload: Option<Payload>,
     /// `Some` during a payload change.
-    fade: Option<Fade>,
+    payload_ramp: Option<PayloadRamp>,
     pub(crate) gravity: [f64; 3],
     /// 1/k_g if gravity was captured.
     captured: Option<JointVec>,
     delay: f64,
-    pub(crate) memory: Memory,
-    pub(crate) record: Record,
+    pub(crate) state: State,
+    pub(crate) diagnostics: Diagnostics,
     pub(crate) command: Command,
-    instructions: Instructions,
-    scratch: LookScratch,
+    simd_level: SimdLevel,
+    scratch: KinematicScratch,
 }
 
 impl Controller {
@@ -65,7 +65,7 @@ impl Controller {
     /// # Errors
     /// [`Error::OutOfRange`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
     pub fn new(model: Arc<Model>, settings: Settings, servos: Option<Servos>) -> Result<Self> {
-        let controller = Self::made(model, settings, servos, None)?;
+        let controller = Self::build(model, settings, servos, None)?;
         controller.check_holding(controller.settings.gravity_use(), &controller.masses)?;
         Ok(controller)
     }
@@ -97,7 +97,7 @@ impl Controller {
     /// # }
     /// ```
     pub fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        self.advance(q, target, input)
+        self.step_impl(q, target, input)
     }
 
     /// Runs one control step toward joint positions. The target pose is their forward kinematics; the rest posture is
@@ -107,9 +107,9 @@ impl Controller {
     /// As [`Controller::step`].
     pub fn step_joints(&mut self, q: &[f64], q_target: &[f64], input: &StepInput<'_>) -> Result<&Command> {
         let wanted = self.joint_target("q_target", q_target)?;
-        let mut frames = Frames::default();
+        let mut frames = JointFrames::default();
         self.model.chain().forward(&wanted, &mut frames);
-        self.advance(q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
+        self.step_impl(q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
     }
 
     /// Runs one control step of `N` arms; the controller's own state and record do not change.
@@ -122,7 +122,7 @@ impl Controller {
     ///
     /// # Errors
     /// [`Error::Shape`] for inconsistent lengths; [`Error::Config`] for positions as targets of a task with rotations.
-    /// With [`Invalid::Refuse`] the error of [`Controller::step`] for the first invalid row; `state` is then unchanged
+    /// With [`OnInvalid::Refuse`] the error of [`Controller::step`] for the first invalid row; `state` is then unchanged
     /// and `out` is undefined. A command that is not finite is found only during the step: the state of that arm is
     /// then unchanged, while other arms have been stepped.
     ///
@@ -158,37 +158,37 @@ impl Controller {
                 free.settings.max_tool_speed = [f64::INFINITY; 2];
                 let step = |arm: &mut Self, one: &ArmInput<'_>, _: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
                     // The governor's start is irrelevant here: its speed is unbounded.
-                    arm.memory = if arm.plan.deviation_limits.is_empty() {
-                        Memory::resting(one.q(), one.target)
+                    arm.state = if arm.params.deviation_limits.is_empty() {
+                        State::resting(one.q(), one.target)
                     } else {
-                        Memory::new()
+                        State::new()
                     };
                     arm.step_row(one, input.dt, out)
                 };
-                free.batch(input).run(None, out, || free.settled(), step)
+                free.batch(input).run(None, out, || free.without_payload_ramp(), step)
             }
             Some(state) => {
                 let changed = state.settings.as_deref().is_some_and(|before| before != self.settings());
-                let (n, batch) = (self.plan.n, self.batch(input));
+                let (n, batch) = (self.params.n, self.batch(input));
                 let rows = state.rows_of(n, count)?;
-                if input.invalid == Invalid::Refuse {
+                if input.invalid == OnInvalid::Error {
                     batch.check_rows(rows)?;
                 }
-                let step = |arm: &mut Self, one: &ArmInput<'_>, kept: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
-                    let kept = kept.unwrap_or_default();
-                    match Kept::of(kept, n) {
-                        Kept::New => arm.memory = Memory::new(),
-                        Kept::Waiting(q) => arm.reset(q).map_err(|error| error.in_row("state", one.row))?,
-                        Kept::Running => arm.memory.recall(n, kept),
+                let step = |arm: &mut Self, one: &ArmInput<'_>, row_state: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
+                    let row_state = row_state.unwrap_or_default();
+                    match RowStatus::of(row_state, n) {
+                        RowStatus::New => arm.state = State::new(),
+                        RowStatus::ReferenceHold(q) => arm.reset(q).map_err(|error| error.in_row("state", one.row))?,
+                        RowStatus::Running => arm.state.read_from(n, row_state),
                     }
                     if changed {
-                        arm.adapt_memory();
+                        arm.reset_dependent_state();
                     }
                     arm.step_row(one, input.dt, out)?;
-                    arm.memory.keep(n, kept);
+                    arm.state.write_to(n, row_state);
                     Ok(())
                 };
-                batch.run(Some(rows), out, || self.settled(), step)?;
+                batch.run(Some(rows), out, || self.without_payload_ramp(), step)?;
                 if changed || state.settings.is_none() {
                     state.settings = Some(Box::new(self.settings().clone()));
                 }
@@ -214,23 +214,28 @@ impl Controller {
     /// # Errors
     /// As [`Controller::new`]; the controller is then unchanged.
     pub fn update(&mut self, settings: Settings) -> Result<()> {
-        let mut plan =
-            Plan::new(&self.model, &settings, self.servos.as_ref(), self.captured.is_some(), &mut self.surveyed)?;
+        let mut params = Params::new(
+            &self.model,
+            &settings,
+            self.servos.as_ref(),
+            self.captured.is_some(),
+            &mut self.workspace_stats,
+        )?;
         self.check_posture(&settings)?;
         if self.settings.gravity_use() == GravityUse::Off {
             self.check_holding(settings.gravity_use(), &self.masses)?;
         }
         if let Some(compliance) = self.captured {
-            plan.gravity_compliance = compliance;
+            params.gravity_compliance = compliance;
         }
         // Keep a measured delay unless the new settings have another delay than the old ones.
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
             self.delay = settings.delay;
         }
-        plan.derate(self.delay, &settings);
+        params.update_gain_scale(self.delay, &settings);
         self.settings = settings;
-        self.plan = plan;
-        self.adapt_memory();
+        self.params = params;
+        self.reset_dependent_state();
         Ok(())
     }
 
@@ -248,11 +253,11 @@ impl Controller {
         }
         let masses = self.model.chain().masses(payload);
         self.check_holding(self.settings.gravity_use(), &masses)?;
-        let from = match &self.fade {
-            Some(fade) => fade.in_force(self.payload.as_ref()),
-            None => carries(self.payload.as_ref()),
+        let from = match &self.payload_ramp {
+            Some(payload_ramp) => payload_ramp.current(self.payload.as_ref()),
+            None => mass_moment(self.payload.as_ref()),
         };
-        self.fade = self.memory.started.then_some(Fade::start(from, self.masses_in_force()));
+        self.payload_ramp = self.state.started.then_some(PayloadRamp::start(from, self.current_masses()));
         (self.payload, self.masses) = (payload.copied(), masses);
         Ok(())
     }
@@ -282,13 +287,13 @@ impl Controller {
             return Err(Error::out_of_range("delay [s]", delay, "[0, 0.5]"));
         }
         self.delay = delay;
-        self.plan.derate(delay, &self.settings);
+        self.params.update_gain_scale(delay, &self.settings);
         Ok(())
     }
 
-    /// Sets an instruction set other than that of [`Instructions::chosen`]; results differ by rounding.
-    pub fn set_instructions(&mut self, instructions: Instructions) {
-        self.instructions = instructions;
+    /// Sets an instruction set other than that of [`SimdLevel::chosen`]; results differ by rounding.
+    pub fn set_simd_level(&mut self, simd_level: SimdLevel) {
+        self.simd_level = simd_level;
     }
 
     /// Captures the gravity offset of an arm that an integrating goal holds still.
@@ -302,36 +307,36 @@ impl Controller {
     pub fn capture_gravity(&mut self, q: &[f64], goal: &[f64]) -> Result<Vec<f64>> {
         let q = self.positions("q", q)?;
         let goal = self.model.joints_within("goal", goal, COORDINATE_BOUND)?;
-        if !self.plan.servos.has_kp {
-            return Err(Error::config("servos", "capturing gravity needs an assumed k_p: give servos"));
+        if !self.params.servos.has_kp {
+            return Err(Error::config("servos", "capturing gravity needs the believed k_p: give servos"));
         }
         let holding = self.holding_torques(&q);
-        let captured = self.plan.servos.captured_compliance(self.plan.n, &q, &goal, &holding);
+        let captured = self.params.servos.captured_compliance(self.params.n, &q, &goal, &holding);
         // Subtract the share of this offset that the integrating goal holds, so that it does not count twice.
         if self.settings.gravity_use().in_goal() {
-            for i in 0..self.plan.n {
-                let more = holding[i] * (captured[i] - self.plan.gravity_compliance[i]);
-                self.memory.integral[i] -= more;
-                self.memory.weight[i] += more;
+            for i in 0..self.params.n {
+                let more = holding[i] * (captured[i] - self.params.gravity_compliance[i]);
+                self.state.integral[i] -= more;
+                self.state.gravity_offset[i] += more;
             }
         }
         self.captured = Some(captured);
-        self.plan.gravity_compliance = captured;
-        Ok(captured[..self.plan.n].iter().map(|compliance| 1.0 / compliance).collect())
+        self.params.gravity_compliance = captured;
+        Ok(captured[..self.params.n].iter().map(|compliance| 1.0 / compliance).collect())
     }
 
-    /// Returns a snapshot for [`Controller::resumed`].
-    pub fn carried(&self) -> Carried {
-        let n = self.plan.n;
-        let mut memory = vec![0.0; if self.memory.started { width(n) } else { 0 }];
-        self.memory.clone().keep(n, &mut memory);
-        Carried {
+    /// Returns a snapshot for [`Controller::from_snapshot`].
+    pub fn snapshot(&self) -> Snapshot {
+        let n = self.params.n;
+        let mut state = vec![0.0; if self.state.started { row_len(n) } else { 0 }];
+        self.state.clone().write_to(n, &mut state);
+        Snapshot {
             payload: self.payload,
             gravity: self.gravity,
-            fading: self.fade.map(|fade| fade.state()),
+            payload_ramp: self.payload_ramp.map(|payload_ramp| payload_ramp.state()),
             delay: self.delay,
             captured: self.captured.map(|captured| captured[..n].to_vec()),
-            memory,
+            state,
         }
     }
 
@@ -343,26 +348,31 @@ impl Controller {
     /// # Errors
     /// As [`Controller::new`], without the check that the servos can hold the arm, and as [`Controller::set_delay`];
     /// [`Error::Shape`] for a snapshot of an arm of another size, [`Error::OutOfRange`] for impossible values.
-    pub fn resumed(model: Arc<Model>, settings: Settings, servos: Option<Servos>, carried: &Carried) -> Result<Self> {
+    pub fn from_snapshot(
+        model: Arc<Model>,
+        settings: Settings,
+        servos: Option<Servos>,
+        snapshot: &Snapshot,
+    ) -> Result<Self> {
         let n = model.n();
-        carried.validate(n)?;
-        let mut controller = Self::made(model, settings, servos, carried.captured.as_deref())?;
-        if let Some(payload) = &carried.payload {
+        snapshot.validate(n)?;
+        let mut controller = Self::build(model, settings, servos, snapshot.captured.as_deref())?;
+        if let Some(payload) = &snapshot.payload {
             payload.validate()?;
         }
         // No check whether the servos can hold the payload: `set_payload` made it with the settings and gravity of that
         // time.
-        controller.payload = carried.payload;
-        controller.masses = controller.model.chain().masses(carried.payload.as_ref());
-        controller.gravity = carried.gravity;
-        controller.set_delay(carried.delay)?;
-        carried.validate_state(n)?;
-        if !carried.memory.is_empty() {
-            controller.memory.recall(n, &carried.memory);
+        controller.payload = snapshot.payload;
+        controller.masses = controller.model.chain().masses(snapshot.payload.as_ref());
+        controller.gravity = snapshot.gravity;
+        controller.set_delay(snapshot.delay)?;
+        snapshot.validate_state(n)?;
+        if !snapshot.state.is_empty() {
+            controller.state.read_from(n, &snapshot.state);
         }
-        if let Some(fading) = carried.fading {
-            controller.fade = Some(Fade::resume(fading, &controller.masses));
-            controller.advance_fade(0.0);
+        if let Some(payload_ramp) = snapshot.payload_ramp {
+            controller.payload_ramp = Some(PayloadRamp::resume(payload_ramp, &controller.masses));
+            controller.advance_payload_ramp(0.0);
         }
         Ok(controller)
     }
@@ -388,110 +398,114 @@ impl Controller {
     }
 
     /// The instruction set that steps run on.
-    pub fn instructions(&self) -> Instructions {
-        self.instructions
+    pub fn simd_level(&self) -> SimdLevel {
+        self.simd_level
     }
 
     /// The last command; `None` before the first step after construction or reset.
     pub fn last_command(&self) -> Option<&Command> {
-        self.memory.limit.map(|_| &self.command)
+        self.state.limit.map(|_| &self.command)
     }
 
     /// Intermediates of the last step.
-    pub fn record(&self) -> Record {
-        let mut record = self.record;
-        if !self.plan.heavy {
-            record.gravity = self.holding_torques(&record.q);
+    pub fn diagnostics(&self) -> Diagnostics {
+        let mut diagnostics = self.diagnostics;
+        if !self.params.uses_gravity {
+            diagnostics.gravity = self.holding_torques(&diagnostics.q);
         }
-        for i in 0..self.plan.n {
-            record.saturated[i] = self.command.torque_limit[i] >= self.plan.servos.torque[i];
+        for i in 0..self.params.n {
+            diagnostics.saturated[i] = self.command.torque_limit[i] >= self.params.servos.torque[i];
         }
-        record
+        diagnostics
     }
 
     /// Number of task axes, k.
-    pub fn task_len(&self) -> usize {
-        self.plan.k
+    pub fn task_dim(&self) -> usize {
+        self.params.k
     }
 
-    /// Returns soft, firm and hold of each task axis, defaults filled in; pairs are (pushed toward −, toward +).
-    pub fn strengths(&self) -> Vec<([f64; 2], [f64; 2], f64)> {
-        self.plan.rows.iter().take(self.plan.k).map(|row| (row.soft, row.firm, row.hold)).collect()
+    /// Returns the strengths of each task axis, defaults filled in.
+    pub fn axis_strengths(&self) -> Vec<AxisStrength> {
+        let strength = |axis: &AxisParams| AxisStrength { soft: axis.soft, firm: axis.firm, hold: axis.hold };
+        self.params.per_axis.iter().take(self.params.k).map(strength).collect()
     }
 
-    /// Returns stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of each task axis, defaults filled in, pairs as
-    /// in [`Controller::strengths`]. All are zero except under law `impedance`.
-    pub fn impedances(&self) -> Vec<([f64; 2], [f64; 2])> {
-        self.plan.rows.iter().take(self.plan.k).map(|row| (row.stiffness, row.viscosity)).collect()
+    /// Returns stiffness and damping of each task axis, defaults filled in; all zero except under law `impedance`.
+    pub fn axis_impedances(&self) -> Vec<AxisImpedance> {
+        let impedance = |axis: &AxisParams| AxisImpedance { stiffness: axis.stiffness, damping: axis.damping };
+        self.params.per_axis.iter().take(self.params.k).map(impedance).collect()
     }
 
-    /// Damping parameters: λ₀, σ₀, λ_max.
-    pub fn damping(&self) -> [f64; 3] {
-        let damping = self.plan.damping;
-        [damping.lambda_0, damping.sigma_0, damping.lambda_max]
+    /// The damping of the inverse near singular poses, default filled in.
+    pub fn singularity_damping(&self) -> DampingParams {
+        self.params.damping
     }
 
     /// Factor ≤ 1 on K_x that the delay requires. Under law `impedance`, factor on the stiffness at the last step,
     /// which also depends on the pose.
     pub fn gain_factor(&self) -> f64 {
-        if self.plan.law == Law::Impedance { self.record.gain_factor } else { self.plan.kx_derating }
+        law::gain_factor(&self.params, self.diagnostics.gain_factor)
     }
 
     /// Factor ≤ 1 on the damping of law `impedance` that delay and pose required at the last step.
     pub fn damping_factor(&self) -> f64 {
-        if self.plan.law == Law::Impedance { impedance::damping_factor(&self.plan, &self.record.rows) } else { 1.0 }
+        law::damping_factor(&self.params, &self.diagnostics.rows)
     }
 
     /// Smallest and largest singular value of the last step's task rows, with translations divided by the arm's length.
-    pub fn sigma(&self) -> [f64; 2] {
-        self.record.sigma(&self.plan)
+    pub fn sigma_range(&self) -> [f64; 2] {
+        self.diagnostics.sigma(&self.params)
     }
 
     /// All singular values of the last step's scaled task rows, largest first.
     pub fn singular_values(&self) -> DVector<f64> {
-        self.record.singular_values(&self.plan)
+        self.diagnostics.singular_values(&self.params)
     }
 
     /// Task rows of the last step, k × n, in the task frame.
     pub fn task_jacobian(&self) -> DMatrix<f64> {
-        self.record.task_jacobian(&self.plan)
+        self.diagnostics.task_jacobian(&self.params)
     }
 
     /// Activation matrix A of the last step, n × (k + 1), the null-space column last.
     pub fn activation(&self) -> DMatrix<f64> {
-        self.record.activation(&self.plan)
+        self.diagnostics.activation(&self.params)
     }
 
     /// Responsibility R of the last step, n × (k + 1).
     pub fn responsibility(&self) -> DMatrix<f64> {
-        self.record.responsibility(&self.plan)
+        self.diagnostics.responsibility(&self.params)
     }
 
     /// As [`Controller::new`], with a captured gravity offset 1/k_g (n); does not check that the servos can hold the
     /// arm.
     #[inline(never)]
-    fn made(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
-        let mut surveyed = Surveyed::default();
-        let mut plan = Plan::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut surveyed)?;
-        plan.gravity_compliance.iter_mut().zip(captured.into_iter().flatten()).for_each(|(slot, &value)| *slot = value);
+    fn build(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
+        let mut workspace_stats = WorkspaceStats::default();
+        let mut params = Params::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut workspace_stats)?;
+        params
+            .gravity_compliance
+            .iter_mut()
+            .zip(captured.into_iter().flatten())
+            .for_each(|(slot, &value)| *slot = value);
         let masses = model.chain().masses(model.payload());
         let zero = [0.0; MAX_JOINTS];
         let controller = Self {
             payload: model.payload().copied(),
-            fade: None,
+            payload_ramp: None,
             gravity: model.gravity_vector(),
             delay: settings.delay,
-            memory: Memory::new(),
-            record: Record::empty(),
-            command: Command { n: plan.n, goal: zero, torque_limit: zero, speed_limit: zero },
-            captured: captured.map(|_| plan.gravity_compliance),
-            instructions: Instructions::chosen(),
-            scratch: LookScratch::new(),
+            state: State::new(),
+            diagnostics: Diagnostics::empty(),
+            command: Command { n: params.n, goal: zero, torque_limit: zero, speed_limit: zero },
+            captured: captured.map(|_| params.gravity_compliance),
+            simd_level: SimdLevel::detect(),
+            scratch: KinematicScratch::new(),
             model,
             settings,
             servos,
-            surveyed,
-            plan,
+            workspace_stats,
+            params,
             masses,
         };
         controller.check_posture(&controller.settings)?;
@@ -499,10 +513,10 @@ impl Controller {
     }
 
     /// Checks that servos which compensate gravity can hold the arm.
-    fn check_holding(&self, known: GravityUse, masses: &Masses) -> Result<()> {
+    fn check_holding(&self, known: GravityUse, masses: &GroupMasses) -> Result<()> {
         match known {
             GravityUse::Off => Ok(()),
-            _ => workspace::check_holding(&self.model, &self.plan.servos.torque, masses, self.gravity),
+            _ => workspace::check_holding(&self.model, &self.params.servos.torque, masses, self.gravity),
         }
     }
 
@@ -516,17 +530,17 @@ impl Controller {
     }
 
     /// Resets the parts of the state that depend on the previous settings.
-    fn adapt_memory(&mut self) {
+    fn reset_dependent_state(&mut self) {
         if self.settings.tracking.integrate <= 0.0 {
-            self.memory.integral = [0.0; MAX_JOINTS];
+            self.state.integral = [0.0; MAX_JOINTS];
         }
-        self.memory.singular = SingularValues::start();
-        self.memory.cold = true;
+        self.state.singular = SingularValues::start();
+        self.state.cold = true;
     }
 
     /// Returns the gravity torques at `q` with the present payload and gravity vector [N·m].
     fn holding_torques(&self, q: &JointVec) -> JointVec {
-        let mut frames = Frames::default();
+        let mut frames = JointFrames::default();
         let mut holding = [0.0; MAX_JOINTS];
         self.model.chain().forward(q, &mut frames);
         self.model.chain().gravity(&frames, &self.masses, self.gravity, &mut holding);
@@ -534,52 +548,52 @@ impl Controller {
     }
 
     /// Runs a step; validates positions and target.
-    fn advance(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        if q.len() != self.plan.n {
-            return Err(Error::length("q", q.len(), self.plan.n));
+    fn step_impl(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
+        if q.len() != self.params.n {
+            return Err(Error::length("q", q.len(), self.params.n));
         }
-        if !self.memory.started {
+        if !self.state.started {
             return self.start(q, target, input);
         }
         let asked = input;
         let mut input = Input::default();
         self.read(asked, &mut input)?;
-        let instructions = self.instructions;
-        if instructions.run_single(self.cycle(q, target, &input)) {
-            if self.fade.is_some() {
-                self.advance_fade(input.dt);
+        let simd_level = self.simd_level;
+        if simd_level.dispatch_narrow(self.context(q, target, &input)) {
+            if self.payload_ramp.is_some() {
+                self.advance_payload_ramp(input.dt);
             }
             return Ok(&self.command);
         }
-        Err(self.refusal(q, target))
+        Err(self.diagnose(q, target))
     }
 
     /// Runs the first step, which resets the controller.
     #[cold]
     fn start(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
-        let before = self.memory;
+        let before = self.state;
         self.restart(&self.positions("q", q)?);
-        if let Err(error) = self.advance(q, target, input).map(|_| ()) {
-            self.memory = before;
+        if let Err(error) = self.step_impl(q, target, input).map(|_| ()) {
+            self.state = before;
             return Err(error);
         }
         Ok(&self.command)
     }
 
     fn restart(&mut self, q: &JointVec) {
-        let mut frames = Frames::default();
+        let mut frames = JointFrames::default();
         self.model.chain().forward(q, &mut frames);
-        self.memory = Memory::at(q, frames.tool, true);
-        self.fade = None;
+        self.state = State::at(q, frames.tool, true);
+        self.payload_ramp = None;
     }
 
-    fn cycle<'a>(&'a mut self, q: &'a [f64], target: &'a Pose, input: &'a Input) -> Cycle<'a> {
-        Cycle {
-            plan: &self.plan,
+    fn context<'a>(&'a mut self, q: &'a [f64], target: &'a Pose, input: &'a Input) -> StepContext<'a> {
+        StepContext {
+            params: &self.params,
             settings: &self.settings,
             chain: self.model.chain(),
-            masses: match &self.fade {
-                Some(fade) => &fade.masses,
+            masses: match &self.payload_ramp {
+                Some(payload_ramp) => &payload_ramp.masses,
                 None => &self.masses,
             },
             gravity: &self.gravity,
@@ -587,16 +601,16 @@ impl Controller {
             q,
             target,
             input,
-            memory: &mut self.memory,
+            state: &mut self.state,
             scratch: &mut self.scratch,
-            record: &mut self.record,
+            diagnostics: &mut self.diagnostics,
             command: &mut self.command,
         }
     }
 
     /// Returns the reason why a step refused these positions and this target.
     #[cold]
-    fn refusal(&self, q: &[f64], target: &Pose) -> Error {
+    fn diagnose(&self, q: &[f64], target: &Pose) -> Error {
         match self.positions("q", q).map(|_| ()).and_then(|()| self.check_target("target", target)) {
             Err(error) => error,
             Ok(()) => {
@@ -608,7 +622,7 @@ impl Controller {
     /// Reads the input of a step into `out`.
     #[inline]
     fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
-        out.read(&self.model, &self.plan, self.settings.rate, input)
+        out.read(&self.model, &self.params, self.settings.rate, input)
     }
 
     /// Returns a batch with this controller's parameters.
@@ -616,18 +630,18 @@ impl Controller {
         Batch {
             input,
             model: &self.model,
-            plan: &self.plan,
+            params: &self.params,
             settings: &self.settings,
             masses: &self.masses,
             gravity: &self.gravity,
-            instructions: self.instructions,
+            simd_level: self.simd_level,
         }
     }
 
     /// Steps one arm of a batch from the present state, and writes its command.
     fn step_row(&mut self, one: &ArmInput<'_>, dt: Option<f64>, [goal, limit, speed]: [&mut [f64]; 3]) -> Result<()> {
         let input = StepInput { dt, dq: one.dq, ..StepInput::default() };
-        let command = self.advance(one.q(), &one.target, &input).map_err(|error| error.in_row("Q", one.row))?;
+        let command = self.step_impl(one.q(), &one.target, &input).map_err(|error| error.in_row("Q", one.row))?;
         goal.copy_from_slice(command.goal());
         limit.copy_from_slice(command.torque_limit());
         speed.copy_from_slice(command.speed_limit());
@@ -635,37 +649,37 @@ impl Controller {
     }
 
     /// Returns a copy in which the ramp has ended.
-    fn settled(&self) -> Self {
-        Self { fade: None, ..self.clone() }
+    fn without_payload_ramp(&self) -> Self {
+        Self { payload_ramp: None, ..self.clone() }
     }
 
     /// Returns the masses that the steps use at present.
-    fn masses_in_force(&self) -> &Masses {
-        self.fade.as_ref().map_or(&self.masses, |fade| &fade.masses)
+    fn current_masses(&self) -> &GroupMasses {
+        self.payload_ramp.as_ref().map_or(&self.masses, |payload_ramp| &payload_ramp.masses)
     }
 
     /// Advances the payload ramp by `dt` [s].
-    fn advance_fade(&mut self, dt: f64) {
-        if let Some(fade) = &mut self.fade
-            && !fade.advance(dt, self.model.chain(), self.payload.as_ref())
+    fn advance_payload_ramp(&mut self, dt: f64) {
+        if let Some(payload_ramp) = &mut self.payload_ramp
+            && !payload_ramp.advance(dt, self.model.chain(), self.payload.as_ref())
         {
-            self.fade = None;
+            self.payload_ramp = None;
         }
     }
 
     /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
     pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
-        self.plan.positions(&self.model, what, values)
+        self.params.positions(&self.model, what, values)
     }
 
     /// Reads target joint positions.
     pub(crate) fn joint_target(&self, what: &str, values: &[f64]) -> Result<JointVec> {
-        let [least, most] = &self.plan.joint_targets;
-        self.model.joints_between(what, values, least, most)
+        let [lowest, highest] = &self.params.joint_targets;
+        self.model.joints_between(what, values, lowest, highest)
     }
 
     /// Checks that a tool pose can be a target of this task.
     pub(crate) fn check_target(&self, what: &str, target: &Pose) -> Result<()> {
-        self.model.check_target_in(what, target, &self.plan.target_region)
+        self.model.check_target_in(what, target, &self.params.target_region)
     }
 }

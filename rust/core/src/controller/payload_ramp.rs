@@ -1,51 +1,51 @@
 //! Ramp from one payload to another while the arm is controlled.
 
-use crate::kinematics::Masses;
+use crate::kinematics::GroupMasses;
 use crate::model::{Chain, Payload};
 
 /// Ramp time [s] after a payload change, so that a wrong or mistimed payload moves the arm gradually.
-const FADE: f64 = 0.5;
+const RAMP_TIME: f64 = 0.5;
 
 /// Ramp from one payload to another.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fade {
+pub(super) struct PayloadRamp {
     /// Mass and first moment at the time of the change.
-    from: Carries,
+    from: MassMoment,
     /// Time since the change [s].
-    since: f64,
+    elapsed: f64,
     /// Current masses during the ramp.
-    pub(super) masses: Masses,
+    pub(super) masses: GroupMasses,
 }
 
 /// Mass [kg] and first moment [kg·m] of a payload, tool frame. They are linear in the payload, so two can be
 /// interpolated.
-pub(super) type Carries = [f64; 4];
+pub(super) type MassMoment = [f64; 4];
 
 /// Returns mass and first moment of a payload.
-pub(super) fn carries(payload: Option<&Payload>) -> Carries {
+pub(super) fn mass_moment(payload: Option<&Payload>) -> MassMoment {
     payload.map_or([0.0; 4], |Payload { mass, com: [x, y, z] }| [*mass, mass * x, mass * y, mass * z])
 }
 
-impl Fade {
+impl PayloadRamp {
     /// Starts a ramp at mass and first moment `from`, at present with `masses`.
-    pub(super) fn start(from: Carries, masses: &Masses) -> Self {
-        Self { from, since: 0.0, masses: *masses }
+    pub(super) fn start(from: MassMoment, masses: &GroupMasses) -> Self {
+        Self { from, elapsed: 0.0, masses: *masses }
     }
 
-    /// Continues a ramp from its [`Fade::state`].
-    pub(super) fn resume([mass, x, y, z, since]: [f64; 5], masses: &Masses) -> Self {
-        Self { from: [mass, x, y, z], since, masses: *masses }
+    /// Continues a ramp from its [`PayloadRamp::state`].
+    pub(super) fn resume([mass, x, y, z, elapsed]: [f64; 5], masses: &GroupMasses) -> Self {
+        Self { from: [mass, x, y, z], elapsed, masses: *masses }
     }
 
     /// Returns mass and first moment at its start, and the time since [s].
     pub(super) fn state(&self) -> [f64; 5] {
         let [mass, x, y, z] = self.from;
-        [mass, x, y, z, self.since]
+        [mass, x, y, z, self.elapsed]
     }
 
     /// Returns the present mass and first moment of the ramp toward the payload `to`.
-    pub(super) fn in_force(&self, to: Option<&Payload>) -> Carries {
-        let (to, share) = (carries(to), (self.since / FADE).min(1.0));
+    pub(super) fn current(&self, to: Option<&Payload>) -> MassMoment {
+        let (to, share) = (mass_moment(to), (self.elapsed / RAMP_TIME).min(1.0));
         std::array::from_fn(|i| self.from[i] + share * (to[i] - self.from[i]))
     }
 
@@ -53,11 +53,11 @@ impl Fade {
     #[cold]
     #[inline(never)]
     pub(super) fn advance(&mut self, dt: f64, chain: &Chain, to: Option<&Payload>) -> bool {
-        self.since += dt;
-        if self.since >= FADE {
+        self.elapsed += dt;
+        if self.elapsed >= RAMP_TIME {
             return false;
         }
-        let [mass, x, y, z] = self.in_force(to);
+        let [mass, x, y, z] = self.current(to);
         let com = if mass > 0.0 { [x / mass, y / mass, z / mass] } else { [0.0; 3] };
         self.masses = chain.masses(Some(&Payload { mass, com }));
         true

@@ -4,12 +4,12 @@ use crate::batch::state::Flag;
 use crate::kinematics::velocity_filter::VelocityFilter;
 use crate::math::singular_values::SingularValues;
 use crate::pose::Pose;
-use crate::task::reference_governor::Governor;
+use crate::task::reference_governor::ReferenceGovernor;
 use crate::{JointVec, MAX_JOINTS};
 
 /// State between steps; small enough to be copied, so that a failed step leaves it unchanged.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Memory {
+pub(crate) struct State {
     /// True after the first reset or step.
     pub(crate) started: bool,
     pub(crate) filter: VelocityFilter,
@@ -18,20 +18,20 @@ pub(crate) struct Memory {
     /// Last goals: start of the slew.
     pub(crate) goal: JointVec,
     /// Part of the goals that carries gravity [rad].
-    pub(crate) weight: JointVec,
+    pub(crate) gravity_offset: JointVec,
     /// Last limits; `None` before the first, which is not slewed.
     pub(crate) limit: Option<JointVec>,
     pub(crate) singular: SingularValues,
     /// True if the singular vectors must be computed from scratch.
     pub(crate) cold: bool,
-    pub(crate) governor: Governor,
+    pub(crate) governor: ReferenceGovernor,
     /// q at reset: the default rest posture.
     pub(crate) rest: JointVec,
     /// Lead stored by the integrating goal [rad].
     pub(crate) integral: JointVec,
 }
 
-impl Memory {
+impl State {
     pub(crate) fn new() -> Self {
         Self::at(&[0.0; MAX_JOINTS], Pose::IDENTITY, false)
     }
@@ -50,11 +50,11 @@ impl Memory {
             filter: VelocityFilter::new(q),
             gamma: 1.0,
             goal: *q,
-            weight: [0.0; MAX_JOINTS],
+            gravity_offset: [0.0; MAX_JOINTS],
             limit: None,
             singular: SingularValues::start(),
             cold: true,
-            governor: Governor::new(tool),
+            governor: ReferenceGovernor::new(tool),
             rest: *q,
             integral: [0.0; MAX_JOINTS],
         }
@@ -63,17 +63,28 @@ impl Memory {
 
 /// Visits all fields of the state except the flags, slice by slice, in the same order for writing and reading.
 #[inline(always)]
-fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
+fn for_each_field(state: &mut State, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
     // Exhaustive destructuring: a new field must be stored too.
-    let Memory { filter, gamma, goal, weight, singular, governor, rest, integral, started: _, cold: _, limit: _ } =
-        memory;
+    let State {
+        filter,
+        gamma,
+        goal,
+        gravity_offset,
+        singular,
+        governor,
+        rest,
+        integral,
+        started: _,
+        cold: _,
+        limit: _,
+    } = state;
     visit(&mut goal[..n]);
     visit(std::slice::from_mut(gamma));
-    for joints in [&mut filter.held, &mut filter.velocity, weight, limit, rest, integral] {
+    for joints in [&mut filter.backlash_output, &mut filter.velocity, gravity_offset, limit, rest, integral] {
         visit(&mut joints[..n]);
     }
-    let [weak, second] = &mut singular.weak;
-    for vector in [weak, second, &mut singular.strong, &mut governor.velocity] {
+    let [min_vectors, second] = &mut singular.min_vectors;
+    for vector in [min_vectors, second, &mut singular.max_vector, &mut governor.velocity] {
         visit(vector);
     }
     for pose in [&mut governor.pose, &mut governor.target] {
@@ -83,15 +94,15 @@ fn walk(memory: &mut Memory, limit: &mut JointVec, n: usize, mut visit: impl FnM
     visit(&mut governor.target_speed);
 }
 
-impl Memory {
-    /// Writes the state into `row`, which is [`width`](crate::batch::state::width) long.
-    pub(crate) fn keep(&mut self, n: usize, row: &mut [f64]) {
+impl State {
+    /// Writes the state into `row`, which is [`row_len`](crate::batch::state::width) long.
+    pub(crate) fn write_to(&mut self, n: usize, row: &mut [f64]) {
         let (mut limit, n) = (self.limit.unwrap_or([0.0; MAX_JOINTS]), n.min(MAX_JOINTS));
         let all = [(self.started, Flag::Started), (self.cold, Flag::Cold), (self.limit.is_some(), Flag::Limited)];
         let flags = all.iter().fold(0_u32, |sum, &(on, flag)| if on { sum + flag as u32 } else { sum });
         let Some((first, mut rest)) = row.split_first_mut() else { return };
         *first = f64::from(flags);
-        walk(self, &mut limit, n, |numbers| {
+        for_each_field(self, &mut limit, n, |numbers| {
             let slots;
             let size = numbers.len().min(rest.len());
             (slots, rest) = std::mem::take(&mut rest).split_at_mut(size);
@@ -99,11 +110,11 @@ impl Memory {
         });
     }
 
-    /// Reads the state from `row`, whose status is [`Kept::Running`].
-    pub(crate) fn recall(&mut self, n: usize, row: &[f64]) {
+    /// Reads the state from `row`, whose status is [`RowStatus::Running`].
+    pub(crate) fn read_from(&mut self, n: usize, row: &[f64]) {
         let (Some((&flags, mut rest)), n) = (row.split_first(), n.min(MAX_JOINTS)) else { return };
         let mut limit = [0.0; MAX_JOINTS];
-        walk(self, &mut limit, n, |numbers| {
+        for_each_field(self, &mut limit, n, |numbers| {
             let slots;
             (slots, rest) = rest.split_at(numbers.len().min(rest.len()));
             numbers[..slots.len()].copy_from_slice(slots);

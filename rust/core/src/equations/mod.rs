@@ -23,16 +23,16 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::error::{Error, Result};
 use crate::law::activation::Activation;
-use crate::law::nullspace::fade_squared;
+use crate::law::nullspace::projector_damping_sq;
 use crate::law::{activation, nullspace};
 use crate::math::ldlt6::pseudo_inverse;
-use crate::math::rows::{load_rows, wide};
-use crate::math::simd::{Arithmetic, EveryJoint, Lanes};
+use crate::math::rows::load_rows;
+use crate::math::simd::{JointVec16, JointVector, RealOps, TaskVector};
 use crate::math::svd::Svd;
 use crate::params::Projector;
 use crate::pose::Pose;
-use crate::task::{self, adapt, compliance as task_compliance};
-use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
+use crate::task::{adapt, compliance as task_compliance};
+use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, task};
 
 use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows};
 
@@ -74,7 +74,7 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
         Projector::Exact => {
             check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
             let sigma = svd(jacobian)?.sigma;
-            let added = [fade_squared(sigma.min(), sigma.max()); MAX_AXES];
+            let added = [projector_damping_sq(sigma.min(), sigma.max()); MAX_AXES];
             let matrix = nullspace::projector(&rows, &[1.0; MAX_JOINTS], &added, (k, n));
             Ok(DMatrix::from_fn(n, n, |i, j| matrix[i][j]))
         }
@@ -118,10 +118,10 @@ pub fn activation(
     let gradient: JointVec = gradient.map_or(Ok([0.0; MAX_JOINTS]), |gradient| array("gradient", gradient, n))?;
     // With as many axes as joints N is only rounding error, so the column is zero.
     let null = if k < n {
-        let motion = EveryJoint::load(&activation::product(&projector, &gradient));
+        let motion = JointVec16::load(&activation::product(&projector, &gradient));
         activation::null_column(motion, &projector)
     } else {
-        EveryJoint::splat(0.0)
+        JointVec16::splat(0.0)
     };
     Ok(Activation::new(&load_rows(&transposed), null).matrix(k, n))
 }
@@ -190,8 +190,8 @@ pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Resul
         (0..k).for_each(|r| task[r][i] = activation[(i, r)]);
         null[i] = activation[(i, k)];
     }
-    let torque = Activation::of(&task, &null).distribute(wide(&budgets), all[k]);
-    Ok(DVector::from_column_slice(&torque.array()[..n]))
+    let torque = Activation::of(&task, &null).distribute(TaskVector::from_axes(&budgets), all[k]);
+    Ok(DVector::from_column_slice(&torque.to_joints()[..n]))
 }
 
 /// The intermediate target of (12): `x_d + η (x − x_d)` on the compliant axes (x y z roll pitch yaw of the base).

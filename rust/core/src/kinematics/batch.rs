@@ -3,18 +3,19 @@
 use rayon::prelude::*;
 
 use super::jacobian::turn_to_tool;
-use super::{Frames, Masses, Reference};
+use super::{GroupMasses, JointFrames, Reference};
 use crate::error::{Error, Result};
 use crate::math::simd::{
-    Arithmetic, Instructions, Kernel, LANES, Machine, Many, PAST_THE_CACHES, Packed, Stream, streaming,
+    Isa, Kernel, LANES, NONTEMPORAL_MIN_BYTES, NonTemporalWriter, RealOps, SimdLevel, SimdVec, SoaLanes,
+    with_nontemporal,
 };
-use crate::math::thread_pool::on_every_core;
+use crate::math::thread_pool::install;
 use crate::model::{Chain, Model};
 use crate::pose::COORDINATE_BOUND;
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Configurations per chunk; a smaller batch runs on the caller's thread.
-const PIECE: usize = 4096;
+const CHUNK: usize = 4096;
 
 impl Model {
     /// Computes poses (`N` × 4 × 4, row-major) and Jacobians (`N` × 6 × n) of `N` configurations (`N` × n); an empty
@@ -35,11 +36,11 @@ impl Model {
         check("poses", poses, count * pose)?;
         check("jacobians", jacobians, count * jacobian)?;
         let chain = self.chain();
-        let past_the_caches = size_of_val(poses) + size_of_val(jacobians) >= PAST_THE_CACHES;
-        self.pieces(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
+        let nontemporal = size_of_val(poses) + size_of_val(jacobians) >= NONTEMPORAL_MIN_BYTES;
+        self.for_each_chunk(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
             // Outside of the kernel: a closure within it would be compiled for the baseline instruction set.
-            streaming(past_the_caches, |past| {
-                Instructions::chosen().run(PosePiece { chain, q, reference, past, poses, jacobians });
+            with_nontemporal(nontemporal, |writer| {
+                SimdLevel::detect().dispatch(PoseChunk { chain, q, reference, writer, poses, jacobians });
             });
         })
     }
@@ -52,8 +53,8 @@ impl Model {
         let (n, count) = (self.n(), self.count(q)?);
         check("torques", torques, count * n)?;
         let (chain, masses, gravity) = (self.chain(), self.chain().masses(self.payload()), self.gravity_vector());
-        self.pieces(q, [(torques, n), (&mut [], 0)], |q, [torques, _]| {
-            Instructions::chosen().run(GravityPiece { chain, masses: &masses, gravity: &gravity, q, torques });
+        self.for_each_chunk(q, [(torques, n), (&mut [], 0)], |q, [torques, _]| {
+            SimdLevel::detect().dispatch(GravityChunk { chain, masses: &masses, gravity: &gravity, q, torques });
         })
     }
 
@@ -62,14 +63,14 @@ impl Model {
     }
 
     /// Checks and processes all configurations chunk by chunk, each with its part of the outputs.
-    fn pieces(
+    fn for_each_chunk(
         &self,
         q: &[f64],
         outs: [(&mut [f64], usize); 2],
         work: impl Fn(&[f64], [&mut [f64]; 2]) + Sync,
     ) -> Result<()> {
         let n = self.n();
-        let piece = |(q, outs): (&[f64], [&mut [f64]; 2])| {
+        let chunk = |(q, outs): (&[f64], [&mut [f64]; 2])| {
             // Check while the numbers are still in the cache.
             let fine = q.iter().fold(true, |fine, value| fine & (value.abs() <= COORDINATE_BOUND));
             if fine {
@@ -78,19 +79,19 @@ impl Model {
             fine
         };
         let [(first, one), (second, two)] = outs;
-        let fine = if q.len() <= PIECE * n {
-            piece((q, [first, second]))
+        let fine = if q.len() <= CHUNK * n {
+            chunk((q, [first, second]))
         } else {
-            let mut parts = Vec::with_capacity(q.len() / (PIECE * n) + 1);
+            let mut parts = Vec::with_capacity(q.len() / (CHUNK * n) + 1);
             let (mut first, mut second) = (first, second);
-            for q in q.chunks(PIECE * n) {
+            for q in q.chunks(CHUNK * n) {
                 let count = q.len() / n;
                 let (a, b);
                 (a, first) = first.split_at_mut(count * one);
                 (b, second) = second.split_at_mut(count * two);
                 parts.push((q, [a, b]));
             }
-            on_every_core(|| parts.into_par_iter().map(piece).reduce(|| true, |a, b| a & b))?
+            install(|| parts.into_par_iter().map(chunk).reduce(|| true, |a, b| a & b))?
         };
         if fine {
             return Ok(());
@@ -109,7 +110,7 @@ fn check(what: &str, values: &[f64], expected: usize) -> Result<()> {
 /// Loads one number per joint, or entry of a pose, from the rows of `values`, each `size` long; undefined values after
 /// the last. If there are fewer rows than lanes, repeats the last row.
 #[inline(always)]
-pub(crate) fn gather<A: Many>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
+pub(crate) fn gather<A: SoaLanes>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
     let last;
     let mut rows = values;
     // Full registers are loaded, which may read past the end of a row into the next.
@@ -120,7 +121,7 @@ pub(crate) fn gather<A: Many>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
     let mut out = [A::splat(0.0); MAX_JOINTS];
     let mut from = 0;
     while from < size.min(MAX_JOINTS) {
-        let eight = A::from_rows(&rows[from..], size);
+        let eight = A::load_transposed(&rows[from..], size);
         for k in 0..LANES {
             out[(from + k) & (MAX_JOINTS - 1)] = eight[k];
         }
@@ -145,12 +146,12 @@ fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
 ///
 /// Values of `out` after these rows may be overwritten: the caller writes the next rows there.
 #[inline(always)]
-pub(crate) fn scatter<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
+pub(crate) fn scatter<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) {
     if out.len() >= A::COUNT * size + LANES {
-        return put::<A>(numbers, size, out);
+        return store_chunk::<A>(numbers, size, out);
     }
     let mut last = [0.0; LANES * MAX_JOINTS + LANES];
-    put::<A>(numbers, size, &mut last);
+    store_chunk::<A>(numbers, size, &mut last);
     for (to, from) in out.iter_mut().zip(&last) {
         *to = *from;
     }
@@ -158,22 +159,22 @@ pub(crate) fn scatter<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
 
 /// [`scatter`] with room for eight more numbers after the end.
 #[inline(always)]
-fn put<A: Many>(numbers: &[A], size: usize, out: &mut [f64]) {
+fn store_chunk<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) {
     let (eights, mut from) = (numbers.as_chunks::<LANES>().0, size.div_ceil(LANES));
     // Back to front: an 8-wide store may overrun into the next row, whose start is written afterwards.
     while from > 0 {
         from -= 1;
         if let (Some(eight), Some(rows)) = (eights.get(from), out.get_mut(LANES * from..)) {
-            A::into_rows(eight, rows, size);
+            A::store_transposed(eight, rows, size);
         }
     }
 }
 
 /// Copies the first of `rows`; uses non-temporal stores if the output exceeds the caches.
 #[inline(always)]
-fn write<'a>(rows: &[f64], out: &'a mut [f64], past: Option<&Stream<'a>>) {
+fn write_rows<'a>(rows: &[f64], out: &'a mut [f64], writer: Option<&NonTemporalWriter<'a>>) {
     let rows = &rows[..out.len()];
-    match past {
+    match writer {
         Some(stream) => stream.copy(rows, out),
         None => out.copy_from_slice(rows),
     }
@@ -181,36 +182,37 @@ fn write<'a>(rows: &[f64], out: &'a mut [f64], past: Option<&Stream<'a>>) {
 
 /// Configurations whose results are collected in a cache before they go to memory in one block; a multiple of every
 /// register's lanes. Writing six rows of many Jacobians at once would be too many write streams.
-const STAGED: usize = 8;
+const STAGING_ROWS: usize = 8;
 
 /// Poses and Jacobians of a chunk.
-struct PosePiece<'a, 'out> {
+struct PoseChunk<'a, 'out> {
     chain: &'a Chain,
     q: &'a [f64],
     reference: Reference,
-    past: Option<&'a Stream<'out>>,
+    writer: Option<&'a NonTemporalWriter<'out>>,
     poses: &'out mut [f64],
     jacobians: &'out mut [f64],
 }
 
-impl Kernel for PosePiece<'_, '_> {
+impl Kernel for PoseChunk<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<M: Machine>(self) {
+    fn run<M: Isa>(self) {
         let n = self.chain.n.clamp(1, MAX_JOINTS);
-        let (zero, one) = (M::Many::splat(0.0), M::Many::splat(1.0));
+        let (zero, one) = (M::F64xN::splat(0.0), M::F64xN::splat(1.0));
         let mut rows = [[zero; MAX_JOINTS]; MAX_AXES];
         let mut flat = [zero; MAX_AXES * MAX_JOINTS];
         let (with_poses, with_jacobians) = (!self.poses.is_empty(), !self.jacobians.is_empty());
-        let mut outs = (self.poses.chunks_mut(16 * STAGED), self.jacobians.chunks_mut(6 * n * STAGED));
-        let (mut poses, mut jacobians) = ([0.0; 16 * STAGED + LANES], [0.0; MAX_AXES * MAX_JOINTS * STAGED + LANES]);
+        let mut outs = (self.poses.chunks_mut(16 * STAGING_ROWS), self.jacobians.chunks_mut(6 * n * STAGING_ROWS));
+        let (mut poses, mut jacobians) =
+            ([0.0; 16 * STAGING_ROWS + LANES], [0.0; MAX_AXES * MAX_JOINTS * STAGING_ROWS + LANES]);
         let total = self.q.len() / n;
-        for from in (0..total).step_by(STAGED) {
-            let here = STAGED.min(total - from);
-            for at in (0..here).step_by(M::Many::COUNT) {
-                let q = gather::<M::Many>(&self.q[n * (from + at)..], n);
-                let tool = self.chain.kinematics_by::<M::Many>(&q, &mut rows);
+        for from in (0..total).step_by(STAGING_ROWS) {
+            let here = STAGING_ROWS.min(total - from);
+            for at in (0..here).step_by(M::F64xN::COUNT) {
+                let q = gather::<M::F64xN>(&self.q[n * (from + at)..], n);
+                let tool = self.chain.kinematics_by::<M::F64xN>(&q, &mut rows);
                 if with_poses {
                     let (r, p) = (&tool.rotation, &tool.position);
                     let mut numbers = [zero; 16];
@@ -221,10 +223,10 @@ impl Kernel for PosePiece<'_, '_> {
                         numbers[4 * i + 3] = p[i];
                     }
                     numbers[15] = one;
-                    put::<M::Many>(&numbers, 16, &mut poses[16 * at..]);
+                    store_chunk::<M::F64xN>(&numbers, 16, &mut poses[16 * at..]);
                 }
                 if self.reference == Reference::Local {
-                    turn_to_tool::<M::Many>(&tool.rotation, &mut rows, n);
+                    turn_to_tool::<M::F64xN>(&tool.rotation, &mut rows, n);
                 }
                 if with_jacobians {
                     for r in 0..MAX_AXES {
@@ -232,42 +234,42 @@ impl Kernel for PosePiece<'_, '_> {
                             flat[r * n + k] = rows[r][k];
                         }
                     }
-                    put::<M::Many>(&flat, 6 * n, &mut jacobians[6 * n * at..]);
+                    store_chunk::<M::F64xN>(&flat, 6 * n, &mut jacobians[6 * n * at..]);
                 }
             }
             if let Some(out) = outs.0.next() {
-                write(&poses, out, self.past);
+                write_rows(&poses, out, self.writer);
             }
             if let Some(out) = outs.1.next() {
-                write(&jacobians, out, self.past);
+                write_rows(&jacobians, out, self.writer);
             }
         }
     }
 }
 
 /// Gravity torques of a chunk.
-struct GravityPiece<'a> {
+struct GravityChunk<'a> {
     chain: &'a Chain,
-    masses: &'a Masses,
+    masses: &'a GroupMasses,
     gravity: &'a [f64; 3],
     q: &'a [f64],
     torques: &'a mut [f64],
 }
 
-impl Kernel for GravityPiece<'_> {
+impl Kernel for GravityChunk<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<M: Machine>(self) {
+    fn run<M: Isa>(self) {
         let n = self.chain.n.clamp(1, MAX_JOINTS);
-        let zero = M::Many::splat(0.0);
-        let mut frames = Frames::filled(zero);
+        let zero = M::F64xN::splat(0.0);
+        let mut frames = JointFrames::filled(zero);
         let mut torques = [zero; MAX_JOINTS];
         let total = self.q.len() / n;
-        for from in (0..total).step_by(M::Many::COUNT) {
-            self.chain.forward_by::<M::Many>(&gather::<M::Many>(&self.q[n * from..], n), &mut frames);
-            self.chain.gravity_by::<M::Many>(&frames, self.masses, self.gravity, &mut torques);
-            scatter::<M::Many>(&torques, n, &mut self.torques[n * from..]);
+        for from in (0..total).step_by(M::F64xN::COUNT) {
+            self.chain.forward_by::<M::F64xN>(&gather::<M::F64xN>(&self.q[n * from..], n), &mut frames);
+            self.chain.gravity_by::<M::F64xN>(&frames, self.masses, self.gravity, &mut torques);
+            scatter::<M::F64xN>(&torques, n, &mut self.torques[n * from..]);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Forward kinematics: joint positions → frames of all joints and of the tool.
 
-use crate::math::simd::{Arithmetic, Joints, Plain, Real, Three, Triple, sin_cos};
+use crate::math::simd::{BaselineF64, Real, RealOps, ScalarVec3, SingleArmJoints, Vec3Ops, sin_cos};
 use crate::math::spatial::{Mat3, Vec3, multiply, splat, splat_matrix};
 use crate::model::Chain;
 use crate::pose::Pose;
@@ -12,7 +12,7 @@ use crate::{JointVec, MAX_JOINTS};
 /// coordinate of the chain (the other finger of a gripper): they carry mass but do not move the tool. Further entries
 /// are 0.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Frames<R = f64> {
+pub struct JointFrames<R = f64> {
     /// Unit axis of each joint.
     pub axis: [[R; 3]; MAX_JOINTS],
     /// A point on each joint's axis [m]: the joint's origin, moved along the axis by a prismatic joint.
@@ -23,7 +23,7 @@ pub struct Frames<R = f64> {
     pub tool: Pose<R>,
 }
 
-impl<R: Copy> Frames<R> {
+impl<R: Copy> JointFrames<R> {
     /// Fills all entries with one number.
     pub(crate) fn filled(value: R) -> Self {
         let three = [value; 3];
@@ -36,7 +36,7 @@ impl<R: Copy> Frames<R> {
     }
 }
 
-impl Default for Frames {
+impl Default for JointFrames {
     fn default() -> Self {
         Self { tool: Pose::IDENTITY, ..Self::filled(0.0) }
     }
@@ -45,40 +45,44 @@ impl Default for Frames {
 /// Visitor of the joint frames on the path to the tool.
 pub(super) trait Visitor<T> {
     /// Called with the frame after joint `k`: its axes, the columns of the rotation, and its origin.
-    fn joint(&mut self, k: usize, axes: &[T; 3], origin: T);
+    fn visit_joint(&mut self, k: usize, axes: &[T; 3], origin: T);
 }
 
-impl<A: Arithmetic> Visitor<Three<A>> for Frames<A::Real> {
+impl<A: RealOps> Visitor<ScalarVec3<A>> for JointFrames<A::Real> {
     #[inline(always)]
-    fn joint(&mut self, k: usize, axes: &[Three<A>; 3], origin: Three<A>) {
+    fn visit_joint(&mut self, k: usize, axes: &[ScalarVec3<A>; 3], origin: ScalarVec3<A>) {
         self.rotation[k] = matrix(axes);
-        self.axis[k] = axes[2].numbers();
-        self.origin[k] = origin.numbers();
+        self.axis[k] = axes[2].components();
+        self.origin[k] = origin.components();
     }
 }
 
 /// Visits no joint frames, for the tool pose alone.
 impl<T> Visitor<T> for () {
     #[inline(always)]
-    fn joint(&mut self, _: usize, _: &[T; 3], _: T) {}
+    fn visit_joint(&mut self, _: usize, _: &[T; 3], _: T) {}
 }
 
 /// Returns the rotation with these axes as columns.
 #[inline(always)]
-fn matrix<T: Triple>([x, y, z]: &[T; 3]) -> Mat3<Real<T>> {
-    let (x, y, z) = (x.numbers(), y.numbers(), z.numbers());
+fn matrix<T: Vec3Ops>([x, y, z]: &[T; 3]) -> Mat3<Real<T>> {
+    let (x, y, z) = (x.components(), y.components(), z.components());
     [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
 }
 
 /// Returns the columns of a rotation.
 #[inline(always)]
-fn columns<T: Triple>(m: &Mat3<Real<T>>) -> [T; 3] {
-    [T::of([m[0][0], m[1][0], m[2][0]]), T::of([m[0][1], m[1][1], m[2][1]]), T::of([m[0][2], m[1][2], m[2][2]])]
+fn columns<T: Vec3Ops>(m: &Mat3<Real<T>>) -> [T; 3] {
+    [
+        T::from_components([m[0][0], m[1][0], m[2][0]]),
+        T::from_components([m[0][1], m[1][1], m[2][1]]),
+        T::from_components([m[0][2], m[1][2], m[2][2]]),
+    ]
 }
 
 /// Sine and cosine of a joint's angle, and its displacement.
 #[derive(Clone, Copy)]
-struct Motion<R> {
+struct JointTrig<R> {
     sine: R,
     cosine: R,
     slide: R,
@@ -86,13 +90,13 @@ struct Motion<R> {
 
 /// Motion of a joint with coordinate `q`, whose angle and displacement are `[per q, offset]`.
 #[inline(always)]
-fn motion<A: Arithmetic>(q: A::Real, angle: [A::Real; 2], slide: [A::Real; 2]) -> Motion<A::Real> {
+fn joint_trig<A: RealOps>(q: A::Real, angle: [A::Real; 2], slide: [A::Real; 2]) -> JointTrig<A::Real> {
     let (sine, cosine) = sin_cos::<A>(A::fma(angle[0], q, angle[1]));
-    Motion { sine, cosine, slide: A::fma(slide[0], q, slide[1]) }
+    JointTrig { sine, cosine, slide: A::fma(slide[0], q, slide[1]) }
 }
 
 /// Motions of up to `N` joints; for a single configuration they are precomputed.
-pub(super) struct Motions<'a, R, const N: usize = MAX_JOINTS> {
+pub(super) struct JointTrigs<'a, R, const N: usize = MAX_JOINTS> {
     q: &'a [R; MAX_JOINTS],
     all: [[R; N]; 3],
 }
@@ -101,15 +105,15 @@ impl Chain {
     /// Computes the frames of all joints and of the tool at `q`.
     ///
     /// `q` [rad or m]: `n` finite entries of at most [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND), then zeros.
-    pub fn forward(&self, q: &JointVec, frames: &mut Frames) {
-        self.forward_by::<Plain>(q, frames);
+    pub fn forward(&self, q: &JointVec, frames: &mut JointFrames) {
+        self.forward_by::<BaselineF64>(q, frames);
     }
 
     /// [`Chain::forward`] for one configuration or several.
     #[inline(always)]
-    pub(crate) fn forward_by<A: Arithmetic>(&self, q: &[A::Real; MAX_JOINTS], frames: &mut Frames<A::Real>) {
-        let motions = self.motions::<A>(q, self.total);
-        frames.tool = self.walk::<Three<A>, _>(&motions, frames);
+    pub(crate) fn forward_by<A: RealOps>(&self, q: &[A::Real; MAX_JOINTS], frames: &mut JointFrames<A::Real>) {
+        let joint_trigs = self.joint_trigs::<A>(q, self.total);
+        frames.tool = self.forward_pass::<ScalarVec3<A>, _>(&joint_trigs, frames);
         for k in self.path..self.total.min(MAX_JOINTS) {
             let parent = self.parent[k];
             let (rotation, origin) = if parent < MAX_JOINTS {
@@ -118,41 +122,49 @@ impl Chain {
                 (splat_matrix::<A>(&self.base.rotation), splat::<A>(&self.base.position))
             };
             let turned = multiply::<A>(&rotation, &splat_matrix::<A>(&self.turn[k]));
-            let (axes, origin) = self.advance(k, &columns::<Three<A>>(&turned), Three::of(origin), &motions);
-            frames.joint(k, &axes, origin);
+            let (axes, origin) = self.advance_frame(
+                k,
+                &columns::<ScalarVec3<A>>(&turned),
+                ScalarVec3::from_components(origin),
+                &joint_trigs,
+            );
+            frames.visit_joint(k, &axes, origin);
         }
     }
 
     /// Returns the motions of the first `count` joints at `q`.
     #[inline(always)]
-    pub(super) fn motions<'a, A: Arithmetic>(
+    pub(super) fn joint_trigs<'a, A: RealOps>(
         &self,
         q: &'a [A::Real; MAX_JOINTS],
         count: usize,
-    ) -> Motions<'a, A::Real> {
+    ) -> JointTrigs<'a, A::Real> {
         let mut all = [[A::splat(0.0); MAX_JOINTS]; 3];
         // Values that are already SIMD vectors are not stored.
         if !A::WIDE {
             for k in 0..count.min(MAX_JOINTS) {
-                let Motion { sine, cosine, slide } = self.motion::<A>(k, q);
+                let JointTrig { sine, cosine, slide } = self.joint_trig::<A>(k, q);
                 (all[0][k], all[1][k], all[2][k]) = (sine, cosine, slide);
             }
         }
-        Motions { q, all }
+        JointTrigs { q, all }
     }
 
     /// Returns the motions at `q` of joints that each have their own coordinate, one joint per lane.
     #[inline(always)]
-    pub(super) fn motions_abreast<'a, J: Joints, const N: usize>(&self, q: &'a JointVec) -> Motions<'a, f64, N> {
+    pub(super) fn joint_trigs_simd<'a, J: SingleArmJoints, const N: usize>(
+        &self,
+        q: &'a JointVec,
+    ) -> JointTrigs<'a, f64, N> {
         let (angle, slide) = ([&self.angle_per_q, &self.angle_offset], [&self.slide_per_q, &self.slide_offset]);
         let (angle, slide) = ([J::load(angle[0]), J::load(angle[1])], [J::load(slide[0]), J::load(slide[1])]);
-        let Motion { sine, cosine, slide } = motion::<J>(J::load(q), angle, slide);
-        Motions { q, all: [sine.few(), cosine.few(), slide.few()] }
+        let JointTrig { sine, cosine, slide } = joint_trig::<J>(J::load(q), angle, slide);
+        JointTrigs { q, all: [sine.prefix(), cosine.prefix(), slide.prefix()] }
     }
 
     #[inline(always)]
-    fn motion<A: Arithmetic>(&self, k: usize, q: &[A::Real; MAX_JOINTS]) -> Motion<A::Real> {
-        motion::<A>(
+    fn joint_trig<A: RealOps>(&self, k: usize, q: &[A::Real; MAX_JOINTS]) -> JointTrig<A::Real> {
+        joint_trig::<A>(
             q[self.driver[k] & (MAX_JOINTS - 1)],
             [A::splat(self.angle_per_q[k]), A::splat(self.angle_offset[k])],
             [A::splat(self.slide_per_q[k]), A::splat(self.slide_offset[k])],
@@ -161,24 +173,24 @@ impl Chain {
 
     /// Runs the forward pass from the base to the tool and returns the tool pose.
     #[inline(always)]
-    pub(super) fn walk<T: Triple, const N: usize>(
+    pub(super) fn forward_pass<T: Vec3Ops, const N: usize>(
         &self,
-        motions: &Motions<'_, Real<T>, N>,
+        joint_trigs: &JointTrigs<'_, Real<T>, N>,
         visitor: &mut impl Visitor<T>,
     ) -> Pose<Real<T>> {
-        let mut axes = columns::<T>(&splat_matrix::<T::One>(&self.base.rotation));
+        let mut axes = columns::<T>(&splat_matrix::<T::Elem>(&self.base.rotation));
         let mut origin = T::constant(&self.base.position);
         for k in 0..self.path.min(N).min(MAX_JOINTS) {
-            (axes, origin) = self.advance(k, &axes, origin, motions);
-            visitor.joint(k, &axes, origin);
+            (axes, origin) = self.advance_frame(k, &axes, origin, joint_trigs);
+            visitor.visit_joint(k, &axes, origin);
         }
-        let (r, nothing) = (&self.tool.rotation, T::constant(&[0.0; 3]));
+        let (r, zero) = (&self.tool.rotation, T::constant(&[0.0; 3]));
         let rotation = [
-            place(&axes, &[r[0][0], r[1][0], r[2][0]], nothing),
-            place(&axes, &[r[0][1], r[1][1], r[2][1]], nothing),
-            place(&axes, &[r[0][2], r[1][2], r[2][2]], nothing),
+            transform_point(&axes, &[r[0][0], r[1][0], r[2][0]], zero),
+            transform_point(&axes, &[r[0][1], r[1][1], r[2][1]], zero),
+            transform_point(&axes, &[r[0][2], r[1][2], r[2][2]], zero),
         ];
-        Pose { rotation: matrix(&rotation), position: place(&axes, &self.tool.position, origin).numbers() }
+        Pose { rotation: matrix(&rotation), position: transform_point(&axes, &self.tool.position, origin).components() }
     }
 
     /// Advances from the frame before joint `k` to the frame after it: `T(offset) · Rx(tilt) · Rz(angle) · T(slide z)`.
@@ -186,27 +198,27 @@ impl Chain {
     /// Any rotation is `Rz · Rx · Rz`. The last rotation is added to the joint's angle. The first one is merged into
     /// the previous frame, whose joint angle includes it. So two planar rotations remain.
     #[inline(always)]
-    fn advance<T: Triple, const N: usize>(
+    fn advance_frame<T: Vec3Ops, const N: usize>(
         &self,
         k: usize,
         &[x, y, z]: &[T; 3],
         origin: T,
-        motions: &Motions<'_, Real<T>, N>,
+        joint_trigs: &JointTrigs<'_, Real<T>, N>,
     ) -> ([T; 3], T) {
-        let Motion { sine: s, cosine: c, slide } = if T::One::WIDE {
-            self.motion::<T::One>(k, motions.q)
+        let JointTrig { sine: s, cosine: c, slide } = if T::Elem::WIDE {
+            self.joint_trig::<T::Elem>(k, joint_trigs.q)
         } else {
-            let [sine, cosine, slide] = &motions.all;
-            Motion { sine: sine[k], cosine: cosine[k], slide: slide[k] }
+            let [sine, cosine, slide] = &joint_trigs.all;
+            JointTrig { sine: sine[k], cosine: cosine[k], slide: slide[k] }
         };
-        let (st, ct) = (T::One::splat(self.tilt[k].0), T::One::splat(self.tilt[k].1));
-        let (tilted, axis) = (y.times(ct).plus(st, z), z.times(ct).minus(st, y));
+        let (st, ct) = (T::Elem::splat(self.tilt[k].0), T::Elem::splat(self.tilt[k].1));
+        let (tilted, axis) = (y.scaled(ct).add_scaled(st, z), z.scaled(ct).sub_scaled(st, y));
         // The tilted axis is ready last, so it enters in the last multiply-add: this dependency chain is the latency
         // per joint.
-        let axes = [x.times(c).plus(s, tilted), x.times(-s).plus(c, tilted), axis];
-        let mut origin = place(&[x, y, z], &self.offset[k], origin);
+        let axes = [x.scaled(c).add_scaled(s, tilted), x.scaled(-s).add_scaled(c, tilted), axis];
+        let mut origin = transform_point(&[x, y, z], &self.offset[k], origin);
         if self.slides[k] {
-            origin = origin.plus(slide, axis);
+            origin = origin.add_scaled(slide, axis);
         }
         (axes, origin)
     }
@@ -214,7 +226,7 @@ impl Chain {
 
 /// Transforms a point from a frame into the base.
 #[inline(always)]
-pub(super) fn place<T: Triple>(axes: &[T; 3], point: &Vec3, origin: T) -> T {
-    let [x, y, z] = splat::<T::One>(point);
-    origin.plus(x, axes[0]).plus(y, axes[1]).plus(z, axes[2])
+pub(super) fn transform_point<T: Vec3Ops>(axes: &[T; 3], point: &Vec3, origin: T) -> T {
+    let [x, y, z] = splat::<T::Elem>(point);
+    origin.add_scaled(x, axes[0]).add_scaled(y, axes[1]).add_scaled(z, axes[2])
 }

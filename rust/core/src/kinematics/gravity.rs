@@ -1,17 +1,17 @@
 //! Gravity torques of the arm.
 
-use super::forward::Frames;
-use crate::math::simd::{Arithmetic, Plain};
+use super::forward::JointFrames;
+use crate::math::simd::{BaselineF64, RealOps};
 use crate::math::spatial::{Vec3, add, cross, dot, place, scale, splat, sub};
 use crate::model::{Chain, Payload};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Mass [kg] and first moment (mass times centre of mass [kg·m]) of the rigid group of links that each joint carries.
 ///
-/// Expressed in the frame after the joint, see [`Frames::rotation`]; the group of the last joint before the tool
+/// Expressed in the frame after the joint, see [`JointFrames::rotation`]; the group of the last joint before the tool
 /// includes the payload.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Masses {
+pub struct GroupMasses {
     /// Mass of each group [kg].
     pub mass: [f64; MAX_JOINTS],
     /// Mass times centre of mass of each group [kg·m], in the group's frame.
@@ -20,13 +20,13 @@ pub struct Masses {
 
 impl Chain {
     /// Returns the masses of all groups with this payload at the tool, which replaces any other payload.
-    pub fn masses(&self, payload: Option<&Payload>) -> Masses {
-        let mut masses = Masses { mass: self.mass, moment: self.moment };
+    pub fn masses(&self, payload: Option<&Payload>) -> GroupMasses {
+        let mut masses = GroupMasses { mass: self.mass, moment: self.moment };
         if let (Some(payload), Some(last)) = (payload, self.path.checked_sub(1)) {
-            let centre = place::<Plain>(&self.tool.rotation, &payload.com, &self.tool.position);
+            let centre = place::<BaselineF64>(&self.tool.rotation, &payload.com, &self.tool.position);
             if let (Some(mass), Some(moment)) = (masses.mass.get_mut(last), masses.moment.get_mut(last)) {
                 *mass += payload.mass;
-                *moment = add::<Plain>(moment, &scale::<Plain>(payload.mass, &centre));
+                *moment = add::<BaselineF64>(moment, &scale::<BaselineF64>(payload.mass, &centre));
             }
         }
         masses
@@ -36,16 +36,16 @@ impl Chain {
     ///
     /// Gradient of the potential energy `−Σ mᵢ g·cᵢ`. From the tips inward, with the mass `M` and the first moment `S`
     /// of everything that a joint carries: `τ = −g·(z × (S − M o))`, for a prismatic joint `−M g·z`.
-    pub fn gravity(&self, frames: &Frames, masses: &Masses, g: [f64; 3], out: &mut JointVec) {
-        self.gravity_by::<Plain>(frames, masses, &g, out);
+    pub fn gravity(&self, frames: &JointFrames, masses: &GroupMasses, g: [f64; 3], out: &mut JointVec) {
+        self.gravity_by::<BaselineF64>(frames, masses, &g, out);
     }
 
     /// [`Chain::gravity`] of one configuration or several.
     #[inline(always)]
-    pub(crate) fn gravity_by<A: Arithmetic>(
+    pub(crate) fn gravity_by<A: RealOps>(
         &self,
-        frames: &Frames<A::Real>,
-        masses: &Masses,
+        frames: &JointFrames<A::Real>,
+        masses: &GroupMasses,
         g: &Vec3,
         out: &mut [A::Real; MAX_JOINTS],
     ) {
@@ -53,63 +53,63 @@ impl Chain {
             *value = A::splat(0.0);
         }
         let g = splat::<A>(g);
-        let nothing = Load { mass: 0.0, moment: [A::splat(0.0); 3] };
-        let mut beyond = nothing;
+        let massless = SubtreeMass { mass: 0.0, moment: [A::splat(0.0); 3] };
+        let mut subtree = massless;
         if self.path == self.total {
             for k in (0..self.path.min(MAX_JOINTS)).rev() {
-                beyond = self.hold::<A>(k, frames, masses, &g, &beyond, out);
+                subtree = self.joint_gravity::<A>(k, frames, masses, &g, &subtree, out);
             }
             return;
         }
         // Masses of the joints beside the path, per joint that carries them.
-        let mut sides = [nothing; MAX_JOINTS];
+        let mut sides = [massless; MAX_JOINTS];
         for k in (self.path..self.total.min(MAX_JOINTS)).rev() {
-            let load = self.hold::<A>(k, frames, masses, &g, &sides[k], out);
+            let load = self.joint_gravity::<A>(k, frames, masses, &g, &sides[k], out);
             if let Some(parent) = sides.get_mut(self.parent[k]) {
                 *parent = parent.with::<A>(&load);
             }
         }
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
-            beyond = self.hold::<A>(k, frames, masses, &g, &beyond.with::<A>(&sides[k]), out);
+            subtree = self.joint_gravity::<A>(k, frames, masses, &g, &subtree.with::<A>(&sides[k]), out);
         }
     }
 
     /// Computes the torque of joint `k` from the masses beyond its group; returns the masses beyond the joint before.
     #[inline(always)]
-    fn hold<A: Arithmetic>(
+    fn joint_gravity<A: RealOps>(
         &self,
         k: usize,
-        frames: &Frames<A::Real>,
-        masses: &Masses,
+        frames: &JointFrames<A::Real>,
+        masses: &GroupMasses,
         g: &Vec3<A::Real>,
-        beyond: &Load<A::Real>,
+        subtree: &SubtreeMass<A::Real>,
         out: &mut [A::Real; MAX_JOINTS],
-    ) -> Load<A::Real> {
+    ) -> SubtreeMass<A::Real> {
         let (axis, origin) = (&frames.axis[k], &frames.origin[k]);
-        let carried = place::<A>(&frames.rotation[k], &splat::<A>(&masses.moment[k]), &beyond.moment);
+        let moment = place::<A>(&frames.rotation[k], &splat::<A>(&masses.moment[k]), &subtree.moment);
         // S − M o; M o of the joint's own group cancels.
-        let arm = sub::<A>(&carried, &scale::<A>(A::splat(beyond.mass), origin));
+        let arm = sub::<A>(&moment, &scale::<A>(A::splat(subtree.mass), origin));
         let torque = dot::<A>(&arm, &cross::<A>(g, axis));
         let slot = &mut out[self.driver[k] & (MAX_JOINTS - 1)];
         *slot = A::fnma(A::splat(self.angle_per_q[k]), torque, *slot);
-        let mass = masses.mass[k] + beyond.mass;
+        let mass = masses.mass[k] + subtree.mass;
         if self.slides[k] {
             *slot = A::fnma(A::splat(self.slide_per_q[k] * mass), dot::<A>(axis, g), *slot);
         }
-        Load { mass, moment: add::<A>(&carried, &scale::<A>(A::splat(masses.mass[k]), origin)) }
+        SubtreeMass { mass, moment: add::<A>(&moment, &scale::<A>(A::splat(masses.mass[k]), origin)) }
     }
 }
 
 /// Mass [kg] and first moment [kg·m] in base axes of everything beyond a joint.
 #[derive(Clone, Copy)]
-struct Load<R> {
+struct SubtreeMass<R> {
     mass: f64,
     moment: Vec3<R>,
 }
 
-impl<R: Copy> Load<R> {
+impl<R: Copy> SubtreeMass<R> {
     #[inline(always)]
-    fn with<A: Arithmetic<Real = R>>(&self, other: &Self) -> Self {
+    fn with<A: RealOps<Real = R>>(&self, other: &Self) -> Self {
         Self { mass: self.mass + other.mass, moment: add::<A>(&self.moment, &other.moment) }
     }
 }

@@ -9,7 +9,7 @@ use std::fmt;
 
 use nalgebra::{Matrix6, Rotation3, UnitQuaternion, Vector6};
 
-use super::forward::Frames;
+use super::forward::JointFrames;
 use crate::error::{Error, Result};
 use crate::math::halton;
 use crate::model::Model;
@@ -39,7 +39,7 @@ impl Default for IkOptions {
 
 /// Reason for the end of a search.
 #[derive(Debug, Clone, PartialEq)]
-pub enum IkReason {
+pub enum IkStatus {
     /// Both errors are within tolerance.
     Converged,
     /// The target is farther from the first joint than the arm is long [m].
@@ -58,7 +58,7 @@ pub enum IkReason {
     Stalled,
 }
 
-impl fmt::Display for IkReason {
+impl fmt::Display for IkStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Converged => f.write_str("converged"),
@@ -85,7 +85,7 @@ pub struct IkResult {
     /// Angle to the target over the selected axes [rad].
     pub rotation_error: f64,
     /// Reason for the end of the search.
-    pub reason: IkReason,
+    pub reason: IkStatus,
 }
 
 impl Model {
@@ -115,21 +115,21 @@ impl Model {
         let q0 = self.joint_vector(q0)?;
         target.validate()?;
         options.validate()?;
-        let search = Search { model: self, target, options, target_rotation: quaternion(target) };
-        let mut best = search.descend(search.inside(&q0));
+        let search = IkSolver { model: self, target, options, target_rotation: quaternion(target) };
+        let mut best = search.solve_from(search.clamp_to_limits(&q0));
         let mut iterations = best.iterations;
         for restart in 1..=options.restarts {
             if best.converged(options) {
                 break;
             }
-            let found = search.descend(search.fixed_point(restart));
+            let found = search.solve_from(search.restart_seed(restart));
             iterations += found.iterations;
             if found.error.norm_squared() < best.error.norm_squared() {
                 best = found;
             }
         }
         let converged = best.converged(options);
-        let reason = if converged { IkReason::Converged } else { search.why_not(&best) };
+        let reason = if converged { IkStatus::Converged } else { search.failure_reason(&best) };
         Ok(IkResult {
             q: best.q[..self.n().min(MAX_JOINTS)].to_vec(),
             converged,
@@ -163,7 +163,7 @@ impl IkOptions {
     }
 }
 
-struct Search<'a> {
+struct IkSolver<'a> {
     model: &'a Model,
     target: &'a Pose,
     target_rotation: UnitQuaternion<f64>,
@@ -171,13 +171,13 @@ struct Search<'a> {
 }
 
 /// Result of one descent.
-struct Found {
+struct IkIterate {
     q: JointVec,
     error: Vector6<f64>,
     iterations: usize,
 }
 
-impl Found {
+impl IkIterate {
     fn position_error(&self) -> f64 {
         self.error.fixed_rows::<3>(0).norm()
     }
@@ -197,13 +197,13 @@ const LARGEST_STEP: f64 = 0.5;
 /// Number of iterations without a 10 % improvement after which a descent stops.
 const PATIENCE: usize = 20;
 
-impl Search<'_> {
-    fn descend(&self, start: JointVec) -> Found {
+impl IkSolver<'_> {
+    fn solve_from(&self, start: JointVec) -> IkIterate {
         let chain = self.model.chain();
-        let (mut frames, mut rows) = (Frames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
+        let (mut frames, mut rows) = (JointFrames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
         let mut q = start;
         chain.forward(&q, &mut frames);
-        let mut found = Found { q, error: self.error(&frames.tool), iterations: 0 };
+        let mut found = IkIterate { q, error: self.error(&frames.tool), iterations: 0 };
         let (mut milestone, mut since) = (found.error.norm(), 0);
         while found.iterations < self.options.max_iterations && !found.converged(self.options) && since < PATIENCE {
             chain.jacobian(&frames, &mut rows);
@@ -212,7 +212,7 @@ impl Search<'_> {
             for (x, dx) in q.iter_mut().zip(&step) {
                 *x += dx;
             }
-            q = self.inside(&q);
+            q = self.clamp_to_limits(&q);
             chain.forward(&q, &mut frames);
             found.iterations += 1;
             let error = self.error(&frames.tool);
@@ -276,7 +276,7 @@ impl Search<'_> {
         None
     }
 
-    fn inside(&self, q: &JointVec) -> JointVec {
+    fn clamp_to_limits(&self, q: &JointVec) -> JointVec {
         let mut q = *q;
         for ((x, lower), upper) in q.iter_mut().zip(self.model.lower()).zip(self.model.upper()) {
             *x = x.max(*lower).min(*upper);
@@ -285,28 +285,28 @@ impl Search<'_> {
     }
 
     /// Returns the `index`-th Halton point of the joint ranges; continuous joints within ±π.
-    fn fixed_point(&self, index: usize) -> JointVec {
+    fn restart_seed(&self, index: usize) -> JointVec {
         halton::joints(self.model.lower(), self.model.upper(), u32::try_from(index).unwrap_or(u32::MAX))
     }
 
-    fn why_not(&self, found: &Found) -> IkReason {
-        let mut frames = Frames::default();
+    fn failure_reason(&self, found: &IkIterate) -> IkStatus {
+        let mut frames = JointFrames::default();
         self.model.chain().forward(&found.q, &mut frames);
-        let distance = nalgebra::Vector3::from(crate::math::spatial::sub::<crate::math::simd::Plain>(
+        let distance = nalgebra::Vector3::from(crate::math::spatial::sub::<crate::math::simd::BaselineF64>(
             &self.target.position,
             &frames.origin[0],
         ))
         .norm();
         let reach = self.model.reach();
         if self.options.axes[..3] == [true; 3] && distance > reach {
-            return IkReason::OutOfReach { distance, reach };
+            return IkStatus::OutOfReach { distance, reach };
         }
         let near = |x: f64, limit: f64| (x - limit).abs() <= 1e-9;
         let at_limit =
             |k: &usize| near(found.q[*k], self.model.lower()[*k]) || near(found.q[*k], self.model.upper()[*k]);
         let names = self.model.joint_names();
         let joints: Vec<String> = (0..self.model.n()).filter(at_limit).map(|k| names[k].clone()).collect();
-        if joints.is_empty() { IkReason::Stalled } else { IkReason::JointLimit { joints } }
+        if joints.is_empty() { IkStatus::Stalled } else { IkStatus::JointLimit { joints } }
     }
 }
 

@@ -1,9 +1,9 @@
 //! Geometric Jacobian from frames.
 
-use super::forward::{Frames, Visitor};
-use crate::math::rows::{load_rows, rows_array};
-use crate::math::simd::{Arithmetic, EveryJoint, Lanes, Plain, Scalar, Three, Triple};
-use crate::math::spatial::{Mat3, Vec3, cross, rotate_back, sub};
+use super::forward::{JointFrames, Visitor};
+use crate::math::rows::{load_rows, store_rows};
+use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps, Scalar, ScalarVec3, Vec3Ops};
+use crate::math::spatial::{Mat3, Vec3, cross, sub, tr_rotate};
 use crate::model::Chain;
 use crate::pose::Pose;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
@@ -11,10 +11,10 @@ use crate::{MAX_AXES, MAX_JOINTS, Rows};
 /// Rows over the joints before the tool is known: axes in the angular rows, origins in the linear rows.
 struct Levers<'a, R>(&'a mut [[R; MAX_JOINTS]; MAX_AXES]);
 
-impl<A: Arithmetic> Visitor<Three<A>> for Levers<'_, A::Real> {
+impl<A: RealOps> Visitor<ScalarVec3<A>> for Levers<'_, A::Real> {
     #[inline(always)]
-    fn joint(&mut self, k: usize, axes: &[Three<A>; 3], origin: Three<A>) {
-        let (origin, axis) = (origin.numbers(), axes[2].numbers());
+    fn visit_joint(&mut self, k: usize, axes: &[ScalarVec3<A>; 3], origin: ScalarVec3<A>) {
+        let (origin, axis) = (origin.components(), axes[2].components());
         for i in 0..3 {
             self.0[i][k] = origin[i];
             self.0[i + 3][k] = axis[i];
@@ -28,15 +28,15 @@ impl Chain {
     ///
     /// A revolute joint at `o` with axis `z` moves the tool at `p` with `[z × (p − o); z]`, a prismatic joint with `[z;
     /// 0]`. A mimic joint adds its column, times its multiplier, to the column of its driver.
-    pub fn jacobian(&self, frames: &Frames, rows: &mut Rows) {
-        self.jacobian_by::<Plain>(frames, rows);
+    pub fn jacobian(&self, frames: &JointFrames, rows: &mut Rows) {
+        self.jacobian_by::<BaselineF64>(frames, rows);
     }
 
     /// [`Chain::jacobian`] for one configuration or several.
     #[inline(always)]
-    pub(crate) fn jacobian_by<A: Arithmetic>(
+    pub(crate) fn jacobian_by<A: RealOps>(
         &self,
-        frames: &Frames<A::Real>,
+        frames: &JointFrames<A::Real>,
         rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES],
     ) {
         for row in rows.iter_mut() {
@@ -59,18 +59,18 @@ impl Chain {
 
     /// Computes tool pose and Jacobian; writes the columns of `rows` below `n`.
     #[inline(always)]
-    pub(crate) fn kinematics_by<A: Arithmetic>(
+    pub(crate) fn kinematics_by<A: RealOps>(
         &self,
         q: &[A::Real; MAX_JOINTS],
         rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES],
     ) -> Pose<A::Real> {
         if !self.simple {
-            let mut frames = Frames::filled(A::splat(0.0));
+            let mut frames = JointFrames::filled(A::splat(0.0));
             self.forward_by::<A>(q, &mut frames);
             self.jacobian_by::<A>(&frames, rows);
             return frames.tool;
         }
-        let tool = self.walk::<Three<A>, _>(&self.motions::<A>(q, self.path), &mut Levers(rows));
+        let tool = self.forward_pass::<ScalarVec3<A>, _>(&self.joint_trigs::<A>(q, self.path), &mut Levers(rows));
         for k in 0..self.n.min(MAX_JOINTS) {
             pull::<A>(k, &tool.position, rows);
         }
@@ -80,7 +80,7 @@ impl Chain {
 
 /// Replaces the origin `o` of joint `k` in the linear rows by `z × (p − o)` with its axis `z`.
 #[inline(always)]
-fn pull<A: Arithmetic>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES]) {
+fn pull<A: RealOps>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES]) {
     let axis = [rows[3][k], rows[4][k], rows[5][k]];
     let lever = cross::<A>(&axis, &sub::<A>(tool, &[rows[0][k], rows[1][k], rows[2][k]]));
     for i in 0..3 {
@@ -90,14 +90,10 @@ fn pull<A: Arithmetic>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX
 
 /// Rotates rows from base axes into the axes of the tool.
 #[inline(always)]
-pub(super) fn turn_to_tool<A: Arithmetic>(
-    tool: &Mat3<A::Real>,
-    rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES],
-    n: usize,
-) {
+pub(super) fn turn_to_tool<A: RealOps>(tool: &Mat3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES], n: usize) {
     for k in 0..n.min(MAX_JOINTS) {
-        let linear = rotate_back::<A>(tool, &[rows[0][k], rows[1][k], rows[2][k]]);
-        let angular = rotate_back::<A>(tool, &[rows[3][k], rows[4][k], rows[5][k]]);
+        let linear = tr_rotate::<A>(tool, &[rows[0][k], rows[1][k], rows[2][k]]);
+        let angular = tr_rotate::<A>(tool, &[rows[3][k], rows[4][k], rows[5][k]]);
         for i in 0..3 {
             (rows[i][k], rows[i + 3][k]) = (linear[i], angular[i]);
         }
@@ -105,14 +101,14 @@ pub(super) fn turn_to_tool<A: Arithmetic>(
 }
 
 /// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; zeros after them.
-pub(crate) fn task_rows(world: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> Rows {
-    rows_array(&rotated_rows::<EveryJoint>(&load_rows(world), base_from_task, axes))
+pub(crate) fn task_rows(j_base: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> Rows {
+    store_rows(&rotated_rows::<JointVec16>(&load_rows(j_base), base_from_task, axes))
 }
 
 /// [`task_rows`] in registers.
 #[inline(always)]
-pub(crate) fn rotated_rows<J: Lanes>(
-    world: &[J; MAX_AXES],
+pub(crate) fn rotated_rows<J: JointVector>(
+    j_base: &[J; MAX_AXES],
     base_from_task: &Mat3<Scalar<J>>,
     axes: &[usize],
 ) -> [J; MAX_AXES] {
@@ -121,11 +117,11 @@ pub(crate) fn rotated_rows<J: Lanes>(
         let axis = axes[r];
         let (block, column) = if axis < 3 { (0, axis) } else { (3, (axis - 3) % 3) };
         let [x, y, z] = [
-            J::spread(base_from_task[0][column]),
-            J::spread(base_from_task[1][column]),
-            J::spread(base_from_task[2][column]),
+            J::broadcast(base_from_task[0][column]),
+            J::broadcast(base_from_task[1][column]),
+            J::broadcast(base_from_task[2][column]),
         ];
-        out[r] = J::fma(z, world[block + 2], J::fma(y, world[block + 1], x * world[block]));
+        out[r] = J::fma(z, j_base[block + 2], J::fma(y, j_base[block + 1], x * j_base[block]));
     }
     out
 }

@@ -1,16 +1,16 @@
 //! Mass matrix of the arm, with rigid groups as point masses.
 
-use super::forward::Frames;
-use super::gravity::Masses;
+use super::forward::JointFrames;
+use super::gravity::GroupMasses;
 use crate::MAX_JOINTS;
 use crate::math::rows::JointMatrix;
-use crate::math::simd::Plain;
+use crate::math::simd::BaselineF64;
 use crate::math::spatial::{Mat3, Vec3, add, cross, dot, rotate, sub};
 use crate::model::Chain;
 
 /// Masses beyond a joint, in base axes and about the base's origin.
 #[derive(Clone, Copy)]
-struct Beyond {
+struct CompositeMass {
     /// Σ m [kg].
     mass: f64,
     /// Σ m c [kg·m].
@@ -19,15 +19,15 @@ struct Beyond {
     second: Mat3,
 }
 
-impl Beyond {
-    const NOTHING: Self = Self { mass: 0.0, first: [0.0; 3], second: [[0.0; 3]; 3] };
+impl CompositeMass {
+    const ZERO: Self = Self { mass: 0.0, first: [0.0; 3], second: [[0.0; 3]; 3] };
 
     #[inline]
     fn add(&mut self, other: &Self) {
         self.mass += other.mass;
-        self.first = add::<Plain>(&self.first, &other.first);
+        self.first = add::<BaselineF64>(&self.first, &other.first);
         for (row, more) in self.second.iter_mut().zip(&other.second) {
-            *row = add::<Plain>(row, more);
+            *row = add::<BaselineF64>(row, more);
         }
     }
 
@@ -36,16 +36,16 @@ impl Beyond {
     #[inline]
     fn turning(&self, axis: &Vec3, o: &Vec3) -> (Vec3, Vec3) {
         // Σ m z × (c − o), and Σ m c × (z × (c − o)) with c × (z × c) = (c·c) z − c (c·z).
-        let momentum = cross::<Plain>(axis, &sub::<Plain>(&self.first, &o.map(|x| self.mass * x)));
+        let momentum = cross::<BaselineF64>(axis, &sub::<BaselineF64>(&self.first, &o.map(|x| self.mass * x)));
         let trace = self.second[0][0] + self.second[1][1] + self.second[2][2];
-        let own = sub::<Plain>(&axis.map(|z| trace * z), &rotate::<Plain>(&self.second, axis));
-        (momentum, sub::<Plain>(&own, &cross::<Plain>(&self.first, &cross::<Plain>(axis, o))))
+        let angular = sub::<BaselineF64>(&axis.map(|z| trace * z), &rotate::<BaselineF64>(&self.second, axis));
+        (momentum, sub::<BaselineF64>(&angular, &cross::<BaselineF64>(&self.first, &cross::<BaselineF64>(axis, o))))
     }
 
     /// Momentum and angular momentum for a translation of all masses along an axis at 1 m/s.
     #[inline]
     fn sliding(&self, axis: &Vec3) -> (Vec3, Vec3) {
-        (axis.map(|z| self.mass * z), cross::<Plain>(&self.first, axis))
+        (axis.map(|z| self.mass * z), cross::<BaselineF64>(&self.first, axis))
     }
 }
 
@@ -53,40 +53,41 @@ impl Chain {
     /// Computes the mass matrix [kg·m²; kg for prismatic joints] `Σ_k m_k J_kᵀ J_k`, with each rigid group as a point
     /// mass at its centre of mass.
     ///
-    /// Without the groups' own moments of inertia, which [`Masses`] does not contain, and without the rotors. Groups
+    /// Without the groups' own moments of inertia, which [`GroupMasses`] does not contain, and without the rotors. Groups
     /// beside the path count as fixed to the path.
-    pub(crate) fn mass_matrix(&self, frames: &Frames, masses: &Masses, out: &mut JointMatrix) {
+    pub(crate) fn mass_matrix(&self, frames: &JointFrames, masses: &GroupMasses, out: &mut JointMatrix) {
         *out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
         let (path, total) = (self.path.min(MAX_JOINTS), self.total.min(MAX_JOINTS));
-        let mut groups = [Beyond::NOTHING; MAX_JOINTS];
+        let mut groups = [CompositeMass::ZERO; MAX_JOINTS];
         for k in 0..total {
             let (mass, origin) = (masses.mass[k], frames.origin[k]);
-            let moment = rotate::<Plain>(&frames.rotation[k], &masses.moment[k]);
-            let first = add::<Plain>(&moment, &origin.map(|o| mass * o));
+            let moment = rotate::<BaselineF64>(&frames.rotation[k], &masses.moment[k]);
+            let first = add::<BaselineF64>(&moment, &origin.map(|o| mass * o));
             if mass > 0.0 {
                 let second = [0, 1, 2].map(|r| first.map(|c| first[r] * c / mass));
-                groups[k] = Beyond { mass, first, second };
+                groups[k] = CompositeMass { mass, first, second };
             }
         }
         for k in (path..total).rev() {
-            let (parent, own) = (self.parent[k], groups[k]);
+            let (parent, child) = (self.parent[k], groups[k]);
             if let Some(group) = groups.get_mut(parent) {
-                group.add(&own);
+                group.add(&child);
             }
         }
-        let mut beyond = Beyond::NOTHING;
+        let mut subtree = CompositeMass::ZERO;
         for j in (0..path).rev() {
-            beyond.add(&groups[j]);
+            subtree.add(&groups[j]);
             let (turn, slide) = (self.angle_per_q[j], self.slide_per_q[j]);
             let (axis, origin) = (&frames.axis[j], &frames.origin[j]);
-            let (spun, pushed) = (beyond.turning(axis, origin), beyond.sliding(axis));
-            let momentum = add::<Plain>(&spun.0.map(|x| turn * x), &pushed.0.map(|x| slide * x));
-            let moment = add::<Plain>(&spun.1.map(|x| turn * x), &pushed.1.map(|x| slide * x));
+            let (spun, pushed) = (subtree.turning(axis, origin), subtree.sliding(axis));
+            let momentum = add::<BaselineF64>(&spun.0.map(|x| turn * x), &pushed.0.map(|x| slide * x));
+            let moment = add::<BaselineF64>(&spun.1.map(|x| turn * x), &pushed.1.map(|x| slide * x));
             let column = self.driver[j] & (MAX_JOINTS - 1);
             for i in 0..=j {
                 let (axis, origin) = (&frames.axis[i], &frames.origin[i]);
-                let torque = dot::<Plain>(axis, &sub::<Plain>(&moment, &cross::<Plain>(origin, &momentum)));
-                let entry = self.angle_per_q[i] * torque + self.slide_per_q[i] * dot::<Plain>(axis, &momentum);
+                let torque =
+                    dot::<BaselineF64>(axis, &sub::<BaselineF64>(&moment, &cross::<BaselineF64>(origin, &momentum)));
+                let entry = self.angle_per_q[i] * torque + self.slide_per_q[i] * dot::<BaselineF64>(axis, &momentum);
                 let row = self.driver[i] & (MAX_JOINTS - 1);
                 out[row][column] += entry;
                 if i != j {
@@ -111,11 +112,11 @@ mod tests {
         let model = Model::from_urdf_str(urdf, &options).unwrap();
         let (chain, masses) = (model.chain(), model.chain().masses(None));
         let centres = |q: &JointVec| {
-            let mut frames = Frames::default();
+            let mut frames = JointFrames::default();
             chain.forward(q, &mut frames);
             std::array::from_fn::<Vec3, 7, _>(|k| {
-                let moment = rotate::<Plain>(&frames.rotation[k], &masses.moment[k]);
-                add::<Plain>(
+                let moment = rotate::<BaselineF64>(&frames.rotation[k], &masses.moment[k]);
+                add::<BaselineF64>(
                     &frames.origin[k],
                     &moment.map(|x| if masses.mass[k] > 0.0 { x / masses.mass[k] } else { 0.0 }),
                 )
@@ -129,15 +130,16 @@ mod tests {
                 let (mut low, mut high) = (q, q);
                 (low[i], high[i]) = (q[i] - step, q[i] + step);
                 let (a, b) = (centres(&low), centres(&high));
-                std::array::from_fn(|k| sub::<Plain>(&b[k], &a[k]).map(|x| x / (2.0 * step)))
+                std::array::from_fn(|k| sub::<BaselineF64>(&b[k], &a[k]).map(|x| x / (2.0 * step)))
             })
             .collect();
-        let (mut frames, mut found) = (Frames::default(), [[0.0; MAX_JOINTS]; MAX_JOINTS]);
+        let (mut frames, mut found) = (JointFrames::default(), [[0.0; MAX_JOINTS]; MAX_JOINTS]);
         chain.forward(&q, &mut frames);
         chain.mass_matrix(&frames, &masses, &mut found);
         for i in 0..7 {
             for j in 0..7 {
-                let expected: f64 = (0..7).map(|k| masses.mass[k] * dot::<Plain>(&columns[i][k], &columns[j][k])).sum();
+                let expected: f64 =
+                    (0..7).map(|k| masses.mass[k] * dot::<BaselineF64>(&columns[i][k], &columns[j][k])).sum();
                 assert!((found[i][j] - expected).abs() < 1e-8, "{i} {j}: {} {expected}", found[i][j]);
             }
         }

@@ -3,7 +3,7 @@
 use nalgebra::{DVector, Matrix6xX};
 
 use crate::error::{Error, Result};
-use crate::math::simd::{Instructions, Kernel, LANES, Machine, Three, Wide};
+use crate::math::simd::{F64x8, Isa, Kernel, LANES, ScalarVec3, SimdLevel};
 use crate::model::{Chain, Model};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -20,10 +20,10 @@ pub(crate) mod statics;
 mod targets;
 pub(crate) mod velocity_filter;
 
-pub use forward::Frames;
-pub(crate) use fused::{LookScratch, View};
-pub use gravity::Masses;
-pub use ik::{IkOptions, IkReason, IkResult};
+pub use forward::JointFrames;
+pub(crate) use fused::{KinematicScratch, KinematicState};
+pub use gravity::GroupMasses;
+pub use ik::{IkOptions, IkResult, IkStatus};
 pub(crate) use jacobian::{rotated_rows, task_rows};
 pub use points::{ArmGeometry, ArmPoints, MAX_POINTS};
 pub(crate) use targets::{joint_targets, target_region};
@@ -46,7 +46,7 @@ impl Model {
     /// Position limits are not enforced: a real arm may be slightly outside of them.
     pub fn forward_kinematics(&self, q: &[f64]) -> Result<Pose> {
         let q = self.joint_vector(q)?;
-        Ok(Instructions::chosen().run_single(Forward { chain: self.chain(), q: &q }))
+        Ok(SimdLevel::detect().dispatch_narrow(Forward { chain: self.chain(), q: &q }))
     }
 
     /// Returns the geometric Jacobian (6×n) at the tool, linear rows first.
@@ -74,7 +74,7 @@ impl Model {
     /// As [`Model::forward_kinematics`].
     pub fn kinematics_into(&self, q: &[f64], reference: Reference, rows: &mut Rows) -> Result<Pose> {
         let q = self.joint_vector(q)?;
-        Ok(Instructions::chosen().run_single(Kinematics { chain: self.chain(), q: &q, reference, rows }))
+        Ok(SimdLevel::detect().dispatch_narrow(Kinematics { chain: self.chain(), q: &q, reference, rows }))
     }
 
     /// Returns the torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
@@ -84,7 +84,7 @@ impl Model {
     pub fn gravity(&self, q: &[f64]) -> Result<DVector<f64>> {
         let (q, masses) = (self.joint_vector(q)?, self.chain().masses(self.payload()));
         let gravity = self.gravity_vector();
-        let torque = Instructions::chosen().run_single(Statics {
+        let torque = SimdLevel::detect().dispatch_narrow(Statics {
             chain: self.chain(),
             masses: &masses,
             gravity: &gravity,
@@ -115,7 +115,7 @@ impl Model {
 
 impl Chain {
     /// Returns true if each coordinate drives one joint and the joints fit in one register row.
-    const fn is_narrow(&self) -> bool {
+    const fn fits_f64x8(&self) -> bool {
         self.simple && self.n <= LANES
     }
 }
@@ -130,12 +130,15 @@ impl Kernel for Forward<'_> {
     type Output = Pose;
 
     #[inline(always)]
-    fn run<M: Machine>(self) -> Pose {
-        if self.chain.is_narrow() {
-            let motions = self.chain.motions_abreast::<M::Eight, LANES>(self.q);
-            self.chain.walk::<<M::Eight as Wide>::Triple, _>(&motions, &mut ())
+    fn run<M: Isa>(self) -> Pose {
+        if self.chain.fits_f64x8() {
+            let joint_trigs = self.chain.joint_trigs_simd::<M::F64x8, LANES>(self.q);
+            self.chain.forward_pass::<<M::F64x8 as F64x8>::Vec3, _>(&joint_trigs, &mut ())
         } else {
-            self.chain.walk::<Three<M::One>, _>(&self.chain.motions::<M::One>(self.q, self.chain.path), &mut ())
+            self.chain.forward_pass::<ScalarVec3<M::Elem>, _>(
+                &self.chain.joint_trigs::<M::Elem>(self.q, self.chain.path),
+                &mut (),
+            )
         }
     }
 }
@@ -143,7 +146,7 @@ impl Kernel for Forward<'_> {
 /// Gravity torques at one configuration.
 struct Statics<'a> {
     chain: &'a Chain,
-    masses: &'a Masses,
+    masses: &'a GroupMasses,
     gravity: &'a [f64; 3],
     q: &'a JointVec,
 }
@@ -152,10 +155,10 @@ impl Kernel for Statics<'_> {
     type Output = JointVec;
 
     #[inline(always)]
-    fn run<M: Machine>(self) -> JointVec {
-        let (mut frames, mut torque) = (Frames::default(), [0.0; MAX_JOINTS]);
-        self.chain.forward_by::<M::One>(self.q, &mut frames);
-        self.chain.gravity_by::<M::One>(&frames, self.masses, self.gravity, &mut torque);
+    fn run<M: Isa>(self) -> JointVec {
+        let (mut frames, mut torque) = (JointFrames::default(), [0.0; MAX_JOINTS]);
+        self.chain.forward_by::<M::Elem>(self.q, &mut frames);
+        self.chain.gravity_by::<M::Elem>(&frames, self.masses, self.gravity, &mut torque);
         torque
     }
 }
@@ -172,14 +175,14 @@ impl Kernel for Kinematics<'_> {
     type Output = Pose;
 
     #[inline(always)]
-    fn run<M: Machine>(self) -> Pose {
-        let pose = if self.chain.is_narrow() {
-            self.chain.see::<M::Eight>(self.q, self.rows)
+    fn run<M: Isa>(self) -> Pose {
+        let pose = if self.chain.fits_f64x8() {
+            self.chain.pose_and_jacobian::<M::F64x8>(self.q, self.rows)
         } else {
-            self.chain.kinematics_by::<M::One>(self.q, self.rows)
+            self.chain.kinematics_by::<M::Elem>(self.q, self.rows)
         };
         if self.reference == Reference::Local {
-            jacobian::turn_to_tool::<M::One>(&pose.rotation, self.rows, self.chain.n);
+            jacobian::turn_to_tool::<M::Elem>(&pose.rotation, self.rows, self.chain.n);
         }
         pose
     }

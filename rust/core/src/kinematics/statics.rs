@@ -11,7 +11,7 @@ const NO_LEVER: f64 = 1e-9;
 /// push does not load.
 #[inline]
 pub(crate) fn yield_forces(a: &JointVec, limit: &JointVec, gravity: &JointVec, n: usize) -> JointVec {
-    let longest = a.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    let longest = a.iter().fold(0.0_f64, |max, x| max.max(x.abs()));
     let mut out = [f64::INFINITY; MAX_JOINTS];
     for i in 0..n.min(MAX_JOINTS) {
         if a[i].abs() > NO_LEVER * longest {

@@ -1,7 +1,7 @@
 //! Bounds on targets: detect targets in other units, or in axes other than the base's.
 
 use crate::error::{Error, Result};
-use crate::kinematics::Frames;
+use crate::kinematics::JointFrames;
 use crate::math::simd::NEGLIGIBLE;
 use crate::model::Model;
 use crate::pose::{COORDINATE_BOUND, POSITION_BOUND, Pose, TargetRegion};
@@ -42,13 +42,13 @@ pub(crate) fn target_region(model: &Model) -> TargetRegion {
     if (0..model.n()).any(|i| model.prismatic()[i] && !bounded(i)) {
         return TargetRegion::ANY;
     }
-    TargetRegion::ball(model.reach_from(), (REACH_FACTOR * model.reach() + REACH_MARGIN).min(POSITION_BOUND))
+    TargetRegion::ball(model.reach_origin(), (REACH_FACTOR * model.reach() + REACH_MARGIN).min(POSITION_BOUND))
 }
 
 impl Model {
     /// Reference point of [`Model::reach`]: the first joint's origin at q = 0, in the base [m].
-    pub fn reach_from(&self) -> [f64; 3] {
-        let mut frames = Frames::default();
+    pub fn reach_origin(&self) -> [f64; 3] {
+        let mut frames = JointFrames::default();
         self.chain().forward(&[0.0; MAX_JOINTS], &mut frames);
         frames.origin[0]
     }
@@ -106,8 +106,8 @@ impl Model {
     /// [`Error::Shape`]; [`Error::OutOfRange`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its
     /// travel.
     pub fn check_joint_target(&self, q: &[f64]) -> Result<()> {
-        let [least, most] = joint_targets(self);
-        self.joints_between("q", q, &least, &most).map(|_| ())
+        let [lowest, highest] = joint_targets(self);
+        self.joints_between("q", q, &lowest, &highest).map(|_| ())
     }
 
     /// Reads joint positions between two bounds; flushes negligibly small values to 0.
@@ -116,15 +116,15 @@ impl Model {
         &self,
         what: &str,
         values: &[f64],
-        least: &JointVec,
-        most: &JointVec,
+        lowest: &JointVec,
+        highest: &JointVec,
     ) -> Result<JointVec> {
         let (mut out, mut fine) = ([0.0; MAX_JOINTS], values.len() == self.n());
         for (i, (slot, &value)) in out.iter_mut().zip(values).enumerate() {
-            fine &= least[i] < value && value < most[i];
+            fine &= lowest[i] < value && value < highest[i];
             *slot = if value.abs() < NEGLIGIBLE { 0.0 } else { value };
         }
-        if fine { Ok(out) } else { Err(self.not_between(what, values, least, most)) }
+        if fine { Ok(out) } else { Err(self.not_between(what, values, lowest, highest)) }
     }
 
     /// Reads one finite number per joint within ±`bound`; flushes negligibly small values to 0.
@@ -146,7 +146,7 @@ impl Model {
     /// Returns the error for joint positions outside the bounds.
     #[cold]
     #[inline(never)]
-    fn not_between(&self, what: &str, values: &[f64], least: &JointVec, most: &JointVec) -> Error {
+    fn not_between(&self, what: &str, values: &[f64], lowest: &JointVec, highest: &JointVec) -> Error {
         if values.len() != self.n() {
             return Error::length(what, values.len(), self.n());
         }
@@ -158,7 +158,7 @@ impl Model {
                 format!("±{COORDINATE_BOUND:e}"),
             );
         }
-        let outside = |&i: &usize| !(least[i] < values[i] && values[i] < most[i]);
+        let outside = |&i: &usize| !(lowest[i] < values[i] && values[i] < highest[i]);
         let i = (0..self.n().min(MAX_JOINTS)).find(outside).unwrap_or(0);
         let (lower, upper) = (self.lower()[i], self.upper()[i]);
         let (unit, hint) = if self.prismatic()[i] { ("m", "millimetres") } else { ("rad", "degrees") };
@@ -167,7 +167,7 @@ impl Model {
             values[i],
             format!(
                 "({:.3}, {:.3}), beyond the limits [{lower}, {upper}] of this joint; is it in {hint}?",
-                least[i], most[i]
+                lowest[i], highest[i]
             ),
         )
     }

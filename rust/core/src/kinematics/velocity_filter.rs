@@ -1,6 +1,6 @@
 //! Joint velocity from measured positions: line 1 of the control step.
 
-use crate::math::simd::{Joints, Lanes, NEGLIGIBLE};
+use crate::math::simd::{JointVector, NEGLIGIBLE, SingleArmJoints};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Largest plausible speed [m/s, rad/s].
@@ -13,7 +13,7 @@ pub(crate) const SPEED_BOUND: f64 = 1e3;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VelocityFilter {
     /// Output of the backlash operator [rad].
-    pub(crate) held: JointVec,
+    pub(crate) backlash_output: JointVec,
     /// Filtered velocity [rad/s].
     pub(crate) velocity: JointVec,
 }
@@ -21,26 +21,26 @@ pub(crate) struct VelocityFilter {
 impl VelocityFilter {
     /// At rest in `q`.
     pub(crate) fn new(q: &JointVec) -> Self {
-        Self { held: *q, velocity: [0.0; MAX_JOINTS] }
+        Self { backlash_output: *q, velocity: [0.0; MAX_JOINTS] }
     }
 
     /// Filters one reading `q`, `dt` [s] after the last; `count` is the backlash on each side, `time_constant` T_f [s].
     #[inline(always)]
-    pub(crate) fn after<J: Lanes>(&self, q: J, count: J, time_constant: f64, dt: f64) -> Filtered<J> {
+    pub(crate) fn update<J: JointVector>(&self, q: J, count: J, time_constant: f64, dt: f64) -> Filtered<J> {
         let (share, per_second) = (J::splat(dt / (time_constant + dt)), J::splat(1.0 / dt));
-        let (before, velocity) = (J::load(&self.held), J::load(&self.velocity));
-        let held = J::at_most(J::at_least(before, q - count), q + count);
+        let (before, velocity) = (J::load(&self.backlash_output), J::load(&self.velocity));
+        let backlash_output = J::min(J::max(before, q - count), q + count);
         // No joint is faster: with a tiny dt the filter must not store an infinity.
-        let raw = J::clip((held - before) * per_second, J::splat(SPEED_BOUND));
+        let raw = J::clamp_abs((backlash_output - before) * per_second, J::splat(SPEED_BOUND));
         let velocity = J::fma(share, raw - velocity, velocity);
-        let nothing = J::splat(0.0);
-        Filtered { held, velocity: J::if_less(J::abs(velocity), J::splat(NEGLIGIBLE), nothing, velocity) }
+        let zero = J::splat(0.0);
+        Filtered { backlash_output, velocity: J::select_lt(J::abs(velocity), J::splat(NEGLIGIBLE), zero, velocity) }
     }
 
     /// Stores the new state.
     #[inline(always)]
-    pub(crate) fn keep<J: Joints>(&mut self, filtered: Filtered<J>) {
-        filtered.held.store(&mut self.held);
+    pub(crate) fn set<J: SingleArmJoints>(&mut self, filtered: Filtered<J>) {
+        filtered.backlash_output.store(&mut self.backlash_output);
         filtered.velocity.store(&mut self.velocity);
     }
 }
@@ -48,30 +48,30 @@ impl VelocityFilter {
 /// New state of the filter.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Filtered<J> {
-    pub(crate) held: J,
+    pub(crate) backlash_output: J,
     pub(crate) velocity: J,
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::simd::{Arithmetic, EveryJoint};
+    use crate::math::simd::{JointVec16, RealOps};
 
     #[test]
     fn a_toggling_count_gives_no_velocity_and_a_steady_motion_its_velocity() {
-        let count = EveryJoint::splat(1e-3);
+        let count = JointVec16::splat(1e-3);
         let mut filter = VelocityFilter::new(&[0.0; MAX_JOINTS]);
         for tick in 0..100 {
-            let q = EveryJoint::splat(if tick % 2 == 0 { 1e-3 } else { -1e-3 });
-            filter.keep(filter.after(q, count, 0.02, 0.01));
+            let q = JointVec16::splat(if tick % 2 == 0 { 1e-3 } else { -1e-3 });
+            filter.set(filter.update(q, count, 0.02, 0.01));
         }
         assert!(filter.velocity[0].abs() < 1e-9);
         for tick in 0..200 {
-            filter.keep(filter.after(EveryJoint::splat(0.005 * f64::from(tick)), count, 0.02, 0.01));
+            filter.set(filter.update(JointVec16::splat(0.005 * f64::from(tick)), count, 0.02, 0.01));
         }
         assert!((filter.velocity[0] - 0.5).abs() < 1e-9);
         for _ in 0..1000 {
-            filter.keep(filter.after(EveryJoint::splat(1.0), count, 0.02, 0.01));
+            filter.set(filter.update(JointVec16::splat(1.0), count, 0.02, 0.01));
         }
         assert_eq!(filter.velocity.map(f64::to_bits), [0; MAX_JOINTS], "at rest it would decay to denormal numbers");
     }

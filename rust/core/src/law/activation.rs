@@ -3,21 +3,21 @@
 use nalgebra::DMatrix;
 
 use crate::law::nullspace::{step_projector, step_pseudo_inverse};
-use crate::math::rows::{JointMatrix, load_rows, transpose_times};
-use crate::math::simd::{Arithmetic, Axes, EveryJoint, Lanes};
-use crate::params::Plan;
+use crate::math::rows::{JointMatrix, load_rows, tr_mul};
+use crate::math::simd::{JointVec16, JointVector, RealOps, TaskVector};
+use crate::params::Params;
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 /// Smallest sum that shares are divided by. Its inverse times any strength is finite. An axis whose joints move the
 /// tool by less gets no torque.
-const LEAST_SUM: f64 = 1e-100;
+const MIN_SUM: f64 = 1e-100;
 
 /// Size of `N∇g` [rad] below which the null column turns into the row norms of `N`.
 const GRADIENT_THRESHOLD: f64 = 1e-3;
 
 /// Activation matrix, transposed: row r holds the shares of task axis r, the last row those of the null-space motion.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Activation<J: Lanes> {
+pub(crate) struct Activation<J: JointVector> {
     /// Shares before they are divided by their sums.
     sizes: [J; MAX_AXES],
     /// Inverse of the sum of each row.
@@ -25,7 +25,7 @@ pub(crate) struct Activation<J: Lanes> {
     null: J,
 }
 
-impl<J: Lanes> Activation<J> {
+impl<J: JointVector> Activation<J> {
     /// (10): the columns of `|J⁺|`, each divided by its sum, and the null-space column.
     ///
     /// The size of Δx in (6) cancels, which also settles the 0/0 of an axis at rest.
@@ -36,9 +36,9 @@ impl<J: Lanes> Activation<J> {
         for r in 0..MAX_AXES {
             sizes[r] = J::abs(pinv_transposed[r]);
         }
-        let [a, b, c, d] = J::sums([sizes[0], sizes[1], sizes[2], sizes[3]]);
-        let [e, f, ..] = J::sums([sizes[4], sizes[5], zero, zero]);
-        let sums = J::Axes::at_least(J::Axes::of_axes(&[a, b, c, d, e, f]), J::Axes::splat(LEAST_SUM));
+        let [a, b, c, d] = J::sum4([sizes[0], sizes[1], sizes[2], sizes[3]]);
+        let [e, f, ..] = J::sum4([sizes[4], sizes[5], zero, zero]);
+        let sums = J::Axes::max(J::Axes::from_axes(&[a, b, c, d, e, f]), J::Axes::splat(MIN_SUM));
         let per_sum = J::Axes::splat(1.0) / sums;
         Self { sizes, per_sum, null }
     }
@@ -46,43 +46,47 @@ impl<J: Lanes> Activation<J> {
     /// (11): `τ^q = A τ^x` [N·m], the null-space torque last.
     #[inline(always)]
     pub(crate) fn distribute(&self, strength: J::Axes, null_torque: f64) -> J {
-        let per_size = (self.per_sum * strength).axes();
-        J::fma(self.null, J::splat(null_torque), transpose_times(&self.sizes, &per_size))
+        let per_size = (self.per_sum * strength).to_axes();
+        J::fma(self.null, J::splat(null_torque), tr_mul(&self.sizes, &per_size))
     }
 }
 
-impl Activation<EveryJoint> {
+impl Activation<JointVec16> {
     /// Creates the matrix from shares in memory.
     pub(crate) fn of(task: &Rows, null: &JointVec) -> Self {
-        Self { sizes: load_rows(task), per_sum: <EveryJoint as Lanes>::Axes::splat(1.0), null: EveryJoint::load(null) }
+        Self {
+            sizes: load_rows(task),
+            per_sum: <JointVec16 as JointVector>::Axes::splat(1.0),
+            null: JointVec16::load(null),
+        }
     }
 
     /// Returns A of (10) over all joints for the task rows of a step, the gradient of its null-space cost and λ; `sigma`
     /// gives the smallest and largest singular value of the scaled rows.
     pub(crate) fn of_step(
-        plan: &Plan,
+        params: &Params,
         rows: &Rows,
         gradient: &JointVec,
         damping: f64,
         sigma: impl FnOnce() -> [f64; 2],
     ) -> Self {
-        let null = if plan.k < plan.n {
-            let projector = step_projector(plan, rows, damping, sigma);
-            null_column(EveryJoint::load(&product(&projector, gradient)), &projector)
+        let null = if params.k < params.n {
+            let projector = step_projector(params, rows, damping, sigma);
+            null_column(JointVec16::load(&product(&projector, gradient)), &projector)
         } else {
-            EveryJoint::splat(0.0)
+            JointVec16::splat(0.0)
         };
-        Self::new(&load_rows(&step_pseudo_inverse(plan, rows, damping)), null)
+        Self::new(&load_rows(&step_pseudo_inverse(params, rows, damping)), null)
     }
 
     /// Returns the shares of one task axis.
     pub(crate) fn row(&self, axis: usize) -> JointVec {
-        (self.sizes[axis] * EveryJoint::splat(self.per_sum.axes()[axis])).array()
+        (self.sizes[axis] * JointVec16::splat(self.per_sum.to_axes()[axis])).to_joints()
     }
 
     /// Returns the shares in the null-space motion.
     pub(crate) fn null(&self) -> JointVec {
-        self.null.array()
+        self.null.to_joints()
     }
 
     /// Returns the n × (k + 1) matrix, the null-space column last.
@@ -110,18 +114,18 @@ pub(crate) fn responsibility(
 ///
 /// `projector` is evaluated only there.
 #[inline(always)]
-pub(crate) fn null_column<J: Lanes>(motion: J, projector: &impl RowLengths<J>) -> J {
+pub(crate) fn null_column<J: JointVector>(motion: J, projector: &impl RowLengths<J>) -> J {
     let sizes = J::abs(motion);
     let sum = sizes.sum();
-    let (zero, one) = (J::One::splat(0.0), J::One::splat(1.0));
-    let blend = sum * J::One::splat(1.0 / GRADIENT_THRESHOLD) - one;
-    if !J::One::less_anywhere(blend, one) {
-        return sizes * J::spread(one / sum);
+    let (zero, one) = (J::Elem::splat(0.0), J::Elem::splat(1.0));
+    let blend = sum * J::Elem::splat(1.0 / GRADIENT_THRESHOLD) - one;
+    if !J::Elem::any_lt(blend, one) {
+        return sizes * J::broadcast(one / sum);
     }
-    let (blend, lengths) = (J::One::at_most(J::One::at_least(blend, zero), one), projector.row_lengths());
-    let least = J::One::splat(LEAST_SUM);
-    let (moved, still) = (J::One::at_least(sum, least), J::One::at_least(lengths.sum(), least));
-    sizes * J::spread(blend / moved) + lengths * J::spread((one - blend) / still)
+    let (blend, lengths) = (J::Elem::min(J::Elem::max(blend, zero), one), projector.row_lengths());
+    let least = J::Elem::splat(MIN_SUM);
+    let (moved, still) = (J::Elem::max(sum, least), J::Elem::max(lengths.sum(), least));
+    sizes * J::broadcast(blend / moved) + lengths * J::broadcast((one - blend) / still)
 }
 
 /// A matrix over the joints with row lengths. A trait, because a closure would be compiled for the baseline instruction
@@ -131,9 +135,9 @@ pub(crate) trait RowLengths<J> {
     fn row_lengths(&self) -> J;
 }
 
-impl RowLengths<EveryJoint> for JointMatrix {
-    fn row_lengths(&self) -> EveryJoint {
-        EveryJoint::load(&self.map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt()))
+impl RowLengths<JointVec16> for JointMatrix {
+    fn row_lengths(&self) -> JointVec16 {
+        JointVec16::load(&self.map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt()))
     }
 }
 

@@ -1,17 +1,17 @@
 //! Law `cap`: each task axis pushes back with at most a given force. Lines 7 and 8 of the control step.
 
 use crate::law::wrench::Wrench;
-use crate::law::{Motion, Tick};
-use crate::math::ldlt6::Factor;
-use crate::math::rows::{Square, axes, damped, diagonal, weighted_gram, wide};
-use crate::math::simd::{Axes, AxisScalar, Lanes};
+use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
+use crate::math::ldlt6::Ldlt6;
+use crate::math::rows::{Mat6, damped, diagonal, weighted_gram};
+use crate::math::simd::{AxisScalar, JointVector, TaskVector};
 use crate::params::Follow;
 
 /// Input of the law for one step, with the rows of the task's axes.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Demand<'a, W: Axes> {
+pub(crate) struct CapProblem<'a, W: TaskVector> {
     /// `C = J K_p⁻¹ Jᵀ`: compliance of each axis on the servos' stiffness.
-    pub(crate) compliance: &'a Square<AxisScalar<W>>,
+    pub(crate) compliance: &'a Mat6<AxisScalar<W>>,
     /// `λ²/k̄` of each row, in its units.
     pub(crate) damping: W,
     /// Step `s = h (K_x ẽ + twist)` [m, rad].
@@ -24,7 +24,7 @@ pub(crate) struct Demand<'a, W: Axes> {
     pub(crate) cap: W,
 }
 
-impl<W: Axes> Demand<'_, W> {
+impl<W: TaskVector> CapProblem<'_, W> {
     /// Returns the wrench that the servos shall exert.
     #[inline(always)]
     pub(crate) fn wrench(&self, follow: Follow) -> Wrench<W> {
@@ -37,8 +37,8 @@ impl<W: Axes> Demand<'_, W> {
     /// `w clip(s / C, ±F)`: force of a soft axis, independent of all other constraints.
     #[inline(always)]
     fn soft_force(&self) -> W {
-        let own = W::at_least(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
-        self.softness * W::clip(self.step / own, self.cap)
+        let c_diagonal = W::max(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
+        self.softness * W::clamp_abs(self.step / c_diagonal, self.cap)
     }
 
     /// `(C + diag(C_jj w / (1 − w)) + λ²/k̄)⁻¹ s` over the rows with w < 1.
@@ -47,61 +47,78 @@ impl<W: Axes> Demand<'_, W> {
     /// softness changes without a branch.
     #[inline(always)]
     pub(crate) fn stiff_force(&self) -> W {
-        let root = W::sqrt(W::at_least(W::splat(1.0) - self.softness, W::splat(0.0)));
-        let own = W::at_least(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
-        let added = W::fma(root * root, self.damping, self.softness * own);
-        let (roots, mut m) = (axes(root), *self.compliance);
+        let root = W::sqrt(W::max(W::splat(1.0) - self.softness, W::splat(0.0)));
+        let c_diagonal = W::max(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
+        let added = W::fma(root * root, self.damping, self.softness * c_diagonal);
+        let (roots, mut m) = (TaskVector::to_axes(root), *self.compliance);
         for (r, row) in m.iter_mut().enumerate() {
             for c in 0..=r {
                 row[c] = row[c] * (roots[r] * roots[c]);
             }
         }
-        let y = Factor::new::<W::One>(&damped(m, &axes(added))).solve::<W::One>(&axes(root * self.bounded_step));
-        root * wide(&y)
+        let y = Ldlt6::new::<W::Elem>(&damped(m, &TaskVector::to_axes(added)))
+            .solve::<W::Elem>(&TaskVector::to_axes(root * self.bounded_step));
+        root * TaskVector::from_axes(&y)
     }
 
     /// `(C + λ²/k̄)⁻¹ s` over all rows, soft steps clamped to ±F C_jj.
     #[inline(always)]
     fn all_rows(&self) -> Wrench<W> {
         let (w, stiff) = (self.softness, W::splat(1.0) - self.softness);
-        let most = self.cap * diagonal::<W>(self.compliance);
-        let b = W::fma(w, W::clip(self.bounded_step, most), stiff * self.bounded_step);
-        let factor = Factor::new::<W::One>(&damped(*self.compliance, &axes(self.damping)));
-        let all: W = wide(&factor.solve::<W::One>(&axes(b)));
+        let max = self.cap * diagonal::<W>(self.compliance);
+        let b = W::fma(w, W::clamp_abs(self.bounded_step, max), stiff * self.bounded_step);
+        let factor = Ldlt6::new::<W::Elem>(&damped(*self.compliance, &TaskVector::to_axes(self.damping)));
+        let all: W = TaskVector::from_axes(&factor.solve::<W::Elem>(&TaskVector::to_axes(b)));
         Wrench { soft: w * all, stiff: stiff * all }
     }
 }
 
-/// Lead of the goals under law `cap`: the wrench mapped to the joints, scaled to torque ceilings and speed limits.
-#[inline(always)]
-pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> Motion<J> {
-    let plan = tick.plan;
-    let demand = Demand {
-        compliance: &weighted_gram(tick.rows, J::load(&plan.servos.compliance)),
-        damping: plan.per_stiffness(tick.damping),
-        step: tick.wish.step,
-        bounded_step: tick.wish.bounded,
-        softness: tick.wish.softness,
-        cap: tick.wish.strength,
-    };
-    let mut wrench = demand.wrench(plan.follow);
-    let mut ahead = J::splat(0.0);
-    if plan.pace.on {
-        let (force, speed) = tick.paced(diagonal(demand.compliance));
-        (wrench.stiff, ahead) = (wrench.stiff + force, speed);
+/// Law `cap`.
+pub(crate) struct Cap;
+
+impl ControlLaw for Cap {
+    /// Lead of the goals under law `cap`: the wrench mapped to the joints, scaled to torque ceilings and speed limits.
+    #[inline(always)]
+    fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
+        let params = input.params;
+        let problem = CapProblem {
+            compliance: &weighted_gram(input.rows, J::load(&params.servos.compliance)),
+            damping: params.per_stiffness(input.damping),
+            step: input.demand.displacement,
+            bounded_step: input.demand.clamped_displacement,
+            softness: input.demand.softness,
+            cap: input.demand.strength,
+        };
+        let mut wrench = problem.wrench(params.follow);
+        let mut ahead = J::splat(0.0);
+        if params.pace.on {
+            let (force, speed) = input.pacing_force(diagonal(problem.compliance));
+            (wrench.stiff, ahead) = (wrench.stiff + force, speed);
+        }
+        (input.joint_offsets(wrench, input.null_motion(), input.friction(ahead)), None)
     }
-    tick.exert(wrench, tick.null_motion(), tick.resistance(ahead))
+
+    /// `h K_x ẽ / C_jj`.
+    fn force_at(push: &AxisPush<'_>) -> f64 {
+        let (params, h) = (push.params, push.horizon);
+        let axis = &params.per_axis[push.row];
+        let w = axis.yields[push.side];
+        let c_diagonal: f64 = (0..params.n).map(|i| push.j_row[i].powi(2) * params.servos.compliance[i]).sum();
+        let bound = h * if w > 0.0 { axis.soft_step_limit } else { axis.step_limit };
+        let step = (h * params.gain_scale * params.kx[push.row][push.row] * push.share * push.deviation).min(bound);
+        step / (c_diagonal + (1.0 - w) * push.damping)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::simd::{Arithmetic, EveryJoint};
+    use crate::math::simd::{JointVec16, RealOps};
     use crate::{AxisVec, MAX_AXES};
 
-    type Axes = <EveryJoint as Lanes>::Axes;
+    type Axes = <JointVec16 as JointVector>::Axes;
 
-    fn case() -> (Square, AxisVec) {
+    fn case() -> (Mat6, AxisVec) {
         let mut c = [[0.0; MAX_AXES]; MAX_AXES];
         for (r, row) in c.iter_mut().enumerate() {
             for (k, value) in row.iter_mut().enumerate() {
@@ -115,15 +132,15 @@ mod tests {
     fn partly_soft_rows_follow_the_formula_and_fully_soft_rows_drop_out() {
         let (c, s) = case();
         let softness = [0.5, 1.0, 0.0, 0.0, 0.25, 0.0];
-        let demand = Demand {
+        let problem = CapProblem {
             compliance: &c,
             damping: Axes::splat(1e-3),
-            step: wide(&s),
-            bounded_step: wide(&s),
-            softness: wide(&softness),
+            step: TaskVector::from_axes(&s),
+            bounded_step: TaskVector::from_axes(&s),
+            softness: TaskVector::from_axes(&softness),
             cap: Axes::splat(5.0),
         };
-        let stiff = axes(demand.stiff_force());
+        let stiff = TaskVector::to_axes(problem.stiff_force());
         let rows = [0, 2, 3, 4, 5];
         let matrix = nalgebra::DMatrix::from_fn(5, 5, |i, j| {
             let (r, k) = (rows[i], rows[j]);
@@ -135,13 +152,13 @@ mod tests {
             assert!((stiff[r] - expected[i]).abs() < 1e-14);
         }
         assert!(stiff[1].abs() < f64::MIN_POSITIVE);
-        assert!((axes(demand.wrench(Follow::Free).soft)[1] + 0.1).abs() < 1e-15);
+        assert!((TaskVector::to_axes(problem.wrench(Follow::Free).soft)[1] + 0.1).abs() < 1e-15);
     }
 
     #[test]
     fn a_soft_axis_never_exceeds_its_cap() {
         let (c, _) = case();
-        let demand = Demand {
+        let problem = CapProblem {
             compliance: &c,
             damping: Axes::splat(0.0),
             step: Axes::splat(100.0),
@@ -149,6 +166,6 @@ mod tests {
             softness: Axes::splat(1.0),
             cap: Axes::splat(5.0),
         };
-        assert!(axes(demand.wrench(Follow::Free).soft).iter().all(|f| (f - 5.0).abs() < 1e-15));
+        assert!(TaskVector::to_axes(problem.wrench(Follow::Free).soft).iter().all(|f| (f - 5.0).abs() < 1e-15));
     }
 }

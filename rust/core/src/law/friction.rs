@@ -1,11 +1,11 @@
 //! Friction and damping feed-forward: line 10.
 
-use crate::math::simd::{Arithmetic, Lanes, Number, Scalar, tanh};
+use crate::math::simd::{JointVector, Number, RealOps, Scalar, tanh};
 use crate::params::{ServoArrays, Settings};
 
 /// Factors of the friction feed-forward.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Fed<S> {
+pub(crate) struct FrictionGains<S> {
     /// γ b_f and γ b_d.
     pub(crate) friction: S,
     pub(crate) damping: S,
@@ -13,10 +13,10 @@ pub(crate) struct Fed<S> {
     pub(crate) speed: f64,
 }
 
-impl<S> Fed<S> {
+impl<S> FrictionGains<S> {
     /// Returns the factors for γ; not used by law `paper`.
     #[inline(always)]
-    pub(crate) fn new<A: Arithmetic<Real = S>>(settings: &Settings, gamma: S) -> Self
+    pub(crate) fn new<A: RealOps<Real = S>>(settings: &Settings, gamma: S) -> Self
     where
         S: Number,
     {
@@ -31,32 +31,33 @@ impl<S> Fed<S> {
 
 /// Friction torque of the joints, times the feed-forward factors.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Resistance<J> {
+pub(crate) struct FrictionFeedForward<J> {
     /// Part independent of the load [N·m].
-    idle: J,
+    unloaded: J,
     /// Additional part per N·m of load.
-    loaded: J,
+    per_load: J,
 }
 
-impl<J: Lanes> Resistance<J> {
+impl<J: JointVector> FrictionFeedForward<J> {
     /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x =
     /// |v|/v_s`: the excess of static friction fades with the speed. `toward` replaces v in `tanh(v/v₀)`, because the
     /// velocity of a joint that sticks gives no direction.
     #[inline(always)]
-    pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, fed: Fed<Scalar<J>>) -> Self {
+    pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, friction_gains: FrictionGains<Scalar<J>>) -> Self {
         let one = J::splat(1.0);
-        let x = J::abs(v) * J::load(&servos.stribeck_slowness);
+        let x = J::abs(v) * J::load(&servos.inv_stribeck_speed);
         let at_rest = one / J::fma(x, x, one + x);
-        let way = tanh::<J>(toward * J::splat(1.0 / fed.speed)) * J::spread(fed.friction);
+        let direction =
+            tanh::<J>(toward * J::splat(1.0 / friction_gains.speed)) * J::broadcast(friction_gains.friction);
         let dry = J::fma(at_rest, J::load(&servos.stribeck), J::load(&servos.friction));
         let per_load = J::fma(at_rest, J::load(&servos.load_stribeck), J::load(&servos.load_friction));
-        let damping = J::load(&servos.damping) * v * J::spread(fed.damping);
-        Self { idle: J::fma(dry, way, damping), loaded: per_load * way }
+        let damping = J::load(&servos.damping) * v * J::broadcast(friction_gains.damping);
+        Self { unloaded: J::fma(dry, direction, damping), per_load: per_load * direction }
     }
 
     /// Returns the friction torque of joints that carry `torque` [N·m].
     #[inline(always)]
-    pub(crate) fn under(&self, torque: J) -> J {
-        J::fma(self.loaded, J::abs(torque), self.idle)
+    pub(crate) fn at_load(&self, torque: J) -> J {
+        J::fma(self.per_load, J::abs(torque), self.unloaded)
     }
 }

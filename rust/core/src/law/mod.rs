@@ -12,34 +12,34 @@ pub(crate) mod scaling;
 pub(crate) mod singularity;
 pub(crate) mod wrench;
 
-use crate::law::friction::{Fed, Resistance};
+use crate::law::friction::{FrictionFeedForward, FrictionGains};
 use crate::law::nullspace::NullSpace;
-use crate::law::singularity::Condition;
+use crate::law::singularity::SingularityState;
 use crate::law::wrench::Wrench;
-use crate::math::rows::{axes, times, transpose_times, wide};
-use crate::math::simd::{Arithmetic, Axes, Joints, Lanes, Scalar};
-use crate::params::{Law, Plan, Projector};
-use crate::task::Seen;
-use crate::task::demand::Wish;
-use crate::{AxisVec, MAX_AXES};
+use crate::math::rows::{mul, tr_mul};
+use crate::math::simd::{JointVector, RealOps, Scalar, SingleArmJoints, TaskVector};
+use crate::params::{Law, Params, Projector};
+use crate::task::ArmState;
+use crate::task::demand::AxisDemand;
+use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 /// Input of every law: one step at the predicted positions, with the rows of the task's axes.
 ///
 /// Rows after the task's axes and lanes after the arm's joints are zero and stay zero.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Tick<'a, J: Lanes> {
-    pub(crate) plan: &'a Plan,
+pub(crate) struct LawInput<'a, J: JointVector> {
+    pub(crate) params: &'a Params,
     pub(crate) horizon: f64,
     /// Task rows.
     pub(crate) rows: &'a [J; MAX_AXES],
     /// Task rows with translations divided by the arm's length.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
-    pub(crate) condition: &'a Condition<Scalar<J>>,
+    pub(crate) singularity: &'a SingularityState<Scalar<J>>,
     /// λ² of each row.
     pub(crate) damping: J::Axes,
     pub(crate) pacing: Pacing<J::Axes>,
     /// Demand of each axis.
-    pub(crate) wish: &'a Wish<J::Axes>,
+    pub(crate) demand: &'a AxisDemand<J::Axes>,
     /// Filtered joint velocity.
     pub(crate) velocity: J,
     /// Gradient of the null-space cost.
@@ -47,7 +47,7 @@ pub(crate) struct Tick<'a, J: Lanes> {
     /// Gravity in the goals.
     pub(crate) gravity: J,
     /// γ b_f, γ b_d and v₀ of the feed-forward.
-    pub(crate) fed: Fed<Scalar<J>>,
+    pub(crate) friction_gains: FrictionGains<Scalar<J>>,
     /// Lead stored by the integrating goal [rad].
     pub(crate) integral: J,
 }
@@ -61,43 +61,43 @@ pub(crate) struct Pacing<W> {
     pub(crate) velocity: W,
 }
 
-impl<W: Axes> Pacing<W> {
+impl<W: TaskVector> Pacing<W> {
     /// Returns the terms that give the tool the velocity and acceleration of its reference: `velocity` and its `change`
     /// per second, base axes, at the joint velocity `joints`.
     #[inline(always)]
-    pub(crate) fn new<J: Joints<Axes = W>>(
-        plan: &Plan,
-        seen: &Seen<'_, J>,
+    pub(crate) fn new<J: SingleArmJoints<Axes = W>>(
+        params: &Params,
+        arm: &ArmState<'_, J>,
         joints: J,
         velocity: &AxisVec,
         change: &AxisVec,
     ) -> Self
     where
-        W: Axes<One: Arithmetic<Real = f64>>,
+        W: TaskVector<Elem: RealOps<Real = f64>>,
     {
-        let pace = &plan.pace;
-        let speed: W = plan.in_rows(&seen.base_from_task, velocity);
-        let acceleration: W = plan.in_rows(&seen.base_from_task, change);
-        let own: W = wide(&times(seen.rows, joints));
-        let driven = W::constant(&pace.inertia) * W::clip(acceleration, W::constant(&pace.driven));
-        let displacement = W::fma(W::constant(&pace.damping), speed - own, driven);
+        let pace = &params.pace;
+        let speed: W = params.to_task_rows(&arm.base_from_task, velocity);
+        let acceleration: W = params.to_task_rows(&arm.base_from_task, change);
+        let tool_velocity: W = TaskVector::from_axes(&mul(arm.rows, joints));
+        let driven = W::constant(&pace.inertia) * W::clamp_abs(acceleration, W::constant(&pace.driven));
+        let displacement = W::fma(W::constant(&pace.damping), speed - tool_velocity, driven);
         Self { displacement, velocity: speed }
     }
 
     /// Zero terms, for a reference without its own velocity.
     #[inline(always)]
-    pub(crate) fn none() -> Self {
+    pub(crate) fn zero() -> Self {
         Self { displacement: W::splat(0.0), velocity: W::splat(0.0) }
     }
 }
 
 /// Output of a law.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Motion<J: Lanes> {
+pub(crate) struct LawOutput<J: JointVector> {
     /// Lead of the goals that moves the arm: of stiff axes; under law `paper` of all axes [rad].
-    pub(crate) lead: J,
+    pub(crate) stiff_offset: J,
     /// Lead of the goals that exerts a force with or without motion: of soft axes [rad].
-    pub(crate) force_lead: J,
+    pub(crate) soft_offset: J,
     /// Null-space part of the goals [rad].
     pub(crate) null: J,
     /// Wrench of the laws that are defined by forces [N, N·m].
@@ -110,51 +110,125 @@ pub(crate) struct Motion<J: Lanes> {
     pub(crate) gain_factor: Scalar<J>,
 }
 
-/// Runs the law. Also returns the joint budgets τ^q of (11) if the law makes its limits from them.
-#[inline(always)]
-pub(crate) fn motion<J: Lanes>(tick: &Tick<'_, J>) -> (Motion<J>, Option<J>) {
-    match tick.plan.law {
-        Law::Cap => (cap::motion(tick), None),
-        Law::Impedance => (impedance::motion(tick), None),
-        Law::Paper => {
-            let (motion, budget) = paper::motion(tick);
-            (motion, Some(budget))
-        }
+/// A control law: what differs between the laws. One file each; the step is compiled for every law, and [`with_law`]
+/// selects one.
+pub(crate) trait ControlLaw {
+    /// Returns offsets and forces of one step; and, of a law whose torque limits follow from them, the joint budgets τ^q
+    /// of (11).
+    fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>);
+
+    /// Returns the force [N, N·m] that answers a displacement of the arm at rest, before its bound by the strength; ∞ for
+    /// a law that is not defined by forces.
+    fn force_at(push: &AxisPush<'_>) -> f64;
+
+    /// Returns the factor ≤ 1 on the gain of the stiff axes; `last` is that of the last step.
+    fn gain_factor(params: &Params, last: f64) -> f64 {
+        let _ = last;
+        params.gain_scale
+    }
+
+    /// Returns the factor ≤ 1 on the dampers in the settings, for the task rows of the last step.
+    fn damping_factor(_params: &Params, _rows: &Rows) -> f64 {
+        1.0
     }
 }
 
-impl<J: Lanes> Tick<'_, J> {
+/// Evaluates an expression for the type of a law: the only place that lists the laws.
+macro_rules! with_law {
+    ($law:expr, $type:ident => $value:expr) => {
+        match $law {
+            Law::Cap => {
+                type $type = cap::Cap;
+                $value
+            }
+            Law::Impedance => {
+                type $type = impedance::Impedance;
+                $value
+            }
+            Law::Paper => {
+                type $type = paper::Paper;
+                $value
+            }
+        }
+    };
+}
+
+/// Runs the law of the settings, see [`ControlLaw::solve`].
+#[inline(always)]
+pub(crate) fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
+    with_law!(input.params.law, L => L::solve(input))
+}
+
+/// See [`ControlLaw::gain_factor`].
+pub(crate) fn gain_factor(params: &Params, last: f64) -> f64 {
+    with_law!(params.law, L => L::gain_factor(params, last))
+}
+
+/// See [`ControlLaw::damping_factor`].
+pub(crate) fn damping_factor(params: &Params, rows: &Rows) -> f64 {
+    with_law!(params.law, L => L::damping_factor(params, rows))
+}
+
+/// A push along one task axis of an arm at rest.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct AxisPush<'a> {
+    pub(crate) params: &'a Params,
+    /// h [s].
+    pub(crate) horizon: f64,
+    /// Index of the axis among the task rows; side toward which it is pushed.
+    pub(crate) row: usize,
+    pub(crate) side: usize,
+    /// Its task row.
+    pub(crate) j_row: &'a JointVec,
+    /// λ²/k̄ of the row.
+    pub(crate) damping: f64,
+    /// Factor on the stiffness at the last step.
+    pub(crate) gain_factor: f64,
+    /// 1 − η w.
+    pub(crate) share: f64,
+    /// Deviation e [m, rad].
+    pub(crate) deviation: f64,
+}
+
+impl AxisPush<'_> {
+    /// See [`ControlLaw::force_at`].
+    pub(crate) fn force(&self) -> f64 {
+        with_law!(self.params.law, L => L::force_at(self))
+    }
+}
+
+impl<J: JointVector> LawInput<'_, J> {
     /// Returns the force [N, N·m] that keeps the stiff axes at the velocity of their reference, and the approximate
-    /// joint speeds [rad/s] for it; `own` is the diagonal of C.
+    /// joint speeds [rad/s] for it; `c_diagonal` is the diagonal of C.
     #[inline(always)]
-    pub(crate) fn paced(&self, own: J::Axes) -> (J::Axes, J) {
-        let own = J::Axes::at_least(own, J::Axes::splat(f64::MIN_POSITIVE));
-        let stiffness = (J::Axes::splat(1.0) - self.wish.softness) / own;
-        let along = transpose_times(self.rows, &(stiffness * self.pacing.velocity).axes());
-        (stiffness * self.pacing.displacement, along * J::load(&self.plan.servos.compliance))
+    pub(crate) fn pacing_force(&self, c_diagonal: J::Axes) -> (J::Axes, J) {
+        let c_diagonal = J::Axes::max(c_diagonal, J::Axes::splat(f64::MIN_POSITIVE));
+        let stiffness = (J::Axes::splat(1.0) - self.demand.softness) / c_diagonal;
+        let along = tr_mul(self.rows, &(stiffness * self.pacing.velocity).to_axes());
+        (stiffness * self.pacing.displacement, along * J::load(&self.params.servos.compliance))
     }
 
     /// Line 10; `ahead` [rad/s] is added to the joint velocity to give the direction of motion.
     #[inline(always)]
-    pub(crate) fn resistance(&self, ahead: J) -> Resistance<J> {
-        Resistance::new([self.velocity, self.velocity + ahead], &self.plan.servos, self.fed)
+    pub(crate) fn friction(&self, ahead: J) -> FrictionFeedForward<J> {
+        FrictionFeedForward::new([self.velocity, self.velocity + ahead], &self.params.servos, self.friction_gains)
     }
 
     /// Returns the null-space projector of the settings.
     #[inline(always)]
     pub(crate) fn null_space(&self) -> NullSpace<'_, J> {
-        let (plan, size) = (self.plan, (self.plan.k, self.plan.n));
-        let weight = J::load(&plan.inverse_weight);
-        match (plan.projector, &self.condition.factor) {
-            (Projector::Paper, _) => NullSpace::new(self.rows, weight, &axes(self.damping), size),
+        let (params, size) = (self.params, (self.params.k, self.params.n));
+        let weight = J::load(&params.joint_weight_inv);
+        match (params.projector, &self.singularity.factor) {
+            (Projector::Paper, _) => NullSpace::new(self.rows, weight, &TaskVector::to_axes(self.damping), size),
             // With equal joint weights and μ = 0, reuse the factor that the singular value tracking computed.
             (Projector::Exact, Some(factor))
-                if plan.law.by_force() && !J::One::less_anywhere(J::One::splat(0.0), self.condition.mu_squared) =>
+                if params.law.by_force() && !J::Elem::any_lt(J::Elem::splat(0.0), self.singularity.mu_squared) =>
             {
                 NullSpace::of(self.scaled_rows, weight, factor, size)
             }
             (Projector::Exact, _) => {
-                NullSpace::new(self.scaled_rows, weight, &[self.condition.mu_squared; MAX_AXES], size)
+                NullSpace::new(self.scaled_rows, weight, &[self.singularity.mu_squared; MAX_AXES], size)
             }
         }
     }
@@ -162,7 +236,7 @@ impl<J: Lanes> Tick<'_, J> {
     /// Line 9: `−α h N ∇cost` [rad], before any scaling.
     #[inline(always)]
     pub(crate) fn null_motion(&self) -> J {
-        let step = self.plan.alpha * self.horizon;
+        let step = self.params.alpha * self.horizon;
         if step == 0.0 { J::splat(0.0) } else { self.null_space().project(self.gradient) * J::splat(-step) }
     }
 }

@@ -1,13 +1,13 @@
 //! Redundancy: the projector of (4) and the null-space cost of line 9.
 
 use crate::law::activation::RowLengths;
-use crate::law::posture_fade::posture_share;
-use crate::math::ldlt6::{Factor, factor_of, pseudo_inverse};
-use crate::math::rows::{JointMatrix, load_rows, rows_array, times, transpose_times};
-use crate::math::simd::{Arithmetic, EveryJoint, Joints, Lanes, Scalar};
-use crate::params::{Frame, NullSpaceCost, Plan, Projector};
-use crate::task::Seen;
-use crate::task::demand::Wish;
+use crate::law::posture_fade::posture_gain;
+use crate::math::ldlt6::{Ldlt6, factor_gram, pseudo_inverse};
+use crate::math::rows::{JointMatrix, load_rows, mul, store_rows, tr_mul};
+use crate::math::simd::{JointVec16, JointVector, RealOps, Scalar, SingleArmJoints};
+use crate::params::{Frame, NullSpaceCost, Params, Projector};
+use crate::task::ArmState;
+use crate::task::demand::AxisDemand;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// The projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix.
@@ -15,10 +15,10 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Exact with μ = 0. μ = μ₁ clip(2 − σ/μ₁, 0, 1) with μ₁ = 10⁻³ σ_max fades it at singular poses, where the exact
 /// projector jumps.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct NullSpace<'a, J: Lanes> {
+pub(crate) struct NullSpace<'a, J: JointVector> {
     rows: &'a [J; MAX_AXES],
     weight: J,
-    factor: Factor<Scalar<J>>,
+    factor: Ldlt6<Scalar<J>>,
     /// Number of task rows and of joints: with more rows than joints there is no redundancy.
     task: usize,
     joints: usize,
@@ -26,7 +26,7 @@ pub(crate) struct NullSpace<'a, J: Lanes> {
 
 /// Returns μ² of the exact projector, from the smallest and largest singular value of the rows.
 #[inline(always)]
-pub(crate) fn fade_squared(smallest: f64, largest: f64) -> f64 {
+pub(crate) fn projector_damping_sq(smallest: f64, largest: f64) -> f64 {
     let mu_1 = 1e-3 * largest;
     if mu_1 <= 0.0 {
         return 1e-12;
@@ -35,7 +35,7 @@ pub(crate) fn fade_squared(smallest: f64, largest: f64) -> f64 {
     mu * mu
 }
 
-impl<'a, J: Lanes> NullSpace<'a, J> {
+impl<'a, J: JointVector> NullSpace<'a, J> {
     /// Creates the projector of `task` rows over `joints`; `added` is added to the diagonal of `J D Jᵀ`.
     #[inline(always)]
     pub(crate) fn new(
@@ -44,7 +44,7 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
         added: &[Scalar<J>; MAX_AXES],
         (task, joints): (usize, usize),
     ) -> Self {
-        let factor = factor_of(rows, weight, added);
+        let factor = factor_gram(rows, weight, added);
         Self::of(rows, weight, &factor, (task, joints))
     }
 
@@ -53,7 +53,7 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
     pub(crate) fn of(
         rows: &'a [J; MAX_AXES],
         weight: J,
-        factor: &Factor<Scalar<J>>,
+        factor: &Ldlt6<Scalar<J>>,
         (task, joints): (usize, usize),
     ) -> Self {
         Self { rows, weight, factor: *factor, task, joints }
@@ -65,14 +65,14 @@ impl<'a, J: Lanes> NullSpace<'a, J> {
         if self.task > self.joints {
             return J::splat(0.0);
         }
-        let along = self.factor.solve::<J::One>(&times(self.rows, v));
-        J::fnma(self.weight, transpose_times(self.rows, &along), v)
+        let along = self.factor.solve::<J::Elem>(&mul(self.rows, v));
+        J::fnma(self.weight, tr_mul(self.rows, &along), v)
     }
 
     /// `N v` from a known pseudo-inverse, `N = I − J⁺J`: no further solve.
     #[inline(always)]
     pub(crate) fn project_by(&self, pinv_transposed: &[J; MAX_AXES], v: J) -> J {
-        if self.task > self.joints { J::splat(0.0) } else { v - transpose_times(pinv_transposed, &times(self.rows, v)) }
+        if self.task > self.joints { J::splat(0.0) } else { v - tr_mul(pinv_transposed, &mul(self.rows, v)) }
     }
 
     /// Returns the transposed pseudo-inverse of this projector.
@@ -93,32 +93,32 @@ static IDENTITY: JointMatrix = {
     rows
 };
 
-impl<J: Lanes> RowLengths<J> for NullSpace<'_, J> {
+impl<J: JointVector> RowLengths<J> for NullSpace<'_, J> {
     #[inline(always)]
     fn row_lengths(&self) -> J {
-        let (nothing, zero) = (J::splat(0.0), J::One::splat(0.0));
+        let (none, zero) = (J::splat(0.0), J::Elem::splat(0.0));
         if self.task > self.joints {
-            return nothing;
+            return none;
         }
         let (mut columns, pinv_transposed) = ([[zero; MAX_JOINTS]; MAX_AXES], self.pseudo_inverse());
         for r in 0..MAX_AXES {
-            columns[r] = pinv_transposed[r].array();
+            columns[r] = pinv_transposed[r].to_joints();
         }
         let (joints, mut squares) = (self.joints.min(MAX_JOINTS), [zero; MAX_JOINTS]);
         for first in (0..joints).step_by(4) {
-            let mut four = [nothing; 4];
+            let mut four = [none; 4];
             for i in first..joints.min(first + 4) {
                 let row = &mut four[i - first];
                 *row = J::load(&IDENTITY[i]);
                 for r in 0..MAX_AXES {
-                    *row = J::fnma(J::spread(columns[r][i]), self.rows[r], *row);
+                    *row = J::fnma(J::broadcast(columns[r][i]), self.rows[r], *row);
                 }
             }
             let [a, b, c, d] = &four;
-            let sums = J::dots([a, b, c, d], [a, b, c, d]);
+            let sums = J::dot4([a, b, c, d], [a, b, c, d]);
             squares[first..first + 4].copy_from_slice(&sums);
         }
-        J::sqrt(J::of_joints(&squares))
+        J::sqrt(J::from_joints(&squares))
     }
 }
 
@@ -131,13 +131,13 @@ pub(crate) fn projector(
     added: &AxisVec,
     (task, joints): (usize, usize),
 ) -> JointMatrix {
-    let rows = load_rows::<EveryJoint>(rows);
-    let space = NullSpace::new(&rows, EveryJoint::load(weight), added, (task, joints));
+    let rows = load_rows::<JointVec16>(rows);
+    let space = NullSpace::new(&rows, JointVec16::load(weight), added, (task, joints));
     let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
     for j in 0..joints.min(MAX_JOINTS) {
-        let mut unit = [0.0; MAX_JOINTS];
-        unit[j] = 1.0;
-        for (row, value) in out.iter_mut().zip(space.project(EveryJoint::load(&unit)).array()) {
+        let mut clamp01 = [0.0; MAX_JOINTS];
+        clamp01[j] = 1.0;
+        for (row, value) in out.iter_mut().zip(space.project(JointVec16::load(&clamp01)).to_joints()) {
             row[j] = value;
         }
     }
@@ -147,7 +147,7 @@ pub(crate) fn projector(
 impl NullSpaceCost {
     /// Returns the gradient of `share` times the posture cost plus the joint-limit cost at `q`.
     #[inline(always)]
-    pub(crate) fn gradient<J: Lanes>(&self, q: J, rest: J, share: f64) -> J {
+    pub(crate) fn gradient<J: JointVector>(&self, q: J, rest: J, share: f64) -> J {
         let toward_middle = J::load(&self.limits) * (q - J::load(&self.middle));
         J::fma(J::splat(share) * J::load(&self.posture), q - rest, toward_middle)
     }
@@ -156,20 +156,20 @@ impl NullSpaceCost {
 /// Returns the gradient of the null-space cost, all parts; `rest` is the posture, `added` the gradient of a
 /// user's cost.
 #[inline(always)]
-pub(crate) fn cost_gradient<J: Joints>(
-    plan: &Plan,
+pub(crate) fn cost_gradient<J: SingleArmJoints>(
+    params: &Params,
     rest: &JointVec,
     added: Option<&JointVec>,
-    seen: &Seen<'_, J>,
-    wish: &Wish<J::Axes>,
+    arm: &ArmState<'_, J>,
+    demand: &AxisDemand<J::Axes>,
     scaled: &[J; MAX_AXES],
     mu_squared: f64,
 ) -> J {
     let rest = J::load(rest);
-    let mut gradient = plan.cost.gradient(seen.q, rest, posture_share(plan, seen.q, rest, wish));
-    if plan.cost.manipulability > 0.0 {
-        let (world, scaled) = (rows_array(&seen.view.world), rows_array(scaled));
-        let more = weighted_manipulability(plan, &world, &scaled, &seen.base_from_task, mu_squared);
+    let mut gradient = params.cost.gradient(arm.q, rest, posture_gain(params, arm.q, rest, demand));
+    if params.cost.manipulability > 0.0 {
+        let (j_base, scaled) = (store_rows(&arm.view.j_base), store_rows(scaled));
+        let more = weighted_manipulability(params, &j_base, &scaled, &arm.base_from_task, mu_squared);
         gradient = gradient + J::load(&more);
     }
     match added {
@@ -180,50 +180,55 @@ pub(crate) fn cost_gradient<J: Joints>(
 
 /// Returns the gradient of the manipulability cost at the present rows, times its weight.
 ///
-/// `world` is the 6 × n Jacobian in base axes; `p` the weights of its entries, see [`manipulability_gradient`].
+/// `j_base` is the 6 × n Jacobian in base axes; `p` the weights of its entries, see [`manipulability_gradient`].
 #[cold]
 #[inline(never)]
 fn weighted_manipulability(
-    plan: &Plan,
-    world: &Rows,
+    params: &Params,
+    j_base: &Rows,
     scaled_rows: &Rows,
     base_from_task: &[[f64; 3]; 3],
     mu_squared: f64,
 ) -> JointVec {
     let pinv = pseudo_inverse(scaled_rows, &[1.0; MAX_JOINTS], &[mu_squared; MAX_AXES]);
     let mut p = [[0.0; MAX_JOINTS]; MAX_AXES];
-    for (r, &axis) in plan.axes.iter().enumerate().take(MAX_AXES) {
+    for (r, &axis) in params.axes.iter().enumerate().take(MAX_AXES) {
         let (block, column) = if axis < 3 { (0, axis) } else { (3, axis - 3) };
         for (i, factors) in base_from_task.iter().enumerate() {
-            let factor = factors[column % 3] * plan.row_scale[r];
+            let factor = factors[column % 3] * params.row_scale[r];
             for j in 0..MAX_JOINTS {
                 p[block + i][j] += factor * pinv[r][j];
             }
         }
     }
-    let turning = matches!(plan.frame, Frame::Tool);
-    manipulability_gradient(world, &p, turning, plan.n).map(|g| plan.cost.manipulability * g)
+    let turning = matches!(params.frame, Frame::Tool);
+    manipulability_gradient(j_base, &p, turning, params.n).map(|g| params.cost.manipulability * g)
 }
 
 /// Transposed damped pseudo-inverse of (3) for the task rows of a step and λ.
-pub(crate) fn step_pseudo_inverse(plan: &Plan, rows: &Rows, damping: f64) -> Rows {
-    pseudo_inverse(rows, &plan.inverse_weight, &plan.damping_scale.map(|scale| scale * damping * damping))
+pub(crate) fn step_pseudo_inverse(params: &Params, rows: &Rows, damping: f64) -> Rows {
+    pseudo_inverse(rows, &params.joint_weight_inv, &params.damping_scale.map(|scale| scale * damping * damping))
 }
 
 /// Returns N of the settings for the task rows of a step and λ; `sigma` gives the smallest and largest singular value
 /// of the scaled rows.
-pub(crate) fn step_projector(plan: &Plan, rows: &Rows, damping: f64, sigma: impl FnOnce() -> [f64; 2]) -> JointMatrix {
-    let size = (plan.k, plan.n);
-    match plan.projector {
+pub(crate) fn step_projector(
+    params: &Params,
+    rows: &Rows,
+    damping: f64,
+    sigma: impl FnOnce() -> [f64; 2],
+) -> JointMatrix {
+    let size = (params.k, params.n);
+    match params.projector {
         Projector::Paper => {
-            let squared = plan.damping_scale.map(|scale| scale * damping * damping);
-            projector(rows, &plan.inverse_weight, &squared, size)
+            let squared = params.damping_scale.map(|scale| scale * damping * damping);
+            projector(rows, &params.joint_weight_inv, &squared, size)
         }
         Projector::Exact => {
-            let scaled = rows_array(&plan.scale_rows(&load_rows::<EveryJoint>(rows)));
+            let scaled = store_rows(&params.scale_rows(&load_rows::<JointVec16>(rows)));
             let [smallest, largest] = sigma();
-            let mu_squared = fade_squared(smallest, largest);
-            projector(&scaled, &plan.inverse_weight, &[mu_squared; MAX_AXES], size)
+            let mu_squared = projector_damping_sq(smallest, largest);
+            projector(&scaled, &params.joint_weight_inv, &[mu_squared; MAX_AXES], size)
         }
     }
 }

@@ -3,30 +3,30 @@
 //! The task is solved with all joints. Only the motion that was cut off is solved again, without those joints. A joint
 //! that just touches its limit loses no motion, so the command does not jump there.
 
-use crate::law::cap::Demand;
+use crate::law::cap::CapProblem;
 use crate::law::scaling::scale_to_fit;
-use crate::law::{Motion, Tick};
-use crate::math::ldlt6::factor_of;
-use crate::math::rows::{times, transpose_times, weighted_gram, wide};
-use crate::math::simd::{Arithmetic, Joints, Lanes, Packed};
-use crate::params::{Follow, Law, Plan};
-use crate::task::Seen;
+use crate::law::{LawInput, LawOutput};
+use crate::math::ldlt6::factor_gram;
+use crate::math::rows::{mul, tr_mul, weighted_gram};
+use crate::math::simd::{JointVector, RealOps, SimdVec, SingleArmJoints, TaskVector};
+use crate::params::{Follow, Law, Params};
+use crate::task::ArmState;
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Joints that have reached a position limit.
 #[derive(Clone, Copy)]
-struct Locks<J> {
+struct JointLocks<J> {
     /// 1 for locked joints, 0 for the others.
     locked: J,
     /// Lead that brings each locked joint to its limit [rad].
-    lead: J,
+    offset: J,
 }
 
-impl<J: Lanes> Locks<J> {
+impl<J: JointVector> JointLocks<J> {
     /// No locked joints.
     #[inline(always)]
     fn none() -> Self {
-        Self { locked: J::splat(0.0), lead: J::splat(0.0) }
+        Self { locked: J::splat(0.0), offset: J::splat(0.0) }
     }
 
     /// Adds the joints whose `goal` exceeds a limit; returns true if there were any.
@@ -34,111 +34,111 @@ impl<J: Lanes> Locks<J> {
     /// A locked joint keeps the lead to its limit, and the others make the missing motion, so that the rest of the task
     /// stays correct. It is not unlocked within a step.
     #[inline(always)]
-    fn add(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
+    fn lock_violations(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
         let (zero, one) = (J::splat(0.0), J::splat(1.0));
-        let beyond = J::if_less(upper, goal, one, J::if_less(goal, lower, one, zero));
-        let new = beyond * (one - self.locked);
-        if !zero.any_less(new) {
+        let violates = J::select_lt(upper, goal, one, J::select_lt(goal, lower, one, zero));
+        let new = violates * (one - self.locked);
+        if !zero.is_any_lt(new) {
             return false;
         }
-        let lead = J::at_least(J::at_most(goal, upper), lower) - without_lead;
-        self.lead = J::if_less(zero, new, lead, self.lead);
+        let offset = J::max(J::min(goal, upper), lower) - without_lead;
+        self.offset = J::select_lt(zero, new, offset, self.offset);
         self.locked = self.locked + new;
         true
     }
 
     /// Selects `value` for locked joints, `other` for the rest.
     #[inline(always)]
-    fn either(&self, value: J, other: J) -> J {
-        J::if_less(J::splat(0.0), self.locked, value, other)
+    fn select(&self, value: J, other: J) -> J {
+        J::select_lt(J::splat(0.0), self.locked, value, other)
     }
 }
 
 /// Motion that locked joints leave to the others.
 #[derive(Debug, Clone, Copy)]
-struct Takeover<'a, J: Joints> {
-    plan: &'a Plan,
+struct Redistribution<'a, J: SingleArmJoints> {
+    params: &'a Params,
     horizon: f64,
     /// Task rows of all joints.
     rows: &'a [J; MAX_AXES],
     /// 0 for locked joints, 1 for the others.
-    free: J,
+    unlocked: J,
     /// Task motion that is missing, per row [m, rad].
-    lost: &'a AxisVec,
+    missing: &'a AxisVec,
     /// Softness of each row.
     softness: J::Axes,
     /// Torque that each joint already exerts [N·m].
     torque: J,
     /// Lead that each joint already has [rad].
-    lead: J,
+    offset: J,
 }
 
 /// Additional motion of the other joints.
 #[derive(Debug, Clone, Copy)]
-struct Addition<J: Joints> {
+struct Correction<J: SingleArmJoints> {
     /// [rad]
-    lead: J,
+    offset: J,
     /// Wrench of the laws that are defined by forces [N, N·m].
     wrench: J::Axes,
 }
 
-impl<J: Joints> Takeover<'_, J> {
+impl<J: SingleArmJoints> Redistribution<'_, J> {
     /// Computes the additional motion. Soft rows keep their force and demand nothing more; ceilings and joint speeds
     /// hold.
     #[inline(always)]
-    fn addition(&self) -> Addition<J> {
-        let (plan, nothing) = (self.plan, J::Axes::splat(0.0));
-        let squared = &plan.takeover_damping;
-        let (mut lead, mut wrench) = if plan.law == Law::Paper && plan.follow == Follow::Hold {
+    fn correction(&self) -> Correction<J> {
+        let (params, zero) = (self.params, J::Axes::splat(0.0));
+        let squared = &params.redistribution_damping;
+        let (mut offset, mut wrench) = if params.law == Law::Paper && params.follow == Follow::Hold {
             // Apply the damped pseudo-inverse of (3) to one vector without forming it.
-            let weight = J::load(&plan.inverse_weight) * self.free;
-            let factor = factor_of(self.rows, weight, squared);
-            (weight * transpose_times(self.rows, &factor.solve::<J::One>(self.lost)), nothing)
+            let weight = J::load(&params.joint_weight_inv) * self.unlocked;
+            let factor = factor_gram(self.rows, weight, squared);
+            (weight * tr_mul(self.rows, &factor.solve::<J::Elem>(self.missing)), zero)
         } else {
-            let compliance = J::load(&plan.servos.compliance) * self.free;
-            let demand = Demand {
+            let compliance = J::load(&params.servos.compliance) * self.unlocked;
+            let problem = CapProblem {
                 compliance: &weighted_gram(self.rows, compliance),
-                damping: plan.per_stiffness(wide(squared)),
-                step: wide(self.lost),
-                bounded_step: wide(self.lost),
-                softness: if plan.follow == Follow::Free { self.softness } else { nothing },
-                cap: nothing,
+                damping: params.per_stiffness(TaskVector::from_axes(squared)),
+                step: TaskVector::from_axes(self.missing),
+                bounded_step: TaskVector::from_axes(self.missing),
+                softness: if params.follow == Follow::Free { self.softness } else { zero },
+                cap: zero,
             };
-            let wrench = demand.stiff_force();
-            (transpose_times(self.rows, &wrench.numbers()) * compliance, wrench)
+            let wrench = problem.stiff_force();
+            (tr_mul(self.rows, &wrench.to_array()) * compliance, wrench)
         };
         let mut factor: f64 = 1.0;
-        if plan.law.by_force() {
-            let torque = lead * J::load(&plan.servos.kp);
-            [factor] = scale_to_fit(self.torque * self.free, [torque], J::load(&plan.servos.torque));
+        if params.law.by_force() {
+            let torque = offset * J::load(&params.servos.kp);
+            [factor] = scale_to_fit(self.torque * self.unlocked, [torque], J::load(&params.servos.torque));
         }
-        let [slower] = scale_to_fit(self.lead * self.free, [lead], plan.reach(self.horizon));
+        let [slower] = scale_to_fit(self.offset * self.unlocked, [offset], params.reach(self.horizon));
         factor = factor.min(slower);
-        lead = lead * J::splat(factor);
-        wrench = if plan.law.by_force() { wrench * J::Axes::splat(factor) } else { nothing };
-        Addition { lead, wrench }
+        offset = offset * J::splat(factor);
+        wrench = if params.law.by_force() { wrench * J::Axes::splat(factor) } else { zero };
+        Correction { offset, wrench }
     }
 }
 
 /// Parts of a motion that locked joints change.
 #[derive(Debug, Clone, Copy)]
-struct Share<J: Joints> {
+struct MotionParts<J: SingleArmJoints> {
     /// [rad]
-    lead: J,
+    offset: J,
     /// [rad]
     null: J,
     /// Wrench of the stiff axes [N, N·m].
     stiff: J::Axes,
 }
 
-impl<J: Joints> Share<J> {
+impl<J: SingleArmJoints> MotionParts<J> {
     /// Returns the motion with locked joints at their remaining lead and the additional motion of the others.
     #[inline(always)]
-    fn with(&self, locks: &Locks<J>, addition: &Addition<J>) -> Self {
+    fn with(&self, locks: &JointLocks<J>, correction: &Correction<J>) -> Self {
         Self {
-            lead: locks.either(locks.lead, self.lead + addition.lead),
-            null: locks.either(J::splat(0.0), self.null),
-            stiff: self.stiff + addition.wrench,
+            offset: locks.select(locks.offset, self.offset + correction.offset),
+            null: locks.select(J::splat(0.0), self.null),
+            stiff: self.stiff + correction.wrench,
         }
     }
 }
@@ -146,38 +146,38 @@ impl<J: Joints> Share<J> {
 /// Locks the joints that would exceed their position limits until no other joint does, and changes `motion` accordingly.
 /// Returns the goals without force offsets [rad], and 1 for locked joints, 0 for the others.
 #[inline(always)]
-pub(crate) fn redistribute<J: Joints>(
-    tick: &Tick<'_, J>,
-    seen: &Seen<'_, J>,
+pub(crate) fn redistribute<J: SingleArmJoints>(
+    input: &LawInput<'_, J>,
+    arm: &ArmState<'_, J>,
     feed_forward: J,
-    motion: &mut Motion<J>,
+    motion: &mut LawOutput<J>,
 ) -> (J, J) {
-    let plan = tick.plan;
-    let all_joints = Share { lead: motion.lead, null: motion.null, stiff: motion.wrench.stiff };
-    let (without_lead, nothing) = (seen.q + tick.integral, J::splat(0.0));
-    let (lower, upper) = (J::load(&plan.lower), J::load(&plan.upper));
-    let all = all_joints.lead + all_joints.null;
-    let lead = all + motion.force_lead;
-    let carried = seen.gravity_in_goal + feed_forward;
-    let torque = J::fma(J::load(&plan.servos.kp), tick.integral + lead, carried);
-    let (mut share, mut locks) = (all_joints, Locks::none());
+    let params = input.params;
+    let all_joints = MotionParts { offset: motion.stiff_offset, null: motion.null, stiff: motion.wrench.stiff };
+    let (without_lead, zero) = (arm.q + input.integral, J::splat(0.0));
+    let (lower, upper) = (J::load(&params.lower), J::load(&params.upper));
+    let all = all_joints.offset + all_joints.null;
+    let offset = all + motion.soft_offset;
+    let load = arm.gravity_in_goal + feed_forward;
+    let torque = J::fma(J::load(&params.servos.kp), input.integral + offset, load);
+    let (mut parts, mut locks) = (all_joints, JointLocks::none());
     loop {
-        let goal = without_lead + share.lead + share.null;
-        if !locks.add(goal, without_lead, lower, upper) {
-            (motion.lead, motion.null, motion.wrench.stiff) = (share.lead, share.null, share.stiff);
+        let goal = without_lead + parts.offset + parts.null;
+        if !locks.lock_violations(goal, without_lead, lower, upper) {
+            (motion.stiff_offset, motion.null, motion.wrench.stiff) = (parts.offset, parts.null, parts.stiff);
             return (goal, locks.locked);
         }
-        let takeover = Takeover {
-            plan,
-            horizon: tick.horizon,
-            rows: seen.rows,
-            free: J::splat(1.0) - locks.locked,
-            lost: &times(seen.rows, locks.either(all - locks.lead, nothing)),
-            softness: tick.wish.softness,
+        let redistribution = Redistribution {
+            params,
+            horizon: input.horizon,
+            rows: arm.rows,
+            unlocked: J::splat(1.0) - locks.locked,
+            missing: &mul(arm.rows, locks.select(all - locks.offset, zero)),
+            softness: input.demand.softness,
             torque,
-            lead,
+            offset,
         };
-        share = all_joints.with(&locks, &takeover.addition());
+        parts = all_joints.with(&locks, &redistribution.correction());
     }
 }
 
@@ -196,25 +196,25 @@ pub(crate) fn without_locked(rows: &Rows, locked: &[bool; MAX_JOINTS]) -> Rows {
 mod tests {
     use super::*;
     use crate::MAX_JOINTS;
-    use crate::math::simd::{Arithmetic, EveryJoint};
+    use crate::math::simd::{JointVec16, RealOps};
 
-    fn vector(values: &[f64]) -> EveryJoint {
+    fn vector(values: &[f64]) -> JointVec16 {
         let mut out = [0.0; MAX_JOINTS];
         out[..values.len()].copy_from_slice(values);
-        EveryJoint::load(&out)
+        JointVec16::load(&out)
     }
 
     #[test]
     fn a_locked_joint_keeps_the_lead_to_its_limit() {
-        let (without, one) = (vector(&[0.7, 0.2, -0.7]), EveryJoint::splat(1.0));
-        let mut locks = Locks::none();
-        assert!(locks.add(vector(&[1.2, 0.3, 0.5]), without, -one, one));
-        assert!(!locks.add(vector(&[1.3, 0.3, 0.5]), without, -one, one), "locked already");
-        assert!(locks.add(vector(&[1.0, 0.3, -1.5]), without, -one, one), "another joint");
-        let lead = locks.lead.array();
-        assert_eq!(locks.locked.array()[..3].iter().map(|l| *l > 0.0).collect::<Vec<_>>(), [true, false, true]);
-        assert!((lead[0] - 0.3).abs() < 1e-15 && lead[1].abs() < 1e-15 && (lead[2] + 0.3).abs() < 1e-15);
-        let either = locks.either(vector(&[5.0; 3]), vector(&[7.0; 3])).array();
-        assert_eq!(either[..3].iter().map(|l| *l > 6.0).collect::<Vec<_>>(), [false, true, false]);
+        let (without, one) = (vector(&[0.7, 0.2, -0.7]), JointVec16::splat(1.0));
+        let mut locks = JointLocks::none();
+        assert!(locks.lock_violations(vector(&[1.2, 0.3, 0.5]), without, -one, one));
+        assert!(!locks.lock_violations(vector(&[1.3, 0.3, 0.5]), without, -one, one), "locked already");
+        assert!(locks.lock_violations(vector(&[1.0, 0.3, -1.5]), without, -one, one), "another joint");
+        let offset = locks.offset.to_joints();
+        assert_eq!(locks.locked.to_joints()[..3].iter().map(|l| *l > 0.0).collect::<Vec<_>>(), [true, false, true]);
+        assert!((offset[0] - 0.3).abs() < 1e-15 && offset[1].abs() < 1e-15 && (offset[2] + 0.3).abs() < 1e-15);
+        let select = locks.select(vector(&[5.0; 3]), vector(&[7.0; 3])).to_joints();
+        assert_eq!(select[..3].iter().map(|l| *l > 6.0).collect::<Vec<_>>(), [false, true, false]);
     }
 }

@@ -1,43 +1,43 @@
 //! Scaling of the parts of a motion so that their sum satisfies a bound.
 
-use crate::math::simd::{Arithmetic, Lanes, Scalar};
+use crate::math::simd::{JointVector, RealOps, Scalar};
 
 /// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
 ///
 /// The parts are reduced in order: the second is scaled only if dropping the first is not enough.
 #[inline(always)]
-pub(crate) fn scale_to_fit<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
+pub(crate) fn scale_to_fit<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
     // Fast path without a branch per joint: nearly always everything fits.
     let mut all = base;
     for part in parts {
         all = all + part;
     }
-    if bound.any_less(J::abs(all)) { shrink(base, parts, bound) } else { [J::One::splat(1.0); P] }
+    if bound.is_any_lt(J::abs(all)) { shrink(base, parts, bound) } else { [J::Elem::splat(1.0); P] }
 }
 
 #[inline(always)]
-fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
+fn shrink<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
     let (zero, one) = (J::splat(0.0), J::splat(1.0));
     // Ignore a part that moves a joint by no more than rounding error: scaling it does not help. Ignore as well an
     // excess of the sum that is only rounding error after the previous part was scaled to the bound.
     let rounding = bound * J::splat(1e-9);
-    let mut factors = [J::One::splat(1.0); P];
+    let mut factors = [J::Elem::splat(1.0); P];
     for p in 0..P {
         let mut others = base;
         for o in 0..P {
             if o != p {
-                others = J::fma(J::spread(factors[o]), parts[o], others);
+                others = J::fma(J::broadcast(factors[o]), parts[o], others);
             }
         }
         let (part, all) = (parts[p], others + parts[p]);
-        let most = bound + rounding;
-        if !most.any_less(J::abs(all)) {
+        let max = bound + rounding;
+        if !max.is_any_lt(J::abs(all)) {
             break;
         }
         let room = (J::copy_sign(bound, all) - others) / part;
-        let missing = one - J::at_most(J::at_least(room, zero), one);
-        let missing = J::if_less(rounding, J::abs(part), missing, zero);
-        factors[p] = J::One::splat(1.0) - J::if_less(most, J::abs(all), missing, zero).largest();
+        let missing = one - J::min(J::max(room, zero), one);
+        let missing = J::select_lt(rounding, J::abs(part), missing, zero);
+        factors[p] = J::Elem::splat(1.0) - J::select_lt(max, J::abs(all), missing, zero).max_element();
     }
     factors
 }
@@ -46,19 +46,19 @@ fn shrink<J: Lanes, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar
 mod tests {
     use super::*;
     use crate::MAX_JOINTS;
-    use crate::math::simd::EveryJoint;
+    use crate::math::simd::JointVec16;
 
-    fn vector(values: &[f64]) -> EveryJoint {
+    fn vector(values: &[f64]) -> JointVec16 {
         let mut out = [0.0; MAX_JOINTS];
         out[..values.len()].copy_from_slice(values);
-        EveryJoint::load(&out)
+        JointVec16::load(&out)
     }
 
     #[test]
     fn the_first_part_is_scaled_first() {
         let base = vector(&[1.0, 0.0]);
         let (soft, stiff, bound) = (vector(&[4.0, 1.0]), vector(&[6.0, 1.0]), vector(&[9.0, 9.0]));
-        let factors = |bound: EveryJoint| scale_to_fit(base, [soft, stiff], bound).map(f64::to_bits);
+        let factors = |bound: JointVec16| scale_to_fit(base, [soft, stiff], bound).map(f64::to_bits);
         assert_eq!(factors(bound), [0.5, 1.0].map(f64::to_bits));
         let bound = vector(&[4.0, 9.0]);
         assert_eq!(factors(bound), [0.0, 0.5].map(f64::to_bits));

@@ -1,11 +1,11 @@
 //! Singularity state of the task rows: damping, projector damping and the fade of feed-forward and prediction.
 
-use crate::law::nullspace::fade_squared;
-use crate::math::ldlt6::Factor;
-use crate::math::rows::{Square, rows_array, weighted_gram};
-use crate::math::simd::{Axes, Joints, Lanes, Scalar, Spread};
+use crate::law::nullspace::projector_damping_sq;
+use crate::math::ldlt6::Ldlt6;
+use crate::math::rows::{Mat6, store_rows, weighted_gram};
+use crate::math::simd::{Broadcast, JointVector, Scalar, SingleArmJoints, TaskVector};
 use crate::math::singular_values::SingularValues;
-use crate::params::Plan;
+use crate::params::Params;
 use crate::{MAX_AXES, Rows};
 
 /// Iterations for the extreme singular vectors: from scratch, and per step when tracked.
@@ -13,20 +13,20 @@ const ITERATIONS: (usize, usize) = (30, 1);
 
 /// Singularity state of a step's task rows.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Condition<R = f64> {
+pub(crate) struct SingularityState<R = f64> {
     /// λ².
     pub(crate) damping: R,
     /// μ² of the exact projector.
     pub(crate) mu_squared: R,
     /// Factor of the scaled rows' `JJᵀ`, if computed.
-    pub(crate) factor: Option<Factor<R>>,
+    pub(crate) factor: Option<Ldlt6<R>>,
     /// γ: factor on feed-forward and prediction.
     pub(crate) gamma: R,
 }
 
 /// γ of line 7: fades feed-forward and prediction near singular poses, `clip(3 σ/σ₀, ½, 1)`.
 #[inline(always)]
-pub(crate) fn fade(sigma: f64, sigma_0: f64) -> f64 {
+pub(crate) fn singularity_fade(sigma: f64, sigma_0: f64) -> f64 {
     if sigma_0 > 0.0 { (3.0 * sigma / sigma_0).clamp(0.5, 1.0) } else { 1.0 }
 }
 
@@ -43,35 +43,40 @@ pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_ma
 
 /// λ² of each row.
 #[inline(always)]
-pub(crate) fn row_damping<J: Lanes>(plan: &Plan, condition: &Condition<Scalar<J>>) -> J::Axes {
-    J::Axes::constant(&plan.lanes.damping_scale) * J::Axes::spread(condition.damping)
+pub(crate) fn row_damping<J: JointVector>(params: &Params, singularity: &SingularityState<Scalar<J>>) -> J::Axes {
+    J::Axes::constant(&params.axis_simd.damping_scale) * J::Axes::broadcast(singularity.damping)
 }
 
 /// Line 7: updates σ, sets γ, returns λ².
 #[inline(always)]
-pub(crate) fn condition<J: Joints>(
-    plan: &Plan,
+pub(crate) fn singularity_state<J: SingleArmJoints>(
+    params: &Params,
     scaled: &[J; MAX_AXES],
     values: &mut SingularValues,
     cold: bool,
-) -> Condition {
-    let limits = plan.damping;
-    if !plan.follows_sigma {
-        return Condition { damping: limits.lambda_0 * limits.lambda_0, mu_squared: 0.0, factor: None, gamma: 1.0 };
+) -> SingularityState {
+    let limits = params.damping;
+    if !params.tracks_sigma {
+        return SingularityState {
+            damping: limits.lambda_0 * limits.lambda_0,
+            mu_squared: 0.0,
+            factor: None,
+            gamma: 1.0,
+        };
     }
-    let (redundant, axes) = (plan.k <= plan.n, plan.k.min(plan.n));
-    let gram = if redundant { weighted_gram(scaled, J::splat(1.0)) } else { joint_gram(&rows_array(scaled)) };
-    let factor = Factor::new::<J::One>(&gram);
+    let (redundant, axes) = (params.k <= params.n, params.k.min(params.n));
+    let gram = if redundant { weighted_gram(scaled, J::splat(1.0)) } else { joint_gram(&store_rows(scaled)) };
+    let factor = Ldlt6::new::<J::Elem>(&gram);
     if cold {
         values.restrict(axes);
     }
-    values.update::<J::One>(&gram, &factor, axes, if cold { ITERATIONS.0 } else { ITERATIONS.1 });
+    values.update::<J::Elem>(&gram, &factor, axes, if cold { ITERATIONS.0 } else { ITERATIONS.1 });
     let sigma = values.smallest;
-    Condition {
+    SingularityState {
         damping: damping_squared(sigma, limits.lambda_0, limits.sigma_0, limits.lambda_max),
-        mu_squared: fade_squared(sigma, values.largest),
+        mu_squared: projector_damping_sq(sigma, values.largest),
         factor: redundant.then_some(factor),
-        gamma: fade(sigma, limits.sigma_0),
+        gamma: singularity_fade(sigma, limits.sigma_0),
     }
 }
 
@@ -79,7 +84,7 @@ pub(crate) fn condition<J: Joints>(
 /// always has.
 #[cold]
 #[inline(never)]
-fn joint_gram(scaled: &Rows) -> Square {
+fn joint_gram(scaled: &Rows) -> Mat6 {
     let mut gram = [[0.0; MAX_AXES]; MAX_AXES];
     for (i, row) in gram.iter_mut().enumerate() {
         for (j, value) in row.iter_mut().enumerate() {

@@ -1,21 +1,21 @@
 //! LDLᵀ factor of a 6 × 6 matrix, and the damped pseudo-inverse of six rows.
 
-use super::rows::{Square, damped, load_rows, rows_array, weighted_gram};
-use super::simd::{Arithmetic, EveryJoint, Lanes, Number, Scalar, Spread};
+use super::rows::{Mat6, damped, load_rows, store_rows, weighted_gram};
+use super::simd::{Broadcast, JointVec16, JointVector, Number, RealOps, Scalar};
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
-perhaps_called! {
+outlined_formula! {
     /// Factor of `J diag(d) Jᵀ` plus a diagonal.
-    fn factor_of<J>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Factor<Scalar<J>> as factored
+    fn factor_gram<J>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Ldlt6<Scalar<J>> as factored
 }
 
 #[inline(always)]
-fn factored<J: Lanes>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Factor<Scalar<J>> {
-    Factor::new::<J::One>(&damped(weighted_gram(rows, d), added))
+fn factored<J: JointVector>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Ldlt6<Scalar<J>> {
+    Ldlt6::new::<J::Elem>(&damped(weighted_gram(rows, d), added))
 }
 
 /// Smallest pivot whose square and inverse square are finite and nonzero.
-const LEAST_PIVOT: f64 = 1e-100;
+const MIN_PIVOT: f64 = 1e-100;
 
 /// Factor `L D Lᵀ` of a symmetric, positive definite matrix; reads its lower half.
 ///
@@ -23,24 +23,24 @@ const LEAST_PIVOT: f64 = 1e-100;
 /// a tiny positive one: a singular matrix gives large but finite results, not NaN. A row of zeros gives zeros if the
 /// right side is zero there, so that a task with fewer axes needs no separate code.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Factor<R = f64> {
+pub(crate) struct Ldlt6<R = f64> {
     /// `L`, below the blocks of its diagonal.
-    l: Square<R>,
+    l: Mat6<R>,
     /// `[a, b, c]` of each block's inverse `[[a, b], [b, c]]`.
     inverse: [[R; 3]; MAX_AXES / 2],
 }
 
-impl<R: Number> Factor<R> {
+impl<R: Number> Ldlt6<R> {
     #[inline(always)]
-    pub(crate) fn new<A: Arithmetic<Real = R>>(m: &Square<R>) -> Self {
-        let (zero, one, tiny, least_pivot) = (A::splat(0.0), A::splat(1.0), A::splat(1e-15), A::splat(LEAST_PIVOT));
+    pub(crate) fn new<A: RealOps<Real = R>>(m: &Mat6<R>) -> Self {
+        let (zero, one, tiny, min_pivot) = (A::splat(0.0), A::splat(1.0), A::splat(1e-15), A::splat(MIN_PIVOT));
         let (mut s, mut l) = (*m, [[zero; MAX_AXES]; MAX_AXES]);
         let mut inverse = [[zero; 3]; MAX_AXES / 2];
         unrolled!(block in 0 1 2 => {
             let (i, j) = (2 * block, 2 * block + 1);
-            let least = [A::at_least(tiny * m[i][i], least_pivot), A::at_least(tiny * m[j][j], least_pivot)];
-            let (a, b, c) = (A::at_least(s[i][i], least[0]), s[j][i], A::at_least(s[j][j], least[1]));
-            let determinant = A::at_least(A::fnma(b, b, a * c), a * least[1]);
+            let least = [A::max(tiny * m[i][i], min_pivot), A::max(tiny * m[j][j], min_pivot)];
+            let (a, b, c) = (A::max(s[i][i], least[0]), s[j][i], A::max(s[j][j], least[1]));
+            let determinant = A::max(A::fnma(b, b, a * c), a * least[1]);
             // Independent of the division, so it runs during its latency.
             let scale = one / determinant;
             let mut ahead = [[zero; 2]; MAX_AXES];
@@ -63,25 +63,25 @@ impl<R: Number> Factor<R> {
 
     /// Solves `M X = B` for a right side with one value, or one value per joint, in each row.
     #[inline(always)]
-    pub(crate) fn solve<A: Spread<R>>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
+    pub(crate) fn solve<A: Broadcast<R>>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
         let mut x = *b;
         unrolled!(block in 0 1 => {
             let (i, j) = (2 * block, 2 * block + 1);
             for r in j + 1..MAX_AXES {
-                x[r] = A::fnma(A::spread(self.l[r][j]), x[j], A::fnma(A::spread(self.l[r][i]), x[i], x[r]));
+                x[r] = A::fnma(A::broadcast(self.l[r][j]), x[j], A::fnma(A::broadcast(self.l[r][i]), x[i], x[r]));
             }
         });
         unrolled!(block in 0 1 2 => {
             let ((i, j), [a, b, c]) = ((2 * block, 2 * block + 1), self.inverse[block]);
             let (u, v) = (x[i], x[j]);
-            x[i] = A::fma(A::spread(a), u, A::spread(b) * v);
-            x[j] = A::fma(A::spread(b), u, A::spread(c) * v);
+            x[i] = A::fma(A::broadcast(a), u, A::broadcast(b) * v);
+            x[j] = A::fma(A::broadcast(b), u, A::broadcast(c) * v);
         });
         unrolled!(block in 1 0 => {
             let (i, j) = (2 * block, 2 * block + 1);
             for r in j + 1..MAX_AXES {
-                x[i] = A::fnma(A::spread(self.l[r][i]), x[r], x[i]);
-                x[j] = A::fnma(A::spread(self.l[r][j]), x[r], x[j]);
+                x[i] = A::fnma(A::broadcast(self.l[r][i]), x[r], x[i]);
+                x[j] = A::fnma(A::broadcast(self.l[r][j]), x[r], x[j]);
             }
         });
         x
@@ -89,21 +89,25 @@ impl<R: Number> Factor<R> {
 
     /// `M⁻¹ J D`: the transposed pseudo-inverse for this factor of `J D Jᵀ`.
     #[inline(always)]
-    pub(crate) fn weighted_rows<J: Lanes<Group: Spread<R>>>(
+    pub(crate) fn weighted_rows<J: JointVector<Group: Broadcast<R>>>(
         &self,
         rows: &[J; MAX_AXES],
         joint_weight: J,
     ) -> [J; MAX_AXES] {
-        if J::CALLED { self.called_rows(rows, joint_weight) } else { self.inlined_rows(rows, joint_weight) }
+        if J::OUTLINED { self.called_rows(rows, joint_weight) } else { self.inlined_rows(rows, joint_weight) }
     }
 
     #[inline(never)]
-    fn called_rows<J: Lanes<Group: Spread<R>>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
+    fn called_rows<J: JointVector<Group: Broadcast<R>>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
         self.inlined_rows(rows, joint_weight)
     }
 
     #[inline(always)]
-    fn inlined_rows<J: Lanes<Group: Spread<R>>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
+    fn inlined_rows<J: JointVector<Group: Broadcast<R>>>(
+        &self,
+        rows: &[J; MAX_AXES],
+        joint_weight: J,
+    ) -> [J; MAX_AXES] {
         let mut out = *rows;
         // Joint by joint if each has its own register: then six values stay in registers, not six rows.
         for i in 0..J::GROUPS {
@@ -125,7 +129,7 @@ impl<R: Number> Factor<R> {
 
     /// Diagonal of `M⁻¹`.
     #[inline(always)]
-    pub(crate) fn inverse_diagonal<A: Arithmetic<Real = R> + Spread<R>>(&self) -> [R; MAX_AXES] {
+    pub(crate) fn inverse_diagonal<A: RealOps<Real = R> + Broadcast<R>>(&self) -> [R; MAX_AXES] {
         let mut out = [A::splat(0.0); MAX_AXES];
         for i in 0..MAX_AXES {
             let mut unit = [A::splat(0.0); MAX_AXES];
@@ -141,18 +145,18 @@ impl<R: Number> Factor<R> {
 /// `joint_weight` holds the diagonal of `D` (1 for equal weights), `damping` the diagonal of `Λ` (λ², in the squared
 /// units of its row).
 pub(crate) fn pseudo_inverse(rows: &Rows, joint_weight: &JointVec, damping: &AxisVec) -> Rows {
-    let (rows, weight) = (load_rows::<EveryJoint>(rows), EveryJoint::load(joint_weight));
-    let factor = factor_of(&rows, weight, damping);
-    rows_array(&factor.weighted_rows(&rows, weight))
+    let (rows, weight) = (load_rows::<JointVec16>(rows), JointVec16::load(joint_weight));
+    let factor = factor_gram(&rows, weight, damping);
+    store_rows(&factor.weighted_rows(&rows, weight))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::MAX_JOINTS;
-    use crate::math::simd::Plain;
+    use crate::math::simd::BaselineF64;
 
-    fn rows() -> [EveryJoint; MAX_AXES] {
+    fn rows() -> [JointVec16; MAX_AXES] {
         let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
         for (r, row) in rows.iter_mut().enumerate() {
             for (i, value) in row.iter_mut().enumerate().take(7) {
@@ -162,41 +166,41 @@ mod tests {
         load_rows(&rows)
     }
 
-    fn x_times(m: &Square, x: &AxisVec) -> AxisVec {
+    fn x_times(m: &Mat6, x: &AxisVec) -> AxisVec {
         m.map(|row| row.iter().zip(x).map(|(a, b)| a * b).sum())
     }
 
     #[test]
     fn solve_inverts_the_product_for_values_and_rows() {
-        let m = damped(weighted_gram(&rows(), EveryJoint::splat(1.0)), &[0.1; MAX_AXES]);
-        let factor = Factor::new::<Plain>(&m);
+        let m = damped(weighted_gram(&rows(), JointVec16::splat(1.0)), &[0.1; MAX_AXES]);
+        let factor = Ldlt6::new::<BaselineF64>(&m);
         let x = [1.0, -2.0, 3.0, 0.5, 0.0, 1.5];
-        let back = factor.solve::<Plain>(&x_times(&m, &x));
+        let back = factor.solve::<BaselineF64>(&x_times(&m, &x));
         assert!(x.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-12));
         let mut identity = [[0.0; MAX_JOINTS]; MAX_AXES];
         (0..6).for_each(|i| identity[i][i] = 1.0);
-        let inverse = rows_array(&factor.solve::<EveryJoint>(&load_rows(&identity)));
-        for (i, value) in factor.inverse_diagonal::<Plain>().iter().enumerate() {
+        let inverse = store_rows(&factor.solve::<JointVec16>(&load_rows(&identity)));
+        for (i, value) in factor.inverse_diagonal::<BaselineF64>().iter().enumerate() {
             assert!((value - inverse[i][i]).abs() < 1e-12);
         }
     }
 
     #[test]
     fn a_singular_matrix_gives_finite_results() {
-        let factor = Factor::new::<Plain>(&[[0.0; MAX_AXES]; MAX_AXES]);
-        assert!(factor.solve::<Plain>(&[1.0; MAX_AXES]).iter().all(|x| x.is_finite()));
-        let factor = Factor::new::<Plain>(&[[1.0; MAX_AXES]; MAX_AXES]);
-        assert!(factor.solve::<Plain>(&[1.0, -1.0, 1.0, 0.0, 0.0, 2.0]).iter().all(|x| x.is_finite()));
+        let factor = Ldlt6::new::<BaselineF64>(&[[0.0; MAX_AXES]; MAX_AXES]);
+        assert!(factor.solve::<BaselineF64>(&[1.0; MAX_AXES]).iter().all(|x| x.is_finite()));
+        let factor = Ldlt6::new::<BaselineF64>(&[[1.0; MAX_AXES]; MAX_AXES]);
+        assert!(factor.solve::<BaselineF64>(&[1.0, -1.0, 1.0, 0.0, 0.0, 2.0]).iter().all(|x| x.is_finite()));
     }
 
     #[test]
     fn a_row_of_zeros_does_not_change_the_other_rows() {
         for zero in 0..MAX_AXES {
-            let mut m = damped(weighted_gram(&rows(), EveryJoint::splat(1.0)), &[0.1; MAX_AXES]);
+            let mut m = damped(weighted_gram(&rows(), JointVec16::splat(1.0)), &[0.1; MAX_AXES]);
             (0..MAX_AXES).for_each(|i| (m[i][zero], m[zero][i]) = (0.0, 0.0));
             let mut x = [1.0, -2.0, 3.0, 0.5, 0.3, 1.5];
             x[zero] = 0.0;
-            let back = Factor::new::<Plain>(&m).solve::<Plain>(&x_times(&m, &x));
+            let back = Ldlt6::new::<BaselineF64>(&m).solve::<BaselineF64>(&x_times(&m, &x));
             assert!(x.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-11), "{zero}: {back:?}");
         }
     }

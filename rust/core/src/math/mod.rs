@@ -11,17 +11,17 @@ macro_rules! unrolled {
     };
 }
 
-/// Defines a formula over [`Lanes`](simd::Lanes): inlined, or a call if the type is `CALLED`.
-macro_rules! perhaps_called {
+/// Defines a formula over [`JointVector`](simd::Lanes): inlined, or a call if the type is `OUTLINED`.
+macro_rules! outlined_formula {
     ($(#[$about:meta])* fn $name:ident<$j:ident>($($argument:ident: $type:ty),*) -> $output:ty as $body:ident) => {
         $(#[$about])*
         #[inline(always)]
-        pub(crate) fn $name<$j: Lanes>($($argument: $type),*) -> $output {
+        pub(crate) fn $name<$j: JointVector>($($argument: $type),*) -> $output {
             #[inline(never)]
-            fn called<$j: Lanes>($($argument: $type),*) -> $output {
+            fn called<$j: JointVector>($($argument: $type),*) -> $output {
                 $body($($argument),*)
             }
-            if $j::CALLED { called($($argument),*) } else { $body($($argument),*) }
+            if $j::OUTLINED { called($($argument),*) } else { $body($($argument),*) }
         }
     };
 }

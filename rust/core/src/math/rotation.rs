@@ -1,7 +1,7 @@
 //! Rotation vectors and rotation matrices; 6-vectors in rotated axes.
 
-use super::simd::{Arithmetic, Plain, is_narrow, narrow_angle_per, quadrant_angle, sin_cos};
-use super::spatial::{Mat3, Vec3, dot, rotate_back};
+use super::simd::{BaselineF64, RealOps, atan_over_y, atan2_first_quadrant, is_small_angle, sin_cos};
+use super::spatial::{Mat3, Vec3, dot, tr_rotate};
 use crate::{AxisVec, MAX_AXES};
 
 /// Rotation vector [rad] of a rotation matrix (row-major), of length at most π.
@@ -10,12 +10,12 @@ use crate::{AxisVec, MAX_AXES};
 /// the digits.
 #[inline(always)]
 pub(crate) fn rotation_vector(m: &[[f64; 3]; 3]) -> [f64; 3] {
-    rotation_vector_by::<Plain>(m)
+    rotation_vector_by::<BaselineF64>(m)
 }
 
 /// [`rotation_vector`] of one rotation or of several.
 #[inline(always)]
-pub(crate) fn rotation_vector_by<A: Arithmetic>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
+pub(crate) fn rotation_vector_by<A: RealOps>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
     let c = A::splat;
     let (zero, one) = (c(0.0), c(1.0));
     let trace = m[0][0] + m[1][1] + m[2][2];
@@ -24,43 +24,43 @@ pub(crate) fn rotation_vector_by<A: Arithmetic>(m: &Mat3<A::Real>) -> Vec3<A::Re
     let mut products = [one + trace, turned[0], turned[1], turned[2]];
     let squared = dot::<A>(&turned, &turned);
     // Fast path for angles up to an eighth of a turn, the usual case.
-    if is_narrow::<A>(squared, products[0]) & !A::less_anywhere(trace, zero) {
-        let half = narrow_angle_per::<A>(squared, products[0]);
+    if is_small_angle::<A>(squared, products[0]) & !A::any_lt(trace, zero) {
+        let half = atan_over_y::<A>(squared, products[0]);
         let scale = half + half;
         return [scale * turned[0], scale * turned[1], scale * turned[2]];
     }
-    if A::less_anywhere(trace, zero) {
+    if A::any_lt(trace, zero) {
         let shared = [m[1][0] + m[0][1], m[0][2] + m[2][0], m[2][1] + m[1][2]];
         let twice = [m[0][0] + m[0][0], m[1][1] + m[1][1], m[2][2] + m[2][2]];
         let rest = one - trace;
         let x = [turned[0], rest + twice[0], shared[0], shared[1]];
         let y = [turned[1], shared[0], rest + twice[1], shared[2]];
         let z = [turned[2], shared[1], shared[2], rest + twice[2]];
-        let larger = A::at_least(m[0][0], m[1][1]);
+        let larger = A::max(m[0][0], m[1][1]);
         for i in 0..4 {
-            let of_two = A::if_less(m[0][0], m[1][1], y[i], x[i]);
-            let of_three = A::if_less(larger, m[2][2], z[i], of_two);
-            products[i] = A::if_less(trace, zero, of_three, products[i]);
+            let of_two = A::select_lt(m[0][0], m[1][1], y[i], x[i]);
+            let of_three = A::select_lt(larger, m[2][2], z[i], of_two);
+            products[i] = A::select_lt(trace, zero, of_three, products[i]);
         }
     }
     // atan2 is invariant to a common scale, so the quaternion need not be normalized; for a small angle the errors of
     // both arguments cancel.
     let [w, x, y, z] = products;
     let length = A::sqrt(dot::<A>(&[x, y, z], &[x, y, z]));
-    let angle = quadrant_angle::<A>(length, A::abs(w));
-    let scale = A::copy_sign((angle + angle) / A::at_least(length, c(f64::MIN_POSITIVE)), w);
+    let angle = atan2_first_quadrant::<A>(length, A::abs(w));
+    let scale = A::copy_sign((angle + angle) / A::max(length, c(f64::MIN_POSITIVE)), w);
     [scale * x, scale * y, scale * z]
 }
 
 /// Rotation matrix (row-major) of a rotation vector [rad]: Rodrigues' formula.
 #[inline(always)]
 pub(crate) fn rotation_matrix(v: [f64; 3]) -> [[f64; 3]; 3] {
-    rotation_matrix_by::<Plain>(v)
+    rotation_matrix_by::<BaselineF64>(v)
 }
 
 /// [`rotation_matrix`] for any instruction set.
 #[inline(always)]
-pub(crate) fn rotation_matrix_by<A: Arithmetic<Real = f64>>(v: [f64; 3]) -> Mat3 {
+pub(crate) fn rotation_matrix_by<A: RealOps<Real = f64>>(v: [f64; 3]) -> Mat3 {
     let angle2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
     let angle = angle2.sqrt();
     let (a, b) = if angle < 1e-6 {
@@ -80,17 +80,14 @@ pub(crate) fn rotation_matrix_by<A: Arithmetic<Real = f64>>(v: [f64; 3]) -> Mat3
 
 /// Transforms a 6-vector from base axes into the axes whose unit vectors are the columns of `base_from_task`.
 #[inline(always)]
-pub(crate) fn into_frame<A: Arithmetic>(
-    base_from_task: &Mat3<A::Real>,
-    v: &[A::Real; MAX_AXES],
-) -> [A::Real; MAX_AXES] {
-    let [x, y, z] = rotate_back::<A>(base_from_task, &[v[0], v[1], v[2]]);
-    let [roll, pitch, yaw] = rotate_back::<A>(base_from_task, &[v[3], v[4], v[5]]);
+pub(crate) fn base_to_task<A: RealOps>(base_from_task: &Mat3<A::Real>, v: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
+    let [x, y, z] = tr_rotate::<A>(base_from_task, &[v[0], v[1], v[2]]);
+    let [roll, pitch, yaw] = tr_rotate::<A>(base_from_task, &[v[3], v[4], v[5]]);
     [x, y, z, roll, pitch, yaw]
 }
 
 /// Rotates both halves of a 6-vector from the task frame into base axes.
-pub(crate) fn out_of_frame(base_from_task: &[[f64; 3]; 3], v: &AxisVec) -> AxisVec {
+pub(crate) fn task_to_base(base_from_task: &[[f64; 3]; 3], v: &AxisVec) -> AxisVec {
     std::array::from_fn(|i| (0..3).map(|k| base_from_task[i % 3][k] * v[3 * (i / 3) + k]).sum())
 }
 

@@ -1,8 +1,8 @@
 //! Smallest and largest singular value, tracked from step to step.
 
-use crate::math::ldlt6::Factor;
-use crate::math::rows::Square;
-use crate::math::simd::{Arithmetic, Spread};
+use crate::math::ldlt6::Ldlt6;
+use crate::math::rows::Mat6;
+use crate::math::simd::{Broadcast, RealOps};
 use crate::{AxisVec, MAX_AXES};
 
 /// Estimates of the largest and the smallest singular value of scaled task rows, with the vectors to start from.
@@ -11,8 +11,8 @@ use crate::{AxisVec, MAX_AXES};
 /// many steps (an arm with planar joints crosses without mixing).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SingularValues {
-    pub(crate) weak: [AxisVec; 2],
-    pub(crate) strong: AxisVec,
+    pub(crate) min_vectors: [AxisVec; 2],
+    pub(crate) max_vector: AxisVec,
     /// Smallest singular value.
     pub(crate) smallest: f64,
     /// Largest singular value.
@@ -22,13 +22,13 @@ pub(crate) struct SingularValues {
 impl SingularValues {
     pub(crate) fn start() -> Self {
         // No component is zero and no two are equal, so no eigenvector of a usual arm is orthogonal to both.
-        let weak = [[0.5, 0.46, 0.42, 0.38, 0.34, 0.3], [0.34, -0.5, 0.46, -0.42, 0.3, -0.38]];
-        Self { weak, strong: weak[0], smallest: 0.0, largest: 0.0 }
+        let min_vectors = [[0.5, 0.46, 0.42, 0.38, 0.34, 0.3], [0.34, -0.5, 0.46, -0.42, 0.3, -0.38]];
+        Self { min_vectors, max_vector: min_vectors[0], smallest: 0.0, largest: 0.0 }
     }
 
     /// Sets the components after the first `k` axes to zero; they stay zero.
     pub(crate) fn restrict(&mut self, k: usize) {
-        for vector in self.weak.iter_mut().chain([&mut self.strong]) {
+        for vector in self.min_vectors.iter_mut().chain([&mut self.max_vector]) {
             vector.iter_mut().skip(k).for_each(|value| *value = 0.0);
         }
     }
@@ -38,27 +38,27 @@ impl SingularValues {
     /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` with fewer joints than axes; `factor` is its factor. With a warm start,
     /// one iteration a step tracks a moving arm to about one percent.
     #[inline(always)]
-    pub(crate) fn update<A: Arithmetic<Real = f64> + Spread<f64>>(
+    pub(crate) fn update<A: RealOps<Real = f64> + Broadcast<f64>>(
         &mut self,
-        gram: &Square,
-        factor: &Factor,
+        gram: &Mat6,
+        factor: &Ldlt6,
         k: usize,
         iterations: usize,
     ) {
         for _ in 0..iterations {
-            let before = self.weak;
+            let before = self.min_vectors;
             let [first, second] = before;
             let solved = [factor.solve::<A>(&first), factor.solve::<A>(&second)];
-            (self.weak, self.smallest) = match in_plane(&solved, &before) {
+            (self.min_vectors, self.smallest) = match ritz_2d(&solved, &before) {
                 Some(found) => found,
-                None => from_lengths(gram, &solved, &before, k),
+                None => ritz_scaled(gram, &solved, &before, k),
             };
-            let strong = apply(gram, &self.strong);
-            let size = norm(&strong);
+            let max_vector = apply(gram, &self.max_vector);
+            let size = norm(&max_vector);
             if size > 0.0 {
                 let inverse = 1.0 / size;
                 for i in 0..MAX_AXES {
-                    self.strong[i] = strong[i] * inverse;
+                    self.max_vector[i] = max_vector[i] * inverse;
                 }
             }
             self.largest = size.sqrt();
@@ -72,7 +72,7 @@ impl SingularValues {
 /// The value needs products only, to shorten the latency: the step depends on it, and on the vectors only the next
 /// step.
 #[inline(always)]
-fn in_plane([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
+fn ritz_2d([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
     let (aa, ab, bb) = (dot(a, a), dot(a, b), dot(b, b));
     // Written as `!(a < b)` so that NaN takes the fallback.
     if !(ab * ab < 0.5 * aa * bb && aa < LARGE && bb < LARGE) {
@@ -90,14 +90,14 @@ fn in_plane([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2
     let root = (half * half + squared).sqrt();
     let value = (u * v - squared) / (0.5 * (u + v) + root);
     let (per_a, per_c) = (per_aa.sqrt(), per_cc.sqrt());
-    let (x, y) = weaker(half, root, mixed * (per_a * per_c));
+    let (x, y) = smaller_eigenvector(half, root, mixed * (per_a * per_c));
     let ([xa, ya], [xc, yc]) = ([x * per_a, y * per_a], [x * per_c, y * per_c]);
-    let mut weak = [[0.0; MAX_AXES]; 2];
+    let mut min_vectors = [[0.0; MAX_AXES]; 2];
     for i in 0..MAX_AXES {
         let c = b[i] - t * a[i];
-        (weak[0][i], weak[1][i]) = (xa * a[i] + yc * c, xc * c - ya * a[i]);
+        (min_vectors[0][i], min_vectors[1][i]) = (xa * a[i] + yc * c, xc * c - ya * a[i]);
     }
-    Some((weak, value.max(0.0).sqrt()))
+    Some((min_vectors, value.max(0.0).sqrt()))
 }
 
 /// Bound on squared lengths below which a product of four lengths is finite.
@@ -105,42 +105,46 @@ const LARGE: f64 = 1e150;
 
 /// Eigenvector of `[[a, b], [b, d]]` for its smaller value, given half of a − d and `root = √(half² + b²)`.
 #[inline(always)]
-fn weaker(half: f64, root: f64, b: f64) -> (f64, f64) {
+fn smaller_eigenvector(half: f64, root: f64, b: f64) -> (f64, f64) {
     // In the form without cancellation.
     let (x, y) = if half > 0.0 { (b, -(half + root)) } else { (root - half, -b) };
     let length = (x * x + y * y).sqrt();
     if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) }
 }
 
-/// [`in_plane`] for any two vectors, normalized by their lengths.
+/// [`ritz_2d`] for any two vectors, normalized by their lengths.
 #[cold]
 #[inline(never)]
-fn from_lengths(gram: &Square, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: usize) -> ([AxisVec; 2], f64) {
-    let (u, v) = (Image::new(*a, *w), Image::new(*b, *z));
-    match v.across(&u) {
-        Some(v) => weaker_first(&u, &v),
+fn ritz_scaled(gram: &Mat6, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: usize) -> ([AxisVec; 2], f64) {
+    let (u, v) = (ImagePair::new(*a, *w), ImagePair::new(*b, *z));
+    match v.orthogonalize(&u) {
+        Some(v) => ritz_pair(&u, &v),
         None => restart(gram, &u.v, k),
     }
 }
 
 /// A unit vector `v` and `M v`, which inverse iteration gives without a matrix product.
 #[derive(Clone, Copy)]
-struct Image {
+struct ImagePair {
     v: AxisVec,
     mv: AxisVec,
 }
 
-impl Image {
+impl ImagePair {
     /// `v = M⁻¹ b`, both divided by the length of `v`.
     fn new(v: AxisVec, b: AxisVec) -> Self {
         let size = norm(&v);
         // A singular matrix gives lengths whose squares overflow.
-        if size > 0.0 && size.is_finite() { Self { v, mv: b }.scaled(1.0 / size) } else { Self::huge(&v, &b) }
+        if size > 0.0 && size.is_finite() {
+            Self { v, mv: b }.scaled(1.0 / size)
+        } else {
+            Self::normalize_scaled(&v, &b)
+        }
     }
 
     #[cold]
     #[inline(never)]
-    fn huge(v: &AxisVec, b: &AxisVec) -> Self {
+    fn normalize_scaled(v: &AxisVec, b: &AxisVec) -> Self {
         let scale = v.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
         if !(scale > 0.0 && scale.is_finite()) {
             return Self { v: *b, mv: [0.0; MAX_AXES] };
@@ -158,7 +162,7 @@ impl Image {
     }
 
     /// Returns the component orthogonal to the unit vector `u`, normalized; `None` if it is only rounding error.
-    fn across(mut self, u: &Self) -> Option<Self> {
+    fn orthogonalize(mut self, u: &Self) -> Option<Self> {
         // Twice: the first pass leaves a rounding error along `u`.
         for _ in 0..2 {
             let share = dot(&self.v, &u.v);
@@ -174,31 +178,31 @@ impl Image {
 
 /// Rayleigh–Ritz for an orthonormal pair: the rotated unit vectors, that of the smaller value first, and the square
 /// root of that value.
-fn weaker_first(u: &Image, v: &Image) -> ([AxisVec; 2], f64) {
+fn ritz_pair(u: &ImagePair, v: &ImagePair) -> ([AxisVec; 2], f64) {
     let (a, b, d) = (dot(&u.v, &u.mv), dot(&u.v, &v.mv), dot(&v.v, &v.mv));
     let half = 0.5 * (a - d);
-    let (x, y) = weaker(half, (half * half + b * b).sqrt(), b);
-    let (mut weak, mut image) = ([[0.0; MAX_AXES]; 2], [0.0; MAX_AXES]);
+    let (x, y) = smaller_eigenvector(half, (half * half + b * b).sqrt(), b);
+    let (mut min_vectors, mut image) = ([[0.0; MAX_AXES]; 2], [0.0; MAX_AXES]);
     for i in 0..MAX_AXES {
-        weak[0][i] = x * u.v[i] + y * v.v[i];
-        weak[1][i] = x * v.v[i] - y * u.v[i];
+        min_vectors[0][i] = x * u.v[i] + y * v.v[i];
+        min_vectors[1][i] = x * v.v[i] - y * u.v[i];
         image[i] = x * u.mv[i] + y * v.mv[i];
     }
-    (weak, dot(&weak[0], &image).max(0.0).sqrt())
+    (min_vectors, dot(&min_vectors[0], &image).max(0.0).sqrt())
 }
 
 /// Returns `u` and a unit vector orthogonal to it as start for the next step; zero with a single axis.
 #[cold]
 #[inline(never)]
-fn restart(gram: &Square, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {
-    let mut unit = Image { v: [0.0; MAX_AXES], mv: [0.0; MAX_AXES] };
+fn restart(gram: &Mat6, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {
+    let mut unit = ImagePair { v: [0.0; MAX_AXES], mv: [0.0; MAX_AXES] };
     unit.v[(0..k.min(MAX_AXES)).fold(0, |best, i| if u[i].abs() < u[best].abs() { i } else { best })] = 1.0;
-    let second = unit.across(&Image { v: *u, mv: [0.0; MAX_AXES] }).map_or([0.0; MAX_AXES], |image| image.v);
+    let second = unit.orthogonalize(&ImagePair { v: *u, mv: [0.0; MAX_AXES] }).map_or([0.0; MAX_AXES], |image| image.v);
     ([*u, second], dot(u, &apply(gram, u)).max(0.0).sqrt())
 }
 
 #[inline(always)]
-fn apply(m: &Square, v: &AxisVec) -> AxisVec {
+fn apply(m: &Mat6, v: &AxisVec) -> AxisVec {
     let mut out = [0.0; MAX_AXES];
     for j in 0..MAX_AXES {
         for i in 0..MAX_AXES {
@@ -224,7 +228,7 @@ mod tests {
     use super::*;
     use crate::MAX_JOINTS;
     use crate::math::rows::{load_rows, weighted_gram};
-    use crate::math::simd::{EveryJoint, Plain};
+    use crate::math::simd::{BaselineF64, JointVec16};
 
     #[test]
     fn singular_values_agree_with_an_svd() {
@@ -234,10 +238,10 @@ mod tests {
                 *value = ((7 * r * r + 3 * i * i + r * i) as f64 * 0.7).sin();
             }
         }
-        let gram = weighted_gram(&load_rows(&rows), EveryJoint::splat(1.0));
+        let gram = weighted_gram(&load_rows(&rows), JointVec16::splat(1.0));
         let exact = crate::math::svd::singular_values(&nalgebra::DMatrix::from_fn(6, 7, |r, c| rows[r][c]));
         let mut values = SingularValues::start();
-        values.update::<Plain>(&gram, &Factor::new::<Plain>(&gram), 6, 200);
+        values.update::<BaselineF64>(&gram, &Ldlt6::new::<BaselineF64>(&gram), 6, 200);
         assert!(exact.min() > 0.1, "the matrix has full rank");
         assert!((values.largest - exact.max()).abs() < 1e-9, "{} {exact}", values.largest);
         assert!((values.smallest - exact.min()).abs() < 1e-9, "{} {exact}", values.smallest);
@@ -247,7 +251,7 @@ mod tests {
     fn a_zero_matrix_has_a_zero_value() {
         let mut values = SingularValues::start();
         let zero = [[0.0; MAX_AXES]; MAX_AXES];
-        values.update::<Plain>(&zero, &Factor::new::<Plain>(&zero), 6, 2);
+        values.update::<BaselineF64>(&zero, &Ldlt6::new::<BaselineF64>(&zero), 6, 2);
         assert!(values.smallest.abs() < 1e-50);
     }
 }

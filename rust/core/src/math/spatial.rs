@@ -1,6 +1,6 @@
 //! 3-vector and 3×3 matrix algebra of the control step, for one configuration or several.
 
-use crate::math::simd::Arithmetic;
+use crate::math::simd::RealOps;
 
 /// 3-vector.
 pub(crate) type Vec3<R = f64> = [R; 3];
@@ -9,40 +9,40 @@ pub(crate) type Vec3<R = f64> = [R; 3];
 pub(crate) type Mat3<R = f64> = [[R; 3]; 3];
 
 #[inline(always)]
-pub(crate) fn dot<A: Arithmetic>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> A::Real {
+pub(crate) fn dot<A: RealOps>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> A::Real {
     A::fma(a[2], b[2], A::fma(a[1], b[1], a[0] * b[0]))
 }
 
 #[inline(always)]
-pub(crate) fn cross<A: Arithmetic>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> Vec3<A::Real> {
+pub(crate) fn cross<A: RealOps>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> Vec3<A::Real> {
     [A::fnma(a[2], b[1], a[1] * b[2]), A::fnma(a[0], b[2], a[2] * b[0]), A::fnma(a[1], b[0], a[0] * b[1])]
 }
 
 #[inline(always)]
-pub(crate) fn add<A: Arithmetic>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> Vec3<A::Real> {
+pub(crate) fn add<A: RealOps>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> Vec3<A::Real> {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
 #[inline(always)]
-pub(crate) fn sub<A: Arithmetic>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> Vec3<A::Real> {
+pub(crate) fn sub<A: RealOps>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> Vec3<A::Real> {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 /// `s v`.
 #[inline(always)]
-pub(crate) fn scale<A: Arithmetic>(s: A::Real, v: &Vec3<A::Real>) -> Vec3<A::Real> {
+pub(crate) fn scale<A: RealOps>(s: A::Real, v: &Vec3<A::Real>) -> Vec3<A::Real> {
     [s * v[0], s * v[1], s * v[2]]
 }
 
 /// `m v`.
 #[inline(always)]
-pub(crate) fn rotate<A: Arithmetic>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -> Vec3<A::Real> {
+pub(crate) fn rotate<A: RealOps>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -> Vec3<A::Real> {
     [dot::<A>(&m[0], v), dot::<A>(&m[1], v), dot::<A>(&m[2], v)]
 }
 
 /// `m v + p`.
 #[inline(always)]
-pub(crate) fn place<A: Arithmetic>(m: &Mat3<A::Real>, v: &Vec3<A::Real>, p: &Vec3<A::Real>) -> Vec3<A::Real> {
+pub(crate) fn place<A: RealOps>(m: &Mat3<A::Real>, v: &Vec3<A::Real>, p: &Vec3<A::Real>) -> Vec3<A::Real> {
     [
         A::fma(m[0][2], v[2], A::fma(m[0][1], v[1], A::fma(m[0][0], v[0], p[0]))),
         A::fma(m[1][2], v[2], A::fma(m[1][1], v[1], A::fma(m[1][0], v[0], p[1]))),
@@ -52,7 +52,7 @@ pub(crate) fn place<A: Arithmetic>(m: &Mat3<A::Real>, v: &Vec3<A::Real>, p: &Vec
 
 /// `mᵀ v`.
 #[inline(always)]
-pub(crate) fn rotate_back<A: Arithmetic>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -> Vec3<A::Real> {
+pub(crate) fn tr_rotate<A: RealOps>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -> Vec3<A::Real> {
     [
         A::fma(m[2][0], v[2], A::fma(m[1][0], v[1], m[0][0] * v[0])),
         A::fma(m[2][1], v[2], A::fma(m[1][1], v[1], m[0][1] * v[0])),
@@ -62,24 +62,24 @@ pub(crate) fn rotate_back<A: Arithmetic>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -
 
 /// `a b`.
 #[inline(always)]
-pub(crate) fn multiply<A: Arithmetic>(a: &Mat3<A::Real>, b: &Mat3<A::Real>) -> Mat3<A::Real> {
-    [rotate_back::<A>(b, &a[0]), rotate_back::<A>(b, &a[1]), rotate_back::<A>(b, &a[2])]
+pub(crate) fn multiply<A: RealOps>(a: &Mat3<A::Real>, b: &Mat3<A::Real>) -> Mat3<A::Real> {
+    [tr_rotate::<A>(b, &a[0]), tr_rotate::<A>(b, &a[1]), tr_rotate::<A>(b, &a[2])]
 }
 
 /// `a bᵀ`.
 #[inline(always)]
-pub(crate) fn multiply_back<A: Arithmetic>(a: &Mat3<A::Real>, b: &Mat3<A::Real>) -> Mat3<A::Real> {
+pub(crate) fn mul_tr<A: RealOps>(a: &Mat3<A::Real>, b: &Mat3<A::Real>) -> Mat3<A::Real> {
     [rotate::<A>(b, &a[0]), rotate::<A>(b, &a[1]), rotate::<A>(b, &a[2])]
 }
 
 /// Copies a vector to every configuration.
 #[inline(always)]
-pub(crate) fn splat<A: Arithmetic>(v: &Vec3) -> Vec3<A::Real> {
+pub(crate) fn splat<A: RealOps>(v: &Vec3) -> Vec3<A::Real> {
     [A::splat(v[0]), A::splat(v[1]), A::splat(v[2])]
 }
 
 /// Copies a matrix to every configuration.
 #[inline(always)]
-pub(crate) fn splat_matrix<A: Arithmetic>(m: &Mat3) -> Mat3<A::Real> {
+pub(crate) fn splat_matrix<A: RealOps>(m: &Mat3) -> Mat3<A::Real> {
     [splat::<A>(&m[0]), splat::<A>(&m[1]), splat::<A>(&m[2])]
 }

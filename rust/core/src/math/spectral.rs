@@ -1,7 +1,7 @@
 //! Smooth upper bound on the largest eigenvalue of a symmetric 6 × 6 matrix.
 
-use super::rows::{axes, weighted_gram, wide};
-use super::simd::{Arithmetic, Axes, AxisScalar, Lanes, Scalar, Spread};
+use super::rows::weighted_gram;
+use super::simd::{AxisScalar, Broadcast, JointVector, RealOps, Scalar, TaskVector};
 use crate::MAX_AXES;
 
 /// Squarings that isolate the largest eigenvalue: power 2⁶ = 64.
@@ -12,44 +12,44 @@ const SQUARINGS: usize = 6;
 /// At least the largest eigenvalue and at most 3 % above it (six equal eigenvalues); smooth where two eigenvalues
 /// cross; memoryless. `compliance` holds 1/k_p.
 #[inline(always)]
-pub(crate) fn rho<J: Lanes>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> Scalar<J> {
+pub(crate) fn rho<J: JointVector>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> Scalar<J> {
     // √K C √K has the same eigenvalues, and is symmetric.
     let (root, c) = (J::Axes::sqrt(stiffness), weighted_gram(rows, compliance));
-    let roots = axes(root);
+    let roots = TaskVector::to_axes(root);
     let mut m = [root; MAX_AXES];
     for r in 0..MAX_AXES {
-        m[r] = wide::<J::Axes>(&c[r]) * root * J::Axes::spread(roots[r]);
+        m[r] = <J::Axes as TaskVector>::from_axes(&c[r]) * root * J::Axes::broadcast(roots[r]);
     }
     // Divide by the trace before each squaring, to prevent overflow.
-    let mut traces = [J::One::splat(0.0); SQUARINGS];
+    let mut traces = [J::Elem::splat(0.0); SQUARINGS];
     for trace in &mut traces {
         *trace = trace_of(&m);
-        m = squared(&m, J::One::splat(1.0) / J::One::at_least(*trace, J::One::splat(f64::MIN_POSITIVE)));
+        m = squared(&m, J::Elem::splat(1.0) / J::Elem::max(*trace, J::Elem::splat(f64::MIN_POSITIVE)));
     }
     let mut power = trace_of(&m);
     for trace in traces.iter().rev() {
-        power = *trace * J::One::sqrt(power);
+        power = *trace * J::Elem::sqrt(power);
     }
     power
 }
 
 #[inline(always)]
-fn trace_of<W: Axes>(m: &[W; MAX_AXES]) -> AxisScalar<W> {
-    let mut sum = W::One::splat(0.0);
+fn trace_of<W: TaskVector>(m: &[W; MAX_AXES]) -> AxisScalar<W> {
+    let mut sum = W::Elem::splat(0.0);
     for r in 0..MAX_AXES {
-        sum = sum + axes(m[r])[r];
+        sum = sum + TaskVector::to_axes(m[r])[r];
     }
     sum
 }
 
 /// `(f M)²` of a symmetric matrix.
 #[inline(always)]
-fn squared<W: Axes>(m: &[W; MAX_AXES], factor: AxisScalar<W>) -> [W; MAX_AXES] {
-    let (factor, mut out) = (W::spread(factor), [W::splat(0.0); MAX_AXES]);
+fn squared<W: TaskVector>(m: &[W; MAX_AXES], factor: AxisScalar<W>) -> [W; MAX_AXES] {
+    let (factor, mut out) = (W::broadcast(factor), [W::splat(0.0); MAX_AXES]);
     for r in 0..MAX_AXES {
-        let row = axes(m[r] * factor * factor);
+        let row = TaskVector::to_axes(m[r] * factor * factor);
         for c in 0..MAX_AXES {
-            out[r] = W::fma(W::spread(row[c]), m[c], out[r]);
+            out[r] = W::fma(W::broadcast(row[c]), m[c], out[r]);
         }
     }
     out
@@ -59,7 +59,7 @@ fn squared<W: Axes>(m: &[W; MAX_AXES], factor: AxisScalar<W>) -> [W; MAX_AXES] {
 mod tests {
     use super::*;
     use crate::math::rows::load_rows;
-    use crate::math::simd::EveryJoint;
+    use crate::math::simd::JointVec16;
     use crate::{JointVec, MAX_JOINTS};
 
     #[test]
@@ -72,8 +72,9 @@ mod tests {
         }
         let mut compliance: JointVec = [1.0; MAX_JOINTS];
         compliance[..7].copy_from_slice(&[1.0 / 150.0, 1.0 / 150.0, 1e-2, 1e-2, 1.0 / 60.0, 1.0 / 60.0, 1.0 / 60.0]);
-        let of =
-            |stiffness: &[f64; 6]| rho::<EveryJoint>(&load_rows(&rows), EveryJoint::load(&compliance), wide(stiffness));
+        let of = |stiffness: &[f64; 6]| {
+            rho::<JointVec16>(&load_rows(&rows), JointVec16::load(&compliance), TaskVector::from_axes(stiffness))
+        };
         for stiffness in [[800.0_f64, 800.0, 800.0, 20.0, 20.0, 20.0], [0.0, 1e9, 1e-3, 5.0, 0.0, 0.0], [1.0; 6]] {
             let j = nalgebra::DMatrix::from_fn(6, 7, |r, i| rows[r][i] * stiffness[r].sqrt());
             let c = nalgebra::DVector::from_column_slice(&compliance[..7]);

@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 /// Maximum number of sweeps; ten are already unusual.
-const MOST_SWEEPS: usize = 60;
+const MAX_SWEEPS: usize = 60;
 
 /// `m = u diag(sigma) vᵀ`, the values largest first; columns of `u` that belong to σ = 0 are 0.
 #[derive(Debug, Clone)]
@@ -38,7 +38,7 @@ impl Svd {
         }
         let mut b = m / scale;
         let mut v = DMatrix::identity(n, n);
-        let at_rest = (0..MOST_SWEEPS).any(|_| {
+        let at_rest = (0..MAX_SWEEPS).any(|_| {
             let mut turned = false;
             for p in 0..n {
                 for q in p + 1..n {
@@ -86,8 +86,12 @@ fn orthogonalise(b: &mut DMatrix<f64>, v: &mut DMatrix<f64>, p: usize, q: usize)
 
 /// Singular values, largest first; NaN for a matrix that is not finite.
 pub(crate) fn singular_values(m: &DMatrix<f64>) -> DVector<f64> {
-    let nothing = || DVector::from_element(m.nrows().min(m.ncols()), f64::NAN);
-    if m.iter().all(|value| value.is_finite()) { Svd::new(m).map_or_else(nothing, |svd| svd.sigma) } else { nothing() }
+    let not_converged = || DVector::from_element(m.nrows().min(m.ncols()), f64::NAN);
+    if m.iter().all(|value| value.is_finite()) {
+        Svd::new(m).map_or_else(not_converged, |svd| svd.sigma)
+    } else {
+        not_converged()
+    }
 }
 
 #[cfg(test)]

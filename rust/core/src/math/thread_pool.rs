@@ -18,7 +18,7 @@ static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 ///
 /// # Errors
 /// [`Error::Config`] if the system refuses to start a thread.
-pub(crate) fn on_every_core<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T> {
+pub(crate) fn install<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T> {
     Ok(pool()?.install(work))
 }
 

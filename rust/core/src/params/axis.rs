@@ -56,7 +56,7 @@ impl Task {
     ///
     /// # Errors
     /// As [`parse_axes`].
-    pub fn of(axes: &str) -> Result<Self> {
+    pub fn parse(axes: &str) -> Result<Self> {
         Ok(Self { axes: parse_axes("task.axes", axes)?, ..Self::default() })
     }
 
@@ -132,7 +132,7 @@ pub fn parse_axes(key: &str, text: &str) -> Result<[bool; MAX_AXES]> {
 
 /// Side toward which an axis is compliant, named by the direction of the push.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Yields {
+pub enum CompliantSide {
     /// Compliant in both directions.
     Both,
     /// Compliant only when pushed toward + (the tool is beyond its target, `e < 0`).
@@ -143,7 +143,7 @@ pub enum Yields {
     None,
 }
 
-impl Yields {
+impl CompliantSide {
     /// Returns whether the axis is compliant when pushed toward (−, +).
     pub(crate) fn sides(self) -> [bool; 2] {
         match self {
@@ -206,7 +206,7 @@ pub struct Axis {
     /// Law `impedance`: damper [N·s/m or N·m·s/rad]; default 0.
     pub damping: Option<[f64; 2]>,
     /// Sides that yield; default both if `soft` or `firm` is given, else none.
-    pub yields: Option<Yields>,
+    pub yields: Option<CompliantSide>,
     /// Target adaptation η of (12), 0 ≤ η < 1.
     pub adaptation: f64,
     /// Deviation [m or rad] below which compliance is 1, d⁻ of (8).
@@ -233,9 +233,9 @@ impl Axis {
     }
 
     /// Returns the sides that yield, default filled in.
-    pub fn effective_yields(&self) -> Yields {
+    pub fn compliant_side(&self) -> CompliantSide {
         let compliant = self.soft.is_some() || self.firm.is_some();
-        self.yields.unwrap_or(if compliant { Yields::Both } else { Yields::None })
+        self.yields.unwrap_or(if compliant { CompliantSide::Both } else { CompliantSide::None })
     }
 
     /// Checks every value; `owner` precedes the field's name in the message, e.g. `axes.y`.
@@ -279,7 +279,7 @@ impl Axis {
         }
         if let Some(limit) = self.deviation_limit {
             check(at("deviation_limit"), limit, limit > 0.0 && limit.is_finite(), "(0, ∞)")?;
-            if self.effective_yields() == Yields::Both {
+            if self.compliant_side() == CompliantSide::Both {
                 return Err(Error::config(
                     at("deviation_limit"),
                     format!(
@@ -289,7 +289,7 @@ impl Axis {
                 ));
             }
         }
-        if self.adaptation > 0.0 && self.effective_yields() == Yields::None {
+        if self.adaptation > 0.0 && self.compliant_side() == CompliantSide::None {
             return Err(Error::config(
                 at("adaptation"),
                 format!(

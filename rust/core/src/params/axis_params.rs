@@ -4,26 +4,46 @@ use crate::MAX_AXES;
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::params::impedance::default_stiffness;
-use crate::params::workspace::Surveyed;
-use crate::params::{AXIS_NAMES, Axis, Law, OnDeviationLimit, Profile, ServoArrays, Settings, Yields, workspace};
+use crate::params::workspace::WorkspaceStats;
+use crate::params::{AXIS_NAMES, Axis, CompliantSide, OnDeviationLimit, Profile, ServoArrays, Settings, workspace};
 
 /// Largest η without a known `k_p` or a captured gravity offset: above it a gravity error makes the arm drift.
 const ETA_UNPROVEN: f64 = 0.95;
 
+/// Strengths of one task axis [N, N·m; N·m under law `paper`]; pairs are (pushed toward −, pushed toward +).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisStrength {
+    /// Strength of a yielding side at a small deviation.
+    pub soft: [f64; 2],
+    /// Strength of a yielding side at a large deviation.
+    pub firm: [f64; 2],
+    /// Strength of a side that does not yield.
+    pub hold: f64,
+}
+
+/// Spring and damper of one task axis under law `impedance`; pairs are (pushed toward −, pushed toward +).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisImpedance {
+    /// [N/m, N·m/rad]
+    pub stiffness: [f64; 2],
+    /// [N·s/m, N·m·s/rad]
+    pub damping: [f64; 2],
+}
+
 /// Parameters of one task axis, defaults filled in.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Row {
+pub(crate) struct AxisParams {
     /// Index among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
     pub(crate) soft: [f64; 2],
     pub(crate) firm: [f64; 2],
     pub(crate) hold: f64,
     /// The default of `hold` before soft and firm raised it.
-    pub(crate) raised_from: Option<f64>,
+    pub(crate) default_hold: Option<f64>,
     pub(crate) yields: [f64; 2],
     /// Spring [N/m, N·m/rad] and damper [N·s/m, N·m·s/rad]; zero except under law `impedance`.
     pub(crate) stiffness: [f64; 2],
-    pub(crate) viscosity: [f64; 2],
+    pub(crate) damping: [f64; 2],
     pub(crate) eta: f64,
     pub(crate) soft_until: f64,
     pub(crate) firm_from: f64,
@@ -40,18 +60,18 @@ pub(crate) struct DeviationLimit {
     /// Index among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
     /// Largest deviation [m or rad] when pushed toward (−, +); ∞ for a side that yields.
-    pub(crate) most: [f64; 2],
+    pub(crate) max: [f64; 2],
     pub(crate) reaction: OnDeviationLimit,
 }
 
 /// Returns the axes with a deviation limit; usually none.
 pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<DeviationLimit> {
     let of = |&axis: &usize| {
-        let given = &settings.axes[axis];
-        given.deviation_limit.map(|limit| DeviationLimit {
+        let user = &settings.axes[axis];
+        user.deviation_limit.map(|limit| DeviationLimit {
             axis,
-            most: given.effective_yields().sides().map(|on| if on { f64::INFINITY } else { limit }),
-            reaction: given.on_deviation_limit,
+            max: user.compliant_side().sides().map(|on| if on { f64::INFINITY } else { limit }),
+            reaction: user.on_deviation_limit,
         })
     };
     axes.iter().filter_map(of).collect()
@@ -62,23 +82,21 @@ fn default_strengths(
     model: &Model,
     settings: &Settings,
     servos: &ServoArrays,
-    surveyed: &mut Surveyed,
+    workspace_stats: &mut WorkspaceStats,
 ) -> [[f64; 3]; 2] {
-    match settings.law {
-        Law::Paper => [[0.5, 10.0, 10.0]; 2],
-        Law::Cap | Law::Impedance => {
-            let capacity = surveyed.static_capacity(model, &servos.torque);
-            let of = |shares: [f64; 3], capacity: f64| shares.map(|share| workspace::round_to_halves(share * capacity));
-            [of([0.12, 0.45, 1.2], capacity[0]), of([0.105, 0.2, 0.53], capacity[1])]
-        }
+    if !settings.law.by_force() {
+        return [[0.5, 10.0, 10.0]; 2];
     }
+    let capacity = workspace_stats.static_capacity(model, &servos.torque);
+    let of = |shares: [f64; 3], capacity: f64| shares.map(|share| workspace::round_to_halves(share * capacity));
+    [of([0.12, 0.45, 1.2], capacity[0]), of([0.105, 0.2, 0.53], capacity[1])]
 }
 
 /// Checks the default strengths: they are zero for an arm that cannot hold itself in most poses.
 fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2]) -> Result<()> {
     for &axis in axes {
-        let (given, strengths) = (&settings.axes[axis], &defaults[usize::from(axis >= 3)]);
-        let left_out = given.hold.is_none() || (given.effective_yields() != Yields::None && given.soft.is_none());
+        let (user, strengths) = (&settings.axes[axis], &defaults[usize::from(axis >= 3)]);
+        let left_out = user.hold.is_none() || (user.compliant_side() != CompliantSide::None && user.soft.is_none());
         if left_out && strengths[2] <= 0.0 {
             return Err(Error::config(
                 format!("axes.{}", AXIS_NAMES[axis]),
@@ -96,13 +114,13 @@ pub(super) fn resolve_rows(
     servos: &ServoArrays,
     axes: &[usize],
     stiffness_known: bool,
-    surveyed: &mut Surveyed,
-) -> Result<[Row; MAX_AXES]> {
-    let given = |axis: &Axis| axis.soft.is_some() && axis.firm.is_some() && axis.hold.is_some();
-    let defaults = if axes.iter().all(|&axis| given(&settings.axes[axis])) {
+    workspace_stats: &mut WorkspaceStats,
+) -> Result<[AxisParams; MAX_AXES]> {
+    let is_complete = |axis: &Axis| axis.soft.is_some() && axis.firm.is_some() && axis.hold.is_some();
+    let defaults = if axes.iter().all(|&axis| is_complete(&settings.axes[axis])) {
         [[0.0; 3]; 2]
     } else {
-        default_strengths(model, settings, servos, surveyed)
+        default_strengths(model, settings, servos, workspace_stats)
     };
     check_defaults(settings, axes, &defaults)?;
     let springs = default_stiffness(model, settings, servos);
@@ -121,17 +139,17 @@ fn resolve_row(
     defaults: [f64; 3],
     spring: f64,
     stiffness_known: bool,
-) -> Result<Row> {
-    let (given, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
-    let paper = settings.law == Law::Paper;
+) -> Result<AxisParams> {
+    let (user, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
+    let paper = !settings.law.by_force();
     let [soft, firm, hold] = defaults;
     // Default values adapt to the given ones.
-    let soft = given.soft.unwrap_or_else(|| given.firm.map_or([soft; 2], |firm| firm.map(|f| f.min(soft))));
-    let firm = given.firm.unwrap_or_else(|| soft.map(|s| s.max(firm)));
+    let soft = user.soft.unwrap_or_else(|| user.firm.map_or([soft; 2], |firm| firm.map(|f| f.min(soft))));
+    let firm = user.firm.unwrap_or_else(|| soft.map(|s| s.max(firm)));
     let least = firm[0].max(firm[1]);
-    let raised_from = (given.hold.is_none() && least > hold).then_some(hold);
-    let hold = given.hold.unwrap_or_else(|| least.max(hold));
-    let yields = given.effective_yields();
+    let default_hold = (user.hold.is_none() && least > hold).then_some(hold);
+    let hold = user.hold.unwrap_or_else(|| least.max(hold));
+    let yields = user.compliant_side();
     for side in 0..2 {
         let pushed = ["−", "+"][side];
         if yields.sides()[side] && !(soft[side] <= firm[side] && firm[side] <= hold) {
@@ -144,10 +162,10 @@ fn resolve_row(
             ));
         }
     }
-    if !paper && given.adaptation > ETA_UNPROVEN && !stiffness_known && !settings.accept_high_adaptation {
+    if !paper && user.adaptation > ETA_UNPROVEN && !stiffness_known && !settings.accept_high_adaptation {
         return Err(Error::out_of_range(
             format!("axes.{name}.adaptation"),
-            given.adaptation,
+            user.adaptation,
             format!(
                 "[0, {ETA_UNPROVEN}] while k_p is not known within 10 %: a gravity error would make the arm drift. \
                  Identify k_p (Servos(..., stiffness_known=True)), capture gravity, or accept the risk: Settings(accept_high_adaptation=True)"
@@ -155,8 +173,8 @@ fn resolve_row(
         ));
     }
     let translation = axis < 3;
-    let soft_until = given.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
-    let firm_from = given.firm_from.unwrap_or(if translation { 0.10 } else { 0.40 });
+    let soft_until = user.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
+    let firm_from = user.firm_from.unwrap_or(if translation { 0.10 } else { 0.40 });
     if soft_until >= firm_from {
         return Err(Error::out_of_range(
             format!("axes.{name}.soft_until"),
@@ -169,21 +187,21 @@ fn resolve_row(
         (true, false) => 0.5,
         (false, _) => f64::INFINITY,
     };
-    Ok(Row {
+    Ok(AxisParams {
         axis,
         soft,
         firm,
         hold,
-        raised_from,
+        default_hold,
         yields: yields.sides().map(|on| f64::from(u8::from(on))),
-        stiffness: given.stiffness.unwrap_or_else(|| yields.sides().map(|on| if on { 0.0 } else { spring })),
-        viscosity: given.damping.unwrap_or_default(),
-        eta: given.adaptation,
+        stiffness: user.stiffness.unwrap_or_else(|| yields.sides().map(|on| if on { 0.0 } else { spring })),
+        damping: user.damping.unwrap_or_default(),
+        eta: user.adaptation,
         soft_until,
         firm_from,
         band: soft_until * settings.paper_options.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 }),
-        profile: given.profile,
-        step_limit: given.max_velocity.unwrap_or(if translation { 0.4 } else { 2.0 }),
-        soft_step_limit: given.soft_step_limit.unwrap_or(soft_step),
+        profile: user.profile,
+        step_limit: user.max_velocity.unwrap_or(if translation { 0.4 } else { 2.0 }),
+        soft_step_limit: user.soft_step_limit.unwrap_or(soft_step),
     })
 }

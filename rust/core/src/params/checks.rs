@@ -2,10 +2,10 @@
 
 use nalgebra::DMatrix;
 
-use super::Plan;
+use super::Params;
 use crate::error::{Error, Result};
 use crate::model::Model;
-use crate::params::{Follow, Law, ServoArrays, Settings};
+use crate::params::{Follow, ServoArrays, Settings};
 
 /// More axes than joints require a length that weights them.
 pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> {
@@ -24,7 +24,7 @@ pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> 
 
 /// A torque for null-space motion requires a null space.
 pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Result<()> {
-    if settings.law != Law::Paper || k < n || settings.null_space.max_torque.is_none_or(|torque| torque <= 0.0) {
+    if settings.law.by_force() || k < n || settings.null_space.max_torque.is_none_or(|torque| torque <= 0.0) {
         return Ok(());
     }
     Err(Error::config(
@@ -33,18 +33,18 @@ pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Resu
     ))
 }
 
-pub(super) fn check_gain(settings: &Settings, plan: &Plan) -> Result<()> {
-    let symmetric = DMatrix::from_fn(plan.k, plan.k, |r, c| 0.5 * (plan.kx[r][c] + plan.kx[c][r]));
+pub(super) fn check_gain(settings: &Settings, params: &Params) -> Result<()> {
+    let symmetric = DMatrix::from_fn(params.k, params.k, |r, c| 0.5 * (params.kx[r][c] + params.kx[c][r]));
     let shift = 1e-9 * (1.0 + symmetric.amax());
-    if (symmetric + DMatrix::identity(plan.k, plan.k) * shift).cholesky().is_none() {
+    if (symmetric + DMatrix::identity(params.k, params.k) * shift).cholesky().is_none() {
         return Err(Error::config(
             "tracking.gain",
             "drives some direction away from its target: K + Kᵀ has a negative eigenvalue",
         ));
     }
     let (gain, bound) =
-        (plan.gain(settings.paper_options.horizon), plan.gain_bound(settings.delay, 1.0 / settings.rate));
-    if settings.law == Law::Cap && gain > bound * (1.0 + 1e-12) {
+        (params.gain(settings.paper_options.horizon), params.gain_bound(settings.delay, 1.0 / settings.rate));
+    if settings.law.bounds_gain() && gain > bound * (1.0 + 1e-12) {
         return Err(Error::out_of_range(
             "tracking.gain · horizon",
             gain,
@@ -81,12 +81,11 @@ pub(super) fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model)
         return Ok(());
     }
     let wants = match settings.law {
-        Law::Cap => Some("law=\"cap\""),
-        Law::Impedance => Some("law=\"impedance\""),
-        Law::Paper if settings.paper_options.budget_on_goal => Some("budget_on_goal=True"),
-        Law::Paper if settings.effective_follow() == Follow::Free => Some("follow=\"free\""),
-        Law::Paper if settings.gravity_use().in_goal() => Some("gravity in the goals"),
-        Law::Paper => None,
+        law if law.by_force() => Some(format!("law=\"{law}\"")),
+        _ if settings.paper_options.budget_on_goal => Some("budget_on_goal=True".into()),
+        _ if settings.effective_follow() == Follow::Free => Some("follow=\"free\"".into()),
+        _ if settings.gravity_use().in_goal() => Some("gravity in the goals".into()),
+        _ => None,
     };
     wants.map_or(Ok(()), |what| {
         Err(Error::config(

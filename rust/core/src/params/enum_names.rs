@@ -5,14 +5,14 @@ use std::str::FromStr;
 
 use crate::error::Error;
 use crate::kinematics::Reference;
-use crate::params::{Follow, Law, LimitRule, LimitType, OnDeviationLimit, Profile, Projector, Yields};
+use crate::params::{CompliantSide, Follow, Law, LimitRule, LimitType, OnDeviationLimit, Profile, Projector};
 
 /// Implements conversion between an enum and its names; `$key` is the setting's name for the message.
 macro_rules! words {
     ($($choice:ident of $key:literal: $($word:literal is $variant:ident),+;)+) => { $(
         impl $choice {
             /// All variants with their names.
-            pub const WORDS: &'static [(&'static str, Self)] = &[$(($word, Self::$variant)),+];
+            pub const NAMES: &'static [(&'static str, Self)] = &[$(($word, Self::$variant)),+];
         }
 
         impl fmt::Display for $choice {
@@ -29,7 +29,7 @@ macro_rules! words {
             /// # Errors
             /// [`Error::Config`] with the valid names.
             fn from_str(word: &str) -> Result<Self, Error> {
-                let found = Self::WORDS.iter().find(|(known, _)| *known == word);
+                let found = Self::NAMES.iter().find(|(known, _)| *known == word);
                 found.map(|(_, choice)| *choice).ok_or_else(|| unknown($key, &[$($word),+], word))
             }
         }
@@ -43,7 +43,7 @@ words! {
     Projector of "null_space.projector": "exact" is Exact, "paper" is Paper;
     Profile of "profile": "hardening" is Hardening, "constant" is Constant, "softening" is Softening;
     OnDeviationLimit of "on_deviation_limit": "yield" is Yield, "wait" is Wait;
-    Yields of "yields": "both" is Both, "+" is Plus, "-" is Minus, "none" is None;
+    CompliantSide of "yields": "both" is Both, "+" is Plus, "-" is Minus, "none" is None;
     LimitType of "limit_type": "current" is Current, "pwm" is Pwm;
     Reference of "reference": "world_aligned" is WorldAligned, "local" is Local;
 }
@@ -60,10 +60,10 @@ mod tests {
 
     #[test]
     fn every_name_parses_to_its_variant() {
-        for (word, law) in Law::WORDS {
+        for (word, law) in Law::NAMES {
             assert_eq!((law.to_string().as_str(), word.parse()), (*word, Ok(*law)));
         }
-        for (word, yields) in Yields::WORDS {
+        for (word, yields) in CompliantSide::NAMES {
             assert_eq!((yields.to_string().as_str(), word.parse()), (*word, Ok(*yields)));
         }
         assert_eq!(format!("{:>8}|{:<6}|", LimitType::Pwm, Law::Cap), "     pwm|cap   |");

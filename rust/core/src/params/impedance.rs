@@ -1,12 +1,12 @@
 //! Stiffness of law `impedance`: defaults, and bounds from delay and servos.
 
 use crate::error::{Error, Result};
-use crate::math::rows::{load_rows, wide};
-use crate::math::simd::{EveryJoint, Lanes};
+use crate::math::rows::load_rows;
+use crate::math::simd::{JointVec16, JointVector, TaskVector};
 use crate::math::spectral::rho;
 use crate::model::Model;
 use crate::params::resolved::{GAIN_DELAY_BOUND, REFERENCE_REACH};
-use crate::params::{AXIS_NAMES, Law, Plan, ServoArrays, Settings, workspace};
+use crate::params::{AXIS_NAMES, Params, ServoArrays, Settings, workspace};
 use crate::{AxisVec, MAX_AXES, Rows};
 
 /// Reference stiffness of translations [N/m] and rotations [N·m/rad], and the mean k_p of the arm used for tuning.
@@ -33,7 +33,7 @@ pub(super) fn bounds(settings: &Settings, delay: f64, well_damped: bool) -> [f64
 
 /// Stiffness of axes that do not yield, translations and rotations; zero under the other laws.
 pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &ServoArrays) -> [f64; 2] {
-    if settings.law != Law::Impedance {
+    if !settings.law.has_springs() {
         return [0.0; 2];
     }
     let stiffer = servos.kp_mean / REFERENCE_KP;
@@ -45,40 +45,40 @@ pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &Ser
 ///
 /// The step reduces the gains further if a pose requires it, see [`rho`]. It also reduces the default stiffness of
 /// other axes.
-pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<()> {
-    let [most_stiff, most_damped] = plan.impedance_bounds;
+pub(super) fn check(model: &Model, settings: &Settings, params: &Params) -> Result<()> {
+    let [max_stiffness, max_damping] = params.impedance_bounds;
     if let Some(stiffness) = settings.null_space.stiffness {
-        let softest = plan.servos.kp[..plan.n].iter().copied().fold(f64::INFINITY, f64::min);
-        let most = most_stiff * softest;
-        if stiffness > most {
-            let bound = format!("[0, {most:.3}]: {}", why(settings));
+        let softest = params.servos.kp[..params.n].iter().copied().fold(f64::INFINITY, f64::min);
+        let max = max_stiffness * softest;
+        if stiffness > max {
+            let bound = format!("[0, {max:.3}]: {}", why(settings));
             return Err(Error::out_of_range("null_space.stiffness [N·m/rad]", stiffness, bound));
         }
     }
     let (mut stiffness, mut damping) = ([0.0; MAX_AXES], [0.0; MAX_AXES]);
-    for (r, row) in plan.rows.iter().enumerate().take(plan.k) {
+    for (r, row) in params.per_axis.iter().enumerate().take(params.k) {
         if settings.axes[row.axis].stiffness.is_some() {
             stiffness[r] = row.stiffness[0].max(row.stiffness[1]);
         }
-        damping[r] = row.viscosity[0].max(row.viscosity[1]);
+        damping[r] = row.damping[0].max(row.damping[1]);
     }
-    for (field, units, asked, most) in [
-        ("stiffness", ["N/m", "N·m/rad"], stiffness, most_stiff),
-        ("damping", ["N·s/m", "N·m·s/rad"], damping, most_damped),
+    for (field, units, asked, max) in [
+        ("stiffness", ["N/m", "N·m/rad"], stiffness, max_stiffness),
+        ("damping", ["N·s/m", "N·m·s/rad"], damping, max_damping),
     ] {
-        let ratio = overshoot(model, plan, &asked, most);
+        let ratio = overshoot(model, params, &asked, max);
         if ratio > 1.0 {
             let listed = |value: &dyn Fn(usize) -> f64| {
-                let rows = (0..plan.k).filter(|&r| asked[r] > 0.0).map(|r| (r, plan.rows[r].axis));
+                let rows = (0..params.k).filter(|&r| asked[r] > 0.0).map(|r| (r, params.per_axis[r].axis));
                 let each = rows
                     .map(|(r, axis)| format!("{}={} {}", AXIS_NAMES[axis], value(r), units[usize::from(axis >= 3)]));
                 each.collect::<Vec<_>>().join(", ")
             };
-            let (given, nearest) = (listed(&|r| asked[r]), listed(&|r| floor_to_two_digits(asked[r] / ratio)));
+            let (user, nearest) = (listed(&|r| asked[r]), listed(&|r| floor_to_two_digits(asked[r] / ratio)));
             return Err(Error::config(
                 format!("axes.{field}"),
                 format!(
-                    "{given} is {ratio:.2} times what the median pose can have, and {}: use {nearest}, shorten delay and \
+                    "{user} is {ratio:.2} times what the median pose can have, and {}: use {nearest}, shorten delay and \
                      period, or accept the risk: Settings(accept_high_stiffness=True)",
                     why(settings)
                 ),
@@ -89,13 +89,13 @@ pub(super) fn check(model: &Model, settings: &Settings, plan: &Plan) -> Result<(
 }
 
 /// Returns ρ of these gains in the median pose, divided by its bound.
-fn overshoot(model: &Model, plan: &Plan, gains: &AxisVec, most: f64) -> f64 {
-    if most.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
+fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
+    if max.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
         return 0.0;
     }
-    let compliance = EveryJoint::load(&plan.servos.compliance);
-    let of = |rows: &Rows| rho(&load_rows(rows), compliance, wide(gains));
-    workspace::median_over_rows(model, &plan.axes, &plan.frame, of) / most
+    let compliance = JointVec16::load(&params.servos.compliance);
+    let of = |rows: &Rows| rho(&load_rows(rows), compliance, TaskVector::from_axes(gains));
+    workspace::median_over_rows(model, &params.axes, &params.frame, of) / max
 }
 
 fn why(settings: &Settings) -> String {

@@ -16,11 +16,13 @@ mod settings;
 mod validate;
 pub(crate) mod workspace;
 
-pub use axis::{AXIS_NAMES, Axis, Frame, OnDeviationLimit, Profile, Task, Yields, parse_axes};
-pub(crate) use axis_params::DeviationLimit;
-pub(crate) use axis_params_simd::AxisLanes;
+pub use axis::{AXIS_NAMES, Axis, CompliantSide, Frame, OnDeviationLimit, Profile, Task, parse_axes};
+pub use axis_params::{AxisImpedance, AxisStrength};
+pub(crate) use axis_params::{AxisParams, DeviationLimit};
+pub(crate) use axis_params_simd::AxisArray;
 pub use groups::{Compensation, NullSpace, PaperOptions, TorqueLimits, Tracking};
-pub(crate) use resolved::{DampingPlan, NullSpaceCost, Plan};
+pub use resolved::DampingParams;
+pub(crate) use resolved::{NullSpaceCost, Params};
 pub(crate) use servos::ServoArrays;
 pub use servos::{LimitType, Servos};
 pub use settings::{Damping, Follow, Gain, GravityUse, Law, LimitRule, Projector, Settings};

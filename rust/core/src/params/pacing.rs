@@ -2,8 +2,8 @@
 
 use crate::math::simd::LANES;
 use crate::model::Model;
-use crate::params::workspace::Surveyed;
-use crate::params::{AxisLanes, Law, ServoArrays, Settings};
+use crate::params::workspace::WorkspaceStats;
+use crate::params::{AxisArray, ServoArrays, Settings};
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS};
 
 /// Decay rate [1/s] of the velocity error between tool and reference.
@@ -14,7 +14,7 @@ const DECAY_DELAY_BOUND: f64 = 0.5;
 
 /// Share of the servo damping cancelled by the feed-forward that the damper restores. Less than one: axes that share
 /// joints would count it twice.
-const GIVEN_BACK: f64 = 0.5;
+const RESTORED: f64 = 0.5;
 
 /// Bound on the acceleration feed-forward [m/s², rad/s²]: the arm is not accelerated after a target that stops
 /// abruptly.
@@ -22,31 +22,31 @@ const DRIVEN: [f64; 2] = [3.0, 12.0];
 
 /// Per task row, in units of the servos' stiffness along it; zero if a reference has no velocity of its own.
 #[derive(Debug, Clone)]
-pub(crate) struct Pace {
+pub(crate) struct PacingParams {
     /// True if any row is nonzero.
     pub(crate) on: bool,
     /// Squared time constant `Λ_j C_jj` [s²] of each axis on its servos.
-    pub(crate) inertia: AxisLanes,
+    pub(crate) inertia: AxisArray,
     /// Bound on the acceleration [m/s², rad/s²].
-    pub(crate) driven: AxisLanes,
+    pub(crate) driven: AxisArray,
     /// Time constant [s] of the damper at the present delay.
-    pub(crate) damping: AxisLanes,
+    pub(crate) damping: AxisArray,
     /// Part of it that restores the damping cancelled by the feed-forward [s].
-    given_back: f64,
+    restored: f64,
 }
 
-impl Pace {
+impl PacingParams {
     pub(super) fn new(
         model: &Model,
         settings: &Settings,
         servos: &ServoArrays,
         axes: &[usize],
-        surveyed: &mut Surveyed,
+        workspace_stats: &mut WorkspaceStats,
     ) -> Self {
         let governed = |axis: usize| settings.max_tool_speed[usize::from(axis >= 3)].is_finite();
         let (mut inertia, mut driven) = ([0.0; LANES], [0.0; LANES]);
         if servos.has_kp && axes.iter().any(|&axis| governed(axis)) {
-            let found: AxisVec = surveyed.squared_periods(model, servos, axes, &settings.task.frame);
+            let found: AxisVec = workspace_stats.squared_periods(model, servos, axes, &settings.task.frame);
             for (r, &axis) in axes.iter().enumerate().take(MAX_AXES) {
                 inertia[r] = if governed(axis) { found[r] } else { 0.0 };
                 driven[r] = DRIVEN[usize::from(axis >= 3)];
@@ -55,18 +55,18 @@ impl Pace {
         let n = model.n().min(MAX_JOINTS);
         let resisted: f64 = (0..n).map(|i| servos.damping[i] * servos.compliance[i]).sum();
         let taken =
-            if settings.law == Law::Paper { 0.0 } else { settings.compensation.damping * resisted / n.max(1) as f64 };
+            if settings.law.by_force() { settings.compensation.damping * resisted / n.max(1) as f64 } else { 0.0 };
         let on = inertia.iter().any(|&t| t > 0.0);
-        let mut pace = Self { on, inertia, driven, damping: [0.0; LANES], given_back: GIVEN_BACK * taken };
-        pace.derate(settings, settings.delay);
+        let mut pace = Self { on, inertia, driven, damping: [0.0; LANES], restored: RESTORED * taken };
+        pace.update_gain_scale(settings, settings.delay);
         pace
     }
 
     /// Sets the damper for a measured delay [s].
-    pub(super) fn derate(&mut self, settings: &Settings, delay: f64) {
+    pub(super) fn update_gain_scale(&mut self, settings: &Settings, delay: f64) {
         let late = delay + 0.5 / settings.rate + settings.tracking.velocity_filter;
         let rate = DECAY.min(DECAY_DELAY_BOUND / late);
-        let given_back = self.given_back;
-        self.damping = self.inertia.map(|squared| if squared > 0.0 { rate * squared + given_back } else { 0.0 });
+        let restored = self.restored;
+        self.damping = self.inertia.map(|squared| if squared > 0.0 { rate * squared + restored } else { 0.0 });
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::params::{
-    AXIS_NAMES, Axis, Law, NullSpace, PaperOptions, Profile, Settings, TorqueLimits, Tracking, Yields,
+    AXIS_NAMES, Axis, CompliantSide, Law, NullSpace, PaperOptions, Profile, Settings, TorqueLimits, Tracking,
 };
 
 /// η of axes that a person or a mechanism moves.
@@ -81,7 +81,7 @@ impl Settings {
         let along = translation("axis", axis)?;
         let mut settings = Self { null_space: loose(), ..Self::default() };
         settings.axes[..3].fill(yielding(ETA_GUIDED));
-        settings.axes[along] = capped("pull [N]", pull, Yields::Both)?;
+        settings.axes[along] = capped("pull [N]", pull, CompliantSide::Both)?;
         Ok(settings)
     }
 
@@ -102,7 +102,7 @@ impl Settings {
         }
         let profile = Profile::Constant;
         let soft = press.map(|press| strength("press [N]", press)).transpose()?;
-        settings.axes[normal] = Axis { soft, profile, yields: Some(Yields::Both), ..Axis::default() };
+        settings.axes[normal] = Axis { soft, profile, yields: Some(CompliantSide::Both), ..Axis::default() };
         Ok(settings)
     }
 
@@ -128,9 +128,9 @@ impl Settings {
     pub fn plug(axis: &str, push: Option<f64>) -> Result<Self> {
         // The resistance to the insertion pushes the tool in the opposite direction.
         let (name, resists) = match axis.split_at_checked(1) {
-            Some(("-", name)) => (name, Yields::Plus),
-            Some(("+", name)) => (name, Yields::Minus),
-            _ => (axis, Yields::Minus),
+            Some(("-", name)) => (name, CompliantSide::Plus),
+            Some(("+", name)) => (name, CompliantSide::Minus),
+            _ => (axis, CompliantSide::Minus),
         };
         let along = translation("axis", name)?;
         let mut settings = Self { axes: [yielding(ETA_PLUG); 6], ..Self::default() };
@@ -149,15 +149,15 @@ fn loose() -> NullSpace {
 }
 
 fn yielding(adaptation: f64) -> Axis {
-    Axis { yields: Some(Yields::Both), adaptation, ..Axis::default() }
+    Axis { yields: Some(CompliantSide::Both), adaptation, ..Axis::default() }
 }
 
 /// An axis that is as stiff as its servos up to one force, and yields beyond it.
-fn capped(what: &str, most: Option<f64>, yields: Yields) -> Result<Axis> {
+fn capped(what: &str, max: Option<f64>, yields: CompliantSide) -> Result<Axis> {
     let [soft_until, firm_from] = FIRM_FROM.map(Some);
     let axis = Axis { yields: Some(yields), soft_until, firm_from, ..Axis::default() };
-    match most {
-        Some(most) => Ok(Axis { soft: Some(strength(what, most)?), profile: Profile::Constant, ..axis }),
+    match max {
+        Some(max) => Ok(Axis { soft: Some(strength(what, max)?), profile: Profile::Constant, ..axis }),
         None => Ok(axis),
     }
 }
@@ -212,7 +212,10 @@ mod tests {
 
     #[test]
     fn a_plug_yields_on_the_side_opposite_to_the_insertion() {
-        let sides = |axis: &str| Settings::plug(axis, Some(10.0)).unwrap().axes[2].effective_yields();
-        assert_eq!([sides("-z"), sides("z"), sides("+z")], [Yields::Plus, Yields::Minus, Yields::Minus]);
+        let sides = |axis: &str| Settings::plug(axis, Some(10.0)).unwrap().axes[2].compliant_side();
+        assert_eq!(
+            [sides("-z"), sides("z"), sides("+z")],
+            [CompliantSide::Plus, CompliantSide::Minus, CompliantSide::Minus]
+        );
     }
 }

@@ -6,12 +6,12 @@ use crate::error::{Error, Result};
 use crate::kinematics::{joint_targets, target_region};
 use crate::math::spatial::Mat3;
 use crate::model::Model;
-use crate::params::axis_params::{DeviationLimit, Row, deviation_limits, resolve_rows};
-use crate::params::axis_params_simd::RowLanes;
+use crate::params::axis_params::{AxisParams, DeviationLimit, deviation_limits, resolve_rows};
+use crate::params::axis_params_simd::AxisParamsSimd;
 use crate::params::checks::{check_axes, check_gain, check_gravity, check_kp, check_null_torque};
-use crate::params::pacing::Pace;
+use crate::params::pacing::PacingParams;
 use crate::params::scales::clearance;
-use crate::params::workspace::{self, Surveyed};
+use crate::params::workspace::{self, WorkspaceStats};
 use crate::params::{
     AXIS_NAMES, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, Projector, ServoArrays, Servos, Settings,
     impedance, scales,
@@ -23,17 +23,20 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 pub(super) const REFERENCE_REACH: f64 = 0.71;
 
 /// Smallest λ of the redistribution solve, if the settings have no singularity damping.
-const LEAST_TAKEOVER: f64 = 0.05;
+const MIN_REDISTRIBUTION_DAMPING: f64 = 0.05;
 
 /// Largest `K_x h T_e` or `ρ T_e` [s] at which the stiff axes do not oscillate.
 pub(super) const GAIN_DELAY_BOUND: f64 = 0.03;
 
-/// λ of line 7, in the units of the scaled rows.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct DampingPlan {
-    pub(crate) lambda_0: f64,
-    pub(crate) sigma_0: f64,
-    pub(crate) lambda_max: f64,
+/// Damping of the inverse, in the units of the scaled rows: `λ² = λ₀² + (1 − (σ/σ₀)²) λ_max²` if σ < σ₀, else λ₀².
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DampingParams {
+    /// λ₀: λ away from singular poses.
+    pub lambda_0: f64,
+    /// σ₀: smallest singular value below which the damping grows.
+    pub sigma_0: f64,
+    /// λ_max: increase at σ = 0, in squares.
+    pub lambda_max: f64,
 }
 
 /// Parts of the null-space cost that depend on the arm alone.
@@ -51,7 +54,7 @@ pub(crate) struct NullSpaceCost {
 
 /// Constants of all steps.
 #[derive(Debug, Clone)]
-pub(crate) struct Plan {
+pub(crate) struct Params {
     pub(crate) n: usize,
     pub(crate) k: usize,
     pub(crate) law: Law,
@@ -65,10 +68,10 @@ pub(crate) struct Plan {
     pub(super) fixed_axes: Mat3,
     /// Axis index of each row.
     pub(crate) axes: Vec<usize>,
-    pub(crate) rows: [Row; MAX_AXES],
+    pub(crate) per_axis: [AxisParams; MAX_AXES],
     /// The axis parameters in vector layout.
-    pub(crate) lanes: RowLanes,
-    pub(crate) pace: Pace,
+    pub(crate) axis_simd: AxisParamsSimd,
+    pub(crate) pace: PacingParams,
     /// Axes with a deviation limit; empty if there are none, which skips that part of the step.
     pub(crate) deviation_limits: Vec<DeviationLimit>,
     /// 1 / length for translations, 1 for rotations: makes singular values of mixed rows comparable.
@@ -81,90 +84,90 @@ pub(crate) struct Plan {
     /// K_q if it is a scalar.
     pub(crate) kq_scalar: Option<f64>,
     /// Factor ≤ 1 on K_x that keeps it within the bound of the present delay.
-    pub(crate) kx_derating: f64,
+    pub(crate) gain_scale: f64,
     /// Largest ρ of stiffness and of damping [s] of law `impedance` at the present delay; ∞ if the settings accept the
     /// risk.
     pub(crate) impedance_bounds: [f64; 2],
     /// Stiffness of the null-space motion [N·m/rad], instead of α.
     pub(crate) null_stiffness: Option<f64>,
     pub(crate) alpha: f64,
-    pub(crate) damping: DampingPlan,
+    pub(crate) damping: DampingParams,
     /// Damping λ² of the redistribution solve. Uses the near-singular value: without its locked joints the arm often is
     /// singular.
-    pub(crate) takeover_damping: AxisVec,
+    pub(crate) redistribution_damping: AxisVec,
     pub(crate) servos: ServoArrays,
     pub(crate) cost: NullSpaceCost,
     /// Rest posture; `None` for q at reset.
-    pub(crate) rest: Option<JointVec>,
+    pub(crate) posture: Option<JointVec>,
     /// True if a step depends on the singular values of its rows.
-    pub(crate) follows_sigma: bool,
+    pub(crate) tracks_sigma: bool,
     /// True if a step uses the gravity torques.
-    pub(crate) heavy: bool,
+    pub(crate) uses_gravity: bool,
     pub(crate) null_torque: f64,
     pub(crate) null_speed: f64,
     /// 1 / w of law `paper`'s pseudo-inverse; 1 under the other laws, which weight joints by the servos' stiffness.
-    pub(crate) inverse_weight: JointVec,
+    pub(crate) joint_weight_inv: JointVec,
     pub(crate) joint_speed: JointVec,
     pub(crate) lower: JointVec,
     pub(crate) upper: JointVec,
     /// Smallest and largest plausible position readings.
-    pub(crate) readable: [JointVec; 2],
+    pub(crate) q_plausible: [JointVec; 2],
     /// Smallest and largest joint targets [rad or m].
     pub(crate) joint_targets: [JointVec; 2],
     /// Bounds on the tool's target.
     pub(crate) target_region: TargetRegion,
     /// Distance by which goals may exceed the position limits [rad]: the lead at the servo's full torque.
-    pub(crate) beyond: JointVec,
+    pub(crate) overtravel: JointVec,
     /// Largest fade of a force-exerting lead per rad that its joint is beyond the limits.
-    pub(crate) stop_slope: f64,
+    pub(crate) limit_fade_slope: f64,
     /// Distance of a joint to its limit [rad or m] below which the posture task fades; −∞ for never.
     pub(crate) clearance: JointVec,
-    pub(crate) floor: JointVec,
-    pub(crate) margin: JointVec,
+    pub(crate) min_torque_limit: JointVec,
+    pub(crate) limit_margin: JointVec,
     /// Largest force on a hand along a translation if the host dies [N].
     pub(crate) max_host_loss_force: Option<f64>,
     /// Largest rise of the limits per second; ∞ for no bound.
-    pub(crate) rise: JointVec,
+    pub(crate) max_limit_rate: JointVec,
     /// 1/k_g of the gravity offset.
     pub(crate) gravity_compliance: JointVec,
 }
 
-impl Plan {
+impl Params {
     pub(crate) fn new(
         model: &Model,
         settings: &Settings,
         servos: Option<&Servos>,
         captured: bool,
-        surveyed: &mut Surveyed,
+        workspace_stats: &mut WorkspaceStats,
     ) -> Result<Self> {
         settings.validate()?;
         let n = model.n();
         let axes: Vec<usize> = (0..MAX_AXES).filter(|&axis| settings.task.axes[axis]).collect();
         let k = axes.len();
         check_axes(settings, k, n)?;
-        let spread = servos.map(|s| s.for_joints(n)).transpose()?;
-        let arrays = ServoArrays::new(n, spread.as_ref(), model.effort_limit());
+        let expanded = servos.map(|s| s.for_joints(n)).transpose()?;
+        let arrays = ServoArrays::new(n, expanded.as_ref(), model.effort_limit());
         check_gravity(model, settings)?;
         check_kp(settings, &arrays, model)?;
         let known = captured || servos.is_some_and(|s| s.stiffness_known);
-        let rows = resolve_rows(model, settings, &arrays, &axes, known, surveyed)?;
+        let rows = resolve_rows(model, settings, &arrays, &axes, known, workspace_stats)?;
         let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
         // λ as printed in (3) adds to rows in mixed units; with more axes than joints it must weight them.
         let as_printed = matches!(settings.tracking.damping, Damping::Fixed(_)) && k <= n;
         let row_scale = of_translations(&axes, 1.0 / unit);
         let damping_scale = of_translations(&axes, if as_printed { 1.0 } else { unit * unit });
         let redundant = k < n;
-        let damping = resolve_damping(model, settings, &axes, unit, surveyed)?;
+        let damping = resolve_damping(model, settings, &axes, unit, workspace_stats)?;
         check_null_torque(settings, k, n)?;
         let kx = settings
             .tracking
             .gain
-            .spread("tracking.gain", if matches!(settings.tracking.gain, Gain::Scalar(_)) { MAX_AXES } else { k })?;
+            .expand("tracking.gain", if matches!(settings.tracking.gain, Gain::Scalar(_)) { MAX_AXES } else { k })?;
         let kx = compact(&kx, k);
         let (lower, upper) = (fill(model.lower(), f64::NEG_INFINITY), fill(model.upper(), f64::INFINITY));
         let posture_lets_go = settings.law.by_force() && redundant;
         let well_damped = arrays.well_damped(n);
-        let plan = Self {
+        let params = Self {
             n,
             k,
             law: settings.law,
@@ -174,32 +177,33 @@ impl Plan {
             budget_on_goal: settings.paper_options.budget_on_goal,
             frame: settings.task.frame,
             fixed_axes: settings.task.frame.base_from_task(&Pose::IDENTITY.rotation),
-            lanes: RowLanes::new(&rows[..k], &damping_scale, &kx),
-            pace: Pace::new(model, settings, &arrays, &axes, surveyed),
-            rows,
+            axis_simd: AxisParamsSimd::new(&rows[..k], &damping_scale, &kx),
+            pace: PacingParams::new(model, settings, &arrays, &axes, workspace_stats),
+            per_axis: rows,
             deviation_limits: deviation_limits(settings, &axes),
             row_scale,
             damping_scale,
             kx,
-            kq_columns: columns(&settings.paper_options.kq.spread("paper_options.kq", n)?),
+            kq_columns: columns(&settings.paper_options.kq.expand("paper_options.kq", n)?),
             kq_scalar: match settings.paper_options.kq {
                 Gain::Scalar(gain) => Some(gain),
                 _ => None,
             },
-            kx_derating: 1.0,
+            gain_scale: 1.0,
             impedance_bounds: impedance::bounds(settings, settings.delay, well_damped),
             null_stiffness: settings.null_space.stiffness,
-            alpha: settings.null_space.gain.unwrap_or_else(|| settings.tracking.gain.largest()),
-            takeover_damping: damping_scale.map(|scale| {
-                scale * (damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(LEAST_TAKEOVER).powi(2))
+            alpha: settings.null_space.gain.unwrap_or_else(|| settings.tracking.gain.max_entry()),
+            redistribution_damping: damping_scale.map(|scale| {
+                scale
+                    * (damping.lambda_0 * damping.lambda_0 + damping.lambda_max.max(MIN_REDISTRIBUTION_DAMPING).powi(2))
             }),
-            heavy: settings.gravity_use() != GravityUse::Off
+            uses_gravity: settings.gravity_use() != GravityUse::Off
                 || settings.tracking.integrate > 0.0
                 || settings.torque_limits.max_host_loss_force.is_some(),
-            follows_sigma: scales::follows_sigma(settings, &damping),
+            tracks_sigma: scales::tracks_sigma(settings, &damping),
             damping,
             cost: resolve_cost(model, settings)?,
-            rest: settings
+            posture: settings
                 .null_space
                 .posture
                 .as_ref()
@@ -207,36 +211,36 @@ impl Plan {
                 .transpose()?,
             null_torque: settings.null_space.max_torque.unwrap_or(if redundant { 2.0 } else { 0.0 }),
             null_speed: settings.null_space.max_speed,
-            inverse_weight: resolve_weight(settings, n)?,
+            joint_weight_inv: resolve_weight(settings, n)?,
             joint_speed: resolve_speed(model, settings)?,
             lower,
             upper,
-            readable: scales::readable(model),
+            q_plausible: scales::q_plausible(model),
             joint_targets: joint_targets(model),
             target_region: if settings.task.axes[..3].contains(&true) {
                 target_region(model)
             } else {
                 TargetRegion::ANY
             },
-            beyond: joints(n, 0.0, |i| beyond(&arrays, i)),
-            stop_slope: gain_bound(well_damped, settings.delay, 1.0 / settings.rate) - 1.0,
+            overtravel: joints(n, 0.0, |i| overtravel(&arrays, i)),
+            limit_fade_slope: gain_bound(well_damped, settings.delay, 1.0 / settings.rate) - 1.0,
             clearance: if posture_lets_go { clearance(&lower, &upper) } else { [f64::NEG_INFINITY; MAX_JOINTS] },
-            floor: match &settings.torque_limits.floor {
+            min_torque_limit: match &settings.torque_limits.floor {
                 Some(floor) => list("torque_limits.floor", Some(floor), n, 0.0)?,
                 None => arrays.friction,
             },
-            margin: joints(n, 0.0, |i| margin(settings, &arrays, i)),
+            limit_margin: joints(n, 0.0, |i| margin(settings, &arrays, i)),
             max_host_loss_force: settings.torque_limits.max_host_loss_force,
-            rise: joints(n, f64::INFINITY, |i| rise(settings, &arrays, i)),
+            max_limit_rate: joints(n, f64::INFINITY, |i| max_limit_rate(settings, &arrays, i)),
             gravity_compliance: arrays.compliance,
             servos: arrays,
             axes,
         };
-        check_gain(settings, &plan)?;
-        if plan.law == Law::Impedance {
-            impedance::check(model, settings, &plan)?;
+        check_gain(settings, &params)?;
+        if params.law.has_springs() {
+            impedance::check(model, settings, &params)?;
         }
-        Ok(plan)
+        Ok(params)
     }
 
     /// Returns the largest K_x h at the present delay.
@@ -250,12 +254,12 @@ impl Plan {
     }
 
     /// Sets the factor on K_x that a measured delay [s] requires; law `paper` has no such bound.
-    pub(crate) fn derate(&mut self, delay: f64, settings: &Settings) {
+    pub(crate) fn update_gain_scale(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.paper_options.horizon), self.gain_bound(delay, 1.0 / settings.rate));
-        self.kx_derating = if self.law == Law::Cap && gain > bound { bound / gain } else { 1.0 };
+        self.gain_scale = if self.law.bounds_gain() && gain > bound { bound / gain } else { 1.0 };
         self.impedance_bounds = impedance::bounds(settings, delay, self.servos.well_damped(self.n));
-        self.stop_slope = bound - 1.0;
-        self.pace.derate(settings, delay);
+        self.limit_fade_slope = bound - 1.0;
+        self.pace.update_gain_scale(settings, delay);
     }
 }
 
@@ -264,7 +268,7 @@ fn gain_bound(well_damped: bool, delay: f64, period: f64) -> f64 {
 }
 
 /// Returns the lead at a servo's full torque [rad].
-fn beyond(servos: &ServoArrays, i: usize) -> f64 {
+fn overtravel(servos: &ServoArrays, i: usize) -> f64 {
     if servos.has_kp { servos.torque[i] * servos.compliance[i] } else { 0.0 }
 }
 
@@ -276,7 +280,7 @@ fn margin(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
 }
 
 /// Returns the largest rise of a joint's limit [N·m/s].
-fn rise(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
+fn max_limit_rate(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
     if settings.torque_limits.stiffening_time > 0.0 {
         servos.torque[i] / settings.torque_limits.stiffening_time
     } else {
@@ -286,7 +290,7 @@ fn rise(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
 
 fn resolve_weight(settings: &Settings, n: usize) -> Result<JointVec> {
     let weight = list("paper_options.joint_weights", settings.paper_options.joint_weights.as_deref(), n, 1.0)?;
-    Ok(if settings.law == Law::Paper { weight.map(|w| 1.0 / w) } else { [1.0; MAX_JOINTS] })
+    Ok(if settings.law.by_force() { [1.0; MAX_JOINTS] } else { weight.map(|w| 1.0 / w) })
 }
 
 /// Returns `scale` for rows of translations, 1 for the others.
@@ -325,13 +329,13 @@ fn resolve_damping(
     settings: &Settings,
     axes: &[usize],
     length: f64,
-    surveyed: &mut Surveyed,
-) -> Result<DampingPlan> {
+    workspace_stats: &mut WorkspaceStats,
+) -> Result<DampingParams> {
     Ok(match settings.tracking.damping {
-        Damping::Fixed(lambda) => DampingPlan { lambda_0: lambda, sigma_0: 0.0, lambda_max: 0.0 },
-        Damping::Adaptive { lambda_0, sigma_0, lambda_max } => DampingPlan { lambda_0, sigma_0, lambda_max },
+        Damping::Fixed(lambda) => DampingParams { lambda_0: lambda, sigma_0: 0.0, lambda_max: 0.0 },
+        Damping::Adaptive { lambda_0, sigma_0, lambda_max } => DampingParams { lambda_0, sigma_0, lambda_max },
         Damping::Auto => {
-            let sigma_0 = 2.0 * surveyed.median_sigma(model, axes, &settings.task.frame, length);
+            let sigma_0 = 2.0 * workspace_stats.median_sigma(model, axes, &settings.task.frame, length);
             if sigma_0 < 1e-6 {
                 let names: Vec<&str> = axes.iter().map(|&axis| AXIS_NAMES[axis]).collect();
                 return Err(Error::config(
@@ -344,7 +348,7 @@ fn resolve_damping(
                 ));
             }
             let sigma_0 = workspace::round_to_two_digits(sigma_0);
-            DampingPlan { lambda_0: workspace::round_to_two_digits(0.13 * sigma_0), sigma_0, lambda_max: sigma_0 }
+            DampingParams { lambda_0: workspace::round_to_two_digits(0.13 * sigma_0), sigma_0, lambda_max: sigma_0 }
         }
     })
 }

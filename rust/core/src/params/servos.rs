@@ -4,8 +4,8 @@ use crate::error::{Error, Result};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Smallest value of positive parameters, and largest value of all: keeps reciprocals and products finite.
-const LEAST: f64 = 1e-6;
-const MOST: f64 = 1e9;
+const MIN: f64 = 1e-6;
+const MAX: f64 = 1e9;
 
 /// Quantity that a servo's torque limit limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -81,12 +81,12 @@ impl Servos {
     pub fn validate(&self) -> Result<()> {
         for (name, values, low) in self.fields() {
             for (i, &value) in values.iter().enumerate() {
-                if !(value >= low && value <= MOST) {
+                if !(value >= low && value <= MAX) {
                     let least = if low > 0.0 { format!("{low:e}") } else { "0".into() };
                     return Err(Error::out_of_range(
                         format!("servos.{name}[{i}]"),
                         value,
-                        format!("[{least}, {MOST:e}]"),
+                        format!("[{least}, {MAX:e}]"),
                     ));
                 }
             }
@@ -136,20 +136,20 @@ impl Servos {
     /// Returns every list of numbers, with its name and the smallest allowed value.
     fn fields(&self) -> Vec<(&'static str, &[f64], f64)> {
         let mut fields: Vec<(&'static str, &[f64], f64)> = vec![
-            ("kp", &self.kp, LEAST),
-            ("max_torque", &self.max_torque, LEAST),
+            ("kp", &self.kp, MIN),
+            ("max_torque", &self.max_torque, MIN),
             ("friction", &self.friction, 0.0),
             ("load_friction", &self.load_friction, 0.0),
             ("stribeck", &self.stribeck, 0.0),
             ("load_stribeck", &self.load_stribeck, 0.0),
-            ("stribeck_speed", &self.stribeck_speed, LEAST),
+            ("stribeck_speed", &self.stribeck_speed, MIN),
             ("damping", &self.damping, 0.0),
             ("kv", &self.kv, 0.0),
             ("armature", &self.armature, 0.0),
             ("encoder_step", &self.encoder_step, 0.0),
         ];
         if let Some(speed) = &self.no_load_speed {
-            fields.push(("no_load_speed", speed, LEAST));
+            fields.push(("no_load_speed", speed, MIN));
         }
         fields
     }
@@ -172,7 +172,7 @@ pub(crate) struct ServoArrays {
     pub(crate) load_friction: JointVec,
     pub(crate) stribeck: JointVec,
     pub(crate) load_stribeck: JointVec,
-    pub(crate) stribeck_slowness: JointVec,
+    pub(crate) inv_stribeck_speed: JointVec,
     /// Total viscous damping: gears, the servo's own damping, back-EMF.
     pub(crate) damping: JointVec,
     /// Damping outside the torque limit: all but the servo's own.
@@ -220,7 +220,7 @@ impl ServoArrays {
             load_friction: [0.0; MAX_JOINTS],
             stribeck: [0.0; MAX_JOINTS],
             load_stribeck: [0.0; MAX_JOINTS],
-            stribeck_slowness: [0.0; MAX_JOINTS],
+            inv_stribeck_speed: [0.0; MAX_JOINTS],
             damping: [0.0; MAX_JOINTS],
             drag: [0.0; MAX_JOINTS],
             armature: [0.0; MAX_JOINTS],
@@ -240,7 +240,7 @@ impl ServoArrays {
             arrays.load_friction[i] = servos.load_friction[i];
             arrays.stribeck[i] = servos.stribeck[i];
             arrays.load_stribeck[i] = servos.load_stribeck[i];
-            arrays.stribeck_slowness[i] = 1.0 / servos.stribeck_speed[i];
+            arrays.inv_stribeck_speed[i] = 1.0 / servos.stribeck_speed[i];
             let back_emf = match (servos.limit_type, &servos.no_load_speed) {
                 (LimitType::Pwm, Some(speed)) => servos.max_torque[i] / speed[i],
                 _ => 0.0,

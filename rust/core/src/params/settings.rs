@@ -16,10 +16,44 @@ pub enum Law {
     Impedance,
 }
 
+/// What the resolution of the settings and the stages around the law must know of it.
+struct LawProperties {
+    /// Strengths are forces at the tool, which requires `k_p`; else torque budgets.
+    by_force: bool,
+    /// Uses the springs and dampers of the axes.
+    has_springs: bool,
+    /// Its gain K_x is bounded by the delay.
+    bounds_gain: bool,
+    /// Default coupling of yielding axes.
+    follow: Follow,
+}
+
 impl Law {
+    const fn properties(self) -> LawProperties {
+        match self {
+            Self::Paper => {
+                LawProperties { by_force: false, has_springs: false, bounds_gain: false, follow: Follow::Hold }
+            }
+            Self::Cap => LawProperties { by_force: true, has_springs: false, bounds_gain: true, follow: Follow::Free },
+            Self::Impedance => {
+                LawProperties { by_force: true, has_springs: true, bounds_gain: false, follow: Follow::Free }
+            }
+        }
+    }
+
     /// Returns true if strengths are forces at the tool, which requires `k_p`.
-    pub(crate) fn by_force(self) -> bool {
-        self != Self::Paper
+    pub(crate) const fn by_force(self) -> bool {
+        self.properties().by_force
+    }
+
+    /// Returns true if the law uses the springs and dampers of the axes.
+    pub(crate) const fn has_springs(self) -> bool {
+        self.properties().has_springs
+    }
+
+    /// Returns true if the delay bounds the gain K_x.
+    pub(crate) const fn bounds_gain(self) -> bool {
+        self.properties().bounds_gain
     }
 }
 
@@ -108,7 +142,7 @@ pub enum Gain {
 
 impl Gain {
     /// Expands the gain to an `n × n` matrix in arrays of capacity `N`.
-    pub(crate) fn spread<const N: usize>(&self, key: &str, n: usize) -> Result<[[f64; N]; N]> {
+    pub(crate) fn expand<const N: usize>(&self, key: &str, n: usize) -> Result<[[f64; N]; N]> {
         let mut out = [[0.0; N]; N];
         let wrong =
             |got: String| Error::Shape { what: key.into(), got, expected: format!("a number, ({n},) or ({n}, {n})") };
@@ -136,7 +170,7 @@ impl Gain {
     }
 
     /// Returns the largest entry, the default gain of the null-space motion.
-    pub(crate) fn largest(&self) -> f64 {
+    pub(crate) fn max_entry(&self) -> f64 {
         self.values().into_iter().fold(0.0, f64::max)
     }
 }
@@ -216,10 +250,7 @@ impl Settings {
 
     /// Returns the coupling of yielding axes, default filled in.
     pub fn effective_follow(&self) -> Follow {
-        self.paper_options.follow.unwrap_or(match self.law {
-            Law::Cap | Law::Impedance => Follow::Free,
-            Law::Paper => Follow::Hold,
-        })
+        self.paper_options.follow.unwrap_or(self.law.properties().follow)
     }
 
     /// Returns the places in which the gravity model is used.

@@ -2,8 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::params::{
-    AXIS_NAMES, Axis, Compensation, Damping, Follow, Gain, Law, NullSpace, PaperOptions, Settings, TorqueLimits,
-    Tracking,
+    AXIS_NAMES, Axis, Compensation, Damping, Follow, Gain, NullSpace, PaperOptions, Settings, TorqueLimits, Tracking,
 };
 
 impl Settings {
@@ -40,7 +39,7 @@ impl Settings {
 
     /// Springs and dampers require law `impedance`, which has no solve for `Follow::Hold`.
     fn validate_impedance(&self) -> Result<()> {
-        if self.law == Law::Impedance {
+        if self.law.has_springs() {
             return match self.paper_options.follow {
                 Some(Follow::Hold) => Err(Error::config(
                     "paper_options.follow",
@@ -55,8 +54,8 @@ impl Settings {
             Err(Error::config(key, message))
         };
         for (axis, name) in self.axes.iter().zip(AXIS_NAMES) {
-            for (field, given) in [("stiffness", axis.stiffness), ("damping", axis.damping)] {
-                if given.is_some() {
+            for (field, user) in [("stiffness", axis.stiffness), ("damping", axis.damping)] {
+                if user.is_some() {
                     return wrong(format!("axes.{name}.{field}"));
                 }
             }
@@ -123,8 +122,8 @@ impl TorqueLimits {
     pub fn validate(&self) -> Result<()> {
         within("torque_limits.margin", self.margin, 0.0, 1.0)?;
         within("torque_limits.stiffening_time [s]", self.stiffening_time, 0.0, 10.0)?;
-        if let Some(most) = self.max_host_loss_force {
-            within("torque_limits.max_host_loss_force [N]", most, 1e-3, f64::INFINITY)?;
+        if let Some(max) = self.max_host_loss_force {
+            within("torque_limits.max_host_loss_force [N]", max, 1e-3, f64::INFINITY)?;
         }
         all_within("torque_limits.floor [N·m]", self.floor.as_deref(), 0.0, f64::INFINITY)
     }
@@ -191,7 +190,7 @@ mod tests {
             }),
             "tracking.gain [1/s] = -1 is outside [0, 100]"
         );
-        let mut settings = Settings { task: Task::of("xyz").unwrap(), ..Settings::default() };
+        let mut settings = Settings { task: Task::parse("xyz").unwrap(), ..Settings::default() };
         settings.set_axes("yaw", Axis { hold: Some(1.0), ..Axis::default() }).unwrap();
         assert!(message(settings).starts_with("axes.yaw: 'yaw' is not an axis of the task"));
     }

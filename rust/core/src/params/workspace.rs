@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
-use crate::kinematics::{Frames, Masses};
+use crate::kinematics::{GroupMasses, JointFrames};
 use crate::math::halton;
 use crate::math::rows::JointMatrix;
 use crate::math::svd::singular_values;
@@ -12,23 +12,23 @@ use crate::params::{Frame, ServoArrays};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Number of poses.
-const POSES: u32 = 512;
+const CONFIGURATIONS: u32 = 512;
 
 /// Number of poses for the time constants of the axes.
-const PERIOD_POSES: usize = 64;
+const PERIOD_CONFIGURATIONS: usize = 64;
 
 /// Results of a survey of one arm with one set of servos.
 ///
 /// A survey takes milliseconds, longer than a step may. The controller caches it, so that a change of settings that
 /// needs the same results costs nothing.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Surveyed {
+pub(crate) struct WorkspaceStats {
     sigma: Option<(Vec<usize>, Frame, f64, f64)>,
     capacity: Option<(JointVec, [f64; 2])>,
     periods: Option<(Vec<usize>, Frame, [JointVec; 2], AxisVec)>,
 }
 
-impl Surveyed {
+impl WorkspaceStats {
     /// Returns [`median_sigma`], cached for these axes, frame and length.
     pub(crate) fn median_sigma(&mut self, model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
         if let Some((of, within, unit, sigma)) = &self.sigma
@@ -83,31 +83,31 @@ impl Surveyed {
 fn squared_periods(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame) -> AxisVec {
     let (n, chain) = (model.n(), model.chain());
     let masses = chain.masses(model.payload());
-    let (mut frames, mut world) = (Frames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
+    let (mut frames, mut j_base) = (JointFrames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
     let mut inertia: JointMatrix = [[0.0; MAX_JOINTS]; MAX_JOINTS];
-    let mut found: [Vec<f64>; MAX_AXES] = std::array::from_fn(|_| Vec::new());
-    for q in poses(model).take(PERIOD_POSES) {
+    let mut samples: [Vec<f64>; MAX_AXES] = std::array::from_fn(|_| Vec::new());
+    for q in sample_configurations(model).take(PERIOD_CONFIGURATIONS) {
         chain.forward(&q, &mut frames);
-        chain.jacobian(&frames, &mut world);
+        chain.jacobian(&frames, &mut j_base);
         chain.mass_matrix(&frames, &masses, &mut inertia);
-        let rows = crate::kinematics::task_rows(&world, &frame.base_from_task(&frames.tool.rotation), axes);
+        let rows = crate::kinematics::task_rows(&j_base, &frame.base_from_task(&frames.tool.rotation), axes);
         let matrix = DMatrix::from_fn(n, n, |i, j| inertia[i][j] + if i == j { servos.armature[i] } else { 0.0 });
         let Some(factor) = matrix.cholesky() else { continue };
-        for (row, found) in rows.iter().zip(&mut found).take(axes.len()) {
+        for (row, samples) in rows.iter().zip(&mut samples).take(axes.len()) {
             let along = DMatrix::from_fn(n, 1, |i, _| row[i]);
             let mobility = along.dot(&factor.solve(&along));
             let compliance: f64 = (0..n).map(|i| row[i] * row[i] * servos.compliance[i]).sum();
             if mobility > 0.0 && (compliance / mobility).is_finite() {
-                found.push(compliance / mobility);
+                samples.push(compliance / mobility);
             }
         }
     }
-    found.map(|mut values| median(&mut values))
+    samples.map(|mut values| median(&mut values))
 }
 
 /// The first 512 Halton points inside the position limits (±π for continuous joints).
-pub(crate) fn poses(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
-    (1..=POSES).map(|index| halton::joints(model.lower(), model.upper(), index))
+pub(crate) fn sample_configurations(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
+    (1..=CONFIGURATIONS).map(|index| halton::joints(model.lower(), model.upper(), index))
 }
 
 /// Median over the poses of the smallest singular value of the task rows, with translations divided by `length`.
@@ -124,13 +124,13 @@ fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f6
 
 /// Median over the poses of a function of the task rows.
 pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of: impl Fn(&Rows) -> f64) -> f64 {
-    let mut frames = Frames::default();
-    let mut world = [[0.0; MAX_JOINTS]; MAX_AXES];
-    let mut values: Vec<f64> = poses(model)
+    let mut frames = JointFrames::default();
+    let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
+    let mut values: Vec<f64> = sample_configurations(model)
         .map(|q| {
             model.chain().forward(&q, &mut frames);
-            model.chain().jacobian(&frames, &mut world);
-            of(&crate::kinematics::task_rows(&world, &frame.base_from_task(&frames.tool.rotation), axes))
+            model.chain().jacobian(&frames, &mut j_base);
+            of(&crate::kinematics::task_rows(&j_base, &frame.base_from_task(&frames.tool.rotation), axes))
         })
         .collect();
     median(&mut values)
@@ -138,16 +138,16 @@ pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of:
 
 /// Median static capacity of the arm: the force [N] and the torque [N·m] that its joint torques can hold, over the
 /// poses, the three base axes and both signs: `min_i (usable_i + s_i g_i) / |J_ji|`.
-fn static_capacity(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> [f64; 2] {
-    let mut frames = Frames::default();
-    let mut world: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+fn static_capacity(model: &Model, usable: &JointVec, masses: &GroupMasses, gravity: [f64; 3]) -> [f64; 2] {
+    let mut frames = JointFrames::default();
+    let mut j_base: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
     let mut holding = [0.0; MAX_JOINTS];
     let (mut forces, mut moments) = (Vec::new(), Vec::new());
-    for q in poses(model) {
+    for q in sample_configurations(model) {
         model.chain().forward(&q, &mut frames);
-        model.chain().jacobian(&frames, &mut world);
+        model.chain().jacobian(&frames, &mut j_base);
         model.chain().gravity(&frames, masses, gravity, &mut holding);
-        for (axis, row) in world.iter().enumerate() {
+        for (axis, row) in j_base.iter().enumerate() {
             for sign in [-1.0, 1.0] {
                 let capacity = least_capacity(row, sign, usable, &holding, model.n());
                 if capacity.is_finite() {
@@ -160,11 +160,11 @@ fn static_capacity(model: &Model, usable: &JointVec, masses: &Masses, gravity: [
 }
 
 /// Refuses an arm that its servos cannot hold in any of the poses: a mass in grams, or wrong servo data.
-pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &Masses, gravity: [f64; 3]) -> Result<()> {
-    let (mut frames, mut holding) = (Frames::default(), [0.0; MAX_JOINTS]);
+pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &GroupMasses, gravity: [f64; 3]) -> Result<()> {
+    let (mut frames, mut holding) = (JointFrames::default(), [0.0; MAX_JOINTS]);
     // Pose with the smallest maximum of torque / usable torque, and the joint with this maximum.
     let mut best = (f64::INFINITY, 0, 0.0);
-    for q in poses(model) {
+    for q in sample_configurations(model) {
         model.chain().forward(&q, &mut frames);
         model.chain().gravity(&frames, masses, gravity, &mut holding);
         let mut worst = (0.0, 0, 0.0);
@@ -187,7 +187,7 @@ pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &Masses, g
         format!("torque that holds the arm at joint {name} [N·m]"),
         torque,
         format!(
-            "±{} even in the best of {POSES} poses ({share:.1} times too much): check masses [kg], payload [kg] and the \
+            "±{} even in the best of {CONFIGURATIONS} poses ({share:.1} times too much): check masses [kg], payload [kg] and the \
              servos' torque [N·m]",
             usable[joint]
         ),

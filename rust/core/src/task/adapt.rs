@@ -1,9 +1,9 @@
 //! Target adaptation, equation (12), and the blend between the strengths of the two sides of an axis.
 
 use crate::math::rotation::rotation_matrix;
-use crate::math::simd::{Arithmetic, Plain};
+use crate::math::simd::{BaselineF64, RealOps};
 use crate::pose::Pose;
-use crate::task::compliance::unit;
+use crate::task::compliance::clamp01;
 use crate::task::pose_error;
 
 /// Weight of the strengths "pushed toward +", 0…1, for the deviation `e`; `slope` is 1 / (2 `band`).
@@ -11,16 +11,16 @@ use crate::task::pose_error;
 /// Pushed toward + means that the tool is beyond its target, e < 0. Within ± `band` of zero the weight is linear in
 /// `e`, so that encoder noise does not switch it. With `band` = 0 it switches at zero.
 #[inline(always)]
-pub(crate) fn plus_share<A: Arithmetic>(e: A::Real, band: A::Real, slope: A::Real) -> A::Real {
+pub(crate) fn push_side_blend<A: RealOps>(e: A::Real, band: A::Real, slope: A::Real) -> A::Real {
     let (zero, one) = (A::splat(0.0), A::splat(1.0));
-    let linear = unit::<A>(A::fnma(e, slope, A::splat(0.5)));
-    A::if_less(zero, band, linear, A::if_less(e, zero, one, zero))
+    let linear = clamp01::<A>(A::fnma(e, slope, A::splat(0.5)));
+    A::select_lt(zero, band, linear, A::select_lt(e, zero, one, zero))
 }
 
 /// Adapted deviation `ẽ = (1 − η w) e` of one axis or of a vector of axes: the memoryless form of (12), hence
 /// independent of the rate.
 #[inline(always)]
-pub(crate) fn adapt_deviation<A: Arithmetic>(e: A::Real, eta: A::Real, softness: A::Real) -> A::Real {
+pub(crate) fn adapt_deviation<A: RealOps>(e: A::Real, eta: A::Real, softness: A::Real) -> A::Real {
     A::fnma(eta, softness, A::splat(1.0)) * e
 }
 
@@ -31,7 +31,7 @@ pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; 6]
     let e = pose_error(actual, target);
     let mut adapted = e;
     for (value, on) in adapted.iter_mut().zip(compliant) {
-        *value = adapt_deviation::<Plain>(*value, eta, f64::from(u8::from(on)));
+        *value = adapt_deviation::<BaselineF64>(*value, eta, f64::from(u8::from(on)));
     }
     let turn = rotation_matrix([adapted[3], adapted[4], adapted[5]]);
     let mut out = *actual;
@@ -58,7 +58,7 @@ mod tests {
             (-1e-9, 0.0, f64::INFINITY, 1.0),
             (0.0, 0.0, f64::INFINITY, 0.0),
         ] {
-            assert!((plus_share::<Plain>(e, band, slope) - share).abs() < f64::EPSILON, "{e} within {band}");
+            assert!((push_side_blend::<BaselineF64>(e, band, slope) - share).abs() < f64::EPSILON, "{e} within {band}");
         }
     }
 

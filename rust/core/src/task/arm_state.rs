@@ -1,18 +1,18 @@
 //! State of the arm at the predicted positions: line 2 of the control step.
 
 use crate::MAX_AXES;
-use crate::kinematics::View;
-use crate::math::simd::{Lanes, Scalar};
-use crate::params::{Plan, Settings};
+use crate::kinematics::KinematicState;
+use crate::math::simd::{JointVector, Scalar};
+use crate::params::{Params, Settings};
 use crate::task::rows_in;
 
 /// Line 2: state of the arm at the predicted positions.
 #[derive(Clone, Copy)]
-pub(crate) struct Seen<'a, J: Lanes> {
+pub(crate) struct ArmState<'a, J: JointVector> {
     /// q̂ [rad].
     pub(crate) q: J,
     /// Pose of the tool, Jacobian, gravity torques.
-    pub(crate) view: &'a View<J>,
+    pub(crate) view: &'a KinematicState<J>,
     pub(crate) base_from_task: [[Scalar<J>; 3]; 3],
     /// Jacobian rows of the task's axes, in the task frame (k × n).
     pub(crate) rows: &'a [J; MAX_AXES],
@@ -20,17 +20,17 @@ pub(crate) struct Seen<'a, J: Lanes> {
     pub(crate) gravity_in_limit: J,
 }
 
-impl<'a, J: Lanes> Seen<'a, J> {
+impl<'a, J: JointVector> ArmState<'a, J> {
     #[inline(always)]
     pub(crate) fn new(
-        plan: &Plan,
+        params: &Params,
         settings: &Settings,
         q: J,
-        view: &'a View<J>,
+        view: &'a KinematicState<J>,
         room: &'a mut Option<[J; MAX_AXES]>,
     ) -> Self {
-        let base_from_task = plan.base_from_task::<J::One>(&view.tool);
-        let rows = rows_in(&plan.frame, &view.world, &base_from_task, &plan.axes, room);
+        let base_from_task = params.base_from_task::<J::Elem>(&view.tool);
+        let rows = rows_in(&params.frame, &view.j_base, &base_from_task, &params.axes, room);
         let gravity = settings.gravity_use();
         let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));
         let in_limit = J::splat(f64::from(u8::from(gravity.in_limits())));

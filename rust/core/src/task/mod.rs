@@ -9,35 +9,35 @@ pub(crate) mod demand;
 pub(crate) mod deviation_limit;
 pub(crate) mod reference_governor;
 
-pub(crate) use arm_state::Seen;
+pub(crate) use arm_state::ArmState;
 pub use pose_error::pose_error;
 pub(crate) use pose_error::pose_error_by;
 
 use crate::MAX_AXES;
 use crate::kinematics::rotated_rows;
-use crate::math::simd::{Lanes, Scalar};
+use crate::math::simd::{JointVector, Scalar};
 use crate::math::spatial::Mat3;
 use crate::params::Frame;
 
-/// [`task_rows`](crate::kinematics::task_rows) of a task in `frame`; written to `room` unless they equal those of `world`.
+/// [`task_rows`](crate::kinematics::task_rows) of a task in `frame`; written to `room` unless they equal those of `j_base`.
 #[inline(always)]
-fn rows_in<'a, J: Lanes>(
+fn rows_in<'a, J: JointVector>(
     frame: &Frame,
-    world: &'a [J; MAX_AXES],
+    j_base: &'a [J; MAX_AXES],
     base_from_task: &Mat3<Scalar<J>>,
     axes: &[usize],
     room: &'a mut Option<[J; MAX_AXES]>,
 ) -> &'a [J; MAX_AXES] {
     match frame {
-        // All six base axes: the rows are those of `world`.
-        Frame::Base if axes.len() == MAX_AXES => world,
+        // All six base axes: the rows are those of `j_base`.
+        Frame::Base if axes.len() == MAX_AXES => j_base,
         Frame::Base => {
             let mut out = [J::splat(0.0); MAX_AXES];
             for r in 0..axes.len().min(MAX_AXES) {
-                out[r] = world[axes[r] % MAX_AXES];
+                out[r] = j_base[axes[r] % MAX_AXES];
             }
             room.insert(out)
         }
-        _ => room.insert(rotated_rows(world, base_from_task, axes)),
+        _ => room.insert(rotated_rows(j_base, base_from_task, axes)),
     }
 }

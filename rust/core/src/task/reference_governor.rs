@@ -1,26 +1,26 @@
 //! Reference governor: bounds speed and acceleration of the tool's target.
 
-use crate::math::rotation::{out_of_frame, rotation_matrix, rotation_matrix_by};
-use crate::math::simd::Arithmetic;
-use crate::params::Plan;
+use crate::math::rotation::{rotation_matrix, rotation_matrix_by, task_to_base};
+use crate::math::simd::RealOps;
+use crate::params::Params;
 use crate::pose::Pose;
 use crate::task::{pose_error, pose_error_by};
 use crate::{AxisVec, MAX_AXES};
 
 /// Distance to the reference [m, rad] above which a target counts as a jump.
-const LEFT_BEHIND: [f64; 2] = [0.05, 0.2];
+const LAG_THRESHOLD: [f64; 2] = [0.05, 0.2];
 
 /// Deceleration with which a reference stops to wait [m/s², rad/s²]. An abrupt stop would shake the arm.
-const BRAKE: [f64; 2] = [3.0, 12.0];
+const MAX_HOLD_DECELERATION: [f64; 2] = [3.0, 12.0];
 
-/// Trace of a rotation by the second value of `LEFT_BEHIND`, 1 + 2 cos.
-const TRACE_LEFT_BEHIND: f64 = 2.960_133_155_682_483;
+/// Trace of a rotation by the second value of `LAG_THRESHOLD`, 1 + 2 cos.
+const TRACE_LAG_THRESHOLD: f64 = 2.960_133_155_682_483;
 
 /// Reference pose between the start and the target, with its velocity; bounded in speed and acceleration.
 ///
 /// Small enough to be copied without a call to memcpy.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Governor {
+pub(crate) struct ReferenceGovernor {
     pub(crate) pose: Pose,
     /// Linear [m/s] and angular [rad/s], base axes; zero if no speed limit is set.
     pub(crate) velocity: [f64; 6],
@@ -29,7 +29,7 @@ pub(crate) struct Governor {
     pub(crate) target_speed: [f64; 2],
 }
 
-impl Governor {
+impl ReferenceGovernor {
     /// Creates a reference at rest in `pose`.
     pub(crate) fn new(pose: Pose) -> Self {
         Self { pose, velocity: [0.0; 6], target: pose, target_speed: [0.0; 2] }
@@ -41,7 +41,7 @@ impl Governor {
     }
 
     /// Sets the reference and its velocity (6,), base axes.
-    pub(crate) fn put(&mut self, pose: Pose, velocity: [f64; 6]) {
+    pub(crate) fn set(&mut self, pose: Pose, velocity: [f64; 6]) {
         (self.pose, self.velocity) = (pose, velocity);
     }
 
@@ -58,10 +58,10 @@ impl Governor {
         [position == 0, rotation == 0]
     }
 
-    /// Returns whether the target is farther than [`LEFT_BEHIND`] from the reference: position, rotation. False if
+    /// Returns whether the target is farther than [`LAG_THRESHOLD`] from the reference: position, rotation. False if
     /// `speed` is infinite, since the reference then equals the target.
     #[inline(always)]
-    pub(crate) fn behind(&self, speed: [f64; 2]) -> [bool; 2] {
+    pub(crate) fn lags(&self, speed: [f64; 2]) -> [bool; 2] {
         let (mut squared, mut trace) = (0.0, 0.0);
         for i in 0..3 {
             squared += (self.target.position[i] - self.pose.position[i]).powi(2);
@@ -69,16 +69,19 @@ impl Governor {
                 trace += self.target.rotation[i][j] * self.pose.rotation[i][j];
             }
         }
-        [squared > LEFT_BEHIND[0].powi(2) && speed[0].is_finite(), trace < TRACE_LEFT_BEHIND && speed[1].is_finite()]
+        [
+            squared > LAG_THRESHOLD[0].powi(2) && speed[0].is_finite(),
+            trace < TRACE_LAG_THRESHOLD && speed[1].is_finite(),
+        ]
     }
 
     /// Takes back `share` of the motion along the deviation `lag` (6,), base axes, that the last step, from `before`,
-    /// made. Decelerates with at most [`BRAKE`], plus the `acceleration` that the step may have applied.
+    /// made. Decelerates with at most [`MAX_HOLD_DECELERATION`], plus the `acceleration` that the step may have applied.
     ///
     /// Motion sideways and backward is unchanged: an arm that is pressed against an object slides along it, and an arm
     /// that lags is not pulled further. Nothing is taken back while the target is near: an arm whose target lies
     /// slightly inside an object shall press on it.
-    pub(crate) fn wait(
+    pub(crate) fn hold_back(
         &mut self,
         before: &Pose,
         lag: &[f64; 6],
@@ -86,7 +89,7 @@ impl Governor {
         [speed, acceleration]: [[f64; 2]; 2],
         dt: f64,
     ) {
-        let (mut moved, behind) = (pose_error(before, &self.pose), self.behind(speed));
+        let (mut moved, behind) = (pose_error(before, &self.pose), self.lags(speed));
         for b in 0..2 {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
             let (d, m) = (part(lag), part(&moved));
@@ -96,13 +99,14 @@ impl Governor {
             if !behind[b] || gained <= 0.0 || squared < f64::MIN_POSITIVE {
                 continue;
             }
-            let most = (share * gained / squared).min((BRAKE[b] + acceleration[b]) * dt * dt / squared.sqrt());
+            let max =
+                (share * gained / squared).min((MAX_HOLD_DECELERATION[b] + acceleration[b]) * dt * dt / squared.sqrt());
             for i in 0..3 {
-                moved[3 * b + i] -= most * d[i];
-                self.velocity[3 * b + i] -= most * d[i] / dt;
+                moved[3 * b + i] -= max * d[i];
+                self.velocity[3 * b + i] -= max * d[i] / dt;
             }
             if b == 0 {
-                self.pose.position = along(&before.position, 1.0, &part(&moved));
+                self.pose.position = add_scaled(&before.position, 1.0, &part(&moved));
             } else {
                 self.pose.rotation = orthonormal(&multiply(&rotation_matrix(part(&moved)), &before.rotation));
             }
@@ -110,7 +114,7 @@ impl Governor {
     }
 
     /// Velocity of the reference itself (6,), base axes.
-    pub(crate) fn own_velocity(&self) -> [f64; 6] {
+    pub(crate) fn reference_velocity(&self) -> [f64; 6] {
         self.velocity
     }
 
@@ -118,10 +122,10 @@ impl Governor {
     /// `speed`.
     pub(crate) fn velocity(&self, twist: &[f64; 6], speed: [f64; 2]) -> [f64; 6] {
         let mut out = self.velocity;
-        for (block, (&arrived, &most)) in self.arrived().iter().zip(&speed).enumerate() {
+        for (block, (&arrived, &max)) in self.arrived().iter().zip(&speed).enumerate() {
             if arrived {
                 let from = 3 * block;
-                let bounded = within([twist[from], twist[from + 1], twist[from + 2]], most);
+                let bounded = clamp_norm([twist[from], twist[from + 1], twist[from + 2]], max);
                 out[from..from + 3].copy_from_slice(&bounded);
             }
         }
@@ -133,14 +137,14 @@ impl Governor {
     /// A target that moves within the bounds is passed through unchanged. Otherwise translation and rotation each
     /// follow it and brake so that they can stop at it, v ≤ √(2 a d). An infinite speed passes every target through.
     #[inline(always)]
-    pub(crate) fn follow<A: Arithmetic<Real = f64>>(
+    pub(crate) fn update<A: RealOps<Real = f64>>(
         &mut self,
         target: &Pose,
         speed: [f64; 2],
         acceleration: [f64; 2],
         dt: f64,
     ) -> Pose {
-        if speed.iter().all(|most| most.is_infinite()) {
+        if speed.iter().all(|max| max.is_infinite()) {
             *self = Self::new(*target);
             return *target;
         }
@@ -149,11 +153,12 @@ impl Governor {
         let mut blocks = [([0.0; 3], true); 2];
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
-            let (own, fast) = target_velocity(part(&moved), speed[b], dt);
+            let (target_velocity_now, fast) = target_velocity(part(&moved), speed[b], dt);
             // The reference may brake as hard as its target does, so that it does not overshoot.
             let braked = (self.target_speed[b] - fast).max(0.0);
             self.target_speed[b] = fast;
-            *block = approach(part(&e), part(&self.velocity), own, speed[b], [acceleration[b], braked], dt);
+            *block =
+                approach(part(&e), part(&self.velocity), target_velocity_now, speed[b], [acceleration[b], braked], dt);
         }
         let [(linear, at_position), (angular, at_rotation)] = blocks;
         self.target = *target;
@@ -176,44 +181,44 @@ impl Governor {
 }
 
 /// Missing share of the stiff axes' wrench at which the reference stops completely.
-const STRAINED: f64 = 0.2;
+const HOLD_THRESHOLD: f64 = 0.2;
 
 /// Returns how much the reference is held back, 0 to 1, if the arm can exert this `share` of its stiff axes' wrench.
 #[inline(always)]
-pub(crate) fn strain(share: f64) -> f64 {
-    ((1.0 - share) / STRAINED).min(1.0)
+pub(crate) fn hold_fraction(share: f64) -> f64 {
+    ((1.0 - share) / HOLD_THRESHOLD).min(1.0)
 }
 
 /// Holds back a reference that runs ahead of an arm whose stiff axes are at their limits.
-pub(crate) struct Waiting<'a> {
-    pub(crate) plan: &'a Plan,
+pub(crate) struct ReferenceHold<'a> {
+    pub(crate) params: &'a Params,
     /// Bounds of the tool, linear and angular: speed [m/s, rad/s] and acceleration [m/s², rad/s²].
     pub(crate) bounds: [[f64; 2]; 2],
     pub(crate) base_from_task: &'a [[f64; 3]; 3],
     /// Deviation of each row, times its stiffness share [m, rad].
     pub(crate) lag: &'a AxisVec,
     /// Degree to which the reference is held back, 0 to 1.
-    pub(crate) strain: f64,
+    pub(crate) hold_fraction: f64,
     pub(crate) dt: f64,
 }
 
-impl Waiting<'_> {
+impl ReferenceHold<'_> {
     /// Takes back the lead over the arm that the reference has gained since `before`.
     #[cold]
     #[inline(never)]
-    pub(crate) fn of(&self, before: &Pose, governor: &mut Governor) {
+    pub(crate) fn apply(&self, before: &Pose, governor: &mut ReferenceGovernor) {
         let mut lag = [0.0; MAX_AXES];
-        for (&axis, &value) in self.plan.axes.iter().zip(self.lag) {
+        for (&axis, &value) in self.params.axes.iter().zip(self.lag) {
             lag[axis] = value;
         }
-        governor.wait(before, &out_of_frame(self.base_from_task, &lag), self.strain, self.bounds, self.dt);
+        governor.hold_back(before, &task_to_base(self.base_from_task, &lag), self.hold_fraction, self.bounds, self.dt);
     }
 }
 
 /// Velocity of a target that moved by `moved` in `dt`, and its norm; zero for a jump, which is faster than `speed`.
 #[inline(always)]
 fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
-    let velocity = along(&[0.0; 3], 1.0 / dt, &moved);
+    let velocity = add_scaled(&[0.0; 3], 1.0 / dt, &moved);
     let size = norm(velocity);
     if size <= speed { (velocity, size) } else { ([0.0; 3], 0.0) }
 }
@@ -221,40 +226,47 @@ fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
 /// Velocity of the next period toward a point at distance `d` that moves with `own`, and whether it is reached in this
 /// period.
 ///
-/// `most` holds the acceleration and an additional change of velocity allowed in this period.
+/// `max` holds the acceleration and an additional change of velocity allowed in this period.
 #[inline(always)]
-fn approach(d: [f64; 3], v: [f64; 3], own: [f64; 3], speed: f64, most: [f64; 2], dt: f64) -> ([f64; 3], bool) {
+fn approach(
+    d: [f64; 3],
+    v: [f64; 3],
+    target_velocity_now: [f64; 3],
+    speed: f64,
+    max: [f64; 2],
+    dt: f64,
+) -> ([f64; 3], bool) {
     if !speed.is_finite() {
         return ([0.0; 3], true);
     }
     // A speed limit that is lowered during motion takes effect at once.
-    let v = within(v, speed);
-    let behind = along(&d, -dt, &own);
+    let v = clamp_norm(v, speed);
+    let behind = add_scaled(&d, -dt, &target_velocity_now);
     let distance = norm(behind);
     // Speed from which `periods` of braking end exactly at the point: the discrete √(2 a d). Clamp ∞ to f64::MAX: 0 · ∞
     // would be NaN.
-    let step = (most[0] * dt).min(f64::MAX);
+    let step = (max[0] * dt).min(f64::MAX);
     let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
     let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);
     let closing = if distance > 0.0 { braking / distance } else { 0.0 };
-    let wanted = within(along(&own, closing, &behind), speed);
-    let change = within(along(&wanted, -1.0, &v), step + most[1]);
-    let next = along(&v, 1.0, &change);
-    let miss = along(&d, -dt, &next);
+    let wanted = clamp_norm(add_scaled(&target_velocity_now, closing, &behind), speed);
+    let change = clamp_norm(add_scaled(&wanted, -1.0, &v), step + max[1]);
+    let next = add_scaled(&v, 1.0, &change);
+    let miss = add_scaled(&d, -dt, &next);
     (next, norm(miss) <= 1e-12 + 1e-9 * norm(d))
 }
 
-/// Scales `v` to a norm of at most `most`.
+/// Scales `v` to a norm of at most `max`.
 #[inline(always)]
-fn within(v: [f64; 3], most: f64) -> [f64; 3] {
+fn clamp_norm(v: [f64; 3], max: f64) -> [f64; 3] {
     // Compute the root only if the vector is too long.
     let squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
-    if squared > most * most { along(&[0.0; 3], most / squared.sqrt(), &v) } else { v }
+    if squared > max * max { add_scaled(&[0.0; 3], max / squared.sqrt(), &v) } else { v }
 }
 
 /// `a + s b`.
 #[inline(always)]
-fn along(a: &[f64; 3], s: f64, b: &[f64; 3]) -> [f64; 3] {
+fn add_scaled(a: &[f64; 3], s: f64, b: &[f64; 3]) -> [f64; 3] {
     [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
 }
 
@@ -288,15 +300,15 @@ fn orthonormal(r: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::simd::Plain;
+    use crate::math::simd::BaselineF64;
 
     #[test]
     fn speed_and_acceleration_stay_bounded_and_the_target_is_reached_exactly() {
         let target = Pose { position: [0.3, -0.2, 0.1], rotation: rotation_matrix([0.3, 1.0, -0.4]) };
-        let mut governor = Governor::new(Pose::IDENTITY);
+        let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
         let mut before = [0.0; 6];
         for tick in 0..400 {
-            let pose = governor.follow::<Plain>(&target, [0.25, 1.0], [1.0, 4.0], 0.01);
+            let pose = governor.update::<BaselineF64>(&target, [0.25, 1.0], [1.0, 4.0], 0.01);
             let v = governor.velocity;
             let linear = norm([v[0], v[1], v[2]]);
             let angular = norm([v[3], v[4], v[5]]);
@@ -314,26 +326,26 @@ mod tests {
     #[test]
     fn a_lowered_speed_limit_acts_at_once_and_a_reached_target_keeps_its_velocity() {
         let far = Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY };
-        let mut governor = Governor::new(Pose::IDENTITY);
+        let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
         for _ in 0..100 {
-            governor.follow::<Plain>(&far, [1.0, 1.0], [2.0, 4.0], 0.01);
+            governor.update::<BaselineF64>(&far, [1.0, 1.0], [2.0, 4.0], 0.01);
         }
         let before = governor.pose.position[0];
-        let after = governor.follow::<Plain>(&far, [0.1, 1.0], [2.0, 4.0], 0.01).position[0];
+        let after = governor.update::<BaselineF64>(&far, [0.1, 1.0], [2.0, 4.0], 0.01).position[0];
         assert!(after - before <= 0.1 * 0.01 + 1e-15);
         let twist = [0.3, 0.4, 0.0, 0.1, 0.0, 0.0];
         let velocity = governor.velocity(&twist, [0.1, 1.0]);
         assert!((velocity[0] - 0.1).abs() < 1e-12 && velocity[1].abs() < 1e-12 && (velocity[3] - 0.1).abs() < 1e-15);
-        assert_eq!(Governor::new(far).velocity(&twist, [0.25, 1.0])[..2], [0.15, 0.2]);
+        assert_eq!(ReferenceGovernor::new(far).velocity(&twist, [0.25, 1.0])[..2], [0.15, 0.2]);
     }
 
     #[test]
     fn a_slow_target_is_reached_without_overshoot() {
         let at = |t: f64| Pose { position: [0.1 * t.min(1.0), 0.0, 0.0], ..Pose::IDENTITY };
-        let mut governor = Governor::new(Pose::IDENTITY);
+        let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
         for tick in 1..200 {
             let target = at(f64::from(tick) * 0.01);
-            let x = governor.follow::<Plain>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
+            let x = governor.update::<BaselineF64>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
             assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
             // From rest the reference needs 0.1 s to reach the target's speed, and more time to catch up.
             assert!(tick < 40 || (x - target.position[0]).abs() < 1e-9, "tick {tick}: {x}");
@@ -346,11 +358,11 @@ mod tests {
         let (speed, lag) = ([0.25, 1.0], [0.02, 0.0, 0.0, 0.0, 0.0, 0.1]);
         let bounds = [speed, [1.0, 4.0]];
         let gone = |target: &Pose, share: f64| {
-            let mut governor = Governor::new(Pose::IDENTITY);
+            let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
             for _ in 0..50 {
                 let before = governor.pose;
-                governor.follow::<Plain>(target, speed, [1.0, 4.0], 0.01);
-                governor.wait(&before, &lag, share, bounds, 0.01);
+                governor.update::<BaselineF64>(target, speed, [1.0, 4.0], 0.01);
+                governor.hold_back(&before, &lag, share, bounds, 0.01);
             }
             governor
         };
@@ -370,26 +382,26 @@ mod tests {
         let (far, lag) = (Pose { position: [5.0, 0.0, 0.0], ..Pose::IDENTITY }, [0.02, 0.0, 0.0, 0.0, 0.0, 0.0]);
         for acceleration in [0.05, 1.0, 20.0] {
             let bounds = [[0.25, 1.0], [acceleration, 4.0]];
-            let mut governor = Governor::new(Pose::IDENTITY);
+            let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
             for _ in 0..600 {
-                governor.follow::<Plain>(&far, bounds[0], bounds[1], 0.01);
+                governor.update::<BaselineF64>(&far, bounds[0], bounds[1], 0.01);
             }
             let (from, mut speed) = (governor.pose.position[0], governor.velocity[0]);
             assert!((speed - 0.25).abs() < 1e-12);
             for tick in 0..12 {
                 let before = governor.pose;
-                governor.follow::<Plain>(&far, bounds[0], bounds[1], 0.01);
-                governor.wait(&before, &lag, 1.0, bounds, 0.01);
+                governor.update::<BaselineF64>(&far, bounds[0], bounds[1], 0.01);
+                governor.hold_back(&before, &lag, 1.0, bounds, 0.01);
                 let now = governor.velocity[0];
-                let most = (BRAKE[0] + acceleration) * 0.01 + 1e-12;
-                assert!((-1e-12..=most).contains(&(speed - now)), "tick {tick}: {speed} {now}");
+                let max = (MAX_HOLD_DECELERATION[0] + acceleration) * 0.01 + 1e-12;
+                assert!((-1e-12..=max).contains(&(speed - now)), "tick {tick}: {speed} {now}");
                 assert!((governor.pose.position[0] - before.position[0] - now * 0.01).abs() < 1e-12);
                 speed = now;
             }
-            let way = governor.pose.position[0] - from;
+            let distance = governor.pose.position[0] - from;
             assert!(
-                speed.abs() < 1e-12 && way < 0.25 * 0.25 / (2.0 * BRAKE[0]) + 0.0025,
-                "{acceleration}: {speed} {way}"
+                speed.abs() < 1e-12 && distance < 0.25 * 0.25 / (2.0 * MAX_HOLD_DECELERATION[0]) + 0.0025,
+                "{acceleration}: {speed} {distance}"
             );
         }
     }
@@ -397,9 +409,9 @@ mod tests {
     #[test]
     fn with_infinite_acceleration_the_reference_starts_at_full_speed_and_stops_at_the_target() {
         let target = Pose { position: [0.1, 0.0, 0.0], ..Pose::IDENTITY };
-        let mut governor = Governor::new(Pose::IDENTITY);
+        let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
         for tick in 1..60 {
-            let x = governor.follow::<Plain>(&target, [0.25, 1.0], [f64::INFINITY; 2], 0.01).position[0];
+            let x = governor.update::<BaselineF64>(&target, [0.25, 1.0], [f64::INFINITY; 2], 0.01).position[0];
             let expected = (0.0025 * f64::from(tick)).min(0.1);
             assert!((x - expected).abs() < 1e-12, "tick {tick}: {x} instead of {expected}");
         }
@@ -408,7 +420,7 @@ mod tests {
     #[test]
     fn an_infinite_speed_limit_passes_the_target_through() {
         let target = Pose { position: [3.0, 0.0, 0.0], ..Pose::IDENTITY };
-        let mut governor = Governor::new(Pose::IDENTITY);
-        assert_eq!(governor.follow::<Plain>(&target, [f64::INFINITY; 2], [1.0, 4.0], 0.01), target);
+        let mut governor = ReferenceGovernor::new(Pose::IDENTITY);
+        assert_eq!(governor.update::<BaselineF64>(&target, [f64::INFINITY; 2], [1.0, 4.0], 0.01), target);
     }
 }

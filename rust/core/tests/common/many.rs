@@ -1,7 +1,7 @@
 //! Many arms at once, and what a controller of its own does with each.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
-use pliant_core::{BatchCommand, BatchInput, Controller, Invalid, Model, Pose, StepInput, Targets};
+use pliant_core::{BatchCommand, BatchInput, Controller, Model, OnInvalid, Pose, StepInput, Targets};
 
 use crate::seeded::Random;
 
@@ -82,7 +82,7 @@ impl Arms {
             targets: Targets::Poses(&self.flat),
             dt,
             dq: with_dq.then_some(&self.dq),
-            invalid: Invalid::Refuse,
+            invalid: OnInvalid::Error,
         }
     }
 }

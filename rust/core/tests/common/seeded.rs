@@ -80,7 +80,7 @@ impl Random {
             }
         }
         // One that is refused for its distance is pulled in until it is just taken.
-        let centre = model.reach_from();
+        let centre = model.reach_origin();
         while model.check_target(&pose).is_err() {
             for (value, from) in pose.position.iter_mut().zip(centre) {
                 *value += 0.01 * (from - *value);

@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use pliant_core::params::{
-    Axis, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Profile,
-    Projector, Settings, Task, TorqueLimits, Tracking, Yields,
+    Axis, CompliantSide, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, NullSpace, OnDeviationLimit,
+    PaperOptions, Profile, Projector, Settings, Task, TorqueLimits, Tracking,
 };
 use pliant_core::{Controller, Model, Servos};
 
@@ -20,7 +20,14 @@ fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
     };
     let hold = unit * random.between(0.4, 1.5);
     let firm = [hold * random.between(0.2, 1.0), hold * random.between(0.2, 1.0)];
-    let yields = random.pick(&[Yields::Both, Yields::Both, Yields::None, Yields::None, Yields::Plus, Yields::Minus]);
+    let yields = random.pick(&[
+        CompliantSide::Both,
+        CompliantSide::Both,
+        CompliantSide::None,
+        CompliantSide::None,
+        CompliantSide::Plus,
+        CompliantSide::Minus,
+    ]);
     let soft_until = random.between(0.0, 0.05);
     let scale = unit * if small { 1.0 } else { 4.0 };
     let mut springs = |most: f64| {
@@ -35,13 +42,13 @@ fn axis(random: &mut Random, law: Law, translation: bool, small: bool) -> Axis {
         stiffness,
         damping,
         yields: Some(yields),
-        adaptation: if yields == Yields::None { 0.0 } else { random.pick(&[0.0, 0.5, 0.9, 0.999]) },
+        adaptation: if yields == CompliantSide::None { 0.0 } else { random.pick(&[0.0, 0.5, 0.9, 0.999]) },
         soft_until: Some(soft_until),
         firm_from: Some(soft_until + random.between(0.02, 0.4)),
         profile: random.pick(&[Profile::Hardening, Profile::Constant, Profile::Softening]),
         max_velocity: random.pick(&[None, Some(0.05), Some(f64::INFINITY)]),
         soft_step_limit: random.pick(&[None, None, Some(0.1), Some(f64::INFINITY)]),
-        deviation_limit: if yields == Yields::Both {
+        deviation_limit: if yields == CompliantSide::Both {
             None
         } else {
             random.pick(&[None, None, Some(if translation { 0.01 } else { 0.03 }), Some(0.1)])

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use pliant_core::Pose;
-use pliant_core::params::{OnDeviationLimit, Yields};
+use pliant_core::params::{CompliantSide, OnDeviationLimit};
 
 use super::{Oracle, Vector};
 
@@ -25,11 +25,11 @@ impl Oracle {
     fn allowed(&self, axis: usize) -> (f64, f64) {
         let given = &self.settings.axes[axis];
         let most = given.deviation_limit.unwrap_or(f64::INFINITY);
-        match given.effective_yields() {
-            Yields::None => (-most, most),
-            Yields::Plus => (f64::NEG_INFINITY, most),
-            Yields::Minus => (-most, f64::INFINITY),
-            Yields::Both => (f64::NEG_INFINITY, f64::INFINITY),
+        match given.compliant_side() {
+            CompliantSide::None => (-most, most),
+            CompliantSide::Plus => (f64::NEG_INFINITY, most),
+            CompliantSide::Minus => (-most, f64::INFINITY),
+            CompliantSide::Both => (f64::NEG_INFINITY, f64::INFINITY),
         }
     }
 

@@ -66,7 +66,7 @@ fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
     factor
 }
 
-fn beyond(sum: &Vector, bound: &Vector) -> bool {
+fn past_limit(sum: &Vector, bound: &Vector) -> bool {
     (0..sum.len()).any(|i| sum[i].abs() > bound[i] * (1.0 + 1e-9))
 }
 
@@ -187,13 +187,13 @@ impl Want<'_> {
         // Over the ceiling W is scaled, soft first, then stiff; gravity and feed-forward never.
         let ceiling = self.oracle.ceiling();
         let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
-        let carried = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, most| torque.abs().min(most));
-        let feed_forward = self.idle + self.loaded.component_mul(&carried);
+        let snapshot = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, most| torque.abs().min(most));
+        let feed_forward = self.idle + self.loaded.component_mul(&snapshot);
         let base = self.in_goal + &feed_forward + kp.component_mul(&null);
         let (mut f_soft, mut f_stiff) = (1.0, 1.0);
-        if beyond(&(&base + &tau_soft + &tau_stiff), &ceiling) {
+        if past_limit(&(&base + &tau_soft + &tau_stiff), &ceiling) {
             f_soft = fit(&(&base + &tau_stiff), &tau_soft, &ceiling);
-            if beyond(&(&base + &tau_soft * f_soft + &tau_stiff), &ceiling) {
+            if past_limit(&(&base + &tau_soft * f_soft + &tau_stiff), &ceiling) {
                 f_stiff = fit(&(&base + &tau_soft * f_soft), &tau_stiff, &ceiling);
             }
         }
@@ -230,11 +230,11 @@ impl Want<'_> {
             speed * settings.paper_options.horizon
         });
         let mut factors = [1.0; 3];
-        if beyond(&(null + soft + stiff), &bound) {
+        if past_limit(&(null + soft + stiff), &bound) {
             factors[0] = fit(&(soft + stiff), null, &bound);
-            if beyond(&(null * factors[0] + soft + stiff), &bound) {
+            if past_limit(&(null * factors[0] + soft + stiff), &bound) {
                 factors[1] = fit(&(null * factors[0] + stiff), soft, &bound);
-                if beyond(&(null * factors[0] + soft * factors[1] + stiff), &bound) {
+                if past_limit(&(null * factors[0] + soft * factors[1] + stiff), &bound) {
                     factors[2] = fit(&(null * factors[0] + soft * factors[1]), stiff, &bound);
                 }
             }
@@ -317,7 +317,7 @@ impl Want<'_> {
         } else {
             let base = of(false, &(self.in_goal + &all.feed_forward + kp.component_mul(&(&whole + &all.force))));
             let torque = kp.component_mul(&more);
-            if beyond(&(&base + &torque), &self.oracle.ceiling()) {
+            if past_limit(&(&base + &torque), &self.oracle.ceiling()) {
                 factor = fit(&base, &torque, &self.oracle.ceiling());
             }
         }

@@ -208,9 +208,9 @@ impl Oracle {
         let late = self.delay + 0.5 / settings.rate;
         let slope = if self.well_damped() { 2.0 } else { (0.03 / late).clamp(1.0, 3.0) - 1.0 };
         let fade = |lead: f64, i: usize| {
-            let beyond = if lead > 0.0 { q[i] - self.model.upper()[i] } else { self.model.lower()[i] - q[i] };
-            if beyond > 0.0 {
-                lead.signum() * (lead.abs() - beyond * slope.min(lead.abs() / 0.02)).max(0.0)
+            let past_limit = if lead > 0.0 { q[i] - self.model.upper()[i] } else { self.model.lower()[i] - q[i] };
+            if past_limit > 0.0 {
+                lead.signum() * (lead.abs() - past_limit * slope.min(lead.abs() / 0.02)).max(0.0)
             } else {
                 lead
             }
@@ -231,8 +231,8 @@ impl Oracle {
         let mut locked = vec![false; n];
         let goal = loop {
             let goal = &without_lead + &motion.lead + &motion.null;
-            let beyond = |i: usize| !(self.model.lower()[i]..=self.model.upper()[i]).contains(&goal[i]);
-            let more: Vec<usize> = (0..n).filter(|&i| !locked[i] && beyond(i)).collect();
+            let past_limit = |i: usize| !(self.model.lower()[i]..=self.model.upper()[i]).contains(&goal[i]);
+            let more: Vec<usize> = (0..n).filter(|&i| !locked[i] && past_limit(i)).collect();
             if more.is_empty() {
                 break goal + &forces;
             }
@@ -309,8 +309,8 @@ impl Oracle {
         }
         // The weight by itself and first, then all the rest by one share.
         let slew = settings.tracking.goal_slew * ahead;
-        let (carried, all) = (in_goal.component_div(&self.kg), goal - &self.memory.goal);
-        let change = &carried - &self.memory.weight;
+        let (snapshot, all) = (in_goal.component_div(&self.kg), goal - &self.memory.goal);
+        let change = &snapshot - &self.memory.weight;
         let (lift, way) = (change.map(|w| clip(w, slew)), all - change);
         let room = |i: usize| slew - lift[i].abs();
         let share = (0..n).filter(|&i| way[i].abs() > room(i)).map(|i| room(i) / way[i].abs()).fold(1.0, f64::min);

@@ -1,7 +1,7 @@
 //! What a step asks of arm, servos and axes before it solves anything.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use pliant_core::params::{Frame, Gain, Law, Profile, Yields};
+use pliant_core::params::{CompliantSide, Frame, Gain, Law, Profile};
 use pliant_core::{LimitType, Pose, Reference, Servos, StepInput};
 
 use super::{Matrix, Oracle, Row, Vector};
@@ -121,11 +121,11 @@ impl Oracle {
             0.5 - 0.5 * e / band
         };
         let mix = |pair: [f64; 2]| pair[0] * (1.0 - toward_plus) + pair[1] * toward_plus;
-        let w = match given.effective_yields() {
-            Yields::Both => 1.0,
-            Yields::None => 0.0,
-            Yields::Plus => toward_plus,
-            Yields::Minus => 1.0 - toward_plus,
+        let w = match given.compliant_side() {
+            CompliantSide::Both => 1.0,
+            CompliantSide::None => 0.0,
+            CompliantSide::Plus => toward_plus,
+            CompliantSide::Minus => 1.0 - toward_plus,
         };
         let adapted = e - given.adaptation * w * e;
         let seen = if self.settings.paper_options.raw_deviation { e.abs() } else { adapted.abs() };

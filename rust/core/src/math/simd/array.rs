@@ -3,18 +3,18 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::scalar::{Plain, turn};
-use super::{Arithmetic, Cell, LANES, Many, Packed, Spread, Three, Wide, eight, eight_mut};
+use super::scalar::{BaselineF64, rotate_quadrant};
+use super::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, ScalarVec3, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
 /// Eight numbers in an array, vectorized by the compiler: for architectures without hand-written SIMD types.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
-pub(crate) struct Array([f64; LANES]);
+pub(crate) struct ArrayF64x8([f64; LANES]);
 
 macro_rules! operators {
     ($($trait:ident, $method:ident;)*) => {
-        $(impl $trait for Array {
+        $(impl $trait for ArrayF64x8 {
             type Output = Self;
 
             #[inline(always)]
@@ -35,7 +35,7 @@ operators! {
     Div, div;
 }
 
-impl Neg for Array {
+impl Neg for ArrayF64x8 {
     type Output = Self;
 
     #[inline(always)]
@@ -53,14 +53,14 @@ macro_rules! by_lane {
         $(#[inline(always)]
         fn $function(mut $first: Self $(, $argument: Self)*) -> Self {
             for i in 0..LANES {
-                $first.0[i] = Plain::$function($first.0[i] $(, $argument.0[i])*);
+                $first.0[i] = BaselineF64::$function($first.0[i] $(, $argument.0[i])*);
             }
             $first
         })*
     };
 }
 
-impl Arithmetic for Array {
+impl RealOps for ArrayF64x8 {
     type Real = Self;
 
     const WIDE: bool = true;
@@ -75,15 +75,15 @@ impl Arithmetic for Array {
         fnma(a, b, c);
         sqrt(value);
         abs(value);
-        at_least(value, bound);
-        at_most(value, bound);
+        max(value, bound);
+        min(value, bound);
         copy_sign(size, sign);
-        if_less(a, b, then, otherwise);
-        power_of_two(sum);
+        select_lt(a, b, then, otherwise);
+        exp2_int(sum);
     }
 
     #[inline(always)]
-    fn less_anywhere(a: Self, b: Self) -> bool {
+    fn any_lt(a: Self, b: Self) -> bool {
         let mut any = false;
         for i in 0..LANES {
             any |= a.0[i] < b.0[i];
@@ -92,69 +92,69 @@ impl Arithmetic for Array {
     }
 
     #[inline(always)]
-    fn turn(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+    fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..LANES {
-            (s.0[i], c.0[i]) = turn(turns.0[i], s.0[i], c.0[i]);
+            (s.0[i], c.0[i]) = rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
         }
         (s, c)
     }
 }
 
-impl Packed for Array {
+impl SimdVec for ArrayF64x8 {
     const COUNT: usize = LANES;
 
     #[inline(always)]
-    fn of(values: &[f64; LANES]) -> Self {
+    fn from_array(values: &[f64; LANES]) -> Self {
         Self(*values)
     }
 
     #[inline(always)]
-    fn part(values: &[f64]) -> Self {
+    fn load_partial(values: &[f64]) -> Self {
         let mut out = [0.0; LANES];
         out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
         Self(out)
     }
 
     #[inline(always)]
-    fn put(self, values: &mut [f64; LANES]) {
+    fn store_array(self, values: &mut [f64; LANES]) {
         *values = self.0;
     }
 }
 
-impl Spread<f64> for Array {
+impl Broadcast<f64> for ArrayF64x8 {
     #[inline(always)]
-    fn spread(value: f64) -> Self {
+    fn broadcast(value: f64) -> Self {
         Self::splat(value)
     }
 }
 
-impl Spread<Self> for Array {
+impl Broadcast<Self> for ArrayF64x8 {
     #[inline(always)]
-    fn spread(value: Self) -> Self {
+    fn broadcast(value: Self) -> Self {
         value
     }
 }
 
-impl Wide for Array {
-    type One = Plain;
-    type Triple = Three<Plain>;
+impl F64x8 for ArrayF64x8 {
+    type Elem = BaselineF64;
+    type Vec3 = ScalarVec3<BaselineF64>;
 
     #[inline(always)]
-    fn four_sums(numbers: [Self; 4]) -> [f64; 4] {
+    fn hsum4(to_array: [Self; 4]) -> [f64; 4] {
         let mut out = [0.0; 4];
-        for (sum, Self(n)) in out.iter_mut().zip(numbers) {
+        for (sum, Self(n)) in out.iter_mut().zip(to_array) {
             *sum = ((n[0] + n[4]) + (n[1] + n[5])) + ((n[2] + n[6]) + (n[3] + n[7]));
         }
         out
     }
 
     #[inline(always)]
-    fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
-        Self::four_sums([a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]])
+    fn hdot4(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
+        Self::hsum4([a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]])
     }
 
     #[inline(always)]
-    fn components(cells: &[Cell; LANES]) -> [Self; 3] {
+    fn components(cells: &[PaddedVec3; LANES]) -> [Self; 3] {
         let mut out = [Self([0.0; LANES]); 3];
         for i in 0..3 {
             for k in 0..LANES {
@@ -165,12 +165,12 @@ impl Wide for Array {
     }
 }
 
-impl Many for Array {
+impl SoaLanes for ArrayF64x8 {
     #[inline(always)]
-    fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES] {
+    fn load_transposed(rows: &[f64], stride: usize) -> [Self; LANES] {
         let mut out = [Self([0.0; LANES]); LANES];
         for j in 0..LANES {
-            let row = eight(rows, j * stride);
+            let row = chunk8(rows, j * stride);
             for i in 0..LANES {
                 out[i].0[j] = row[i];
             }
@@ -179,11 +179,11 @@ impl Many for Array {
     }
 
     #[inline(always)]
-    fn into_rows(numbers: &[Self; LANES], rows: &mut [f64], stride: usize) {
+    fn store_transposed(to_array: &[Self; LANES], rows: &mut [f64], stride: usize) {
         for i in 0..LANES {
-            if let Some(row) = eight_mut(rows, i * stride) {
+            if let Some(row) = chunk8_mut(rows, i * stride) {
                 for j in 0..LANES {
-                    row[j] = numbers[j].0[i];
+                    row[j] = to_array[j].0[i];
                 }
             }
         }

@@ -8,28 +8,28 @@ use std::fmt;
 use std::sync::OnceLock;
 
 #[cfg(not(target_arch = "x86_64"))]
-pub(crate) use super::Array as PlainEight;
+pub(crate) use super::ArrayF64x8 as BaselineF64x8;
 #[cfg(not(target_arch = "x86_64"))]
-use super::Array as PlainMany;
+use super::ArrayF64x8 as BaselineF64xN;
 #[cfg(target_arch = "x86_64")]
-pub(crate) use super::Sse2 as PlainEight;
+use super::Sse2x2 as BaselineF64xN;
 #[cfg(target_arch = "x86_64")]
-use super::Two as PlainMany;
-use super::{Arithmetic, Many, Plain, Spread, Wide};
+pub(crate) use super::Sse2x8 as BaselineF64x8;
 #[cfg(target_arch = "x86_64")]
-use super::{Avx2, Avx512, Four, Fused};
+use super::{Avx2x4, Avx2x8, Avx512x8, FmaF64};
+use super::{BaselineF64, Broadcast, F64x8, RealOps, SoaLanes};
 
 /// Environment variable that selects a slower instruction set: `baseline`, `avx2` or `avx512`.
 const FORCED: &str = "PLIANT_INSTRUCTIONS";
 
 /// Number types of one instruction set.
-pub(crate) trait Machine {
+pub(crate) trait Isa {
     /// Scalar.
-    type One: Arithmetic<Real = f64> + Spread<f64>;
+    type Elem: RealOps<Real = f64> + Broadcast<f64>;
     /// Eight values of one configuration, one per joint or per task axis.
-    type Eight: Wide<One = Self::One>;
+    type F64x8: F64x8<Elem = Self::Elem>;
     /// One value of each of several configurations.
-    type Many: Many;
+    type F64xN: SoaLanes;
 }
 
 /// Code that is compiled for every instruction set; `run` and everything that it calls must be `#[inline(always)]`.
@@ -38,38 +38,38 @@ pub(crate) trait Kernel {
     type Output;
 
     /// Runs the code with the number types of one instruction set.
-    fn run<M: Machine>(self) -> Self::Output;
+    fn run<M: Isa>(self) -> Self::Output;
 }
 
 /// Instruction set that every processor of the architecture has.
 pub(crate) struct Baseline;
 
-impl Machine for Baseline {
-    type One = Plain;
-    type Eight = PlainEight;
-    type Many = PlainMany;
+impl Isa for Baseline {
+    type Elem = BaselineF64;
+    type F64x8 = BaselineF64x8;
+    type F64xN = BaselineF64xN;
 }
 
 #[cfg(target_arch = "x86_64")]
-impl Machine for Avx2 {
-    type One = Fused;
-    type Eight = Avx2;
-    type Many = Four;
+impl Isa for Avx2x8 {
+    type Elem = FmaF64;
+    type F64x8 = Avx2x8;
+    type F64xN = Avx2x4;
 }
 
 #[cfg(target_arch = "x86_64")]
-impl Machine for Avx512 {
-    type One = Fused;
-    // One configuration is never stepped on AVX-512, see `run_single`.
-    type Eight = Avx2;
-    type Many = Avx512;
+impl Isa for Avx512x8 {
+    type Elem = FmaF64;
+    // One configuration is never stepped on AVX-512, see `dispatch_narrow`.
+    type F64x8 = Avx2x8;
+    type F64xN = Avx512x8;
 }
 
 /// An instruction set that this processor has.
 ///
 /// Results differ between sets by rounding: below 1e-11 of their size at λ ≥ 0.02. On one set they are bit-identical.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Instructions(Set);
+pub struct SimdLevel(Set);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Set {
@@ -80,7 +80,7 @@ enum Set {
     Avx512,
 }
 
-impl Instructions {
+impl SimdLevel {
     /// The instruction set that every processor of this architecture has.
     pub const BASELINE: Self = Self(Set::Baseline);
 
@@ -109,8 +109,8 @@ impl Instructions {
     }
 
     /// Returns the set in use: the widest one, or the one named by `PLIANT_INSTRUCTIONS` if this processor has it.
-    pub fn chosen() -> Self {
-        static CHOSEN: OnceLock<Instructions> = OnceLock::new();
+    pub fn detect() -> Self {
+        static CHOSEN: OnceLock<SimdLevel> = OnceLock::new();
         *CHOSEN.get_or_init(|| {
             let all = Self::available();
             let forced = std::env::var(FORCED).unwrap_or_default();
@@ -130,12 +130,12 @@ impl Instructions {
         }
     }
 
-    /// Runs code for single configurations: as [`Instructions::run`], but at most with AVX2.
+    /// Runs code for single configurations: as [`SimdLevel::run`], but at most with AVX2.
     ///
     /// Arrays of seven or eight numbers gain nothing from wider registers (kinematics even lose a tenth), and a third
     /// copy of the control step would be a third of the wheel's size.
     #[inline]
-    pub(crate) fn run_single<K: Kernel>(self, kernel: K) -> K::Output {
+    pub(crate) fn dispatch_narrow<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             Set::Baseline => baseline(kernel),
             // SAFETY: as in `run`; a processor with AVX-512 has AVX2, see `available`.
@@ -146,7 +146,7 @@ impl Instructions {
 
     /// Runs code with this instruction set.
     #[inline]
-    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+    pub(crate) fn dispatch<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             Set::Baseline => baseline(kernel),
             // SAFETY: values of this kind are made in `available` alone, which checks the processor for all required
@@ -160,7 +160,7 @@ impl Instructions {
     }
 }
 
-impl fmt::Display for Instructions {
+impl fmt::Display for SimdLevel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
@@ -175,11 +175,11 @@ fn baseline<K: Kernel>(kernel: K) -> K::Output {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 fn avx2<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run::<Avx2>()
+    kernel.run::<Avx2x8>()
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,bmi1,bmi2")]
 fn avx512<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run::<Avx512>()
+    kernel.run::<Avx512x8>()
 }

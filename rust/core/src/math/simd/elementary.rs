@@ -2,7 +2,7 @@
 //! every system.
 #![forbid(unsafe_code)]
 
-use super::{Arithmetic, ROUND};
+use super::{ROUND, RealOps};
 
 /// tan(π/8): boundary between the two expansion points of the arctangent series.
 const TAN_EIGHTH: f64 = 0.414_213_562_373_095_05;
@@ -25,39 +25,39 @@ const ARC: [f64; 12] = [
 
 /// Angle [rad] of the point (x, y) in the first quadrant, to 3e-16; 0 for the origin.
 #[inline(always)]
-pub(crate) fn quadrant_angle<A: Arithmetic>(y: A::Real, x: A::Real) -> A::Real {
+pub(crate) fn atan2_first_quadrant<A: RealOps>(y: A::Real, x: A::Real) -> A::Real {
     let c = A::splat;
-    let (small, large) = (A::at_most(y, x), A::at_least(y, x));
+    let (small, large) = (A::min(y, x), A::max(y, x));
     // Above tan(π/8) the angle is measured from the diagonal, so that one division serves both cases.
     let edge = c(TAN_EIGHTH) * large;
-    let up = A::if_less(edge, small, small - large, small);
-    let down = A::if_less(edge, small, small + large, large);
-    let from = A::if_less(edge, small, c(std::f64::consts::FRAC_PI_4), c(0.0));
-    let t = up / A::at_least(down, c(f64::MIN_POSITIVE));
+    let up = A::select_lt(edge, small, small - large, small);
+    let down = A::select_lt(edge, small, small + large, large);
+    let from = A::select_lt(edge, small, c(std::f64::consts::FRAC_PI_4), c(0.0));
+    let t = up / A::max(down, c(f64::MIN_POSITIVE));
     let u = t * t;
     let angle = from + A::fma(t * u, arc_series::<A>(u), t);
-    A::if_less(x, y, c(std::f64::consts::FRAC_PI_2) - angle, angle)
+    A::select_lt(x, y, c(std::f64::consts::FRAC_PI_2) - angle, angle)
 }
 
 /// Angle of the point (y, x) divided by y, `atan(y/x) / y`, given `squared = y²`, with y up to x tan(π/8), for x > 0.
 ///
 /// Needs neither a square root nor a division by y.
 #[inline(always)]
-pub(crate) fn narrow_angle_per<A: Arithmetic>(squared: A::Real, x: A::Real) -> A::Real {
+pub(crate) fn atan_over_y<A: RealOps>(squared: A::Real, x: A::Real) -> A::Real {
     let per_x = A::splat(1.0) / x;
     let u = squared * (per_x * per_x);
     A::fma(per_x * u, arc_series::<A>(u), per_x)
 }
 
-/// Returns true if y is at most x tan(π/8) in every configuration, as [`narrow_angle_per`] requires.
+/// Returns true if y is at most x tan(π/8) in every configuration, as [`atan_over_y`] requires.
 #[inline(always)]
-pub(crate) fn is_narrow<A: Arithmetic>(squared: A::Real, x: A::Real) -> bool {
-    !A::less_anywhere(A::splat(TAN_EIGHTH * TAN_EIGHTH) * (x * x), squared)
+pub(crate) fn is_small_angle<A: RealOps>(squared: A::Real, x: A::Real) -> bool {
+    !A::any_lt(A::splat(TAN_EIGHTH * TAN_EIGHTH) * (x * x), squared)
 }
 
 /// `(atan √u / √u − 1) / u`, in groups of four terms that are computed in parallel.
 #[inline(always)]
-fn arc_series<A: Arithmetic>(u: A::Real) -> A::Real {
+fn arc_series<A: RealOps>(u: A::Real) -> A::Real {
     let c = A::splat;
     let (u2, u4) = (u * u, u * u * u * u);
     let mut fours = [c(0.0); 3];
@@ -70,11 +70,11 @@ fn arc_series<A: Arithmetic>(u: A::Real) -> A::Real {
 
 /// Hyperbolic tangent, to 5e-16 absolute; NaN if `x` is NaN.
 #[inline(always)]
-pub(crate) fn tanh<A: Arithmetic>(x: A::Real) -> A::Real {
+pub(crate) fn tanh<A: RealOps>(x: A::Real) -> A::Real {
     const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];
     let c = A::splat;
     // Beyond this bound tanh is ±1 up to rounding.
-    let y = A::at_least(c(-2.0) * A::abs(x), c(-40.0));
+    let y = A::max(c(-2.0) * A::abs(x), c(-40.0));
     let sum = A::fma(y, c(std::f64::consts::LOG2_E), c(ROUND));
     let halvings = sum - c(ROUND);
     let r = A::fnma(halvings, c(LN_2[1]), A::fnma(halvings, c(LN_2[0]), y));
@@ -90,26 +90,26 @@ pub(crate) fn tanh<A: Arithmetic>(x: A::Real) -> A::Real {
     );
     let top = A::fma(r, c(1.0 / 6_227_020_800.0), c(1.0 / 479_001_600.0));
     let fraction = A::fma(r4, A::fma(r4, A::fma(r4, top, high), middle), low);
-    let e = fraction * A::power_of_two(sum);
+    let e = fraction * A::exp2_int(sum);
     A::copy_sign((c(1.0) - e) / (c(1.0) + e), x)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::simd::Plain;
+    use crate::math::simd::BaselineF64;
 
     #[test]
     fn quadrant_angles_agree_with_atan2() {
         for i in 0..=100_000 {
             let (y, x) = (f64::from(i) / 100_000.0 * std::f64::consts::FRAC_PI_2).sin_cos();
-            let off = (quadrant_angle::<Plain>(y, x) - y.atan2(x)).abs();
+            let off = (atan2_first_quadrant::<BaselineF64>(y, x) - y.atan2(x)).abs();
             assert!(off <= 3e-16, "{i}: {off:e}");
         }
         for small in [1e-300, 1e-9, 1e-3] {
-            assert!((quadrant_angle::<Plain>(small, 1.0) / small.atan() - 1.0).abs() <= 3e-16);
+            assert!((atan2_first_quadrant::<BaselineF64>(small, 1.0) / small.atan() - 1.0).abs() <= 3e-16);
         }
-        assert_eq!(quadrant_angle::<Plain>(0.0, 0.0).to_bits(), 0.0_f64.to_bits());
+        assert_eq!(atan2_first_quadrant::<BaselineF64>(0.0, 0.0).to_bits(), 0.0_f64.to_bits());
     }
 
     #[test]
@@ -117,21 +117,24 @@ mod tests {
         for i in 0..=100_000 {
             let (y, x) = (f64::from(i) / 100_000.0 * std::f64::consts::FRAC_PI_8, 1.7_f64);
             let (y, x) = (x * y.sin(), x * y.cos());
-            let off = (y * narrow_angle_per::<Plain>(y * y, x) - y.atan2(x)).abs();
-            assert!(off <= 2e-16 && is_narrow::<Plain>(0.999 * y * y, x), "{i}: {off:e}");
+            let off = (y * atan_over_y::<BaselineF64>(y * y, x) - y.atan2(x)).abs();
+            assert!(off <= 2e-16 && is_small_angle::<BaselineF64>(0.999 * y * y, x), "{i}: {off:e}");
         }
-        assert!(!is_narrow::<Plain>(0.172, 1.0) && is_narrow::<Plain>(0.171, 1.0));
-        assert!((narrow_angle_per::<Plain>(0.0, 4.0) - 0.25).abs() < f64::EPSILON);
+        assert!(!is_small_angle::<BaselineF64>(0.172, 1.0) && is_small_angle::<BaselineF64>(0.171, 1.0));
+        assert!((atan_over_y::<BaselineF64>(0.0, 4.0) - 0.25).abs() < f64::EPSILON);
     }
 
     #[test]
     fn hyperbolic_tangents_agree_with_the_system() {
         for i in -200_000..200_000 {
             let x = f64::from(i) * 1.7e-4;
-            let off = (tanh::<Plain>(x) - x.tanh()).abs();
+            let off = (tanh::<BaselineF64>(x) - x.tanh()).abs();
             assert!(off <= 5e-16, "{x}: {off:e}");
         }
-        assert!((tanh::<Plain>(1e9) - 1.0).abs() < f64::EPSILON && (tanh::<Plain>(-1e300) + 1.0).abs() < f64::EPSILON);
-        assert!(tanh::<Plain>(f64::NAN).is_nan() && tanh::<Plain>(0.0).to_bits() == 0);
+        assert!(
+            (tanh::<BaselineF64>(1e9) - 1.0).abs() < f64::EPSILON
+                && (tanh::<BaselineF64>(-1e300) + 1.0).abs() < f64::EPSILON
+        );
+        assert!(tanh::<BaselineF64>(f64::NAN).is_nan() && tanh::<BaselineF64>(0.0).to_bits() == 0);
     }
 }

@@ -3,22 +3,22 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::dispatch::PlainEight;
-use super::scalar::{Plain, turn};
-use super::{Arithmetic, Cell, Joints, Lanes, Spread, Three};
+use super::dispatch::BaselineF64x8;
+use super::scalar::{BaselineF64, rotate_quadrant};
+use super::{Broadcast, JointVector, PaddedVec3, RealOps, ScalarVec3, SingleArmJoints};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Sixteen numbers, for arms with more joints than [`LANES`](super::LANES) and for rare code.
 ///
 /// Each operation is a call: inlined, the step of a large arm alone was a sixth of the wheel's size.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct EveryJoint(JointVec, #[expect(dead_code, reason = "a larger value is copied by a call")] u64);
+pub(crate) struct JointVec16(JointVec, #[expect(dead_code, reason = "a larger value is copied by a call")] u64);
 
 /// Defines an outlined elementwise operation.
 macro_rules! each {
     ($of_one:path, $first:ident $(, $argument:ident)*) => {{
         #[inline(never)]
-        fn each($first: &EveryJoint $(, $argument: &EveryJoint)*) -> EveryJoint {
+        fn each($first: &JointVec16 $(, $argument: &JointVec16)*) -> JointVec16 {
             let mut out = *$first;
             for i in 0..MAX_JOINTS {
                 out.0[i] = $of_one($first.0[i] $(, $argument.0[i])*);
@@ -31,7 +31,7 @@ macro_rules! each {
 
 macro_rules! operators {
     ($($trait:ident, $method:ident;)*) => {
-        $(impl $trait for EveryJoint {
+        $(impl $trait for JointVec16 {
             type Output = Self;
 
             #[inline(always)]
@@ -50,7 +50,7 @@ operators! {
     Div, div;
 }
 
-impl Neg for EveryJoint {
+impl Neg for JointVec16 {
     type Output = Self;
 
     #[inline(always)]
@@ -60,17 +60,17 @@ impl Neg for EveryJoint {
     }
 }
 
-/// Defines functions of [`Arithmetic`], joint by joint.
+/// Defines functions of [`RealOps`], joint by joint.
 macro_rules! by_joint {
     ($($function:ident($first:ident $(, $argument:ident)*);)*) => {
         $(#[inline(always)]
         fn $function($first: Self $(, $argument: Self)*) -> Self {
-            each!(Plain::$function, $first $(, $argument)*)
+            each!(BaselineF64::$function, $first $(, $argument)*)
         })*
     };
 }
 
-impl Arithmetic for EveryJoint {
+impl RealOps for JointVec16 {
     type Real = Self;
 
     const WIDE: bool = true;
@@ -85,44 +85,44 @@ impl Arithmetic for EveryJoint {
         fnma(a, b, c);
         sqrt(value);
         abs(value);
-        at_least(value, bound);
-        at_most(value, bound);
+        max(value, bound);
+        min(value, bound);
         copy_sign(size, sign);
-        if_less(a, b, then, otherwise);
-        power_of_two(sum);
+        select_lt(a, b, then, otherwise);
+        exp2_int(sum);
     }
 
     #[inline(always)]
-    fn less_anywhere(a: Self, b: Self) -> bool {
+    fn any_lt(a: Self, b: Self) -> bool {
         #[inline(never)]
-        fn anywhere(a: &EveryJoint, b: &EveryJoint) -> bool {
+        fn anywhere(a: &JointVec16, b: &JointVec16) -> bool {
             a.0.iter().zip(&b.0).any(|(a, b)| a < b)
         }
         anywhere(&a, &b)
     }
 
-    fn turn(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+    fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..MAX_JOINTS {
-            (s.0[i], c.0[i]) = turn(turns.0[i], s.0[i], c.0[i]);
+            (s.0[i], c.0[i]) = rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
         }
         (s, c)
     }
 }
 
-impl Spread<f64> for EveryJoint {
+impl Broadcast<f64> for JointVec16 {
     #[inline(always)]
-    fn spread(value: f64) -> Self {
+    fn broadcast(value: f64) -> Self {
         Self::splat(value)
     }
 }
 
-impl Lanes for EveryJoint {
-    type One = Plain;
-    type Axes = PlainEight;
+impl JointVector for JointVec16 {
+    type Elem = BaselineF64;
+    type Axes = BaselineF64x8;
     type Group = Self;
 
     const GROUPS: usize = 1;
-    const CALLED: bool = true;
+    const OUTLINED: bool = true;
 
     #[inline(always)]
     fn group(&self, _: usize) -> Self {
@@ -140,24 +140,24 @@ impl Lanes for EveryJoint {
     }
 
     #[inline(always)]
-    fn of_joints(values: &JointVec) -> Self {
+    fn from_joints(values: &JointVec) -> Self {
         Self::load(values)
     }
 
     #[inline(always)]
-    fn array(self) -> JointVec {
+    fn to_joints(self) -> JointVec {
         self.0
     }
 
     #[inline(never)]
-    fn largest(self) -> f64 {
-        self.0.iter().fold(0.0, |largest, &value| Plain::at_least(largest, value))
+    fn max_element(self) -> f64 {
+        self.0.iter().fold(0.0, |largest, &value| BaselineF64::max(largest, value))
     }
 
     #[inline(always)]
-    fn sums(numbers: [Self; 4]) -> [f64; 4] {
+    fn sum4(to_array: [Self; 4]) -> [f64; 4] {
         #[inline(never)]
-        fn sum(of: &EveryJoint) -> f64 {
+        fn sum(of: &JointVec16) -> f64 {
             let mut sums = of.0;
             // By halves: this order can be vectorized.
             for half in [8, 4, 2, 1] {
@@ -167,32 +167,32 @@ impl Lanes for EveryJoint {
             }
             sums[0]
         }
-        let [a, b, c, d] = &numbers;
+        let [a, b, c, d] = &to_array;
         [sum(a), sum(b), sum(c), sum(d)]
     }
 
     #[inline(always)]
-    fn dots(a: [&Self; 4], b: [&Self; 4]) -> [f64; 4] {
-        Self::sums([*a[0] * *b[0], *a[1] * *b[1], *a[2] * *b[2], *a[3] * *b[3]])
+    fn dot4(a: [&Self; 4], b: [&Self; 4]) -> [f64; 4] {
+        Self::sum4([*a[0] * *b[0], *a[1] * *b[1], *a[2] * *b[2], *a[3] * *b[3]])
     }
 }
 
-impl Joints for EveryJoint {
-    type Triple = Three<Plain>;
+impl SingleArmJoints for JointVec16 {
+    type Vec3 = ScalarVec3<BaselineF64>;
 
-    fn read(values: &[f64]) -> Self {
+    fn load_slice(values: &[f64]) -> Self {
         let mut out = [0.0; MAX_JOINTS];
         out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
         Self::load(&out)
     }
 
-    fn few<const N: usize>(self) -> [f64; N] {
+    fn prefix<const N: usize>(self) -> [f64; N] {
         let mut out = [0.0; N];
         out.iter_mut().zip(self.0).for_each(|(slot, value)| *slot = value);
         out
     }
 
-    fn components(cells: &[Cell]) -> [Self; 3] {
+    fn components(cells: &[PaddedVec3]) -> [Self; 3] {
         let mut out = [[0.0; MAX_JOINTS]; 3];
         for (k, cell) in cells.iter().enumerate().take(MAX_JOINTS) {
             for (row, &value) in out.iter_mut().zip(cell) {

@@ -1,17 +1,17 @@
 //! Numbers of the control step: formulas are written once, for one configuration or several, and compiled per
 //! instruction set.
 //!
-//! [`Arithmetic`] defines the operations: with one `f64` or with several lanes, with or without fused multiply-add.
-//! Rust never fuses by itself, and `mul_add` without the instruction is a slow call, so the type decides. [`Machine`]
-//! is the set of number types of one instruction set, and [`Instructions`] the instruction sets of the processor.
+//! [`RealOps`] defines the operations: with one `f64` or with several lanes, with or without fused multiply-add.
+//! Rust never fuses by itself, and `mul_add` without the instruction is a slow call, so the type decides. [`Isa`]
+//! is the set of number types of one instruction set, and [`SimdLevel`] the instruction sets of the processor.
 //!
-//! In the control step the lanes of a register hold the joints or the task axes of one configuration ([`Wide`],
-//! [`EveryJoint`]). In batches they hold several configurations ([`Many`]), with one register per joint or axis
-//! ([`Columns`]). Laws are written over [`Lanes`], which covers both. Rare code uses [`EveryJoint`] and is compiled
+//! In the control step the lanes of a register hold the joints or the task axes of one configuration ([`F64x8`],
+//! [`JointVec16`]). In batches they hold several configurations ([`SoaLanes`]), with one register per joint or axis
+//! ([`SoaVec`]). Laws are written over [`JointVector`], which covers both. Rare code uses [`JointVec16`] and is compiled
 //! once.
 //!
-//! Everything between an entry of [`Instructions::run`] and its last formula is `#[inline(always)]`: a function that is
-//! not inlined would be compiled for the baseline instruction set. Formulas over [`Arithmetic`] use loops, not
+//! Everything between an entry of [`SimdLevel::run`] and its last formula is `#[inline(always)]`: a function that is
+//! not inlined would be compiled for the baseline instruction set. Formulas over [`RealOps`] use loops, not
 //! closures, for the same reason.
 
 use std::fmt::Debug;
@@ -30,25 +30,25 @@ mod vectors;
 mod x86;
 
 #[cfg(not(target_arch = "x86_64"))]
-pub(crate) use array::Array;
-pub use dispatch::Instructions;
-pub(crate) use dispatch::{Kernel, Machine};
-pub(crate) use elementary::{is_narrow, narrow_angle_per, quadrant_angle, tanh};
-pub(crate) use joint_vec16::EveryJoint;
-pub(crate) use nontemporal::{PAST_THE_CACHES, Stream, streaming};
+pub(crate) use array::ArrayF64x8;
+pub use dispatch::SimdLevel;
+pub(crate) use dispatch::{Isa, Kernel};
+pub(crate) use elementary::{atan_over_y, atan2_first_quadrant, is_small_angle, tanh};
+pub(crate) use joint_vec16::JointVec16;
+pub(crate) use nontemporal::{NONTEMPORAL_MIN_BYTES, NonTemporalWriter, with_nontemporal};
+pub(crate) use scalar::BaselineF64;
 #[cfg(target_arch = "x86_64")]
-pub(crate) use scalar::Fused;
-pub(crate) use scalar::Plain;
-pub(crate) use soa::Columns;
-pub(crate) use vec3::{Cell, Kept, Real, Three, Triple};
-pub(crate) use vectors::{Axes, AxisScalar, Joints, Lanes, Scalar};
+pub(crate) use scalar::FmaF64;
+pub(crate) use soa::SoaVec;
+pub(crate) use vec3::{PaddedVec3, Real, ScalarVec3, StoreVec3, Vec3Ops};
+pub(crate) use vectors::{AxisScalar, JointVector, Scalar, SingleArmJoints, TaskVector};
 #[cfg(target_arch = "x86_64")]
-pub(crate) use x86::sse2::{Sse2, Two};
+pub(crate) use x86::sse2::{Sse2x2, Sse2x8};
 #[cfg(target_arch = "x86_64")]
-// Private: their methods are safe functions with instructions that only `Instructions` has checked for.
+// Private: their methods are safe functions with instructions that only `SimdLevel` has checked for.
 use x86::{
-    avx2::{Avx2, Four},
-    avx512::Avx512,
+    avx2::{Avx2x4, Avx2x8},
+    avx512::Avx512x8,
 };
 
 /// Positions [rad, m] and velocities below this are flushed to 0: a decaying filter would reach denormal numbers and
@@ -59,7 +59,7 @@ pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 pub(crate) const LANES: usize = 8;
 
 /// Maximum number of joints of interleaved arms: each joint has its own register, used or not.
-pub(crate) const ABREAST: usize = 7;
+pub(crate) const SOA_MAX_JOINTS: usize = 7;
 
 /// Types with `+ − * /` and negation.
 pub(crate) trait Number:
@@ -79,7 +79,7 @@ impl<T> Number for T where
 }
 
 /// Arithmetic of real numbers: one value (`Real = f64`) or several at once.
-pub(crate) trait Arithmetic: Copy + Debug + 'static {
+pub(crate) trait RealOps: Copy + Debug + 'static {
     /// The number type: one value per configuration.
     type Real: Number;
 
@@ -102,75 +102,75 @@ pub(crate) trait Arithmetic: Copy + Debug + 'static {
     fn abs(value: Self::Real) -> Self::Real;
 
     /// The larger of two numbers; NaN if `value` is NaN.
-    fn at_least(value: Self::Real, bound: Self::Real) -> Self::Real;
+    fn max(value: Self::Real, bound: Self::Real) -> Self::Real;
 
     /// The smaller of two numbers; NaN if `value` is NaN.
-    fn at_most(value: Self::Real, bound: Self::Real) -> Self::Real;
+    fn min(value: Self::Real, bound: Self::Real) -> Self::Real;
 
-    /// Clamps `value` to ± `most`; NaN if `value` is NaN, no panic if `most` is NaN.
+    /// Clamps `value` to ± `bound`; NaN if `value` is NaN, no panic if `bound` is NaN.
     #[inline(always)]
-    fn clip(value: Self::Real, most: Self::Real) -> Self::Real {
-        Self::at_most(Self::at_least(value, -most), most)
+    fn clamp_abs(value: Self::Real, bound: Self::Real) -> Self::Real {
+        Self::min(Self::max(value, -bound), bound)
     }
 
     /// `size` with the sign of `sign`.
     fn copy_sign(size: Self::Real, sign: Self::Real) -> Self::Real;
 
     /// Selects `then` if `a < b`, else `otherwise`, per lane.
-    fn if_less(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
+    fn select_lt(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
 
     /// Returns true if `a < b` in any lane.
-    fn less_anywhere(a: Self::Real, b: Self::Real) -> bool;
+    fn any_lt(a: Self::Real, b: Self::Real) -> bool;
 
     /// Two to the power of the integer in the last bits of `sum`.
-    fn power_of_two(sum: Self::Real) -> Self::Real;
+    fn exp2_int(sum: Self::Real) -> Self::Real;
 
     /// Rotates `(s, c)` by as many quarter turns as the integer in the last bits of `turns`.
-    fn turn(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
+    fn rotate_quadrant(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
 }
 
 /// Broadcast of one `R` to all joints or task axes; identity for `R` itself.
-pub(crate) trait Spread<R>: Arithmetic {
+pub(crate) trait Broadcast<R>: RealOps {
     /// Copies the value to all elements.
-    fn spread(value: R) -> Self::Real;
+    fn broadcast(value: R) -> Self::Real;
 }
 
 /// SIMD vector in registers.
-pub(crate) trait Packed: Arithmetic<Real = Self> + Number {
+pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
     /// Number of elements, at most [`LANES`].
     const COUNT: usize;
 
-    /// Loads the first [`Packed::COUNT`] numbers.
-    fn of(values: &[f64; LANES]) -> Self;
+    /// Loads the first [`SimdVec::COUNT`] numbers.
+    fn from_array(values: &[f64; LANES]) -> Self;
 
     /// Loads all numbers of the slice, zeros after them.
-    fn part(values: &[f64]) -> Self;
+    fn load_partial(values: &[f64]) -> Self;
 
-    /// Stores into the first [`Packed::COUNT`] numbers.
-    fn put(self, values: &mut [f64; LANES]);
+    /// Stores into the first [`SimdVec::COUNT`] numbers.
+    fn store_array(self, values: &mut [f64; LANES]);
 
     /// Returns an array, zeros after the last element.
     #[inline(always)]
-    fn numbers(self) -> [f64; LANES] {
+    fn to_array(self) -> [f64; LANES] {
         let mut out = [0.0; LANES];
-        self.put(&mut out);
+        self.store_array(&mut out);
         out
     }
 }
 
 /// Register with one value of each of several configurations.
-pub(crate) trait Many: Packed + Spread<Self> {
+pub(crate) trait SoaLanes: SimdVec + Broadcast<Self> {
     /// Loads eight numbers of each configuration, from rows that begin `stride` apart; 0 for a row that is incomplete.
-    fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES];
+    fn load_transposed(rows: &[f64], stride: usize) -> [Self; LANES];
 
     /// Stores eight numbers of each configuration into rows that begin `stride` apart, the first row first; skips a row
     /// that does not fit.
-    fn into_rows(numbers: &[Self; LANES], rows: &mut [f64], stride: usize);
+    fn store_transposed(to_array: &[Self; LANES], rows: &mut [f64], stride: usize);
 }
 
 /// Returns the eight numbers from index `at` on.
 #[inline(always)]
-fn eight(values: &[f64], at: usize) -> &[f64; LANES] {
+fn chunk8(values: &[f64], at: usize) -> &[f64; LANES] {
     match values.get(at..) {
         Some(rest) => rest.first_chunk().unwrap_or(&[0.0; LANES]),
         None => &[0.0; LANES],
@@ -179,26 +179,26 @@ fn eight(values: &[f64], at: usize) -> &[f64; LANES] {
 
 /// Returns the eight numbers from index `at` on, for writing.
 #[inline(always)]
-fn eight_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
+fn chunk8_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
     values.get_mut(at..)?.first_chunk_mut()
 }
 
 /// Eight values of one configuration: one per joint or per task axis.
-pub(crate) trait Wide: Packed + Spread<f64> {
+pub(crate) trait F64x8: SimdVec + Broadcast<f64> {
     /// Scalar of the same instruction set.
-    type One: Arithmetic<Real = f64> + Spread<f64>;
+    type Elem: RealOps<Real = f64> + Broadcast<f64>;
 
     /// 3-vector of the same instruction set.
-    type Triple: Kept<One = Self::One>;
+    type Vec3: StoreVec3<Elem = Self::Elem>;
 
     /// Returns the sum of each vector.
-    fn four_sums(numbers: [Self; 4]) -> [f64; 4];
+    fn hsum4(to_array: [Self; 4]) -> [f64; 4];
 
     /// Returns the dot product of each pair.
-    fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4];
+    fn hdot4(a: [Self; 4], b: [Self; 4]) -> [f64; 4];
 
     /// The three components of the vectors in the first [`LANES`] cells.
-    fn components(cells: &[Cell; LANES]) -> [Self; 3];
+    fn components(cells: &[PaddedVec3; LANES]) -> [Self; 3];
 }
 
 /// π/2 in three parts. The first two have 33 bits, so that their products with an integer below 2²⁰ are exact.
@@ -212,7 +212,7 @@ const ROUND: f64 = 6_755_399_441_055_744.0;
 /// Without branches, tables and calls, so that a loop over joints can be vectorized; identical on every system.
 /// Reduction to |r| ≤ π/4 after Cody and Waite, then the Taylor series: the first omitted term is below 5e-17.
 #[inline(always)]
-pub(crate) fn sin_cos<A: Arithmetic>(angle: A::Real) -> (A::Real, A::Real) {
+pub(crate) fn sin_cos<A: RealOps>(angle: A::Real) -> (A::Real, A::Real) {
     let c = A::splat;
     let sum = A::fma(angle, c(std::f64::consts::FRAC_2_PI), c(ROUND));
     let turns = sum - c(ROUND);
@@ -232,7 +232,7 @@ pub(crate) fn sin_cos<A: Arithmetic>(angle: A::Real) -> (A::Real, A::Real) {
     let high = A::fnma(r2, c(1.0 / 87_178_291_200.0), c(1.0 / 479_001_600.0));
     let high = A::fma(r4, c(1.0 / 20_922_789_888_000.0), high);
     let cosine = A::fma(r4, A::fma(r8, high, low), A::fnma(c(0.5), r2, c(1.0)));
-    A::turn(sum, sine, cosine)
+    A::rotate_quadrant(sum, sine, cosine)
 }
 
 #[cfg(test)]
@@ -245,22 +245,22 @@ mod tests {
     impl Kernel for Sines<'_> {
         type Output = [[(f64, f64); LANES]; 2];
 
-        fn run<M: Machine>(self) -> Self::Output {
-            let one = self.0.map(sin_cos::<M::One>);
-            let (s, c) = sin_cos::<M::Eight>(M::Eight::of(self.0));
-            let (s, c) = (s.numbers(), c.numbers());
+        fn run<M: Isa>(self) -> Self::Output {
+            let one = self.0.map(sin_cos::<M::Elem>);
+            let (s, c) = sin_cos::<M::F64x8>(M::F64x8::from_array(self.0));
+            let (s, c) = (s.to_array(), c.to_array());
             [one, std::array::from_fn(|i| (s[i], c[i]))]
         }
     }
 
     /// Largest difference from the system's functions over a dense sequence with irrational step.
-    fn worst(instructions: Instructions, largest: f64) -> f64 {
+    fn worst(simd_level: SimdLevel, largest: f64) -> f64 {
         let mut off: f64 = 0.0;
         for i in 0..20_000 {
             let at =
                 |lane: usize| ((i * LANES + lane) as f64 * 0.618_033_988_749_895).fract() * 2.0 * largest - largest;
             let angles = std::array::from_fn(at);
-            for all in instructions.run(Sines(&angles)) {
+            for all in simd_level.dispatch(Sines(&angles)) {
                 for ((sine, cosine), angle) in all.iter().zip(angles) {
                     off = off.max((sine - angle.sin()).abs()).max((cosine - angle.cos()).abs());
                 }
@@ -271,25 +271,25 @@ mod tests {
 
     #[test]
     fn sines_agree_with_the_system_up_to_rounding() {
-        for instructions in Instructions::available() {
+        for simd_level in SimdLevel::available() {
             for largest in [1e-9, 0.8, 3.2, 100.0, 1e4, 1e6] {
-                let off = worst(instructions, largest);
-                assert!(off <= 2.3e-16, "{instructions}, within ±{largest}: {off:e}");
+                let off = worst(simd_level, largest);
+                assert!(off <= 2.3e-16, "{simd_level}, within ±{largest}: {off:e}");
             }
         }
     }
 
     #[test]
     fn sines_at_multiples_of_a_quarter_turn() {
-        for instructions in Instructions::available() {
+        for simd_level in SimdLevel::available() {
             for i in -1000..1000_i32 {
                 let angle = f64::from(i) * std::f64::consts::FRAC_PI_2;
-                for all in instructions.run(Sines(&[angle; LANES])) {
+                for all in simd_level.dispatch(Sines(&[angle; LANES])) {
                     let (sine, cosine) = all[i.unsigned_abs() as usize % LANES];
                     assert!((sine - angle.sin()).abs() <= 1.2e-16 && (cosine - angle.cos()).abs() <= 1.2e-16, "{i}");
                 }
             }
-            let [(sine, cosine), ..] = instructions.run(Sines(&[0.0; LANES]))[1];
+            let [(sine, cosine), ..] = simd_level.dispatch(Sines(&[0.0; LANES]))[1];
             assert_eq!([sine.to_bits(), cosine.to_bits()], [0.0_f64.to_bits(), 1.0_f64.to_bits()]);
         }
     }
@@ -300,30 +300,26 @@ mod tests {
     impl Kernel for Turned<'_> {
         type Output = (usize, [[f64; LANES]; LANES], Vec<f64>);
 
-        fn run<M: Machine>(self) -> Self::Output {
-            let columns = M::Many::from_rows(self.0, self.1);
+        fn run<M: Isa>(self) -> Self::Output {
+            let columns = M::F64xN::load_transposed(self.0, self.1);
             let mut rows = vec![-1.0; self.0.len()];
-            M::Many::into_rows(&columns, &mut rows, self.1);
-            (M::Many::COUNT, columns.map(M::Many::numbers), rows)
+            M::F64xN::store_transposed(&columns, &mut rows, self.1);
+            (M::F64xN::COUNT, columns.map(M::F64xN::to_array), rows)
         }
     }
 
     #[test]
     fn rows_are_transposed_and_restored() {
-        for instructions in Instructions::available() {
+        for simd_level in SimdLevel::available() {
             for stride in [LANES, 11, 42] {
                 let table: Vec<f64> = (0..LANES * stride).map(|i| i as f64).collect();
-                let (count, columns, rows) = instructions.run(Turned(&table, stride));
+                let (count, columns, rows) = simd_level.dispatch(Turned(&table, stride));
                 for (at, row) in rows.iter().enumerate() {
                     let (r, c) = (at / stride, at % stride);
                     let inside = r < count && c < LANES;
-                    assert_eq!(
-                        row.to_bits(),
-                        if inside { at as f64 } else { -1.0 }.to_bits(),
-                        "{instructions} {r} {c}"
-                    );
+                    assert_eq!(row.to_bits(), if inside { at as f64 } else { -1.0 }.to_bits(), "{simd_level} {r} {c}");
                     if inside {
-                        assert_eq!(columns[c][r].to_bits(), (at as f64).to_bits(), "{instructions} {r} {c}");
+                        assert_eq!(columns[c][r].to_bits(), (at as f64).to_bits(), "{simd_level} {r} {c}");
                     }
                 }
             }
@@ -332,10 +328,10 @@ mod tests {
 
     #[test]
     fn an_incomplete_row_is_neither_read_nor_written() {
-        for instructions in Instructions::available() {
-            let (_, columns, rows) = instructions.run(Turned(&[1.0; LANES + 3], LANES));
-            assert!(rows[LANES..].iter().all(|&value| value < 0.0), "{instructions}");
-            assert!(columns.iter().all(|column| column[0] > 0.0 && column[1].abs() < 1.0), "{instructions}");
+        for simd_level in SimdLevel::available() {
+            let (_, columns, rows) = simd_level.dispatch(Turned(&[1.0; LANES + 3], LANES));
+            assert!(rows[LANES..].iter().all(|&value| value < 0.0), "{simd_level}");
+            assert!(columns.iter().all(|column| column[0] > 0.0 && column[1].abs() < 1.0), "{simd_level}");
         }
     }
 }

@@ -5,13 +5,13 @@ use std::marker::PhantomData;
 
 /// Size of results [bytes] above which they are written past the caches: a cached store first reads the line that it
 /// overwrites, and evicts data that is used sooner.
-pub(crate) const PAST_THE_CACHES: usize = 1 << 25;
+pub(crate) const NONTEMPORAL_MIN_BYTES: usize = 1 << 25;
 
-/// Copies with non-temporal stores; created by [`streaming`] only. `'a` is invariant: the destination stays borrowed
+/// Copies with non-temporal stores; created by [`with_nontemporal`] only. `'a` is invariant: the destination stays borrowed
 /// for all of it.
-pub(crate) struct Stream<'a>(PhantomData<fn(&'a ()) -> &'a ()>);
+pub(crate) struct NonTemporalWriter<'a>(PhantomData<fn(&'a ()) -> &'a ()>);
 
-/// On drop, orders the copies of a [`Stream`] before everything that follows.
+/// On drop, orders the copies of a [`NonTemporalWriter`] before everything that follows.
 struct Fence;
 
 impl Drop for Fence {
@@ -32,16 +32,16 @@ impl Drop for Fence {
 /// The fence is in this function's frame: `work` gets a reference and cannot leak it past the fence. `'a` outlives this
 /// call, so other threads read the destination only after the fence.
 #[inline(always)]
-pub(crate) fn streaming<'a, T>(wanted: bool, work: impl FnOnce(Option<&Stream<'a>>) -> T) -> T {
+pub(crate) fn with_nontemporal<'a, T>(wanted: bool, work: impl FnOnce(Option<&NonTemporalWriter<'a>>) -> T) -> T {
     if !wanted {
         return work(None);
     }
-    let (stream, _fence) = (Stream(PhantomData), Fence);
+    let (stream, _fence) = (NonTemporalWriter(PhantomData), Fence);
     work(Some(&stream))
 }
 
 #[expect(clippy::unused_self, reason = "a stream is the proof that a fence follows")]
-impl<'a> Stream<'a> {
+impl<'a> NonTemporalWriter<'a> {
     /// Copies whole cache lines with non-temporal stores.
     #[cfg(target_arch = "x86_64")]
     #[inline(always)]
@@ -57,7 +57,7 @@ impl<'a> Stream<'a> {
         for (line, place) in lines.iter().zip(places) {
             for pair in 0..LINE / 2 {
                 // SAFETY: every x86-64 processor has the instruction; source and destination have eight numbers, and
-                // the first destination is aligned. `streaming` fences before `'a` ends, and until then `to` is
+                // the first destination is aligned. `with_nontemporal` fences before `'a` ends, and until then `to` is
                 // borrowed.
                 unsafe { _mm_stream_pd(place.as_mut_ptr().add(2 * pair), _mm_loadu_pd(line.as_ptr().add(2 * pair))) };
             }
@@ -92,13 +92,13 @@ mod tests {
     fn a_fence_follows_every_stream_even_after_a_panic() {
         let (from, mut to) = ([1.0; 32], [0.0; 32]);
         let before = fences();
-        streaming(false, |stream| assert!(stream.is_none()));
+        with_nontemporal(false, |stream| assert!(stream.is_none()));
         assert_eq!(fences(), before, "nothing was copied past the caches");
-        streaming(true, |stream| stream.map(|stream| stream.copy(&from, &mut to)));
+        with_nontemporal(true, |stream| stream.map(|stream| stream.copy(&from, &mut to)));
         assert_eq!(fences(), before + 1);
         let mut shorter = [0.0; 8];
         let failed = catch_unwind(AssertUnwindSafe(|| {
-            streaming(true, |stream| stream.map(|stream| stream.copy(&from, &mut shorter)));
+            with_nontemporal(true, |stream| stream.map(|stream| stream.copy(&from, &mut shorter)));
         }));
         assert!(failed.is_err());
         assert_eq!(fences(), before + 2);
@@ -111,7 +111,7 @@ mod tests {
             for length in [0, 1, 7, 8, 9, 63, 150] {
                 let mut to = vec![0.0; 200];
                 let place = &mut to[first..first + length];
-                streaming(true, |stream| stream.map(|stream| stream.copy(&from[..length], place)));
+                with_nontemporal(true, |stream| stream.map(|stream| stream.copy(&from[..length], place)));
                 assert!(to[..first].iter().chain(&to[first + length..]).all(|value| value.to_bits() == 0));
                 assert!(to[first..].iter().zip(&from[..length]).all(|(a, b)| a.to_bits() == b.to_bits()));
             }

@@ -1,20 +1,20 @@
 //! Scalars of one configuration: `f64`, with and without fused multiply-add.
 #![forbid(unsafe_code)]
 
-use super::{Arithmetic, Spread};
+use super::{Broadcast, RealOps};
 
 /// `f64` with the baseline of the architecture: on aarch64 with fused multiply-add, elsewhere without.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Plain;
+pub(crate) struct BaselineF64;
 
 /// `f64` on x86-64 processors with fused multiply-add.
 #[cfg(target_arch = "x86_64")]
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Fused;
+pub(crate) struct FmaF64;
 
 /// Swaps and negates sine and cosine for the quadrant in the last bits of `turns`.
 #[inline(always)]
-pub(super) fn turn(turns: f64, sine: f64, cosine: f64) -> (f64, f64) {
+pub(super) fn rotate_quadrant(turns: f64, sine: f64, cosine: f64) -> (f64, f64) {
     let quadrant = turns.to_bits();
     // Odd quadrants swap the two; the sign bits follow from the quadrant.
     let swap = (quadrant & 1).wrapping_neg();
@@ -27,7 +27,7 @@ pub(super) fn turn(turns: f64, sine: f64, cosine: f64) -> (f64, f64) {
 
 macro_rules! scalar {
     ($name:ident, ($a:ident, $b:ident, $c:ident), $fma:expr, $fnma:expr) => {
-        impl Arithmetic for $name {
+        impl RealOps for $name {
             type Real = f64;
 
             const WIDE: bool = false;
@@ -58,12 +58,12 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
-            fn at_least(value: f64, bound: f64) -> f64 {
+            fn max(value: f64, bound: f64) -> f64 {
                 if value < bound { bound } else { value }
             }
 
             #[inline(always)]
-            fn at_most(value: f64, bound: f64) -> f64 {
+            fn min(value: f64, bound: f64) -> f64 {
                 if value > bound { bound } else { value }
             }
 
@@ -73,29 +73,29 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
-            fn if_less(a: f64, b: f64, then: f64, otherwise: f64) -> f64 {
+            fn select_lt(a: f64, b: f64, then: f64, otherwise: f64) -> f64 {
                 if a < b { then } else { otherwise }
             }
 
             #[inline(always)]
-            fn less_anywhere(a: f64, b: f64) -> bool {
+            fn any_lt(a: f64, b: f64) -> bool {
                 a < b
             }
 
             #[inline(always)]
-            fn power_of_two(sum: f64) -> f64 {
+            fn exp2_int(sum: f64) -> f64 {
                 f64::from_bits((sum.to_bits() << 52).wrapping_add(1023 << 52))
             }
 
             #[inline(always)]
-            fn turn(turns: f64, s: f64, c: f64) -> (f64, f64) {
-                turn(turns, s, c)
+            fn rotate_quadrant(turns: f64, s: f64, c: f64) -> (f64, f64) {
+                rotate_quadrant(turns, s, c)
             }
         }
 
-        impl Spread<f64> for $name {
+        impl Broadcast<f64> for $name {
             #[inline(always)]
-            fn spread(value: f64) -> f64 {
+            fn broadcast(value: f64) -> f64 {
                 value
             }
         }
@@ -103,8 +103,8 @@ macro_rules! scalar {
 }
 
 #[cfg(not(target_arch = "aarch64"))]
-scalar!(Plain, (a, b, c), a * b + c, c - a * b);
+scalar!(BaselineF64, (a, b, c), a * b + c, c - a * b);
 #[cfg(target_arch = "aarch64")]
-scalar!(Plain, (a, b, c), a.mul_add(b, c), (-a).mul_add(b, c));
+scalar!(BaselineF64, (a, b, c), a.mul_add(b, c), (-a).mul_add(b, c));
 #[cfg(target_arch = "x86_64")]
-scalar!(Fused, (a, b, c), a.mul_add(b, c), (-a).mul_add(b, c));
+scalar!(FmaF64, (a, b, c), a.mul_add(b, c), (-a).mul_add(b, c));

@@ -7,31 +7,31 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::{ABREAST, Arithmetic, Axes, LANES, Lanes, Many, Spread};
+use super::{Broadcast, JointVector, LANES, RealOps, SOA_MAX_JOINTS, SoaLanes, TaskVector};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// `N` values per configuration, one register each.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Columns<W, const N: usize>([W; N]);
+pub(crate) struct SoaVec<W, const N: usize>([W; N]);
 
-impl<W: Many> Columns<W, ABREAST> {
+impl<W: SoaLanes> SoaVec<W, SOA_MAX_JOINTS> {
     /// Returns a number per joint, zeros in the padding.
     #[inline(always)]
-    pub(crate) fn numbers(self) -> [W; LANES] {
+    pub(crate) fn to_array(self) -> [W; LANES] {
         let mut out = [W::splat(0.0); LANES];
-        for i in 0..ABREAST {
+        for i in 0..SOA_MAX_JOINTS {
             out[i] = self.0[i];
         }
         out
     }
 }
 
-impl<W: Many> Lanes for Columns<W, ABREAST> {
-    type One = W;
-    type Axes = Columns<W, MAX_AXES>;
+impl<W: SoaLanes> JointVector for SoaVec<W, SOA_MAX_JOINTS> {
+    type Elem = W;
+    type Axes = SoaVec<W, MAX_AXES>;
     type Group = W;
 
-    const GROUPS: usize = ABREAST;
+    const GROUPS: usize = SOA_MAX_JOINTS;
 
     #[inline(always)]
     fn group(&self, i: usize) -> W {
@@ -45,61 +45,61 @@ impl<W: Many> Lanes for Columns<W, ABREAST> {
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
-        let mut out = [W::splat(0.0); ABREAST];
-        for i in 0..ABREAST {
+        let mut out = [W::splat(0.0); SOA_MAX_JOINTS];
+        for i in 0..SOA_MAX_JOINTS {
             out[i] = W::splat(values[i]);
         }
         Self(out)
     }
 
     #[inline(always)]
-    fn of_joints(values: &[W; MAX_JOINTS]) -> Self {
-        let mut out = [W::splat(0.0); ABREAST];
-        for i in 0..ABREAST {
+    fn from_joints(values: &[W; MAX_JOINTS]) -> Self {
+        let mut out = [W::splat(0.0); SOA_MAX_JOINTS];
+        for i in 0..SOA_MAX_JOINTS {
             out[i] = values[i];
         }
         Self(out)
     }
 
     #[inline(always)]
-    fn array(self) -> [W; MAX_JOINTS] {
+    fn to_joints(self) -> [W; MAX_JOINTS] {
         let mut out = [W::splat(0.0); MAX_JOINTS];
-        for i in 0..ABREAST {
+        for i in 0..SOA_MAX_JOINTS {
             out[i] = self.0[i];
         }
         out
     }
 
     #[inline(always)]
-    fn largest(self) -> W {
+    fn max_element(self) -> W {
         let mut largest = W::splat(0.0);
-        for i in 0..ABREAST {
-            largest = W::at_least(largest, self.0[i]);
+        for i in 0..SOA_MAX_JOINTS {
+            largest = W::max(largest, self.0[i]);
         }
         largest
     }
 
     #[inline(always)]
-    fn sums(numbers: [Self; 4]) -> [W; 4] {
-        [numbers[0].sum(), numbers[1].sum(), numbers[2].sum(), numbers[3].sum()]
+    fn sum4(to_array: [Self; 4]) -> [W; 4] {
+        [to_array[0].sum(), to_array[1].sum(), to_array[2].sum(), to_array[3].sum()]
     }
 
     #[inline(always)]
     fn sum(self) -> W {
         let mut sum = self.0[0];
-        for i in 1..ABREAST {
+        for i in 1..SOA_MAX_JOINTS {
             sum = sum + self.0[i];
         }
         sum
     }
 
     #[inline(always)]
-    fn dots(a: [&Self; 4], b: [&Self; 4]) -> [W; 4] {
+    fn dot4(a: [&Self; 4], b: [&Self; 4]) -> [W; 4] {
         let mut out = [W::splat(0.0); 4];
         for k in 0..4 {
             out[k] = a[k].0[0] * b[k].0[0];
         }
-        for i in 1..ABREAST {
+        for i in 1..SOA_MAX_JOINTS {
             for k in 0..4 {
                 out[k] = W::fma(a[k].0[i], b[k].0[i], out[k]);
             }
@@ -108,8 +108,8 @@ impl<W: Many> Lanes for Columns<W, ABREAST> {
     }
 }
 
-impl<W: Many> Axes for Columns<W, MAX_AXES> {
-    type One = W;
+impl<W: SoaLanes> TaskVector for SoaVec<W, MAX_AXES> {
+    type Elem = W;
 
     #[inline(always)]
     fn constant(values: &[f64; LANES]) -> Self {
@@ -121,19 +121,19 @@ impl<W: Many> Axes for Columns<W, MAX_AXES> {
     }
 
     #[inline(always)]
-    fn of_axes(values: &[W; MAX_AXES]) -> Self {
+    fn from_axes(values: &[W; MAX_AXES]) -> Self {
         Self(*values)
     }
 
     #[inline(always)]
-    fn axes(self) -> [W; MAX_AXES] {
+    fn to_axes(self) -> [W; MAX_AXES] {
         self.0
     }
 }
 
-impl<W: Many, const N: usize> Spread<W> for Columns<W, N> {
+impl<W: SoaLanes, const N: usize> Broadcast<W> for SoaVec<W, N> {
     #[inline(always)]
-    fn spread(value: W) -> Self {
+    fn broadcast(value: W) -> Self {
         Self([value; N])
     }
 }
@@ -151,7 +151,7 @@ macro_rules! by_column {
     };
 }
 
-impl<W: Many, const N: usize> Arithmetic for Columns<W, N> {
+impl<W: SoaLanes, const N: usize> RealOps for SoaVec<W, N> {
     type Real = Self;
 
     const WIDE: bool = true;
@@ -166,26 +166,26 @@ impl<W: Many, const N: usize> Arithmetic for Columns<W, N> {
         fnma(a, b, c);
         sqrt(value);
         abs(value);
-        at_least(value, bound);
-        at_most(value, bound);
+        max(value, bound);
+        min(value, bound);
         copy_sign(size, sign);
-        if_less(a, b, then, otherwise);
-        power_of_two(sum);
+        select_lt(a, b, then, otherwise);
+        exp2_int(sum);
     }
 
     #[inline(always)]
-    fn less_anywhere(a: Self, b: Self) -> bool {
+    fn any_lt(a: Self, b: Self) -> bool {
         let mut any = false;
         for i in 0..N {
-            any |= W::less_anywhere(a.0[i], b.0[i]);
+            any |= W::any_lt(a.0[i], b.0[i]);
         }
         any
     }
 
     #[inline(always)]
-    fn turn(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+    fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..N {
-            (s.0[i], c.0[i]) = W::turn(turns.0[i], s.0[i], c.0[i]);
+            (s.0[i], c.0[i]) = W::rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
         }
         (s, c)
     }
@@ -193,7 +193,7 @@ impl<W: Many, const N: usize> Arithmetic for Columns<W, N> {
 
 macro_rules! operators {
     ($($trait:ident, $method:ident;)*) => {
-        $(impl<W: Many, const N: usize> $trait for Columns<W, N> {
+        $(impl<W: SoaLanes, const N: usize> $trait for SoaVec<W, N> {
             type Output = Self;
 
             #[inline(always)]
@@ -214,7 +214,7 @@ operators! {
     Div, div;
 }
 
-impl<W: Many, const N: usize> Neg for Columns<W, N> {
+impl<W: SoaLanes, const N: usize> Neg for SoaVec<W, N> {
     type Output = Self;
 
     #[inline(always)]

@@ -1,149 +1,149 @@
 //! 3-vector: in one register for a single configuration, else component by component.
 #![forbid(unsafe_code)]
 
-use super::{Arithmetic, Number};
+use super::{Number, RealOps};
 
-/// Memory of a [`Triple`] of one configuration; the last number is padding.
-pub(crate) type Cell = [f64; 4];
+/// Memory of a [`Vec3Ops`] of one configuration; the last number is padding.
+pub(crate) type PaddedVec3 = [f64; 4];
 
 /// 3-vector operations.
-pub(crate) trait Triple: Copy {
+pub(crate) trait Vec3Ops: Copy {
     /// Scalar of the same instruction set.
-    type One: Arithmetic;
+    type Elem: RealOps;
 
     /// Creates it from its components.
-    fn of(numbers: [Real<Self>; 3]) -> Self;
+    fn from_components(components: [Real<Self>; 3]) -> Self;
 
     /// Returns its components.
-    fn numbers(self) -> [Real<Self>; 3];
+    fn components(self) -> [Real<Self>; 3];
 
     /// `f v`.
-    fn times(self, f: Real<Self>) -> Self;
+    fn scaled(self, factor: Real<Self>) -> Self;
 
     /// `v + f w`.
-    fn plus(self, f: Real<Self>, w: Self) -> Self;
+    fn add_scaled(self, factor: Real<Self>, w: Self) -> Self;
 
     /// `v − f w`.
-    fn minus(self, f: Real<Self>, w: Self) -> Self;
+    fn sub_scaled(self, factor: Real<Self>, w: Self) -> Self;
 
     /// Copies a vector to every configuration.
     #[inline(always)]
     fn constant(v: &[f64; 3]) -> Self {
-        Self::of([Self::One::splat(v[0]), Self::One::splat(v[1]), Self::One::splat(v[2])])
+        Self::from_components([Self::Elem::splat(v[0]), Self::Elem::splat(v[1]), Self::Elem::splat(v[2])])
     }
 }
 
-/// A [`Triple`] of one configuration that can be stored.
-pub(crate) trait Kept: Triple<One: Arithmetic<Real = f64>> {
+/// A [`Vec3Ops`] of one configuration that can be stored.
+pub(crate) trait StoreVec3: Vec3Ops<Elem: RealOps<Real = f64>> {
     /// Stores to memory.
-    fn keep(self, cell: &mut Cell);
+    fn store(self, cell: &mut PaddedVec3);
 
     /// Loads from memory.
-    fn kept(cell: &Cell) -> Self;
+    fn load(cell: &PaddedVec3) -> Self;
 }
 
-/// Component type of a [`Triple`].
-pub(crate) type Real<T> = <<T as Triple>::One as Arithmetic>::Real;
+/// Component type of a [`Vec3Ops`].
+pub(crate) type Real<T> = <<T as Vec3Ops>::Elem as RealOps>::Real;
 
 /// Three separate components.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Three<A: Arithmetic>([A::Real; 3]);
+pub(crate) struct ScalarVec3<A: RealOps>([A::Real; 3]);
 
-impl<A: Arithmetic> Triple for Three<A> {
-    type One = A;
+impl<A: RealOps> Vec3Ops for ScalarVec3<A> {
+    type Elem = A;
 
     #[inline(always)]
-    fn of(numbers: [A::Real; 3]) -> Self {
-        Self(numbers)
+    fn from_components(components: [A::Real; 3]) -> Self {
+        Self(components)
     }
 
     #[inline(always)]
-    fn numbers(self) -> [A::Real; 3] {
+    fn components(self) -> [A::Real; 3] {
         self.0
     }
 
     #[inline(always)]
-    fn times(self, f: A::Real) -> Self {
+    fn scaled(self, factor: A::Real) -> Self {
         let [x, y, z] = self.0;
-        Self([f * x, f * y, f * z])
+        Self([factor * x, factor * y, factor * z])
     }
 
     #[inline(always)]
-    fn plus(self, f: A::Real, w: Self) -> Self {
+    fn add_scaled(self, factor: A::Real, w: Self) -> Self {
         let ([x, y, z], [a, b, c]) = (self.0, w.0);
-        Self([A::fma(f, a, x), A::fma(f, b, y), A::fma(f, c, z)])
+        Self([A::fma(factor, a, x), A::fma(factor, b, y), A::fma(factor, c, z)])
     }
 
     #[inline(always)]
-    fn minus(self, f: A::Real, w: Self) -> Self {
+    fn sub_scaled(self, factor: A::Real, w: Self) -> Self {
         let ([x, y, z], [a, b, c]) = (self.0, w.0);
-        Self([A::fnma(f, a, x), A::fnma(f, b, y), A::fnma(f, c, z)])
+        Self([A::fnma(factor, a, x), A::fnma(factor, b, y), A::fnma(factor, c, z)])
     }
 }
 
-impl<A: Arithmetic<Real = f64>> Kept for Three<A> {
+impl<A: RealOps<Real = f64>> StoreVec3 for ScalarVec3<A> {
     #[inline(always)]
-    fn keep(self, cell: &mut Cell) {
+    fn store(self, cell: &mut PaddedVec3) {
         cell[..3].copy_from_slice(&self.0);
     }
 
     #[inline(always)]
-    fn kept(cell: &Cell) -> Self {
+    fn load(cell: &PaddedVec3) -> Self {
         Self([cell[0], cell[1], cell[2]])
     }
 }
 
 /// Registers of four numbers, the last of which is padding.
-pub(crate) trait Short: Arithmetic<Real = Self> + Number {
+pub(crate) trait Vec3Register: RealOps<Real = Self> + Number {
     /// Scalar of the same instruction set.
-    type One: Arithmetic<Real = f64>;
+    type Elem: RealOps<Real = f64>;
 
     /// Loads from memory.
-    fn get(cell: &Cell) -> Self;
+    fn load_cell(cell: &PaddedVec3) -> Self;
 
     /// Stores to memory.
-    fn set(self, cell: &mut Cell);
+    fn store_cell(self, cell: &mut PaddedVec3);
 }
 
-impl<S: Short> Triple for S {
-    type One = S::One;
+impl<S: Vec3Register> Vec3Ops for S {
+    type Elem = S::Elem;
 
     #[inline(always)]
-    fn of([x, y, z]: [f64; 3]) -> Self {
-        S::get(&[x, y, z, 0.0])
+    fn from_components([x, y, z]: [f64; 3]) -> Self {
+        S::load_cell(&[x, y, z, 0.0])
     }
 
     #[inline(always)]
-    fn numbers(self) -> [f64; 3] {
+    fn components(self) -> [f64; 3] {
         let mut cell = [0.0; 4];
-        self.set(&mut cell);
+        self.store_cell(&mut cell);
         [cell[0], cell[1], cell[2]]
     }
 
     #[inline(always)]
-    fn times(self, f: f64) -> Self {
-        S::splat(f) * self
+    fn scaled(self, factor: f64) -> Self {
+        S::splat(factor) * self
     }
 
     #[inline(always)]
-    fn plus(self, f: f64, w: Self) -> Self {
-        S::fma(S::splat(f), w, self)
+    fn add_scaled(self, factor: f64, w: Self) -> Self {
+        S::fma(S::splat(factor), w, self)
     }
 
     #[inline(always)]
-    fn minus(self, f: f64, w: Self) -> Self {
-        S::fnma(S::splat(f), w, self)
+    fn sub_scaled(self, factor: f64, w: Self) -> Self {
+        S::fnma(S::splat(factor), w, self)
     }
 }
 
-impl<S: Short> Kept for S {
+impl<S: Vec3Register> StoreVec3 for S {
     #[inline(always)]
-    fn keep(self, cell: &mut Cell) {
-        self.set(cell);
+    fn store(self, cell: &mut PaddedVec3) {
+        self.store_cell(cell);
     }
 
     #[inline(always)]
-    fn kept(cell: &Cell) -> Self {
-        S::get(cell)
+    fn load(cell: &PaddedVec3) -> Self {
+        S::load_cell(cell)
     }
 }

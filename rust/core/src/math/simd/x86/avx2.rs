@@ -13,54 +13,54 @@ use std::arch::x86_64::{
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::{sums_of_four as sums, transpose_four};
-use crate::math::simd::vec3::Short;
-use crate::math::simd::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide, eight, eight_mut};
+use super::{hsum_of_four as sum4, transpose_4x4};
+use crate::math::simd::vec3::Vec3Register;
+use crate::math::simd::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
-numbers! {
+to_array! {
     /// Eight numbers in two registers, with fused multiply-add.
-    Avx2, 8 in registers of 4: 0 1
+    Avx2x8, 8 in registers of 4: 0 1
 }
 
-wide! { Avx2 beside Fused and Four }
+f64x8! { Avx2x8 beside FmaF64 and Avx2x4 }
 
-numbers! {
+to_array! {
     /// Four numbers in one register, with fused multiply-add.
-    Four, 4 in registers of 4: 0
+    Avx2x4, 4 in registers of 4: 0
 }
 
-many! { Four, each row an Avx2: 0 1 2 3 }
+soa_lanes! { Avx2x4, each row an Avx2x8: 0 1 2 3 }
 
-short! { Four beside Fused, registers of 4: 0 }
+vec3_register! { Avx2x4 beside FmaF64, registers of 4: 0 }
 
 /// Loads the first of `count` numbers, zeros after the last.
 #[inline(always)]
-unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
+unsafe fn first_of(to_array: *const f64, count: usize) -> Register {
     const MASKS: [i64; 8] = [-1, -1, -1, -1, 0, 0, 0, 0];
-    // SAFETY: as above; `numbers` has `count`, and the mask is set for no more.
-    unsafe { _mm256_maskload_pd(numbers, _mm256_loadu_si256(MASKS.as_ptr().add(4 - count.min(4)).cast())) }
+    // SAFETY: as above; `to_array` has `count`, and the mask is set for no more.
+    unsafe { _mm256_maskload_pd(to_array, _mm256_loadu_si256(MASKS.as_ptr().add(4 - count.min(4)).cast())) }
 }
 
 #[inline(always)]
-unsafe fn less(a: Register, b: Register) -> Register {
+unsafe fn cmp_lt(a: Register, b: Register) -> Register {
     // SAFETY: as above.
     unsafe { _mm256_cmp_pd::<_CMP_LT_OQ>(a, b) }
 }
 
 #[inline(always)]
-unsafe fn choose(mask: Register, then: Register, otherwise: Register) -> Register {
+unsafe fn blend(mask: Register, then: Register, otherwise: Register) -> Register {
     // SAFETY: as above.
     unsafe { _mm256_blendv_pd(otherwise, then, mask) }
 }
 
 #[inline(always)]
-unsafe fn any(mask: Register) -> bool {
+unsafe fn mask_any(mask: Register) -> bool {
     // SAFETY: as above.
     unsafe { _mm256_movemask_pd(mask) != 0 }
 }
 
 #[inline(always)]
-unsafe fn power_of_two(sum: Register) -> Register {
+unsafe fn exp2_int(sum: Register) -> Register {
     // SAFETY: as above.
     unsafe {
         let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(sum));
@@ -69,45 +69,45 @@ unsafe fn power_of_two(sum: Register) -> Register {
 }
 
 #[inline(always)]
-unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
     // SAFETY: as above.
     unsafe {
         let quadrant = _mm256_castpd_si256(turns);
         let odd = _mm256_castsi256_pd(_mm256_slli_epi64::<63>(quadrant));
         let sine_sign = and(_mm256_castsi256_pd(_mm256_slli_epi64::<62>(quadrant)), set1(-0.0));
-        (xor(choose(odd, c, s), sine_sign), xor(choose(odd, s, c), xor(sine_sign, odd)))
+        (xor(blend(odd, c, s), sine_sign), xor(blend(odd, s, c), xor(sine_sign, odd)))
     }
 }
 
 #[inline(always)]
-fn folded(n: [Register; 2]) -> Register {
+fn reduce_halves(n: [Register; 2]) -> Register {
     // SAFETY: as above.
     unsafe { add(n[0], n[1]) }
 }
 
 /// Products with the upper half added to the lower.
 #[inline(always)]
-fn dotted(a: [Register; 2], b: [Register; 2]) -> Register {
+fn dot_halves(a: [Register; 2], b: [Register; 2]) -> Register {
     // SAFETY: as above.
     unsafe { fmadd(a[0], b[0], mul(a[1], b[1])) }
 }
 
 #[inline(always)]
-fn turned(n: [Register; LANES]) -> [[Register; 2]; 4] {
-    let [a, b, c, d] = transpose_four([n[0], n[1], n[2], n[3]]);
-    let [e, f, g, h] = transpose_four([n[4], n[5], n[6], n[7]]);
+fn transposed(n: [Register; LANES]) -> [[Register; 2]; 4] {
+    let [a, b, c, d] = transpose_4x4([n[0], n[1], n[2], n[3]]);
+    let [e, f, g, h] = transpose_4x4([n[4], n[5], n[6], n[7]]);
     [[a, e], [b, f], [c, g], [d, h]]
 }
 
 #[inline(always)]
-fn columns([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Register; LANES] {
-    let ([a, b, c, d], [e, f, g, h]) = (transpose_four([a, b, c, d]), transpose_four([e, f, g, h]));
+fn transposed_back([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Register; LANES] {
+    let ([a, b, c, d], [e, f, g, h]) = (transpose_4x4([a, b, c, d]), transpose_4x4([e, f, g, h]));
     [a, b, c, d, e, f, g, h]
 }
 
 /// Returns the components of the four vectors from `first` on.
 #[inline(always)]
-fn components_of_four(cells: &[Cell; LANES], first: usize) -> [Register; 3] {
+fn components_of_four(cells: &[PaddedVec3; LANES], first: usize) -> [Register; 3] {
     // SAFETY: as above; a cell has four.
     let rows = unsafe {
         [
@@ -117,12 +117,12 @@ fn components_of_four(cells: &[Cell; LANES], first: usize) -> [Register; 3] {
             loadu(cells[first + 3].as_ptr()),
         ]
     };
-    let [x, y, z, _] = transpose_four(rows);
+    let [x, y, z, _] = transpose_4x4(rows);
     [x, y, z]
 }
 
 #[inline(always)]
-fn components(cells: &[Cell; LANES]) -> [[Register; 2]; 3] {
+fn components(cells: &[PaddedVec3; LANES]) -> [[Register; 2]; 3] {
     let ([a, b, c], [d, e, f]) = (components_of_four(cells, 0), components_of_four(cells, 4));
     [[a, d], [b, e], [c, f]]
 }

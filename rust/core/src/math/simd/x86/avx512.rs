@@ -14,43 +14,43 @@ use std::arch::x86_64::{
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::math::simd::{Arithmetic, LANES, Many, Packed, Spread, eight, eight_mut};
+use crate::math::simd::{Broadcast, LANES, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
-numbers! {
+to_array! {
     /// Eight numbers in one register.
-    Avx512, 8 in registers of 8: 0
+    Avx512x8, 8 in registers of 8: 0
 }
 
-many! { Avx512, each row an Avx512: 0 1 2 3 4 5 6 7 }
+soa_lanes! { Avx512x8, each row an Avx512x8: 0 1 2 3 4 5 6 7 }
 
 /// Loads the first of `count` numbers, zeros after the last.
 #[inline(always)]
-unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
+unsafe fn first_of(to_array: *const f64, count: usize) -> Register {
     // Separate case: a shift by the full width of the mask overflows.
     let mask = if count == 0 { 0 } else { Mask::MAX >> (LANES - count.min(LANES)) };
-    // SAFETY: as above; `numbers` has `count`, and the mask is set for no more.
-    unsafe { _mm512_maskz_loadu_pd(mask, numbers) }
+    // SAFETY: as above; `to_array` has `count`, and the mask is set for no more.
+    unsafe { _mm512_maskz_loadu_pd(mask, to_array) }
 }
 
 #[inline(always)]
-unsafe fn less(a: Register, b: Register) -> Mask {
+unsafe fn cmp_lt(a: Register, b: Register) -> Mask {
     // SAFETY: as above.
     unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b) }
 }
 
 #[inline(always)]
-unsafe fn choose(mask: Mask, then: Register, otherwise: Register) -> Register {
+unsafe fn blend(mask: Mask, then: Register, otherwise: Register) -> Register {
     // SAFETY: as above.
     unsafe { _mm512_mask_blend_pd(mask, otherwise, then) }
 }
 
 #[inline(always)]
-unsafe fn any(mask: Mask) -> bool {
+unsafe fn mask_any(mask: Mask) -> bool {
     mask != 0
 }
 
 #[inline(always)]
-unsafe fn power_of_two(sum: Register) -> Register {
+unsafe fn exp2_int(sum: Register) -> Register {
     // SAFETY: as above.
     unsafe {
         let exponent = _mm512_slli_epi64::<52>(_mm512_castpd_si512(sum));
@@ -59,14 +59,14 @@ unsafe fn power_of_two(sum: Register) -> Register {
 }
 
 #[inline(always)]
-unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
     // SAFETY: as above.
     unsafe {
         let quadrant = _mm512_castpd_si512(turns);
         let odd = _mm512_test_epi64_mask(quadrant, _mm512_set1_epi64(1));
         let sine_sign = and(_mm512_castsi512_pd(_mm512_slli_epi64::<62>(quadrant)), set1(-0.0));
         let cosine_sign = xor(sine_sign, _mm512_castsi512_pd(_mm512_slli_epi64::<63>(quadrant)));
-        (xor(choose(odd, c, s), sine_sign), xor(choose(odd, s, c), cosine_sign))
+        (xor(blend(odd, c, s), sine_sign), xor(blend(odd, s, c), cosine_sign))
     }
 }
 
@@ -95,12 +95,12 @@ unsafe fn quarters(n: [Register; 4]) -> [Register; 4] {
 }
 
 #[inline(always)]
-fn turned(n: [Register; LANES]) -> [[Register; 1]; LANES] {
+fn transposed(n: [Register; LANES]) -> [[Register; 1]; LANES] {
     let n = turned_eight(n);
     [[n[0]], [n[1]], [n[2]], [n[3]], [n[4]], [n[5]], [n[6]], [n[7]]]
 }
 
 #[inline(always)]
-fn columns([[a], [b], [c], [d], [e], [f], [g], [h]]: [[Register; 1]; LANES]) -> [Register; LANES] {
+fn transposed_back([[a], [b], [c], [d], [e], [f], [g], [h]]: [[Register; 1]; LANES]) -> [Register; LANES] {
     turned_eight([a, b, c, d, e, f, g, h])
 }

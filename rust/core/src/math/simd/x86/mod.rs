@@ -3,17 +3,17 @@
 
 use std::arch::x86_64::__m256d;
 
-// SAFETY of every `unsafe` below: values of these types are created only in code entered through `Instructions::run`,
+// SAFETY of every `unsafe` below: values of these types are created only in code entered through `SimdLevel::run`,
 // that is on a processor with the instructions; memory is accessed only through references of the right size.
 
 /// Defines a SIMD type over registers, from the instructions that the enclosing module imports under common names.
-macro_rules! numbers {
+macro_rules! to_array {
     ($(#[$doc:meta])* $name:ident, $count:literal in registers of $width:literal: $($i:literal)*) => {
         $(#[$doc])*
         #[derive(Debug, Clone, Copy)]
         pub(crate) struct $name([Register; $count / $width]);
 
-        numbers!(@operators $name ($($i)*) Add add, Sub sub, Mul mul, Div div);
+        to_array!(@operators $name ($($i)*) Add add, Sub sub, Mul mul, Div div);
 
         impl Neg for $name {
             type Output = Self;
@@ -25,7 +25,7 @@ macro_rules! numbers {
             }
         }
 
-        impl Arithmetic for $name {
+        impl RealOps for $name {
             type Real = Self;
 
             const WIDE: bool = true;
@@ -61,13 +61,13 @@ macro_rules! numbers {
             }
 
             #[inline(always)]
-            fn at_least(value: Self, bound: Self) -> Self {
+            fn max(value: Self, bound: Self) -> Self {
                 // SAFETY: as above. If either operand is NaN, these instructions return the second.
                 Self(unsafe { [$(max(bound.0[$i], value.0[$i])),*] })
             }
 
             #[inline(always)]
-            fn at_most(value: Self, bound: Self) -> Self {
+            fn min(value: Self, bound: Self) -> Self {
                 // SAFETY: as above.
                 Self(unsafe { [$(min(bound.0[$i], value.0[$i])),*] })
             }
@@ -79,42 +79,42 @@ macro_rules! numbers {
             }
 
             #[inline(always)]
-            fn if_less(a: Self, b: Self, then: Self, otherwise: Self) -> Self {
+            fn select_lt(a: Self, b: Self, then: Self, otherwise: Self) -> Self {
                 // SAFETY: as above.
-                Self(unsafe { [$(choose(less(a.0[$i], b.0[$i]), then.0[$i], otherwise.0[$i])),*] })
+                Self(unsafe { [$(blend(cmp_lt(a.0[$i], b.0[$i]), then.0[$i], otherwise.0[$i])),*] })
             }
 
             #[inline(always)]
-            fn less_anywhere(a: Self, b: Self) -> bool {
+            fn any_lt(a: Self, b: Self) -> bool {
                 // SAFETY: as above.
-                unsafe { false $(| any(less(a.0[$i], b.0[$i])))* }
+                unsafe { false $(| mask_any(cmp_lt(a.0[$i], b.0[$i])))* }
             }
 
             #[inline(always)]
-            fn power_of_two(sum: Self) -> Self {
+            fn exp2_int(sum: Self) -> Self {
                 // SAFETY: as above.
-                Self(unsafe { [$(power_of_two(sum.0[$i])),*] })
+                Self(unsafe { [$(exp2_int(sum.0[$i])),*] })
             }
 
             #[inline(always)]
-            fn turn(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
+            fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
                 // SAFETY: as above.
-                $((s.0[$i], c.0[$i]) = unsafe { turn(turns.0[$i], s.0[$i], c.0[$i]) };)*
+                $((s.0[$i], c.0[$i]) = unsafe { rotate_quadrant(turns.0[$i], s.0[$i], c.0[$i]) };)*
                 (s, c)
             }
         }
 
-        impl Packed for $name {
+        impl SimdVec for $name {
             const COUNT: usize = $count;
 
             #[inline(always)]
-            fn of(values: &[f64; LANES]) -> Self {
+            fn from_array(values: &[f64; LANES]) -> Self {
                 // SAFETY: as above; there are eight values.
                 Self(unsafe { [$(loadu(values.as_ptr().add($i * $width))),*] })
             }
 
             #[inline(always)]
-            fn part(values: &[f64]) -> Self {
+            fn load_partial(values: &[f64]) -> Self {
                 // SAFETY: as above; each register reads only the numbers that the previous registers left.
                 Self(unsafe { [$({
                     let rest = values.get($i * $width..).unwrap_or_default();
@@ -123,14 +123,14 @@ macro_rules! numbers {
             }
 
             #[inline(always)]
-            fn put(self, values: &mut [f64; LANES]) {
+            fn store_array(self, values: &mut [f64; LANES]) {
                 // SAFETY: as above; there is room for eight values.
                 unsafe { $(storeu(values.as_mut_ptr().add($i * $width), self.0[$i]);)* }
             }
         }
     };
     (@operators $name:ident $indices:tt $($trait:ident $method:ident),*) => {
-        $(numbers!(@operator $name $indices $trait $method);)*
+        $(to_array!(@operator $name $indices $trait $method);)*
     };
     (@operator $name:ident ($($i:literal)*) $trait:ident $method:ident) => {
         impl $trait for $name {
@@ -146,32 +146,37 @@ macro_rules! numbers {
 }
 
 /// Eight numbers of one configuration.
-macro_rules! wide {
-    ($name:ident beside $one:ident and $short:ident) => {
-        impl Wide for $name {
-            type One = crate::math::simd::$one;
-            type Triple = $short;
+macro_rules! f64x8 {
+    ($name:ident beside $one:ident and $vec3_register:ident) => {
+        impl F64x8 for $name {
+            type Elem = crate::math::simd::$one;
+            type Vec3 = $vec3_register;
 
             #[inline(always)]
-            fn four_sums(n: [Self; 4]) -> [f64; 4] {
-                sums([folded(n[0].0), folded(n[1].0), folded(n[2].0), folded(n[3].0)])
+            fn hsum4(n: [Self; 4]) -> [f64; 4] {
+                sum4([reduce_halves(n[0].0), reduce_halves(n[1].0), reduce_halves(n[2].0), reduce_halves(n[3].0)])
             }
 
             #[inline(always)]
-            fn four_dots(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
-                sums([dotted(a[0].0, b[0].0), dotted(a[1].0, b[1].0), dotted(a[2].0, b[2].0), dotted(a[3].0, b[3].0)])
+            fn hdot4(a: [Self; 4], b: [Self; 4]) -> [f64; 4] {
+                sum4([
+                    dot_halves(a[0].0, b[0].0),
+                    dot_halves(a[1].0, b[1].0),
+                    dot_halves(a[2].0, b[2].0),
+                    dot_halves(a[3].0, b[3].0),
+                ])
             }
 
             #[inline(always)]
-            fn components(cells: &[Cell; LANES]) -> [Self; 3] {
+            fn components(cells: &[PaddedVec3; LANES]) -> [Self; 3] {
                 let [x, y, z] = components(cells);
                 [Self(x), Self(y), Self(z)]
             }
         }
 
-        impl Spread<f64> for $name {
+        impl Broadcast<f64> for $name {
             #[inline(always)]
-            fn spread(value: f64) -> Self {
+            fn broadcast(value: f64) -> Self {
                 Self::splat(value)
             }
         }
@@ -179,19 +184,19 @@ macro_rules! wide {
 }
 
 /// Defines the registers of a 3-vector.
-macro_rules! short {
+macro_rules! vec3_register {
     ($name:ident beside $one:ident, registers of $width:literal: $($i:literal)*) => {
-        impl Short for $name {
-            type One = crate::math::simd::$one;
+        impl Vec3Register for $name {
+            type Elem = crate::math::simd::$one;
 
             #[inline(always)]
-            fn get(cell: &Cell) -> Self {
+            fn load_cell(cell: &PaddedVec3) -> Self {
                 // SAFETY: as above; there are four values.
                 Self(unsafe { [$(loadu(cell.as_ptr().add($i * $width))),*] })
             }
 
             #[inline(always)]
-            fn set(self, cell: &mut Cell) {
+            fn store_cell(self, cell: &mut PaddedVec3) {
                 // SAFETY: as above; there is room for four values.
                 unsafe { $(storeu(cell.as_mut_ptr().add($i * $width), self.0[$i]);)* }
             }
@@ -200,12 +205,12 @@ macro_rules! short {
 }
 
 /// Defines a register with one value of each of several configurations.
-macro_rules! many {
+macro_rules! soa_lanes {
     ($name:ident, each row an $row:ident: $($i:literal)*) => {
-        impl Many for $name {
+        impl SoaLanes for $name {
             #[inline(always)]
-            fn from_rows(rows: &[f64], stride: usize) -> [Self; LANES] {
-                let n = columns([$($row::of(eight(rows, $i * stride)).0),*]);
+            fn load_transposed(rows: &[f64], stride: usize) -> [Self; LANES] {
+                let n = transposed_back([$($row::from_array(chunk8(rows, $i * stride)).0),*]);
                 [
                     Self([n[0]]),
                     Self([n[1]]),
@@ -219,18 +224,18 @@ macro_rules! many {
             }
 
             #[inline(always)]
-            fn into_rows(n: &[Self; LANES], rows: &mut [f64], stride: usize) {
+            fn store_transposed(n: &[Self; LANES], rows: &mut [f64], stride: usize) {
                 let n = [n[0].0[0], n[1].0[0], n[2].0[0], n[3].0[0], n[4].0[0], n[5].0[0], n[6].0[0], n[7].0[0]];
-                let turned = turned(n);
-                $(if let Some(row) = eight_mut(rows, $i * stride) {
-                    $row(turned[$i]).put(row);
+                let transposed = transposed(n);
+                $(if let Some(row) = chunk8_mut(rows, $i * stride) {
+                    $row(transposed[$i]).store_array(row);
                 })*
             }
         }
 
-        impl Spread<Self> for $name {
+        impl Broadcast<Self> for $name {
             #[inline(always)]
-            fn spread(value: Self) -> Self {
+            fn broadcast(value: Self) -> Self {
                 value
             }
         }
@@ -243,7 +248,7 @@ pub(super) mod sse2;
 
 /// Returns the sum of each of four registers.
 #[inline(always)]
-fn sums_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
+fn hsum_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
     use std::arch::x86_64::{_mm256_add_pd, _mm256_hadd_pd, _mm256_permute2f128_pd, _mm256_storeu_pd};
     let mut out = [0.0; 4];
     // SAFETY: as above.
@@ -257,7 +262,7 @@ fn sums_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
 
 /// Transposes a 4 × 4 block.
 #[inline(always)]
-fn transpose_four(r: [__m256d; 4]) -> [__m256d; 4] {
+fn transpose_4x4(r: [__m256d; 4]) -> [__m256d; 4] {
     use std::arch::x86_64::{_mm256_permute2f128_pd, _mm256_unpackhi_pd, _mm256_unpacklo_pd};
     // SAFETY: as above.
     unsafe {

@@ -4,7 +4,7 @@
 
 use std::arch::x86_64::{
     __m128d as Register, _mm_add_epi64, _mm_add_pd as add, _mm_and_pd as and, _mm_and_si128, _mm_andnot_pd as andnot,
-    _mm_castpd_si128, _mm_castsi128_pd, _mm_cmplt_pd as less, _mm_div_pd as div, _mm_load_sd, _mm_loadu_pd as loadu,
+    _mm_castpd_si128, _mm_castsi128_pd, _mm_cmplt_pd as cmp_lt, _mm_div_pd as div, _mm_load_sd, _mm_loadu_pd as loadu,
     _mm_max_pd as max, _mm_min_pd as min, _mm_movemask_pd, _mm_mul_pd as mul, _mm_or_pd as or, _mm_set1_epi64x,
     _mm_set1_pd as set1, _mm_slli_epi64, _mm_sqrt_pd as sqrt, _mm_storeu_pd as storeu, _mm_sub_epi64,
     _mm_sub_pd as sub, _mm_unpackhi_pd as high, _mm_unpacklo_pd as low, _mm_xor_pd as xor, _mm_xor_si128,
@@ -12,39 +12,39 @@ use std::arch::x86_64::{
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::math::simd::vec3::Short;
-use crate::math::simd::{Arithmetic, Cell, LANES, Many, Packed, Spread, Wide, eight, eight_mut};
+use crate::math::simd::vec3::Vec3Register;
+use crate::math::simd::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
-numbers! {
+to_array! {
     /// Eight numbers in four registers; there is no fused multiply-add.
-    Sse2, 8 in registers of 2: 0 1 2 3
+    Sse2x8, 8 in registers of 2: 0 1 2 3
 }
 
-wide! { Sse2 beside Plain and Pair }
+f64x8! { Sse2x8 beside BaselineF64 and Sse2x4 }
 
-numbers! {
+to_array! {
     /// Two numbers in one register; there is no fused multiply-add.
-    Two, 2 in registers of 2: 0
+    Sse2x2, 2 in registers of 2: 0
 }
 
-many! { Two, each row an Sse2: 0 1 }
+soa_lanes! { Sse2x2, each row an Sse2x8: 0 1 }
 
-numbers! {
+to_array! {
     /// Four numbers in two registers; there is no fused multiply-add.
-    Pair, 4 in registers of 2: 0 1
+    Sse2x4, 4 in registers of 2: 0 1
 }
 
-short! { Pair beside Plain, registers of 2: 0 1 }
+vec3_register! { Sse2x4 beside BaselineF64, registers of 2: 0 1 }
 
 /// Loads the first of `count` numbers, zeros after the last.
 #[inline(always)]
-unsafe fn first_of(numbers: *const f64, count: usize) -> Register {
-    // SAFETY: as above; `numbers` has `count`, and no more are read.
+unsafe fn first_of(to_array: *const f64, count: usize) -> Register {
+    // SAFETY: as above; `to_array` has `count`, and no more are read.
     unsafe {
         match count {
             0 => set1(0.0),
-            1 => _mm_load_sd(numbers),
-            _ => loadu(numbers),
+            1 => _mm_load_sd(to_array),
+            _ => loadu(to_array),
         }
     }
 }
@@ -62,19 +62,19 @@ unsafe fn fnmadd(a: Register, b: Register, c: Register) -> Register {
 }
 
 #[inline(always)]
-unsafe fn choose(mask: Register, then: Register, otherwise: Register) -> Register {
+unsafe fn blend(mask: Register, then: Register, otherwise: Register) -> Register {
     // SAFETY: as above.
     unsafe { or(and(mask, then), andnot(mask, otherwise)) }
 }
 
 #[inline(always)]
-unsafe fn any(mask: Register) -> bool {
+unsafe fn mask_any(mask: Register) -> bool {
     // SAFETY: as above.
     unsafe { _mm_movemask_pd(mask) != 0 }
 }
 
 #[inline(always)]
-unsafe fn power_of_two(sum: Register) -> Register {
+unsafe fn exp2_int(sum: Register) -> Register {
     // SAFETY: as above.
     unsafe {
         let exponent = _mm_slli_epi64::<52>(_mm_castpd_si128(sum));
@@ -83,7 +83,7 @@ unsafe fn power_of_two(sum: Register) -> Register {
 }
 
 #[inline(always)]
-unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register) {
+unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
     // SAFETY: as above.
     unsafe {
         let quadrant = _mm_castpd_si128(turns);
@@ -93,25 +93,25 @@ unsafe fn turn(turns: Register, s: Register, c: Register) -> (Register, Register
         let top = _mm_set1_epi64x(i64::MIN);
         let sine_sign = _mm_and_si128(_mm_slli_epi64::<62>(quadrant), top);
         let cosine_sign = _mm_xor_si128(sine_sign, _mm_slli_epi64::<63>(quadrant));
-        (xor(choose(odd, c, s), _mm_castsi128_pd(sine_sign)), xor(choose(odd, s, c), _mm_castsi128_pd(cosine_sign)))
+        (xor(blend(odd, c, s), _mm_castsi128_pd(sine_sign)), xor(blend(odd, s, c), _mm_castsi128_pd(cosine_sign)))
     }
 }
 
 #[inline(always)]
-fn folded(n: [Register; 4]) -> Register {
+fn reduce_halves(n: [Register; 4]) -> Register {
     // SAFETY: as above.
     unsafe { add(add(n[0], n[2]), add(n[1], n[3])) }
 }
 
 /// Products with the upper half added to the lower.
 #[inline(always)]
-fn dotted(a: [Register; 4], b: [Register; 4]) -> Register {
+fn dot_halves(a: [Register; 4], b: [Register; 4]) -> Register {
     // SAFETY: as above.
-    folded(unsafe { [mul(a[0], b[0]), mul(a[1], b[1]), mul(a[2], b[2]), mul(a[3], b[3])] })
+    reduce_halves(unsafe { [mul(a[0], b[0]), mul(a[1], b[1]), mul(a[2], b[2]), mul(a[3], b[3])] })
 }
 
 #[inline(always)]
-fn sums([a, b, c, d]: [Register; 4]) -> [f64; 4] {
+fn sum4([a, b, c, d]: [Register; 4]) -> [f64; 4] {
     let mut out = [0.0; 4];
     // SAFETY: as above.
     unsafe {
@@ -122,7 +122,7 @@ fn sums([a, b, c, d]: [Register; 4]) -> [f64; 4] {
 }
 
 #[inline(always)]
-fn turned(n: [Register; LANES]) -> [[Register; 4]; 2] {
+fn transposed(n: [Register; LANES]) -> [[Register; 4]; 2] {
     // SAFETY: as above.
     unsafe {
         [
@@ -133,7 +133,7 @@ fn turned(n: [Register; LANES]) -> [[Register; 4]; 2] {
 }
 
 #[inline(always)]
-fn columns([a, b]: [[Register; 4]; 2]) -> [Register; LANES] {
+fn transposed_back([a, b]: [[Register; 4]; 2]) -> [Register; LANES] {
     // SAFETY: as above.
     unsafe {
         [
@@ -150,7 +150,7 @@ fn columns([a, b]: [[Register; 4]; 2]) -> [Register; LANES] {
 }
 
 #[inline(always)]
-fn components(cells: &[Cell; LANES]) -> [[Register; 4]; 3] {
+fn components(cells: &[PaddedVec3; LANES]) -> [[Register; 4]; 3] {
     // SAFETY: as above.
     let mut out = unsafe { [[set1(0.0); 4]; 3] };
     for pair in 0..4 {
