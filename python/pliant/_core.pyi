@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 __version__: Final[str]
 
 __all__ = [
+    "SUPPORT",
+    "ArmPoints",
     "Axis",
     "BatchState",
     "Command",
@@ -21,11 +23,13 @@ __all__ = [
     "Diagnostics",
     "FeasibilityReport",
     "FrameNotFoundError",
+    "HandGuidingLaw",
     "IkResult",
     "Inertial",
     "Issue",
     "Joint",
     "Link",
+    "Lowering",
     "Mimic",
     "Model",
     "NullSpace",
@@ -42,6 +46,7 @@ __all__ = [
     "Settings",
     "ShapeError",
     "Task",
+    "ThermalModel",
     "TorqueLimits",
     "Tracking",
     "UrdfError",
@@ -58,6 +63,7 @@ __all__ = [
     "null_space_projector",
     "pose_error",
     "responsibility",
+    "torque_margin",
 ]
 
 _Array: TypeAlias = NDArray[np.float64]
