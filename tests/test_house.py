@@ -138,11 +138,11 @@ def test_gallery_is_of_this_law(number, tmp_path):
 
 
 def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
-    """Their methods are safe and need a processor that only `Instructions` has asked."""
-    text = (ROOT / "rust" / "core" / "src" / "number" / "mod.rs").read_text(encoding="utf-8")
+    """Their methods are safe and need a processor that only `SimdLevel` has asked."""
+    text = (ROOT / "rust" / "core" / "src" / "math" / "simd" / "mod.rs").read_text(encoding="utf-8")
     shared = "".join(re.findall(r"^ *pub[^;]*;", text, re.MULTILINE))
     assert "Sse2" in shared, "every x86-64 processor has it"
-    assert not re.search(r"Avx|Four\b|mod x86", shared)
+    assert not re.search(r"Avx|mod x86", shared)
 
 
 def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
