@@ -20,8 +20,8 @@ import pliant
 
 ROOT = Path(__file__).resolve().parents[1]
 EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap", "viser")
-#: The goal, 1.5e6 [bytes], is missed: 1.24e6 are the compiled module, see docs/performance.md.
-LARGEST_WHEEL = 1.95e6
+#: The goal, 1.6e6 [bytes], is missed: 1.53e6 are the compiled module, 0.14e6 of them urdf-rs.
+LARGEST_WHEEL = 2.05e6
 LONGEST_RUN = 120  # [s] per example and per document
 
 
@@ -140,11 +140,11 @@ def test_gallery_is_of_this_law(number, tmp_path):
 
 
 def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
-    """Their methods are safe, but need a processor that only `Instructions` has checked."""
+    """Their methods are safe, but need a processor that only `SimdLevel` has checked."""
     text = (ROOT / "rust" / "core" / "src" / "math" / "simd" / "mod.rs").read_text(encoding="utf-8")
     shared = "".join(re.findall(r"^ *pub[^;]*;", text, re.MULTILINE))
     assert "Sse2" in shared, "every x86-64 processor has it"
-    assert not re.search(r"Avx|Four\b|mod x86", shared)
+    assert not re.search(r"Avx|mod x86", shared)
 
 
 def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():

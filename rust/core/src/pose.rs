@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3,
 use crate::error::{Error, Result};
 use crate::math::rotation::{rotation_matrix, rotation_vector};
 use crate::math::simd::{BaselineF64, Number, RealOps};
-use crate::math::spatial::{Mat3, cross, dot, sub};
+use crate::math::spatial::{Mat3, add, cross, dot, multiply, rotate, sub, tr_rotate};
 
 /// Largest plausible joint coordinate.
 ///
@@ -269,20 +269,20 @@ impl Pose {
     /// Returns the pose of the base in the tool.
     #[must_use]
     pub fn inverse(&self) -> Self {
-        let (r, p) = (&self.rotation, &self.position);
+        let r = &self.rotation;
         let column = |i: usize| [r[0][i], r[1][i], r[2][i]];
-        let back = |i: usize| -(r[0][i] * p[0] + r[1][i] * p[1] + r[2][i] * p[2]);
-        Self { rotation: [column(0), column(1), column(2)], position: [back(0), back(1), back(2)] }
+        let position = tr_rotate::<BaselineF64>(r, &self.position).map(|x| -x);
+        Self { rotation: [column(0), column(1), column(2)], position }
     }
 
     /// Returns `a_from_c` from `self` = `a_from_b` and `other` = `b_from_c`.
     #[must_use]
     pub fn compose(&self, other: &Self) -> Self {
-        let r = &self.rotation;
-        let entry = |i: usize, j: usize| (0..3).map(|k| r[i][k] * other.rotation[k][j]).sum();
-        let row = |i: usize| [entry(i, 0), entry(i, 1), entry(i, 2)];
-        let moved = |i: usize| self.position[i] + (0..3).map(|k| r[i][k] * other.position[k]).sum::<f64>();
-        Self { rotation: [row(0), row(1), row(2)], position: [moved(0), moved(1), moved(2)] }
+        let moved = rotate::<BaselineF64>(&self.rotation, &other.position);
+        Self {
+            rotation: multiply::<BaselineF64>(&self.rotation, &other.rotation),
+            position: add::<BaselineF64>(&self.position, &moved),
+        }
     }
 }
 

@@ -6,11 +6,12 @@ use crate::analysis::display::number;
 use crate::analysis::findings::{
     PathSingularity, PathStop, Worst, axis_findings, host_loss_finding, joint_findings, path_findings, stop_findings,
 };
-use crate::analysis::report::{at_rest, current_limits, host_loss_now, pad, push_path};
+use crate::analysis::report::{at_rest, current_limits, host_loss_now, push_path};
 use crate::controller::Controller;
 use crate::error::{Error, Result};
 use crate::kinematics::statics::static_force;
 use crate::kinematics::{IkOptions, JointFrames};
+use crate::math::rows::pad;
 use crate::params::{AXIS_NAMES, Frame};
 use crate::pose::Pose as ToolPose;
 
@@ -111,7 +112,7 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
         let static_friction = std::array::from_fn(|i| rest.params.servos.friction_at_rest(i, record.gravity[i]));
         let push_path = push_path(&rest, &frames, &static_friction);
         if controller.params.max_host_loss_force.is_some() {
-            let goal = pad(rest.command.goal());
+            let goal = pad(rest.command.goal(), 0.0);
             let (force, row, sign) =
                 host_loss_now(&rest, &frames, &goal, &limits, &static_friction).worst_push(f64::INFINITY);
             if force > host_loss.0.value {

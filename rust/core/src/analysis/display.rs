@@ -30,31 +30,6 @@ pub(super) fn number(value: f64) -> String {
     }
 }
 
-/// Rounds down to two digits.
-pub(super) fn round_down(value: f64) -> f64 {
-    digits(value, f64::floor)
-}
-
-/// Rounds up to two digits.
-pub(super) fn round_up(value: f64) -> f64 {
-    digits(value, f64::ceil)
-}
-
-fn digits(value: f64, round: impl Fn(f64) -> f64) -> f64 {
-    if !(value > 0.0 && value.is_finite()) {
-        return value;
-    }
-    // Scale by a power of ten ≥ 1, which is exact, so that 0.3 stays 0.3.
-    let exponent = 1.0 - value.log10().floor();
-    if exponent >= 0.0 {
-        let scale = 10.0_f64.powf(exponent).round();
-        round(value * scale) / scale
-    } else {
-        let step = 10.0_f64.powf(-exponent).round();
-        round(value / step) * step
-    }
-}
-
 impl PoseReport {
     /// Returns one sentence for each axis, and one for each problem.
     pub fn summary(&self) -> Vec<String> {
@@ -307,6 +282,7 @@ impl fmt::Display for Issue {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::rounding::{round_down, round_up};
 
     #[test]
     fn numbers_are_rounded_to_the_safe_side() {

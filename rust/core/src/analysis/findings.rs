@@ -1,9 +1,10 @@
 //! Findings of a check, from the worst values along a path.
 
 use crate::analysis::check::{Issue, NEAR_SINGULAR};
-use crate::analysis::display::{length, number, round_down, round_up, unit};
+use crate::analysis::display::{length, number, unit};
 use crate::analysis::push_path::PathResult;
 use crate::controller::Controller;
+use crate::math::rounding::{round_down, round_up};
 use crate::params::AXIS_NAMES;
 
 /// The worst value of a path and its pose.

@@ -8,6 +8,7 @@ use crate::controller::{Controller, StepInput};
 use crate::error::{Error, Result};
 use crate::kinematics::JointFrames;
 use crate::kinematics::statics::static_force;
+use crate::math::rows::pad;
 use crate::params::{AXIS_NAMES, Law, OnDeviationLimit};
 use crate::pose::COORDINATE_BOUND;
 use crate::{JointVec, MAX_JOINTS};
@@ -211,7 +212,7 @@ fn build_report(controller: &Controller) -> PoseReport {
     let mut frames = JointFrames::default();
     controller.model().chain().forward(&record.q, &mut frames);
     let push_path = push_path(controller, &frames, &static_friction);
-    let goal = pad(controller.command.goal());
+    let goal = pad(controller.command.goal(), 0.0);
     let host_loss = host_loss_now(controller, &frames, &goal, &limit, &static_friction);
     let rest = host_loss.equilibrium();
     for row in 0..k {
@@ -275,13 +276,5 @@ pub(super) fn host_loss_now<'a>(
 
 /// Returns the limits of the last command.
 pub(super) fn current_limits(controller: &Controller) -> JointVec {
-    pad(controller.command.torque_limit())
-}
-
-pub(super) fn pad(values: &[f64]) -> JointVec {
-    let mut out = [0.0; MAX_JOINTS];
-    for (slot, value) in out.iter_mut().zip(values) {
-        *slot = *value;
-    }
-    out
+    pad(controller.command.torque_limit(), 0.0)
 }

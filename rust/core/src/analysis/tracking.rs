@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use crate::analysis::axis_strength::StepAnalysis;
-use crate::analysis::display::round_up;
 use crate::analysis::report::at_rest;
 use crate::controller::Controller;
 use crate::error::Result;
+use crate::math::rounding::round_up;
 use crate::model::Model;
 use crate::params::{Servos, Settings, workspace};
 use crate::{AxisVec, MAX_AXES};

@@ -1,6 +1,7 @@
 //! Goals: scaling of parts, joints at their position limits, slew.
 
 use crate::MAX_AXES;
+use crate::command::DEFAULT_OFFSET_LIMIT;
 use crate::command::torque_limit::LimitTerms;
 use crate::law::{LawInput, LawOutput};
 use crate::math::rows::tr_mul;
@@ -24,9 +25,6 @@ pub(crate) fn fade_past_limit<J: JointVector>(lead: J, q: J, lower: J, upper: J,
     let faded = J::fnma(J::min(size / J::splat(STOP_WIDTH), J::splat(slope)), overtravel, size);
     J::copy_sign(J::max(faded, zero), lead)
 }
-
-/// Largest lead [rad] under law `paper` without known servos.
-const DEFAULT_OFFSET_LIMIT: f64 = 0.3;
 
 /// Result of the law.
 #[derive(Clone, Copy)]

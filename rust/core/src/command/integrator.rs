@@ -1,13 +1,11 @@
 //! The integrating goal of stiff axes, with anti-windup.
 
+use crate::command::DEFAULT_OFFSET_LIMIT;
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::{damped, load_rows, mul, tr_mul, weighted_gram};
 use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps};
 use crate::params::Params;
 use crate::{AxisVec, JointVec, Rows};
-
-/// Lead [rad] that may be stored without known servos.
-const DEFAULT_OFFSET_LIMIT: f64 = 0.3;
 
 /// Addition of one step to the stored lead.
 #[derive(Debug, Clone, Copy)]

@@ -4,3 +4,6 @@ pub(crate) mod goal;
 pub(crate) mod host_loss;
 pub(crate) mod integrator;
 pub(crate) mod torque_limit;
+
+/// Largest offset of a goal from the measured position [rad] without known servos.
+const DEFAULT_OFFSET_LIMIT: f64 = 0.3;

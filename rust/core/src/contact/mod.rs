@@ -13,6 +13,7 @@ mod wrench;
 use crate::controller::Controller;
 use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::VelocityFilter;
+use crate::math::rows::pad;
 use crate::params::AXIS_NAMES;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
@@ -222,11 +223,7 @@ impl ContactEstimator {
         };
         let joints = ServoModel::new(servos, &controller.params.servos, n)?;
         let (hysteresis, min_time, guard) = (options.hysteresis, options.min_time, options.guard());
-        let constants = options.torque_constant.as_ref().map(|values| {
-            let mut out = [0.0; MAX_JOINTS];
-            out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
-            out
-        });
+        let constants = options.torque_constant.as_ref().map(|values| pad(values, 0.0));
         let resting = [0.0; MAX_JOINTS];
         let contact = Self {
             tare: Tare::NONE,

@@ -1,7 +1,7 @@
 //! Residual torques of the joints and their error bounds.
 
 use crate::error::Result;
-use crate::math::rows::JointMatrix;
+use crate::math::rows::{JointMatrix, pad};
 use crate::params::{ServoArrays, Servos};
 use crate::{JointVec, MAX_JOINTS};
 
@@ -29,23 +29,18 @@ pub(super) struct ServoModel {
 impl ServoModel {
     pub(super) fn new(servos: &Servos, arrays: &ServoArrays, n: usize) -> Result<Self> {
         let servos = servos.for_joints(n)?;
-        let spread = |values: &[f64]| {
-            let mut out = [0.0; MAX_JOINTS];
-            out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
-            out
-        };
         let mut out = Self {
             n: n.min(MAX_JOINTS),
-            kp: spread(&servos.kp),
-            kv: spread(&servos.kv),
+            kp: pad(&servos.kp, 0.0),
+            kv: pad(&servos.kv, 0.0),
             servos: *arrays,
             gear_damping: [0.0; MAX_JOINTS],
             back_emf: [0.0; MAX_JOINTS],
-            armature: spread(&servos.armature),
-            count: spread(&servos.encoder_step),
-            max_torque: spread(&servos.max_torque),
+            armature: pad(&servos.armature, 0.0),
+            count: pad(&servos.encoder_step, 0.0),
+            max_torque: pad(&servos.max_torque, 0.0),
         };
-        let servo_damping = spread(&servos.damping);
+        let servo_damping: JointVec = pad(&servos.damping, 0.0);
         for i in 0..out.n {
             // The controller's damping is the sum of gears, the servo's own damping and back-EMF.
             out.gear_damping[i] = arrays.damping[i] - out.kv[i];

@@ -2,6 +2,7 @@
 
 use crate::batch::state::Flag;
 use crate::kinematics::velocity_filter::VelocityFilter;
+use crate::math::rows::pad;
 use crate::math::singular_values::SingularValues;
 use crate::pose::Pose;
 use crate::task::reference_governor::ReferenceGovernor;
@@ -38,9 +39,7 @@ impl State {
 
     /// State at rest in `q` (n) [rad], with the tool pose `tool`.
     pub(crate) fn resting(q: &[f64], tool: Pose) -> Self {
-        let mut joints = [0.0; MAX_JOINTS];
-        joints.iter_mut().zip(q).for_each(|(slot, value)| *slot = *value);
-        Self::at(&joints, tool, true)
+        Self::at(&pad(q, 0.0), tool, true)
     }
 
     /// State at rest in `q`, with the tool pose `tool`.

@@ -4,7 +4,8 @@ use crate::law::activation::RowLengths;
 use crate::law::posture_fade::posture_gain;
 use crate::math::ldlt6::{Ldlt6, factor_gram, pseudo_inverse};
 use crate::math::rows::{JointMatrix, load_rows, mul, store_rows, tr_mul};
-use crate::math::simd::{JointVec16, JointVector, RealOps, Scalar, SingleArmJoints};
+use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps, Scalar, SingleArmJoints};
+use crate::math::spatial::{cross, dot, sub};
 use crate::params::{Frame, NullSpaceCost, Params, Projector};
 use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
@@ -246,26 +247,17 @@ fn manipulability_gradient(jacobian: &Rows, p: &Rows, turning: bool, n: usize) -
         let (v_i, w_i) = (column(jacobian, i, 0), column(jacobian, i, 3));
         for j in 0..n {
             let (v_j, w_j) = (column(jacobian, j, 0), column(jacobian, j, 3));
-            let (mut dv, mut dw) =
-                if i <= j { (cross(w_i, v_j), cross(w_i, w_j)) } else { (cross(w_j, v_i), [0.0; 3]) };
+            let (mut dv, mut dw) = if i <= j {
+                (cross::<BaselineF64>(&w_i, &v_j), cross::<BaselineF64>(&w_i, &w_j))
+            } else {
+                (cross::<BaselineF64>(&w_j, &v_i), [0.0; 3])
+            };
             if turning {
-                dv = subtract(dv, cross(w_i, v_j));
-                dw = subtract(dw, cross(w_i, w_j));
+                dv = sub::<BaselineF64>(&dv, &cross::<BaselineF64>(&w_i, &v_j));
+                dw = sub::<BaselineF64>(&dw, &cross::<BaselineF64>(&w_i, &w_j));
             }
-            out[i] -= dot(column(p, j, 0), dv) + dot(column(p, j, 3), dw);
+            out[i] -= dot::<BaselineF64>(&column(p, j, 0), &dv) + dot::<BaselineF64>(&column(p, j, 3), &dw);
         }
     }
     out
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn subtract(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

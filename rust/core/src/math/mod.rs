@@ -29,6 +29,7 @@ macro_rules! outlined_formula {
 pub(crate) mod halton;
 pub(crate) mod ldlt6;
 pub(crate) mod rotation;
+pub(crate) mod rounding;
 pub(crate) mod rows;
 pub(crate) mod simd;
 pub(crate) mod singular_values;

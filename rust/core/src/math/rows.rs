@@ -9,6 +9,13 @@ pub(crate) type Mat6<R = f64> = [[R; MAX_AXES]; MAX_AXES];
 /// A matrix over the joints.
 pub(crate) type JointMatrix = [[f64; MAX_JOINTS]; MAX_JOINTS];
 
+/// Copies a slice into an array, with `rest` after its end.
+pub(crate) fn pad<const N: usize>(values: &[f64], rest: f64) -> [f64; N] {
+    let mut out = [rest; N];
+    out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
+    out
+}
+
 /// Loads rows from memory.
 #[inline(always)]
 pub(crate) fn load_rows<J: JointVector>(rows: &Rows) -> [J; MAX_AXES] {

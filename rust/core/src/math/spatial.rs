@@ -1,6 +1,6 @@
 //! 3-vector and 3×3 matrix algebra of the control step, for one configuration or several.
 
-use crate::math::simd::RealOps;
+use super::simd::{BaselineF64, RealOps};
 
 /// 3-vector.
 pub(crate) type Vec3<R = f64> = [R; 3];
@@ -82,4 +82,28 @@ pub(crate) fn splat<A: RealOps>(v: &Vec3) -> Vec3<A::Real> {
 #[inline(always)]
 pub(crate) fn splat_matrix<A: RealOps>(m: &Mat3) -> Mat3<A::Real> {
     [splat::<A>(&m[0]), splat::<A>(&m[1]), splat::<A>(&m[2])]
+}
+
+/// `a + s b`.
+#[inline(always)]
+pub(crate) fn add_scaled(a: &[f64; 3], s: f64, b: &[f64; 3]) -> [f64; 3] {
+    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
+}
+
+/// `|v|`.
+#[inline(always)]
+pub(crate) fn norm(v: [f64; 3]) -> f64 {
+    (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt()
+}
+
+/// One step of the iteration `R (3 I − RᵀR) / 2`, which keeps a product of many rotations orthonormal.
+pub(crate) fn orthonormal(r: &Mat3) -> Mat3 {
+    let mut correction = [[0.0; 3]; 3];
+    for i in 0..3 {
+        for j in 0..3 {
+            let dot = r[0][i] * r[0][j] + r[1][i] * r[1][j] + r[2][i] * r[2][j];
+            correction[i][j] = if i == j { 1.5 - 0.5 * dot } else { -0.5 * dot };
+        }
+    }
+    multiply::<BaselineF64>(r, &correction)
 }

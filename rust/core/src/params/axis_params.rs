@@ -2,10 +2,11 @@
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
+use crate::math::rounding;
 use crate::model::Model;
 use crate::params::impedance::default_stiffness;
 use crate::params::workspace::WorkspaceStats;
-use crate::params::{AXIS_NAMES, Axis, CompliantSide, OnDeviationLimit, Profile, ServoArrays, Settings, workspace};
+use crate::params::{AXIS_NAMES, Axis, CompliantSide, OnDeviationLimit, Profile, ServoArrays, Settings};
 
 /// Largest η without a known `k_p` or a captured gravity offset: above it a gravity error makes the arm drift.
 const ETA_UNPROVEN: f64 = 0.95;
@@ -88,7 +89,7 @@ fn default_strengths(
         return [[0.5, 10.0, 10.0]; 2];
     }
     let capacity = workspace_stats.static_capacity(model, &servos.torque);
-    let of = |shares: [f64; 3], capacity: f64| shares.map(|share| workspace::round_to_halves(share * capacity));
+    let of = |shares: [f64; 3], capacity: f64| shares.map(|share| rounding::round_to_halves(share * capacity));
     [of([0.12, 0.45, 1.2], capacity[0]), of([0.105, 0.2, 0.53], capacity[1])]
 }
 

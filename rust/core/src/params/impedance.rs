@@ -1,6 +1,7 @@
 //! Stiffness of law `impedance`: defaults, and bounds from delay and servos.
 
 use crate::error::{Error, Result};
+use crate::math::rounding::{self, round_down};
 use crate::math::rows::load_rows;
 use crate::math::simd::{JointVec16, JointVector, TaskVector};
 use crate::math::spectral::rho;
@@ -38,7 +39,7 @@ pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &Ser
     }
     let stiffer = servos.kp_mean / REFERENCE_KP;
     let longer = if model.reach() > 0.0 { model.reach() / REFERENCE_REACH } else { 1.0 };
-    [REFERENCE[0] * stiffer / (longer * longer), REFERENCE[1] * stiffer].map(workspace::round_to_halves)
+    [REFERENCE[0] * stiffer / (longer * longer), REFERENCE[1] * stiffer].map(rounding::round_to_halves)
 }
 
 /// Refuses given stiffness and damping that would ring in more than half of the poses.
@@ -74,7 +75,7 @@ pub(super) fn check(model: &Model, settings: &Settings, params: &Params) -> Resu
                     .map(|(r, axis)| format!("{}={} {}", AXIS_NAMES[axis], value(r), units[usize::from(axis >= 3)]));
                 each.collect::<Vec<_>>().join(", ")
             };
-            let (user, nearest) = (listed(&|r| asked[r]), listed(&|r| floor_to_two_digits(asked[r] / ratio)));
+            let (user, nearest) = (listed(&|r| asked[r]), listed(&|r| round_down(asked[r] / ratio)));
             return Err(Error::config(
                 format!("axes.{field}"),
                 format!(
@@ -100,12 +101,4 @@ fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
 
 fn why(settings: &Settings) -> String {
     format!("with a delay of {} s at {} Hz a stiffer loop oscillates", settings.delay, settings.rate)
-}
-
-/// Rounds a value down to two significant digits.
-fn floor_to_two_digits(value: f64) -> f64 {
-    let step = 10.0_f64.powf(value.log10().floor() - 1.0);
-    // Powers of ten below one are not exact: multiply so that the printed number has two digits.
-    let digits = (value / step).floor();
-    if step < 1.0 { digits / (1.0 / step).round() } else { digits * step }
 }

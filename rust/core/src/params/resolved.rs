@@ -4,6 +4,8 @@ use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
 use crate::kinematics::{joint_targets, target_region};
+use crate::math::rounding;
+use crate::math::rows::pad;
 use crate::math::spatial::Mat3;
 use crate::model::Model;
 use crate::params::axis_params::{AxisParams, DeviationLimit, deviation_limits, resolve_rows};
@@ -11,7 +13,7 @@ use crate::params::axis_params_simd::AxisParamsSimd;
 use crate::params::checks::{check_axes, check_gain, check_gravity, check_kp, check_null_torque};
 use crate::params::pacing::PacingParams;
 use crate::params::scales::clearance;
-use crate::params::workspace::{self, WorkspaceStats};
+use crate::params::workspace::WorkspaceStats;
 use crate::params::{
     AXIS_NAMES, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, Projector, ServoArrays, Servos, Settings,
     impedance, scales,
@@ -164,7 +166,7 @@ impl Params {
             .gain
             .expand("tracking.gain", if matches!(settings.tracking.gain, Gain::Scalar(_)) { MAX_AXES } else { k })?;
         let kx = compact(&kx, k);
-        let (lower, upper) = (fill(model.lower(), f64::NEG_INFINITY), fill(model.upper(), f64::INFINITY));
+        let (lower, upper) = (pad(model.lower(), f64::NEG_INFINITY), pad(model.upper(), f64::INFINITY));
         let posture_lets_go = settings.law.by_force() && redundant;
         let well_damped = arrays.well_damped(n);
         let params = Self {
@@ -347,8 +349,8 @@ fn resolve_damping(
                     ),
                 ));
             }
-            let sigma_0 = workspace::round_to_two_digits(sigma_0);
-            DampingParams { lambda_0: workspace::round_to_two_digits(0.13 * sigma_0), sigma_0, lambda_max: sigma_0 }
+            let sigma_0 = rounding::round_to_two_digits(sigma_0);
+            DampingParams { lambda_0: rounding::round_to_two_digits(0.13 * sigma_0), sigma_0, lambda_max: sigma_0 }
         }
     })
 }
@@ -390,15 +392,7 @@ fn resolve_speed(model: &Model, settings: &Settings) -> Result<JointVec> {
 fn list(key: &str, values: Option<&[f64]>, n: usize, default: f64) -> Result<JointVec> {
     match values {
         None => Ok([default; MAX_JOINTS]),
-        Some(values) if values.len() == n => Ok(fill(values, default)),
+        Some(values) if values.len() == n => Ok(pad(values, default)),
         Some(values) => Err(Error::length(key, values.len(), n)),
     }
-}
-
-fn fill(values: &[f64], rest: f64) -> JointVec {
-    let mut out = [rest; MAX_JOINTS];
-    for (slot, value) in out.iter_mut().zip(values) {
-        *slot = *value;
-    }
-    out
 }

@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::error::{Error, Result};
+use crate::kinematics::statics::static_force;
 use crate::kinematics::{GroupMasses, JointFrames};
 use crate::math::halton;
 use crate::math::rows::JointMatrix;
@@ -149,7 +150,7 @@ fn static_capacity(model: &Model, usable: &JointVec, masses: &GroupMasses, gravi
         model.chain().gravity(&frames, masses, gravity, &mut holding);
         for (axis, row) in j_base.iter().enumerate() {
             for sign in [-1.0, 1.0] {
-                let capacity = least_capacity(row, sign, usable, &holding, model.n());
+                let capacity = static_force(row, sign, usable, &holding, model.n());
                 if capacity.is_finite() {
                     (if axis < 3 { &mut forces } else { &mut moments }).push(capacity);
                 }
@@ -194,56 +195,11 @@ pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &GroupMass
     ))
 }
 
-fn least_capacity(row: &JointVec, sign: f64, usable: &JointVec, holding: &JointVec, n: usize) -> f64 {
-    let largest = row.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
-    let mut least = f64::INFINITY;
-    for i in 0..n.min(MAX_JOINTS) {
-        let a = row[i] * sign;
-        if a.abs() > 1e-9 * largest {
-            least = least.min((usable[i] + a.signum() * holding[i]) / a.abs());
-        }
-    }
-    least
-}
-
-/// A value rounded to two significant digits: 0.1465 → 0.15.
-pub(crate) fn round_to_two_digits(value: f64) -> f64 {
-    if !(value > 0.0 && value.is_finite()) {
-        return 0.0;
-    }
-    let step = 10.0_f64.powf(value.log10().floor() - 1.0);
-    (value / step).round() * step
-}
-
-/// A value rounded to halves of its leading decade: 4.03 → 4, 15.1 → 15, 0.948 → 0.95.
-pub(crate) fn round_to_halves(value: f64) -> f64 {
-    if !(value > 0.0 && value.is_finite()) {
-        return 0.0;
-    }
-    let step = 0.5 * 10.0_f64.powf(value.log10().floor());
-    (value / step).round() * step
-}
-
 pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
         0 => 0.0,
         len if len % 2 == 1 => values[len / 2],
         len => 0.5 * (values[len / 2 - 1] + values[len / 2]),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn values_are_rounded_to_halves_or_two_digits() {
-        for (value, rounded) in [(4.03, 4.0), (15.1, 15.0), (0.948, 0.95), (40.3, 40.0), (3.555, 3.5), (0.0, 0.0)] {
-            assert!((round_to_halves(value) - rounded).abs() < 1e-12);
-        }
-        for (value, rounded) in [(0.1465, 0.15), (0.0195, 0.02), (12.3, 12.0), (0.0, 0.0)] {
-            assert!((round_to_two_digits(value) - rounded).abs() < 1e-12);
-        }
     }
 }

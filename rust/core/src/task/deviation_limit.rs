@@ -5,6 +5,7 @@
 
 use crate::math::rotation::{base_to_task, rotation_matrix, rotation_vector, task_to_base};
 use crate::math::simd::BaselineF64;
+use crate::math::spatial::multiply;
 use crate::params::{DeviationLimit, OnDeviationLimit, Params};
 use crate::pose::Pose;
 use crate::task::pose_error;
@@ -91,7 +92,7 @@ impl DeviationLimiter<'_> {
         for (value, shift) in pose.position.iter_mut().zip(e) {
             *value += shift;
         }
-        pose.rotation = product(&rotation_matrix([e[3], e[4], e[5]]), &self.tool.rotation);
+        pose.rotation = multiply::<BaselineF64>(&rotation_matrix([e[3], e[4], e[5]]), &self.tool.rotation);
         pose
     }
 }
@@ -120,13 +121,9 @@ fn interpolate(from: &Pose, to: &Pose, share: f64) -> Pose {
         *value += share * (end - *value);
     }
     let transposed = std::array::from_fn(|i| std::array::from_fn(|j| from.rotation[j][i]));
-    let turn = rotation_vector(&product(&to.rotation, &transposed)).map(|angle| share * angle);
-    pose.rotation = product(&rotation_matrix(turn), &from.rotation);
+    let turn = rotation_vector(&multiply::<BaselineF64>(&to.rotation, &transposed)).map(|angle| share * angle);
+    pose.rotation = multiply::<BaselineF64>(&rotation_matrix(turn), &from.rotation);
     pose
-}
-
-fn product(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! Reference governor: bounds speed and acceleration of the tool's target.
 
 use crate::math::rotation::{rotation_matrix, rotation_matrix_by, task_to_base};
-use crate::math::simd::RealOps;
+use crate::math::simd::{BaselineF64, RealOps};
+use crate::math::spatial::{add_scaled, multiply, norm, orthonormal};
 use crate::params::Params;
 use crate::pose::Pose;
 use crate::task::{pose_error, pose_error_by};
@@ -108,7 +109,8 @@ impl ReferenceGovernor {
             if b == 0 {
                 self.pose.position = add_scaled(&before.position, 1.0, &part(&moved));
             } else {
-                self.pose.rotation = orthonormal(&multiply(&rotation_matrix(part(&moved)), &before.rotation));
+                self.pose.rotation =
+                    orthonormal(&multiply::<BaselineF64>(&rotation_matrix(part(&moved)), &before.rotation));
             }
         }
     }
@@ -173,7 +175,7 @@ impl ReferenceGovernor {
             self.pose.rotation = target.rotation;
         } else {
             let turn = rotation_matrix_by::<A>([angular[0] * dt, angular[1] * dt, angular[2] * dt]);
-            self.pose.rotation = orthonormal(&multiply(&turn, &self.pose.rotation));
+            self.pose.rotation = orthonormal(&multiply::<BaselineF64>(&turn, &self.pose.rotation));
         }
         self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];
         self.pose
@@ -262,39 +264,6 @@ fn clamp_norm(v: [f64; 3], max: f64) -> [f64; 3] {
     // Compute the root only if the vector is too long.
     let squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
     if squared > max * max { add_scaled(&[0.0; 3], max / squared.sqrt(), &v) } else { v }
-}
-
-/// `a + s b`.
-#[inline(always)]
-fn add_scaled(a: &[f64; 3], s: f64, b: &[f64; 3]) -> [f64; 3] {
-    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
-}
-
-#[inline(always)]
-fn norm(v: [f64; 3]) -> f64 {
-    (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt()
-}
-
-fn multiply(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    let mut out = [[0.0; 3]; 3];
-    for i in 0..3 {
-        for j in 0..3 {
-            out[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j];
-        }
-    }
-    out
-}
-
-/// One step of the iteration `R (3 I − RᵀR) / 2`, which keeps a product of many rotations orthonormal.
-fn orthonormal(r: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    let mut correction = [[0.0; 3]; 3];
-    for i in 0..3 {
-        for j in 0..3 {
-            let dot = r[0][i] * r[0][j] + r[1][i] * r[1][j] + r[2][i] * r[2][j];
-            correction[i][j] = if i == j { 1.5 - 0.5 * dot } else { -0.5 * dot };
-        }
-    }
-    multiply(r, &correction)
 }
 
 #[cfg(test)]

@@ -130,7 +130,7 @@ impl SimdLevel {
         }
     }
 
-    /// Runs code for single configurations: as [`SimdLevel::run`], but at most with AVX2.
+    /// Runs code for single configurations: as [`SimdLevel::dispatch`], but at most with AVX2.
     ///
     /// Arrays of seven or eight numbers gain nothing from wider registers (kinematics even lose a tenth), and a third
     /// copy of the control step would be a third of the wheel's size.

@@ -10,7 +10,7 @@
 //! ([`SoaVec`]). Laws are written over [`JointVector`], which covers both. Rare code uses [`JointVec16`] and is compiled
 //! once.
 //!
-//! Everything between an entry of [`SimdLevel::run`] and its last formula is `#[inline(always)]`: a function that is
+//! Everything between an entry of [`SimdLevel::dispatch`] and its last formula is `#[inline(always)]`: a function that is
 //! not inlined would be compiled for the baseline instruction set. Formulas over [`RealOps`] use loops, not
 //! closures, for the same reason.
 

@@ -1,9 +1,9 @@
 //! Eight numbers in the vector registers of x86-64: four of two, two of four or one of eight.
-#![expect(unsafe_code, reason = "vector instructions; they are entered only through `Instructions::run`")]
+#![expect(unsafe_code, reason = "vector instructions; they are entered only through `SimdLevel::dispatch`")]
 
 use std::arch::x86_64::__m256d;
 
-// SAFETY of every `unsafe` below: values of these types are created only in code entered through `SimdLevel::run`,
+// SAFETY of every `unsafe` below: values of these types are created only in code entered through `SimdLevel::dispatch`,
 // that is on a processor with the instructions; memory is accessed only through references of the right size.
 
 /// Defines a SIMD type over registers, from the instructions that the enclosing module imports under common names.
