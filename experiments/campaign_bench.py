@@ -195,7 +195,7 @@ class Bench:
         count = disturbance.count
         self.servos = arm.servos.replace(kp=known * np.asarray(arm.servos.kp), encoder_step=count)
         if disturbance.gears is not None and disturbance.gears_known:
-            self.servos = disturbance.gears.believed(self.servos)
+            self.servos = disturbance.gears.assumed(self.servos)
         self.compliance = 1.0 / np.asarray(self.servos.kp)
         gains = self.plant.gains
         self.damping = gains.damping + gains.kv

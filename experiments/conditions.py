@@ -72,7 +72,7 @@ class Conditions:
         """Return the servo table of `arm7` that the controller assumes."""
         true = servos()
         if self.gears is not None and self.gears_known:
-            true = self.gears.believed(true)
+            true = self.gears.assumed(true)
         return true.replace(
             friction=self.believed * np.asarray(true.friction),
             load_friction=self.believed * np.asarray(true.load_friction),

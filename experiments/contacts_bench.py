@@ -176,7 +176,7 @@ class Bench:
             return rng.uniform(1.0 - share, 1.0 + share, n)
 
         count = COUNT_12_BIT if case.encoder else 0.0
-        table = REAL_GEARS[case.arm].believed(true) if case.identified else true
+        table = REAL_GEARS[case.arm].assumed(true) if case.identified else true
         rubs = off(case.friction)
         believed = table.replace(
             friction=rubs * np.asarray(table.friction),

@@ -391,8 +391,8 @@ class Loop:
         leads = getattr(arm, "leads", None)
         if capture is None or leads is None or arm.servos.stiffness_known:
             return
-        believed = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
-        capture(q, q + np.where(np.isfinite(leads), leads, believed))
+        modelled = np.asarray(arm.model.gravity(q)) / np.asarray(arm.servos.kp)
+        capture(q, q + np.where(np.isfinite(leads), leads, modelled))
 
     def _write(
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None

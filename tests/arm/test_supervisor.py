@@ -34,7 +34,7 @@ def test_silence_is_detected_once_and_raised_at_the_next_call():
             pass
         with pytest.raises(pliant.ServoTimeoutError, match="did not come back"):
             check()
-        with pytest.raises(pliant.ServoTimeoutError, match=r"enable\(\) starts anew"), supervisor:
+        with pytest.raises(pliant.ServoTimeoutError, match=r"enable\(\) starts again"), supervisor:
             pass
     assert len(left) == 1
     assert left[0] <= 1e-4 < usual == sys.getswitchinterval()

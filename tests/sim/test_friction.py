@@ -90,7 +90,7 @@ def test_what_is_no_friction_is_refused():
 
 def test_the_friction_model_matches_the_gears():
     """Linear in load and rational in speed: within a fifth of the gears where they move slowly."""
-    table = Friction.of([MX106]).believed(pliant.Servos(kp=[100.0], max_torque=10.0, friction=0.3))
+    table = Friction.of([MX106]).assumed(pliant.Servos(kp=[100.0], max_torque=10.0, friction=0.3))
     assert table.friction.tolist() == [0.0]
     for load in (0.5, 2.0, 4.0):
         for speed in (0.0, 0.3, 1.0):

@@ -182,7 +182,9 @@ def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
         with pytest.raises(pliant.PliantError, match="nothing was recorded") as error:
             Teacher(arm).stop()
         assert error.type is pliant.PliantError
-        with pytest.raises(pliant.PliantError, match=r"nobody led the arm within 0\.1 s") as error:
+        with pytest.raises(
+            pliant.PliantError, match=r"the arm was not moved by hand within 0\.1 s"
+        ) as error:
             teach(arm, wait=0.1)
         assert error.type is pliant.PliantError
 

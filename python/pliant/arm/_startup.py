@@ -244,7 +244,7 @@ def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
     found = [f"{names[i]} {ratio[i]:.2g} x" for i in np.flatnonzero(differs)]
     return (
         f"servos are stiffer or softer than their table, or weights differ from the model: "
-        f"{', '.join(found)} the believed k_p; forces are wrong by as much: "
+        f"{', '.join(found)} the assumed k_p; forces are wrong by as much: "
         "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload tells of "
         "a load"
     )

@@ -78,7 +78,7 @@ class Supervisor:
                 "this one needs"
             )
         if self.reason is not None:
-            raise ServoTimeoutError(f"{self.reason}; arm.enable() starts anew")
+            raise ServoTimeoutError(f"{self.reason}; arm.enable() starts again")
 
     @contextlib.contextmanager
     def exclusive(self, *, at_once: bool = False) -> Iterator[None]:

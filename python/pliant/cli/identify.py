@@ -38,7 +38,7 @@ def run(
     """Measure the arm, print what was found and the lines for its file, and lower the arm.
 
     servos measures stiffness, friction, damping and delay; gravity checks that the arm stays where
-    it is; payload weighs what the tool carries. Nobody may touch the arm meanwhile, and what stands
+    it is; payload weighs what the tool carries. Do not touch the arm meanwhile, and what stands
     within --span of it must be out of the way. Ctrl-C ends the procedure and lowers the arm.
 
     Args:

@@ -37,7 +37,7 @@ def run(
 ) -> None:
     """Float the arm, record how it is led, trim and smooth it, and lower the arm.
 
-    The arm first swings a little to find its weight: nobody may touch it meanwhile. Ctrl-C lowers
+    The arm first swings a little to find its weight: do not touch it meanwhile. Ctrl-C lowers
     the arm too, and what was led until then is written.
 
     Args:

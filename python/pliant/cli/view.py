@@ -74,7 +74,7 @@ def run(
         )
         if not is_loopback(host):
             console.print(
-                f"[bold]Open to the network on {host}:[/bold] whoever has this link can move the "
+                f"[bold]Open to the network on {host}:[/bold] anyone with this link can move the "
                 "arm, and what they send passes unencrypted.",
                 highlight=False,
             )

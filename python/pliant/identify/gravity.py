@@ -76,17 +76,17 @@ class GravityCapture:
                 out.append(
                     f"{name}: a lead of {self.lead[i]:+.4f} rad does not fit "
                     f"{self.gravity[i]:+.2f} N·m of gravity; k_g clipped at {ratio:.1f} × the "
-                    "believed k_p: wrong payload, a hand on the arm, or a servo that is not what "
-                    "its table says."
+                    "assumed k_p: wrong payload, a hand on the arm, or a servo that does not "
+                    "match its table."
                 )
             elif self.captured[i]:
                 out.append(
                     f"{name}: captured, k_g {self.stiffness[i]:.3g} N·m/rad, {ratio:.2f} × the "
-                    f"believed k_p (lead {self.lead[i]:+.4f} rad at {self.gravity[i]:+.2f} N·m)."
+                    f"assumed k_p (lead {self.lead[i]:+.4f} rad at {self.gravity[i]:+.2f} N·m)."
                 )
             else:
                 out.append(
-                    f"{name}: left as believed; gravity asks only {self.gravity[i]:+.2f} N·m here, "
+                    f"{name}: left as assumed; gravity asks only {self.gravity[i]:+.2f} N·m here, "
                     "too near to its friction to tell."
                 )
         if not self.still:
@@ -123,7 +123,7 @@ def _make_procedure(
     servos = instance(controller, Controller, "controller").servos
     if servos is None:
         raise ConfigError(
-            "capturing gravity needs the believed k_p: Controller(model, settings, servos=…)"
+            "capturing gravity needs the assumed k_p: Controller(model, settings, servos=…)"
         )
     numbers = (
         number(seconds, "seconds", 1.0, unit="s"),

@@ -87,7 +87,7 @@ class PayloadEstimate:
         if weak:
             out.append(
                 f"{weak} of the 4 numbers of the payload (mass and centre) cannot be told from "
-                "these poses and stay near what was believed: allow a larger span or give poses "
+                "these poses and stay near the assumed values: allow a larger span or give poses "
                 "that turn the tool against gravity."
             )
         return out
@@ -203,9 +203,9 @@ class Identification:
             kp, friction = float(servos.kp[i]), float(self.friction[i])
             text = (
                 f"{name}: k_p {kp:.3g} ± {2 * self.errors['kp'][i]:.2g} N·m/rad "
-                f"({kp / assumed_values[0][i]:.2f} × believed), "
+                f"({kp / assumed_values[0][i]:.2f} × assumed), "
                 f"friction {friction:.3g} ± {2 * self.errors['friction'][i]:.2g} N·m "
-                f"(believed {assumed_values[1][i]:.3g}), damping {servos.damping[i]:.3g} outside "
+                f"(assumed {assumed_values[1][i]:.3g}), damping {servos.damping[i]:.3g} outside "
                 f"the limit and {servos.kv[i]:.2g} N·m·s/rad inside"
             )
             if servos.load_friction[i]:
@@ -230,7 +230,7 @@ class Identification:
         if self.spread > 2.0:
             out.append(
                 f"residuals are {self.spread:.1f} × what friction and encoder explain: play, a "
-                "wrong mass in the model, or somebody touched the arm."
+                "wrong mass in the model, or a hand on the arm."
             )
         return out
 

@@ -32,7 +32,7 @@ CAREFUL = 0.05
 #: Number of ids before one with a late or broken reply that are asked again.
 BEFORE = 12
 #: Unused id for listening; number of listens; and number of requests to an id with broken replies.
-NOBODY, LISTENS, TRIES = 252, 20, 3
+UNUSED_ID, LISTENS, TRIES = 252, 20, 3
 #: Longest response delay of a servo [s]: the makers' default is 500 µs.
 SLOWEST_TURN = 0.0006
 TWO = (
@@ -195,7 +195,7 @@ class _Asking:
         for _ in range(LISTENS):
             before = time.perf_counter()
             try:
-                self._io.ping(NOBODY)
+                self._io.ping(UNUSED_ID)
             except BusError as error:
                 _pass_on(error)
             if time.perf_counter() - before >= self._careful:

@@ -103,7 +103,7 @@ class Friction:
         names = [field.name for field in fields(self)]
         return Friction(**{name: per_joint(getattr(self, name), n, name) for name in names})
 
-    def believed(self, servos: Servos) -> Servos:
+    def assumed(self, servos: Servos) -> Servos:
         """Return the servo table with this friction, as a controller may assume it.
 
         Motor and load torque are equal and opposite except for friction, so their coefficients add

@@ -222,4 +222,4 @@ def _record(
         ):
             break
         if late > wait and not teacher.moved:
-            raise PliantError(f"nobody led the arm within {wait:g} s")
+            raise PliantError(f"the arm was not moved by hand within {wait:g} s")

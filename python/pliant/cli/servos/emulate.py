@@ -61,7 +61,7 @@ def run(
         with make_emulator(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
             for name, path in bus.ports.items():
                 console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
-            notice = "somebody holds the arm until its torque comes on; Ctrl-C ends"
+            notice = "the arm is held until its torque comes on; Ctrl-C ends"
             console.print(notice, style="dim")
             end = None if duration is None else time.monotonic() + duration
             threshold = LATE

@@ -161,7 +161,7 @@ class Mechanics:
 
 
 def estimated_mechanics(stall: float) -> Mechanics:
-    """Gears of a servo that nobody has identified, from its stall torque at rated voltage [N·m].
+    """Gears of a servo that was not identified, from its stall torque at rated voltage [N·m].
 
     Shares that the identified servos (MX-64, MX-106, XL330, STS3215) have, to a factor of two.
     """

@@ -308,7 +308,7 @@ impl Controller {
         let q = self.positions("q", q)?;
         let goal = self.model.joints_within("goal", goal, COORDINATE_BOUND)?;
         if !self.params.servos.has_kp {
-            return Err(Error::config("servos", "capturing gravity needs the believed k_p: give servos"));
+            return Err(Error::config("servos", "capturing gravity needs an assumed k_p: give servos"));
         }
         let holding = self.holding_torques(&q);
         let captured = self.params.servos.captured_compliance(self.params.n, &q, &goal, &holding);
