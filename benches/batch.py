@@ -118,7 +118,7 @@ def main() -> None:
     if arguments.serve:
         serve(count, only)
         return
-    chosen = pliant.Controller(pliant.robots.arm7()).instructions
+    chosen = pliant.Controller(pliant.robots.arm7()).simd_level
     print(f"N = {count:,}, instructions {arguments.instructions or chosen}")
     print(f"{'':38} {'M/s a core':>10} {f'{cores} threads':>10} {'ratio':>6} {'MB more':>8}")
     one, all_cores = started(count, only, 1), started(count, only, cores)

@@ -215,7 +215,7 @@ def main() -> None:
 def chosen(settings: pliant.Settings) -> str:
     """Return the instructions that the controller uses."""
     controller = pliant.Controller(pliant.Model.from_urdf(URDF), settings, servos())
-    return str(getattr(controller, "instructions", "of any machine"))
+    return str(getattr(controller, "simd_level", "of any machine"))
 
 
 if __name__ == "__main__":

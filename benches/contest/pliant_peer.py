@@ -58,4 +58,4 @@ def make() -> Peer:
 
 def instructions(of: pliant.Controller) -> str:
     """Return the instructions chosen for this machine, where the build has a choice."""
-    return str(getattr(of, "instructions", "one path for all machines"))
+    return str(getattr(of, "simd_level", "one path for all machines"))

@@ -527,7 +527,7 @@ class Model:
         """Sum of distances between joint origins up to the tool, with prismatic travel [m]."""
 
     @property
-    def reach_from(self) -> _Array:
+    def reach_origin(self) -> _Array:
         """Origin of the first joint at q = 0 (3,), in the base [m]; `reach` counts from there."""
 
     @property
@@ -2022,7 +2022,7 @@ class Controller:
         """Snapshot of intermediate values of the last step."""
 
     @property
-    def instructions(self) -> str:
+    def simd_level(self) -> str:
         """Instruction set of the steps: ``"baseline"``, ``"avx2"`` or ``"avx512"``.
 
         The widest set of the processor, or that of the environment variable

@@ -57,7 +57,7 @@ def test_every_pose_of_an_arm_is_within_its_reach(name):
     model = getattr(pliant.robots, name)()
     q = np.random.default_rng(0).uniform(model.lower, model.upper, (2000, model.n))
     for pose in model.forward_kinematics_batch(q):
-        assert np.linalg.norm(pose[:3, 3] - model.reach_from) <= model.reach
+        assert np.linalg.norm(pose[:3, 3] - model.reach_origin) <= model.reach
         Target(position=tuple(pose[:3, 3])).check(model)
 
 
@@ -71,7 +71,7 @@ def test_reach_counts_from_the_first_joint_that_moves():
     <joint name="end" type="fixed"><parent link="arm"/><child link="tool"/>
     <origin xyz="0.4 0 0"/></joint></robot>"""
     model = pliant.Model.from_urdf_str(lift, locked={"lift": 1.0})
-    assert np.allclose(model.reach_from, [0.0, 0.0, 1.0])
+    assert np.allclose(model.reach_origin, [0.0, 0.0, 1.0])
     Target(position=(0.4, 0.0, 1.0)).check(model)
     said = r"from turn \[m\] = 1\.5 is outside \[0, 0\.900\]: the arm reaches 0\.400 m"
     with pytest.raises(pliant.OutOfRangeError, match=said):

@@ -27,7 +27,7 @@ def arm(request):
 def at(model, distance, direction):
     """Pose at a distance from the first joint [m]."""
     pose = np.eye(4)
-    pose[:3, 3] = model.reach_from + distance * direction / np.linalg.norm(direction)
+    pose[:3, 3] = model.reach_origin + distance * direction / np.linalg.norm(direction)
     return pose
 
 
@@ -72,12 +72,12 @@ def test_a_target_in_other_units_is_refused(arm, factor):
     rng = np.random.default_rng(1)
     for _ in range(50):
         pose = at(model, rng.uniform(0.5, 1.0) * model.reach, rng.normal(size=3))
-        pose[:3, 3] -= model.reach_from
+        pose[:3, 3] -= model.reach_origin
         pose[:3, 3] *= factor
-        pose[:3, 3] += model.reach_from
+        pose[:3, 3] += model.reach_origin
         if (
             factor < 5.0
-            and np.linalg.norm(pose[:3, 3] - model.reach_from) < 2.0 * model.reach + 0.1
+            and np.linalg.norm(pose[:3, 3] - model.reach_origin) < 2.0 * model.reach + 0.1
         ):
             continue
         with pytest.raises(pliant.OutOfRangeError, match="is it in millimetres"):
@@ -183,7 +183,7 @@ def test_rows_that_are_too_far_become_nan_where_asked():
 def test_the_shell_has_no_check_of_its_own():
     model = pliant.robots.so101()
     bound = 2.0 * model.reach + 0.1
-    x, y, z = model.reach_from
+    x, y, z = model.reach_origin
     Target.parse(f'{{"position": [{x}, {y}, {z + bound - 1e-6}]}}', model)
     for line in (
         f'{{"position": [{x}, {y}, {z + bound + 1e-6}]}}',

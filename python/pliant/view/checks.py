@@ -36,7 +36,7 @@ def target(order: Target, model: Model) -> Array:
     off = np.abs(turn @ turn.T - np.eye(3)).max()
     if off > ORTHOGONAL or np.linalg.det(turn) < 0.0 or (pose[3] != (0.0, 0.0, 0.0, 1.0)).any():
         raise ConfigError("target is not a pose: its rotation is not orthogonal")
-    away = math.dist(pose[:3, 3], model.reach_from)
+    away = math.dist(pose[:3, 3], model.reach_origin)
     if away > model.reach:
         raise ConfigError(
             f"target is {away:.3g} m from {model.joint_names[0]}, and the arm reaches "
