@@ -295,7 +295,7 @@ impl Controller {
         Diagnostics::new(&self.core)
     }
 
-    #[doc = stub!(Controller.instructions)]
+    #[doc = stub!(Controller.simd_level)]
     #[getter]
     fn simd_level(&self) -> &'static str {
         self.core.simd_level().name()

@@ -203,7 +203,7 @@ impl Model {
         self.core.reach()
     }
 
-    #[doc = stub!(Model.reach_from)]
+    #[doc = stub!(Model.reach_origin)]
     #[getter]
     fn reach_origin<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frozen(py, &self.core.reach_origin())
