@@ -163,7 +163,7 @@ def cases():
     wrong = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
     yield "identified, rows", plant(**wrong), identification.rows
     believing = identification.Believing(
-        table=identification.assumed(pliant.robots.arm7()),
+        table=identification.believed(pliant.robots.arm7()),
         delay=(1, 1),
         plant=identification.WRONG,
     )

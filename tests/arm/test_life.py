@@ -73,7 +73,7 @@ class Life(RuleBasedStateMachine):
             self.arms.append(pliant.arm.Arm(plant.model, SimDrive(plant)))
         self.on = [False] * len(self.arms)
 
-    def descend(self, io, points, rest, rate, is_aborted, **_):
+    def descend(self, io, rest, rate, is_aborted, **_):
         """Wait for some turns, in which signals come."""
         for _ in range(TURNS):
             if self.during:
