@@ -17,10 +17,9 @@ controller = pliant.Controller(model, settings)
 report = controller.report(q)
 print(report)
 
-# The same for pose and limits of the last step: fast enough to run in the loop.
+# Without q the report is on the pose and limits of the last step, fast enough for the loop.
 controller.step(q, model.forward_kinematics(q))
-y = report.axes.index("y")
-pushed_minus, pushed_plus = controller.report().host_loss_force[y]
+pushed_minus, pushed_plus = controller.report().axes["y"].host_loss_force
 print(
     f"if this program stops now, a hand meets {pushed_plus:.1f} N in +y, {pushed_minus:.1f} in -y"
 )
@@ -35,9 +34,9 @@ print(f"\nasked for: {check}")
 
 # 3. Apply its proposals: the smaller one where a setting is named for both sides.
 proposed: dict[str, float] = {}
-for finding in check.findings:
-    if finding.required and finding.setting and finding.value is not None:
-        proposed[finding.setting] = min(finding.value, proposed.get(finding.setting, np.inf))
+for issue in check.issues:
+    if issue.required and issue.setting and issue.value is not None:
+        proposed[issue.setting] = min(issue.value, proposed.get(issue.setting, np.inf))
 better = pliant.Settings(
     axes={
         "y": pliant.Axis(soft=0.05, firm=proposed["axes.y.firm"]),

@@ -233,23 +233,24 @@ class Bench:
         plant.reset(q)
         controller.reset(q)
         grip.hold(self.arm.rows if guided else [row])
-        report, side = controller.report(q), (self.arm.rows.index(row), int(sign > 0.0))
+        report = controller.report(q).axes[axis]
+        stop = report.stop[int(sign > 0.0)]
+        stop_distance = np.inf if stop is None else stop.distance
         way, speed = self._way(q, row, cap)
         if seen.short < np.inf:
-            way = min(way, seen.short * float(report.stop_distance[side]))
+            way = min(way, seen.short * stop_distance)
         # To keep the promise the tool has to move this far: the hand's own spring takes the rest.
-        allowed, rubs = (0.40 if seen.wrong else 0.15) * cap, float(report.friction[side[0]])
+        allowed, rubs = (0.40 if seen.wrong else 0.15) * cap, report.friction
         far = way - (cap + allowed + rubs) / grip.stiffness[row]
-        meant = report.stop_friction[side] > rubs + allowed
-        announced = bool(report.stop_distance[side] < far and meant)
+        announced = stop is not None and stop.distance < far and stop.friction > rubs + allowed
         target = model.forward_kinematics(q)
-        stop = START + way / speed
-        end = stop if seen.moving else stop + REST
+        last = START + way / speed
+        end = last if seen.moving else last + REST
         felt, moved, speeds, drift, stiff = [], [], [], 0.0, [r for r in range(3) if r != row]
         stiff = [r for r in stiff if r in self.arm.rows]
         for tick in range(round(end * plant.rate)):
             now = tick / plant.rate
-            grip.move(row, sign * speed if START <= now < stop - 1e-9 else 0.0)
+            grip.move(row, sign * speed if START <= now < last - 1e-9 else 0.0)
             command = controller.step(plant.read().q, target[:3, 3] if self._flat else target)
             plant.write(command.goal, command.torque_limit)
             plant.advance()
@@ -274,7 +275,7 @@ class Bench:
             **named,
             refused=False,
             announced=announced,
-            rubs=float(report.stop_friction[side]) if announced else 0.0,
+            rubs=stop.friction if stop is not None and announced else 0.0,
             promise=min(cap, (1.0 - seen.eta) * float(np.mean(moved)) / c),
             felt=float(np.mean(felt)),
             friction=friction,

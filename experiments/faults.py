@@ -282,9 +282,9 @@ def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> All
     are half a period T old on average. Feed-forward compensates much of the first two.
     """
     report = controller.report()
-    y = report.axes.index("y")
+    y = list(report.axes).index("y")
     if mishap.state == "host loss":
-        return Allowed(still=float(report.host_loss_force[y].max()) + MOVING)
+        return Allowed(still=max(report.axes["y"].host_loss_force) + MOVING)
     lever = np.abs(
         np.linalg.pinv(controller.model.jacobian(controller.diagnostics.q_predicted))[:, y]
     )

@@ -119,7 +119,7 @@ class Bench:
         leans = bool(pose % 2)
         report = self._work(pose, leans=leans)
         row, kind = AXES.index(axis), AXES.index(axis) // 3
-        side = (self.arm.rows.index(row), int(sign > 0.0))
+        side = int(sign > 0.0)
         felt, at = self.drag(row, sign * TRAVEL[kind])
         return Met(
             arm=self.arm.name,
@@ -127,7 +127,7 @@ class Bench:
             axis=axis,
             sign=sign,
             leaned=leans,
-            said=float(report.host_loss_force[side]),
+            said=report.axes[axis].host_loss_force[side],
             felt=felt,
             at=at,
             hand=self.hand[kind],

@@ -86,7 +86,7 @@ def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
             )
         )
     report = pliant.Controller(it.model, soft).report(POSES[name])
-    most = np.asarray(report.host_loss_force)[:3]
+    most = [report.axes[axis].host_loss_force for axis in "xyz"]
     out.append(
         (
             "the program dies, the servos keep their last goals: a hand meets at most",

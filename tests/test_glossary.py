@@ -35,8 +35,8 @@ def words_of(*things: object) -> set[str]:
 
 SPOKEN = words_of(
     *(pliant, pliant.Arm, pliant.Axis, pliant.Command, pliant.Controller, pliant.Loop),
-    pliant.feasibility.PoseReport,
-    *(pliant.Servos, pliant.Settings, pliant.Task, pliant.Tick, pliant.WrenchEstimate),
+    *(pliant.feasibility.AxisReport, pliant.feasibility.PoseReport),
+    *(pliant.Servos, pliant.Settings, pliant.Task, pliant.Tick, pliant.types.WrenchEstimate),
     *(pliant.arm, pliant.feasibility, pliant.identify, pliant.log, pliant.servo),
     *(pliant.servo.ServoSpec,),
 )

@@ -48,12 +48,12 @@ KNOWN = signatures()
 #: Pages of the package itself; a public name without a page fails the build.
 CORE = {
     "robot": ("Model, poses and servos", "Model Pose Payload Servos"),
-    "controller": ("Controller", "Controller Command Diagnostics BatchState"),
+    "controller": ("Controller", "Controller Command"),
     "settings": (
         "Settings",
         "Settings Task Axis Tracking NullSpace Compensation TorqueLimits AXES",
     ),
-    "contact": ("Contact", "ContactEstimator WrenchEstimate"),
+    "contact": ("Contact", "ContactEstimator"),
     "loop": ("Arm and loop", "connect Arm Loop Tick HandGuiding"),
     "errors": (
         "Errors",
@@ -67,6 +67,7 @@ MODULES = {
     "functional": "The equations of the paper for a Jacobian of your own",
     "model": "Parts of a model, and results of inverse kinematics",
     "feasibility": "What an arm can exert in a pose or along a path",
+    "types": "Results of a controller and of the contact estimator",
     "arm": "What an arm is, its states and its way down",
     "reactions": "Conditions on measured quantities, and actions",
     "robots": "Arms that ship with the package",

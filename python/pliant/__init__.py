@@ -15,13 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from pliant._core import (
     Axis,
-    BatchState,
     Command,
     Compensation,
     ConfigError,
     ContactEstimator,
     Controller,
-    Diagnostics,
     FrameNotFoundError,
     Model,
     NullSpace,
@@ -39,7 +37,6 @@ from pliant._core import (
     TorqueLimits,
     Tracking,
     UrdfError,
-    WrenchEstimate,
     __version__,
 )
 
@@ -56,6 +53,7 @@ if TYPE_CHECKING:
     from pliant import servo as servo
     from pliant import sim as sim
     from pliant import teach as teach
+    from pliant import types as types
     from pliant._validation import AXES as AXES
     from pliant.arm import Arm as Arm
     from pliant.config import connect as connect
@@ -69,13 +67,11 @@ __all__ = [
     "AXES",
     "Arm",
     "Axis",
-    "BatchState",
     "Command",
     "Compensation",
     "ConfigError",
     "ContactEstimator",
     "Controller",
-    "Diagnostics",
     "FrameNotFoundError",
     "HandGuiding",
     "Loop",
@@ -98,7 +94,6 @@ __all__ = [
     "TorqueLimits",
     "Tracking",
     "UrdfError",
-    "WrenchEstimate",
     "__version__",
     "connect",
 ]
@@ -117,6 +112,7 @@ _PARTS = (
     "servo",
     "sim",
     "teach",
+    "types",
 )
 #: Names exported from submodules, imported at first use.
 _NAMES = {

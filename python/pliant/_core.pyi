@@ -13,6 +13,7 @@ __version__: Final[str]
 __all__ = [
     "SUPPORT",
     "ArmPoints",
+    "AxisReport",
     "Axis",
     "BatchState",
     "Command",
@@ -28,6 +29,7 @@ __all__ = [
     "Inertial",
     "Issue",
     "Joint",
+    "JointStop",
     "Link",
     "Lowering",
     "Mimic",
@@ -1570,16 +1572,145 @@ class BatchState:
         """
 
 @final
-class PoseReport:
-    """Capabilities of one pose under the present settings.
+class JointStop:
+    """First position limit that a joint meets when the arm is pushed along one axis."""
 
-    One row per axis of the task (k) or joint (n); pairs are (pushed toward -, pushed toward +).
-    Forces in N, for rotations N m. `str` gives a table and the sentences.
+    @property
+    def joint(self) -> str:
+        """Name of the joint."""
+
+    @property
+    def distance(self) -> float:
+        """Displacement of the axis at which the limit is met [m, rad].
+
+        Beyond it the stop carries part of a push, and a cap is not kept.
+        """
+
+    @property
+    def margin(self) -> float:
+        """Present distance of the joint from its limit [rad or m]."""
+
+    @property
+    def friction(self) -> float:
+        """Friction of the other joints along the axis at the stop [N, N m].
+
+        inf if they cannot move the axis alone: the stop then carries everything above the cap.
+        """
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+
+@final
+class AxisReport:
+    """Capabilities along one task axis.
+
+    Forces in N, for rotations N m; displacements in m or rad. Pairs are (pushed toward -, pushed
+    toward +).
     """
 
     @property
-    def axes(self) -> tuple[_AxisName, ...]:
-        """Names of the task's axes."""
+    def name(self) -> _AxisName:
+        """Name of the axis."""
+
+    @property
+    def static_force(self) -> tuple[float, float]:
+        """Largest static force that the present limits hold; negative: cannot hold itself."""
+
+    @property
+    def capacity(self) -> tuple[float, float]:
+        """Largest static force at the servos' full torque."""
+
+    @property
+    def yields(self) -> tuple[bool, bool]:
+        """True for sides that yield."""
+
+    @property
+    def yield_force(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Force at which a side yields, without friction, at a small and at a large deviation.
+
+        The deviations are `thresholds`, at most 0.15 m or 0.4 rad.
+        """
+
+    @property
+    def thresholds(self) -> tuple[float, float]:
+        """Deviations between which the strength changes: d-/(1 - eta), d+/(1 - eta)."""
+
+    @property
+    def friction(self) -> float:
+        """Joint friction along the axis: additional force of a push at rest."""
+
+    @property
+    def friction_left(self) -> float:
+        """Friction left by the feed-forward; an axis softer than this cannot keep moving."""
+
+    @property
+    def coupling(self) -> tuple[float, float]:
+        """Strength of the axis at strength 0, because other axes use the same joints."""
+
+    @property
+    def coupled_to(self) -> tuple[_AxisName | None, _AxisName | None]:
+        """Axis with the largest share of `coupling`."""
+
+    @property
+    def hold(self) -> float:
+        """Strength toward sides that do not yield."""
+
+    @property
+    def default_hold(self) -> float | None:
+        """The default of `hold`, if soft or firm raised it."""
+
+    @property
+    def host_loss_force(self) -> tuple[float, float]:
+        """Largest force on a hand after a host loss now.
+
+        Over 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s, from the arm's equilibrium, with gear
+        friction and damping; inf if the arm cannot be moved so far, because it is stretched out or
+        at position limits.
+        """
+
+    @property
+    def stop(self) -> tuple[JointStop | None, JointStop | None]:
+        """First position limit on the path of a push, the other axes fixed.
+
+        None if no joint meets one within 0.15 m or 0.4 rad.
+        """
+
+    @property
+    def path_friction(self) -> tuple[float, float]:
+        """Largest joint friction along the axis on that path, up to the stop.
+
+        Many times `friction` if the path passes a singular pose.
+        """
+
+    @property
+    def path_sigma(self) -> tuple[float, float]:
+        """Smallest singular value at the place of `path_friction`, as `PoseReport.sigma_min`."""
+
+    @property
+    def path_distance(self) -> tuple[float, float]:
+        """Displacement of the axis at the place of `path_friction`."""
+
+    @property
+    def deviation_limit(self) -> tuple[float, float]:
+        """Deviation beyond which the target waits or follows; inf: no limit."""
+
+    @property
+    def on_deviation_limit(self) -> Literal["yield", "wait"]:
+        """Behaviour of the target beyond the deviation limit."""
+
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+
+@final
+class PoseReport:
+    """Capabilities of one pose under the present settings.
+
+    Arrays have one row per joint (n). `str` gives a table and the sentences.
+    """
+
+    @property
+    def axes(self) -> dict[str, AxisReport]:
+        """Capabilities along each task axis, in the order of the task."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -1592,42 +1723,6 @@ class PoseReport:
     @property
     def torque_limit(self) -> _Array:
         """Torque limits in this pose (n,) [N m]."""
-
-    @property
-    def static_force(self) -> _Array:
-        """Largest static force that these limits hold (k, 2); negative: cannot hold itself."""
-
-    @property
-    def capacity(self) -> _Array:
-        """Largest static force at the servos' full torque (k, 2)."""
-
-    @property
-    def gives_way(self) -> _Array:
-        """Force of giving way without friction (k, 2, 2): [axis, side, small | large deviation]."""
-
-    @property
-    def yields(self) -> list[tuple[bool, bool]]:
-        """True for sides of an axis that yield."""
-
-    @property
-    def friction(self) -> _Array:
-        """Joint friction along each axis (k,): additional force of a push at rest."""
-
-    @property
-    def friction_left(self) -> _Array:
-        """Friction left by the feed-forward (k,); an axis softer than this cannot keep moving."""
-
-    @property
-    def coupling(self) -> _Array:
-        """Strength of an axis at strength 0, because other axes use the same joints (k, 2)."""
-
-    @property
-    def coupled_to(self) -> list[tuple[_AxisName | None, _AxisName | None]]:
-        """Axis with the largest share of `coupling`, per side."""
-
-    @property
-    def thresholds(self) -> _Array:
-        """Deviations between which the strength changes (k, 2): d-/(1 - eta), d+/(1 - eta)."""
 
     @property
     def gravity_margin(self) -> _Array:
@@ -1654,17 +1749,8 @@ class PoseReport:
         """True for joints at a position limit, removed from the inverse kinematics (n,)."""
 
     @property
-    def host_loss_force(self) -> _Array:
-        """Largest force on a hand after a host loss now (k, 2) [N, N m].
-
-        Over 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s, from the arm's equilibrium, with gear
-        friction and damping; inf if the arm cannot be moved so far, because it is stretched out or
-        at position limits.
-        """
-
-    @property
     def max_host_loss_force(self) -> float | None:
-        """Bound of the settings on `host_loss_force` along translations [N]."""
+        """Bound of the settings on `AxisReport.host_loss_force` along translations [N]."""
 
     @property
     def gain_factor(self) -> float:
@@ -1674,55 +1760,8 @@ class PoseReport:
     def damping_factor(self) -> float:
         """Factor <= 1 on the damping of law impedance."""
 
-    @property
-    def stop_distance(self) -> _Array:
-        """Distance that an axis can be pushed until a joint meets its limit (k, 2) [m, rad].
-
-        The other axes are fixed; inf if no joint does within 0.15 m or 0.4 rad. Beyond this
-        distance the stop carries part of a push, and a cap is not kept.
-        """
-
-    @property
-    def stop_joint(self) -> list[tuple[str | None, str | None]]:
-        """Joint that meets its limit, per side."""
-
-    @property
-    def stop_room(self) -> _Array:
-        """Present distance of that joint from its limit (k, 2) [rad or m]; inf: no stop."""
-
-    @property
-    def stop_friction(self) -> _Array:
-        """Friction of the other joints along the axis at the stop (k, 2), in place of `friction`.
-
-        inf if they cannot move the axis alone: the stop then carries everything above the cap. 0 if
-        no joint stops.
-        """
-
-    @property
-    def way_friction(self) -> _Array:
-        """Largest joint friction along the axis on the path of a push (k, 2) [N, N m].
-
-        Over 0.15 m or 0.4 rad, or up to a stop; many times `friction` if the path passes a singular
-        pose.
-        """
-
-    @property
-    def way_sigma(self) -> _Array:
-        """Smallest singular value at the place of `way_friction`, as `sigma_min` (k, 2)."""
-
-    @property
-    def way_distance(self) -> _Array:
-        """Displacement of the axis at the place of `way_friction` (k, 2) [m, rad]."""
-
-    @property
-    def deviation_limit(self) -> _Array:
-        """Deviation beyond which the target waits or follows (k, 2) [m, rad]; inf: no limit."""
-
     def summary(self) -> list[str]:
         """Return one sentence per axis, and one per problem."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return all values as lists, numbers and words, and the sentences."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1771,7 +1810,7 @@ class FeasibilityReport:
         """Number of poses checked."""
 
     @property
-    def findings(self) -> tuple[Issue, ...]:
+    def issues(self) -> tuple[Issue, ...]:
         """Unmet requirements, the required ones first."""
 
     @property
@@ -1792,7 +1831,7 @@ class FeasibilityReport:
 
     @property
     def stop_distance(self) -> _Array:
-        """Smallest `PoseReport.stop_distance` of the yielding axes (k, 2) [m, rad]."""
+        """Smallest `JointStop.distance` of the yielding sides (k, 2) [m, rad]; inf: no stop."""
 
     @property
     def sigma_min(self) -> float:
@@ -1803,8 +1842,8 @@ class FeasibilityReport:
         """Index of the pose with `sigma_min`."""
 
     @property
-    def way_sigma(self) -> _Array:
-        """Smallest `PoseReport.way_sigma` of the poses (k, 2); inf for sides that do not yield."""
+    def path_sigma(self) -> _Array:
+        """Smallest `AxisReport.path_sigma` of the poses (k, 2); inf for sides that do not yield."""
 
     def __bool__(self) -> bool: ...
     def __eq__(self, other: object, /) -> bool: ...

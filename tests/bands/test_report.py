@@ -26,7 +26,7 @@ def gives_way(q, axis, sign, cap):
     settings = pliant.Settings(axes={axis: pliant.Axis(soft=cap, firm=cap)}, **laws.UNBLURRED)
     controller = NOMINAL.controller(settings)
     assert isinstance(controller, pliant.Controller)
-    report = controller.report(q)
+    report = controller.report(q).axes[axis]
     vector = np.zeros(3)
     vector[index % 3] = 2.0 * cap * sign
     course = Course(start=0.2, rise=5.0, end=np.inf)
@@ -40,8 +40,8 @@ def gives_way(q, axis, sign, cap):
     away = sign * trace.moved[:, index] > bound
     assert away.any(), "it never gave way"
     felt = (trace.force if index < 3 else trace.moment)[int(np.argmax(away)), index % 3]
-    said = report.gives_way[index, int(sign > 0.0), 1]
-    return sign * float(felt), float(said), float(report.friction[index])
+    said = report.yield_force[int(sign > 0.0)][1]
+    return sign * float(felt), said, report.friction
 
 
 @pytest.mark.parametrize("pose", range(5))
@@ -56,6 +56,6 @@ def test_a_growing_push_moves_the_arm_where_the_report_says(pose):
 def test_the_report_foretells_what_a_dead_host_leaves(push):
     settings = laws.cap(eta=0.0)
     report = pliant.Controller(arm(), settings).report(VERTICAL)
-    said = report.host_loss_force[AXES.index(push[1:]), int(push[0] == "+")]
+    said = report.axes[push[1:]].host_loss_force[int(push[0] == "+")]
     felt = host.die(settings, push).force
     assert abs(said / felt - 1.0) < DEAD[push]

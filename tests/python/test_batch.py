@@ -306,7 +306,7 @@ def test_states_can_be_reset_copied_and_pickled(model):
         state.reset([0, 1], [q[0], np.full(7, np.nan)])
     assert pickle.dumps(state) == before
     with pytest.raises(pliant.OutOfRangeError, match="joints = 0"):
-        pliant.BatchState(0, [])
+        pliant.types.BatchState(0, [])
 
 
 def test_python_runs_meanwhile_and_a_state_is_not_shared(model):

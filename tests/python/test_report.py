@@ -2,50 +2,41 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 import pliant
 from pliant import robots
 
-SHAPES = {
-    "q": (7,),
-    "torque_limit": (7,),
-    "static_force": (6, 2),
-    "capacity": (6, 2),
-    "gives_way": (6, 2, 2),
-    "friction": (6,),
-    "friction_left": (6,),
-    "coupling": (6, 2),
-    "thresholds": (6, 2),
-    "gravity_margin": (7, 2),
-    "saturated": (7,),
-    "locked": (7,),
-    "host_loss_force": (6, 2),
-    "stop_distance": (6, 2),
-    "stop_room": (6, 2),
-    "stop_friction": (6, 2),
-    "way_friction": (6, 2),
-    "way_sigma": (6, 2),
-    "way_distance": (6, 2),
-    "deviation_limit": (6, 2),
-}
 
-
-def test_report_has_everything_and_can_be_written_down(controller, q):
+def test_report_has_joint_arrays_and_one_entry_per_axis(controller, q):
     report = controller.report(q=q)
-    for name, shape in SHAPES.items():
-        assert getattr(report, name).shape == shape, name
-    assert report.axes == ("x", "y", "z", "roll", "pitch", "yaw")
-    assert len(report.joints) == len(report.q)
-    assert len(report.yields) == len(report.coupled_to) == len(report.stop_joint) == 6
+    for name in ("q", "torque_limit", "saturated", "locked"):
+        assert getattr(report, name).shape == (7,), name
+    assert report.gravity_margin.shape == (7, 2)
+    assert len(report.joints) == 7
+    assert tuple(report.axes) == ("x", "y", "z", "roll", "pitch", "yaw")
+    for name, axis in report.axes.items():
+        assert axis.name == name
+        assert np.shape(axis.yield_force) == (2, 2)
+        for pair in (axis.static_force, axis.capacity, axis.coupling, axis.host_loss_force):
+            assert np.shape(pair) == (2,), name
+        assert axis.friction >= axis.friction_left >= 0.0
+        assert axis.thresholds[0] <= axis.thresholds[1]
+        assert len(axis.yields) == len(axis.coupled_to) == len(axis.stop) == 2
+    assert report.axes["y"].yields == (True, True)
+    assert report.axes["z"].yields == (False, False)
     assert report.sigma_min > 0.0
     assert report.condition > 1.0
-    assert json.loads(json.dumps(report.to_dict()))["axes"] == list(report.axes)
-    assert set(SHAPES) <= set(report.to_dict())
-    assert report == controller.report(q)
+    again = controller.report(q)
+    assert report == again
+    assert report.axes["y"] == again.axes["y"]
+    assert report.axes["y"] != report.axes["z"]
+
+
+def largest_host_loss_force(report):
+    """Return the largest force on a hand along the translations after a host loss."""
+    return max(max(report.axes[axis].host_loss_force) for axis in "xyz")
 
 
 @pytest.mark.parametrize("displaced", [0.0, 0.03])
@@ -55,14 +46,14 @@ def test_dead_host_max_bounds_what_is_left_of_a_dead_host(model, q, displaced):
     plain = pliant.Controller(model, pliant.Settings.soft("y"))
     plain.step(q, target)
     free = plain.report()
-    most = float(free.host_loss_force[:3].max()) - 4.0  # [N]
+    most = largest_host_loss_force(free) - 4.0  # [N]
     controller = pliant.Controller(
         model,
         pliant.Settings.soft("y", torque_limits=pliant.TorqueLimits(max_host_loss_force=most)),
     )
     command = controller.step(q, target)
     report = controller.report()
-    assert most - 0.5 < report.host_loss_force[:3].max() <= most
+    assert most - 0.5 < largest_host_loss_force(report) <= most
     assert report.max_host_loss_force == most
     assert np.all(command.torque_limit <= free.torque_limit)
     assert np.all(command.torque_limit >= 1.1 * np.abs(model.gravity(q)) - 1e-12)
@@ -74,14 +65,14 @@ def test_more_than_the_weight_leaves_cannot_be_kept(model, q):
         "y", torque_limits=pliant.TorqueLimits(max_host_loss_force=10.0)
     )
     report = pliant.Controller(model, settings).report(q)
-    assert report.host_loss_force[2, 0] > 10.0
+    assert report.axes["z"].host_loss_force[0] > 10.0
     (said,) = [said for said in report.summary() if "max_host_loss_force" in said]
     assert "−z" in said
     check = pliant.feasibility.check_path(model, settings, q)
     assert not check
-    (found,) = [one for one in check.findings if one.setting == "torque_limits.max_host_loss_force"]
+    (found,) = [one for one in check.issues if one.setting == "torque_limits.max_host_loss_force"]
     assert (found.about, found.required) == ("−z", True)
-    assert found.value >= report.host_loss_force[2, 0]
+    assert found.value >= report.axes["z"].host_loss_force[0]
     assert pliant.feasibility.check_path(
         model,
         settings.replace(torque_limits=pliant.TorqueLimits(max_host_loss_force=found.value)),
@@ -117,7 +108,8 @@ def test_formula_of_the_static_force(controller, model, q):
     for side, sign in enumerate((-1.0, 1.0)):
         lever = sign * jacobian
         room = (report.torque_limit + np.sign(lever) * gravity) / np.abs(lever)
-        np.testing.assert_allclose(report.static_force[:, side], room.min(axis=1), rtol=1e-9)
+        forces = [axis.static_force[side] for axis in report.axes.values()]
+        np.testing.assert_allclose(forces, room.min(axis=1), rtol=1e-9)
 
 
 def test_report_of_the_last_step_needs_one(controller, q, target):
@@ -158,10 +150,12 @@ def test_a_position_limit_is_announced_where_it_is_met(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
     near, joint = near_a_stop(model, q, 0.035)
     report = pliant.Controller(near, settings).report(q)
-    assert report.stop_joint[1] == (None, near.joint_names[joint])
-    way = report.stop_distance[1, 1]
+    towards_minus, stop = report.axes["y"].stop
+    assert towards_minus is None
+    assert stop.joint == near.joint_names[joint]
+    way = stop.distance
     assert 0.0 < way < 0.15
-    assert report.stop_room[1, 1] == pytest.approx(0.035)
+    assert stop.margin == pytest.approx(0.035)
     # A push that far, in small steps, ends at the limit.
     at, steps = q.copy(), 1000
     for _ in range(steps):
@@ -170,7 +164,7 @@ def test_a_position_limit_is_announced_where_it_is_met(model, q):
     # There the others remain, with their friction.
     left = np.linalg.pinv(np.delete(near.jacobian(at), joint, axis=1))[:, 1]
     rubs = np.abs(left) @ np.delete(model.servos.friction, joint)
-    assert report.stop_friction[1, 1] == pytest.approx(rubs, rel=0.05)
+    assert stop.friction == pytest.approx(rubs, rel=0.05)
     start = f"+y: {near.joint_names[joint]} is 2.0° from its limit: pushed farther than "
     (said,) = [line for line in report.summary() if line.startswith(start)]
     assert said.startswith(f"{start}{1e3 * way:.0f} mm, the stop takes")
@@ -180,12 +174,12 @@ def test_an_axis_without_a_stop_in_its_way_announces_none(model, q):
     settings = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=15.0)})
     wide = {name: (-50.0, 50.0) for name in model.joint_names}
     report = pliant.Controller(robots.arm7(limits=wide), settings).report(q)
-    assert np.isinf(report.stop_distance).all()
-    assert np.isinf(report.stop_room).all()
-    assert not report.stop_friction.any()
+    assert all(axis.stop == (None, None) for axis in report.axes.values())
     assert not any("limit:" in line for line in report.summary())
     report = pliant.Controller(near_a_stop(model, q, 0.0)[0], settings).report(q)
-    np.testing.assert_array_equal(report.stop_distance[1], (np.inf, 0.0))
+    towards_minus, stop = report.axes["y"].stop
+    assert towards_minus is None
+    assert stop.distance == 0.0
     assert any("is at its limit" in line for line in report.summary())
 
 
@@ -194,11 +188,12 @@ def test_check_notes_a_stop_that_comes_before_the_whole_cap(model, q):
     near, joint = near_a_stop(model, q, 0.035)
     check = pliant.feasibility.check_path(near, settings, np.array([q, q - 0.01]))
     assert check.achievable, "a note, not a demand"
-    (note,) = [f for f in check.findings if "position limit when" in f.reason]
+    (note,) = [f for f in check.issues if "position limit when" in f.reason]
     assert note.pose == 0
     assert note.about == "+y"
     assert near.joint_names[joint] in note.reason
-    distance = pliant.Controller(near, settings).report(q).stop_distance[1]
+    stops = pliant.Controller(near, settings).report(q).axes["y"].stop
+    distance = [np.inf if stop is None else stop.distance for stop in stops]
     np.testing.assert_array_equal(check.stop_distance[1], distance)
     assert np.isinf(check.stop_distance[0]).all(), "x does not yield"
 
@@ -208,7 +203,9 @@ def test_deviation_limits_are_reported(model, q):
     follows = pliant.Axis(deviation_limit=0.1)
     settings = pliant.Settings(axes={"x": held, "yaw": follows, "y": pliant.Axis(soft=4.0)})
     report = pliant.Controller(model, settings).report(q)
-    np.testing.assert_array_equal(report.deviation_limit[[0, 1, 5], 0], (0.02, np.inf, 0.1))
+    limits = [report.axes[axis].deviation_limit[0] for axis in ("x", "y", "yaw")]
+    np.testing.assert_array_equal(limits, (0.02, np.inf, 0.1))
+    assert report.axes["x"].on_deviation_limit == "wait"
     said = report.summary()
     assert "±x: pushed farther than 20 mm off its target, the whole target waits." in said
     assert "±yaw: pushed farther than 0.10 rad off its target, its target comes along." in said
@@ -236,7 +233,7 @@ def test_check_names_the_setting_and_a_value_that_works(model, q):
     asked = pliant.Settings(axes={"y": pliant.Axis(soft=4.0, firm=80.0)})
     check = pliant.feasibility.check_path(model, asked, q)
     assert not check
-    worst = min((f for f in check.findings if f.required), key=lambda f: f.value)
+    worst = min((f for f in check.issues if f.required), key=lambda f: f.value)
     assert worst.setting == "axes.y.firm"
     assert worst.about in ("+y", "−y")
     assert f"nearest that works: axes.y.firm={worst.value:g}" in str(check)
@@ -247,7 +244,7 @@ def test_check_names_the_setting_and_a_value_that_works(model, q):
 def test_tracking_raises_soft_to_three_times_the_friction(model, q):
     asked = pliant.Settings(axes={"y": pliant.Axis(soft=0.01, firm=15.0)})
     raised = asked.raise_soft(model, q)
-    rubs = pliant.Controller(model, asked).report(q).friction[1]
+    rubs = pliant.Controller(model, asked).report(q).axes["y"].friction
     soft = np.max(raised.axes["y"].soft)
     assert 3.0 * rubs <= soft <= 3.3 * rubs
     np.testing.assert_array_equal(raised.axes["y"].firm, 15.0)
@@ -262,11 +259,11 @@ def test_a_singular_pose_that_a_push_leads_to_is_said(model):
     bent[3] = -0.6
     settings = pliant.Settings(axes={"x": pliant.Axis(soft=5.0)})
     report = pliant.Controller(model, settings).report(bent)
-    near = 0.1 * report.sigma_0
-    assert report.way_sigma[0, 1] < near < 0.99 * report.way_sigma[0, 0]
-    assert report.way_friction[0, 1] > 5.0 * report.friction[0]
-    assert report.way_friction[0, 0] < 1.1 * report.friction[0]
-    far = report.way_distance[0, 1]
+    near, x = 0.1 * report.sigma_0, report.axes["x"]
+    assert x.path_sigma[1] < near < 0.99 * x.path_sigma[0]
+    assert x.path_friction[1] > 5.0 * x.friction
+    assert x.path_friction[0] < 1.1 * x.friction
+    far = x.path_distance[1]
     for share, reached in ((0.7, True), (1.05, False)):
         target = model.forward_kinematics(bent)
         target[0, 3] += share * far
@@ -277,9 +274,9 @@ def test_a_singular_pose_that_a_push_leads_to_is_said(model):
     check = pliant.feasibility.check_path(model, settings, np.stack([q, bent]))
     assert check.sigma_pose == 1
     assert check.sigma_min == pytest.approx(report.sigma_min, rel=0.01)
-    assert check.way_sigma[0, 1] == report.way_sigma[0, 1]
-    assert np.all(np.isinf(check.way_sigma[1:])), "sides that do not yield"
-    (found,) = [one for one in check.findings if "singular" in one.reason]
+    assert check.path_sigma[0, 1] == x.path_sigma[1]
+    assert np.all(np.isinf(check.path_sigma[1:])), "sides that do not yield"
+    (found,) = [one for one in check.issues if "singular" in one.reason]
     assert (found.about, found.pose, found.required) == ("+x", 1, False)
 
 

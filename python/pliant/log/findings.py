@@ -143,7 +143,8 @@ def most_felt(felt: Felt, k: int) -> int | None:
 
 def above(log: Log, felt: Felt, k: int) -> float:
     """Return the share of ticks with a force above cap, friction and uncertainty together."""
-    allowed = log.axis_strength[:, k] + felt.report.friction[k] + felt.bound[:, k]
+    friction = felt.report.axes[log.run["axes"][k]].friction
+    allowed = log.axis_strength[:, k] + friction + felt.bound[:, k]
     return float((np.abs(felt.force[:, k]) > allowed).mean())
 
 

@@ -39,7 +39,7 @@ def softness(folder: Path, log: Log, felt: Felt | None) -> None:
             left, right = grid[k]
             _deviation(left, name, time[few], 1e3 * log.deviation[few, k])
             if felt is not None and log.softness[:, k].max() > 0.0:
-                for side in felt.report.thresholds[k]:
+                for side in felt.report.axes[name].thresholds:
                     for at in (-1e3 * side, 1e3 * side):
                         left.axhline(at, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
             cap, newton = log.axis_strength[few, k], unit(name, force=True)

@@ -167,7 +167,7 @@ def _caps(log: Log, felt: Felt | None) -> Table:
             else:
                 force, bound = felt.force[tick, k], felt.bound[tick, k]
                 row += [f"{force:+.2g} ± {bound:.2g} at {findings.since(log)[tick]:.2f} s"]
-            row += [f"{felt.report.friction[k]:.2g}", f"{findings.above(log, felt, k):.1%}"]
+            row += [f"{felt.report.axes[name].friction:.2g}", f"{findings.above(log, felt, k):.1%}"]
         rows.append((*row, findings.unit(name, force=True)))
     return Table(
         caption="Caps against estimated forces. The last column is the share of ticks in which cap "

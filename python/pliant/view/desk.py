@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal, cast
 
+import numpy as np
+
 from pliant._core import Axis, ConfigError, PliantError, Settings, Task
 from pliant.view import orders
 from pliant.view.snapshot import Shown
@@ -158,7 +160,7 @@ class Desk:
             preset=self.preset,
             firm=self.firm,
             axes=axes,
-            thresholds=controller.report(q).thresholds,
+            thresholds=np.array([axis.thresholds for axis in controller.report(q).axes.values()]),
         )
 
     @staticmethod

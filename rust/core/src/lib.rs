@@ -67,7 +67,7 @@ pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate
 // Version of the matrices and vectors in public functions.
 pub use nalgebra;
 
-pub use analysis::{FeasibilityReport, Issue, PoseReport};
+pub use analysis::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport};
 pub use arm::{HandGuiding, Lowering, ThermalModel};
 pub use controller::{Command, Controller, Diagnostics, Snapshot, StepInput};
 pub use equations::{

@@ -68,14 +68,14 @@ fn static_force_and_capacity_are_what_a_search_finds() {
             for axis in 0..6 {
                 for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
                     for (said, limit) in [
-                        (report.static_force[axis][side], &report.torque_limit),
-                        (report.capacity[axis][side], &torque),
+                        (report.axes[axis].static_force[side], &report.torque_limit),
+                        (report.axes[axis].capacity[side], &torque),
                     ] {
                         let found = searched(controller.model(), &q, limit, axis, sign);
                         common::close("force", said, found, 1e-6 * (1.0 + found));
                     }
-                    assert!(report.capacity[axis][side] >= report.static_force[axis][side]);
-                    assert!(report.gives_way[axis][side][1] <= report.capacity[axis][side] + 1e-12);
+                    assert!(report.axes[axis].capacity[side] >= report.axes[axis].static_force[side]);
+                    assert!(report.axes[axis].yield_force[side][1] <= report.axes[axis].capacity[side] + 1e-12);
                 }
             }
         }
@@ -109,7 +109,7 @@ fn a_dead_joint_slips_at_its_limit() {
     let report = report_at(&lever(), &[0.0]).unwrap();
     let by_hand = slips(report.torque_limit[0], 0.15);
     for side in 0..2 {
-        common::close("felt", report.host_loss_force[0][side], by_hand, 0.02 * by_hand);
+        common::close("felt", report.axes[0].host_loss_force[side], by_hand, 0.02 * by_hand);
     }
 }
 
@@ -125,7 +125,7 @@ fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
     let rest = 0.5 * (goal - 0.2 / 100.0).sin();
     assert!(goal > 0.04 && rest > 0.02);
     let by_hand = slips(report.torque_limit[0], rest + 0.15);
-    common::close("felt", report.host_loss_force[0][1], by_hand, 0.01 * by_hand);
+    common::close("felt", report.axes[0].host_loss_force[1], by_hand, 0.01 * by_hand);
     assert!(slips(report.torque_limit[0], 0.15) < 0.98 * by_hand, "it tells the two apart");
 }
 
@@ -137,18 +137,18 @@ fn sides_are_named_by_the_push() {
     uneven.set_axes("y", axis).unwrap();
     let sided = report_at(&controller(uneven), &GRASP).unwrap();
     for (side, [small, large]) in [[2.0, 6.0], [4.0, 8.0]].into_iter().enumerate() {
-        common::close("small", sided.gives_way[1][side][0], small, 1e-12);
-        common::close("large", sided.gives_way[1][side][1], large, 1e-12);
+        common::close("small", sided.axes[1].yield_force[side][0], small, 1e-12);
+        common::close("large", sided.axes[1].yield_force[side][1], large, 1e-12);
     }
     // The arm hangs forward: a push down finds less torque left than one up.
-    assert!(report.capacity[2][0] < report.capacity[2][1]);
+    assert!(report.axes[2].capacity[0] < report.axes[2].capacity[1]);
     for i in 0..7 {
         let gravity = arm().gravity(&GRASP).unwrap()[i];
         common::close("L − g", report.gravity_margin[i][0], report.torque_limit[i] - gravity, 1e-12);
         common::close("L + g", report.gravity_margin[i][1], report.torque_limit[i] + gravity, 1e-12);
     }
-    assert_eq!(report.axes, ["x", "y", "z", "roll", "pitch", "yaw"]);
-    assert!(report.yields[1] == [true, true] && report.yields[2] == [false, false]);
+    assert_eq!(report.axes.iter().map(|axis| axis.name).collect::<Vec<_>>(), ["x", "y", "z", "roll", "pitch", "yaw"]);
+    assert!(report.axes[1].yields == [true, true] && report.axes[2].yields == [false, false]);
 }
 
 #[test]
@@ -156,10 +156,10 @@ fn target_adaptation_moves_the_thresholds_and_lowers_the_force_within_reach() {
     let mut settings = soft("y", 4.0, 15.0);
     settings.axes[1].adaptation = 0.9;
     let report = report_at(&controller(settings), &GRASP).unwrap();
-    common::close("d−", report.thresholds[1][0], 0.1, 1e-12);
-    common::close("d+", report.thresholds[1][1], 1.0, 1e-12);
+    common::close("d−", report.axes[1].thresholds[0], 0.1, 1e-12);
+    common::close("d+", report.axes[1].thresholds[1], 1.0, 1e-12);
     let plain = report_at(&controller(soft("y", 4.0, 15.0)), &GRASP).unwrap();
-    assert!(report.gives_way[1][1][1] < plain.gives_way[1][1][1]);
+    assert!(report.axes[1].yield_force[1][1] < plain.axes[1].yield_force[1][1]);
 }
 
 #[test]
@@ -175,10 +175,12 @@ fn the_last_step_and_the_same_pose_at_rest_agree_and_nothing_is_touched() {
             (report(&two).unwrap(), report_at(&two, &[0.1; 7]).unwrap(), check_path(&two, &[GRASP.to_vec()]).unwrap());
         assert_eq!(one.last_command(), two.last_command());
     }
-    assert_eq!(report_at(&controller(soft("y", 4.0, 15.0)), &GRASP).unwrap().static_force.len(), 6);
+    assert_eq!(report_at(&controller(soft("y", 4.0, 15.0)), &GRASP).unwrap().axes.len(), 6);
     let (now, rest) = (report(&one).unwrap(), report_at(&one, &GRASP).unwrap());
-    for (a, b) in now.static_force.iter().flatten().zip(rest.static_force.iter().flatten()) {
-        common::close("static force", *a, *b, 1e-9);
+    for (a, b) in now.axes.iter().zip(&rest.axes) {
+        for side in 0..2 {
+            common::close("static force", a.static_force[side], b.static_force[side], 1e-9);
+        }
     }
 }
 
@@ -192,11 +194,11 @@ fn an_arm_that_cannot_hold_itself_says_so() {
     let model = Arc::new(Model::from_urdf_file(common::root().join("tests/data/golden/arm7.urdf"), &options).unwrap());
     let controller = Controller::new(model, Settings::default(), Some(servos())).unwrap();
     let report = report_at(&controller, &GRASP).unwrap();
-    assert!(report.capacity[2][0] < 0.0 && report.static_force[2][0] < 0.0);
+    assert!(report.axes[2].capacity[0] < 0.0 && report.axes[2].static_force[0] < 0.0);
     assert!(report.gravity_margin.iter().flatten().any(|margin| *margin < 0.0));
     assert!(report.summary().iter().any(|sentence| sentence.contains("cannot hold")));
     let check = check_path(&controller, &[GRASP.to_vec()]).unwrap();
-    assert!(!check.achievable && check.findings[0].setting.is_none(), "{check}");
+    assert!(!check.achievable && check.issues[0].setting.is_none(), "{check}");
 }
 
 #[test]
@@ -204,7 +206,7 @@ fn the_paper_without_gravity_in_its_limits_is_told_to_put_it_there() {
     let mut settings = Settings::paper();
     settings.set_axes("all", Axis { hold: Some(1.0), ..Axis::default() }).unwrap();
     let check = check_path(&controller(settings.clone()), &[GRASP.to_vec()]).unwrap();
-    assert!(!check.achievable && check.findings.iter().any(|found| found.setting.as_deref() == Some("gravity")));
+    assert!(!check.achievable && check.issues.iter().any(|found| found.setting.as_deref() == Some("gravity")));
     settings.gravity = true;
     assert!(check_path(&controller(settings), &[GRASP.to_vec()]).unwrap().achievable);
 }
@@ -216,8 +218,10 @@ fn coupling_names_the_axis_that_shares_the_joints() {
     settings.set_axes("y", Axis { soft: Some([0.5; 2]), ..Axis::default() }).unwrap();
     let report = report_at(&controller(settings), &GRASP).unwrap();
     for side in 0..2 {
-        assert!(report.coupling[1][side] > 0.0 && report.coupling[1][side] <= report.gives_way[1][side][0]);
-        assert!(report.coupled_to[1][side].is_some());
+        assert!(
+            report.axes[1].coupling[side] > 0.0 && report.axes[1].coupling[side] <= report.axes[1].yield_force[side][0]
+        );
+        assert!(report.axes[1].coupled_to[side].is_some());
     }
     assert!(report.summary().iter().any(|sentence| sentence.contains("is held")));
 }
@@ -230,7 +234,7 @@ fn what_a_check_proposes_works_and_a_little_more_does_not() {
     let mut check = check_path(&controller(settings.clone()), &path).unwrap();
     assert!(!check.achievable && check.poses == 20);
     for _ in 0..3 {
-        for found in check.findings.iter().filter(|found| found.required) {
+        for found in check.issues.iter().filter(|found| found.required) {
             let value = found.value.unwrap();
             match found.setting.as_deref().unwrap() {
                 "axes.y.soft" => settings.axes[1].soft = Some([value; 2]),
@@ -264,7 +268,7 @@ fn tracking_raises_soft_to_three_times_the_friction_and_no_more() {
     let (model, servos, path) = (arm(), servos(), [GRASP.to_vec()]);
     let settings = soft("y", 0.01, 0.02);
     let raised = raise_soft(&settings, &model, Some(&servos), &path).unwrap();
-    let rubs = report_at(&controller(settings.clone()), &GRASP).unwrap().friction[1];
+    let rubs = report_at(&controller(settings.clone()), &GRASP).unwrap().axes[1].friction;
     let [soft, _] = raised.axes[1].soft.unwrap();
     assert!(soft >= 3.0 * rubs && soft < 3.3 * rubs && raised.axes[1].firm.unwrap()[0] >= soft);
     let check = check_path(&Controller::new(arm(), raised.clone(), Some(servos.clone())).unwrap(), &path).unwrap();
@@ -285,12 +289,12 @@ fn fewer_axes_and_other_frames() {
         let report = report_at(&controller, &q).unwrap();
         let (pose, jacobian) = controller.model().kinematics(&q, Reference::Local).unwrap();
         let gravity = controller.model().gravity(&q).unwrap();
-        assert!(pose.position[0].is_finite() && report.axes == ["y", "z"]);
+        assert!(pose.position[0].is_finite() && report.axes.iter().map(|axis| axis.name).eq(["y", "z"]));
         let by_hand = (0..7)
             .filter(|&i| jacobian[(1, i)].abs() > 1e-9)
             .map(|i| (report.torque_limit[i] + jacobian[(1, i)].signum() * gravity[i]) / jacobian[(1, i)].abs())
             .fold(f64::INFINITY, f64::min);
-        common::close("tool's y", report.static_force[0][1], by_hand, 1e-9 * (1.0 + by_hand.abs()));
-        assert!(report.host_loss_force.iter().flatten().all(|force| force.is_finite()));
+        common::close("tool's y", report.axes[0].static_force[1], by_hand, 1e-9 * (1.0 + by_hand.abs()));
+        assert!(report.axes.iter().flat_map(|axis| axis.host_loss_force).all(f64::is_finite));
     }
 }

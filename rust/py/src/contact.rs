@@ -20,7 +20,7 @@ use crate::{arguments, in_use};
 const THRESHOLDS: &str = "thresholds";
 
 #[doc = stub!(WrenchEstimate)]
-#[pyclass(module = "pliant", frozen, eq)]
+#[pyclass(module = "pliant.types", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct WrenchEstimate(CoreEstimate);
 

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use crate::convert::{Array, Flags};
 
 #[doc = stub!(Diagnostics)]
-#[pyclass(module = "pliant", frozen, get_all)]
+#[pyclass(module = "pliant.types", frozen, get_all)]
 pub(crate) struct Diagnostics {
     #[doc = stub!(Diagnostics.deviation)]
     deviation: Array,

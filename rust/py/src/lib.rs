@@ -74,7 +74,7 @@ mod _core {
     #[pymodule_export]
     use crate::pose::{Pose, as_pose};
     #[pymodule_export]
-    use crate::report::{FeasibilityReport, Issue, PoseReport, check_path};
+    use crate::report::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport, check_path};
     #[pymodule_export]
     use crate::servos::Servos;
     #[pymodule_export]

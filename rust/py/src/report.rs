@@ -1,9 +1,9 @@
-//! `PoseReport`, `FeasibilityReport` and `Issue`.
+//! `PoseReport` with its `AxisReport`s, `FeasibilityReport` and `Issue`.
 
 use numpy::PyArray1;
 use pliant_core::analysis;
 use pliant_core::{
-    Controller as CoreController, FeasibilityReport as CoreCheck, Issue as CoreFinding, Model as CoreModel,
+    Controller as CoreController, FeasibilityReport as CoreFeasibility, Issue as CoreIssue, Model as CoreModel,
     Pose as CorePose, PoseReport as CoreReport,
 };
 use pyo3::prelude::*;
@@ -18,80 +18,130 @@ use crate::read::{joints, numbers, pose_of_object};
 use crate::servos::Servos;
 use crate::settings::Settings;
 
+/// Values pushed toward (−, +).
+type Sides<T> = (T, T);
+
+#[doc = stub!(JointStop)]
+#[pyclass(module = "pliant.feasibility", frozen, get_all, eq)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct JointStop {
+    #[doc = stub!(JointStop.joint)]
+    joint: String,
+    #[doc = stub!(JointStop.distance)]
+    distance: f64,
+    #[doc = stub!(JointStop.margin)]
+    margin: f64,
+    #[doc = stub!(JointStop.friction)]
+    friction: f64,
+}
+
+#[doc = stub!(AxisReport)]
+#[pyclass(module = "pliant.feasibility", frozen, get_all, eq)]
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct AxisReport {
+    #[doc = stub!(AxisReport.name)]
+    name: &'static str,
+    #[doc = stub!(AxisReport.static_force)]
+    static_force: Sides<f64>,
+    #[doc = stub!(AxisReport.capacity)]
+    capacity: Sides<f64>,
+    #[doc = stub!(AxisReport.yields)]
+    yields: Sides<bool>,
+    #[doc = stub!(AxisReport.yield_force)]
+    yield_force: Sides<(f64, f64)>,
+    #[doc = stub!(AxisReport.thresholds)]
+    thresholds: (f64, f64),
+    #[doc = stub!(AxisReport.friction)]
+    friction: f64,
+    #[doc = stub!(AxisReport.friction_left)]
+    friction_left: f64,
+    #[doc = stub!(AxisReport.coupling)]
+    coupling: Sides<f64>,
+    #[doc = stub!(AxisReport.coupled_to)]
+    coupled_to: Sides<Option<&'static str>>,
+    #[doc = stub!(AxisReport.hold)]
+    hold: f64,
+    #[doc = stub!(AxisReport.default_hold)]
+    default_hold: Option<f64>,
+    #[doc = stub!(AxisReport.host_loss_force)]
+    host_loss_force: Sides<f64>,
+    #[doc = stub!(AxisReport.stop)]
+    stop: Sides<Option<JointStop>>,
+    #[doc = stub!(AxisReport.path_friction)]
+    path_friction: Sides<f64>,
+    #[doc = stub!(AxisReport.path_sigma)]
+    path_sigma: Sides<f64>,
+    #[doc = stub!(AxisReport.path_distance)]
+    path_distance: Sides<f64>,
+    #[doc = stub!(AxisReport.deviation_limit)]
+    deviation_limit: Sides<f64>,
+    #[doc = stub!(AxisReport.on_deviation_limit)]
+    on_deviation_limit: String,
+}
+
+impl AxisReport {
+    fn new(axis: &analysis::AxisReport, joints: &[String]) -> Self {
+        let stop = axis.stop.map(|stop| {
+            stop.map(|stop| JointStop {
+                joint: joints[stop.joint].clone(),
+                distance: stop.distance,
+                margin: stop.margin,
+                friction: stop.friction,
+            })
+        });
+        Self {
+            name: axis.name,
+            static_force: axis.static_force.into(),
+            capacity: axis.capacity.into(),
+            yields: axis.yields.into(),
+            yield_force: axis.yield_force.map(Into::into).into(),
+            thresholds: axis.thresholds.into(),
+            friction: axis.friction,
+            friction_left: axis.friction_left,
+            coupling: axis.coupling.into(),
+            coupled_to: axis.coupled_to.into(),
+            hold: axis.hold,
+            default_hold: axis.default_hold,
+            host_loss_force: axis.host_loss_force.into(),
+            stop: stop.into(),
+            path_friction: axis.path_friction.into(),
+            path_sigma: axis.path_sigma.into(),
+            path_distance: axis.path_distance.into(),
+            deviation_limit: axis.deviation_limit.into(),
+            on_deviation_limit: axis.on_deviation_limit.to_string(),
+        }
+    }
+}
+
+#[pymethods]
+impl AxisReport {
+    fn __repr__(&self) -> String {
+        format!("<AxisReport: {}>", self.name)
+    }
+}
+
+#[pymethods]
+impl JointStop {
+    fn __repr__(&self) -> String {
+        format!("<JointStop: {} after {:.3}>", self.joint, self.distance)
+    }
+}
+
 #[doc = stub!(PoseReport)]
 #[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PoseReport(pub(crate) CoreReport);
 
-/// Defines attributes from fields of the core's report.
-macro_rules! attributes {
-    (vectors: $($vector:ident),*; pairs: $($pair:ident),*; flags: $($flag:ident),*; numbers: $($number:ident),*;) => {
-        #[pymethods]
-        impl PoseReport {
-            $(#[doc = stub!(PoseReport.$vector)]
-            #[getter]
-            fn $vector<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-                new_array(py, &[self.0.$vector.len()], &self.0.$vector)
-            })*
-
-            $(#[doc = stub!(PoseReport.$pair)]
-            #[getter]
-            fn $pair<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-                pairs(py, &self.0.$pair)
-            })*
-
-            $(#[doc = stub!(PoseReport.$flag)]
-            #[getter]
-            fn $flag<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-                PyArray1::from_slice(py, &self.0.$flag).into_any()
-            })*
-
-            $(#[doc = stub!(PoseReport.$number)]
-            #[getter]
-            fn $number(&self) -> f64 {
-                self.0.$number
-            })*
-
-            #[doc = stub!(PoseReport.to_dict)]
-            fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-                let (out, report) = (PyDict::new(py), &self.0);
-                out.set_item("axes", &report.axes)?;
-                out.set_item("joints", &report.joints)?;
-                $(out.set_item(stringify!($vector), &report.$vector)?;)*
-                $(out.set_item(stringify!($pair), &report.$pair)?;)*
-                $(out.set_item(stringify!($flag), &report.$flag)?;)*
-                $(out.set_item(stringify!($number), report.$number)?;)*
-                out.set_item("gives_way", &report.gives_way)?;
-                out.set_item("max_host_loss_force", report.max_host_loss_force)?;
-                out.set_item("yields", &report.yields)?;
-                out.set_item("coupled_to", &report.coupled_to)?;
-                out.set_item("stop_joint", stop_joints(report))?;
-                out.set_item("sentences", report.summary())?;
-                Ok(out)
-            }
-        }
-    };
-}
-
-attributes! {
-    vectors: q, torque_limit, friction, friction_left;
-    pairs: static_force, capacity, coupling, thresholds, gravity_margin, host_loss_force, stop_distance, stop_room, stop_friction, way_friction, way_sigma, way_distance, deviation_limit;
-    flags: saturated, locked;
-    numbers: sigma_min, condition, sigma_0, gain_factor, damping_factor;
-}
-
 #[pymethods]
 impl PoseReport {
-    #[doc = stub!(PoseReport.gives_way)]
-    #[getter]
-    fn gives_way<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        new_array(py, &[self.0.gives_way.len(), 2, 2], self.0.gives_way.as_flattened().as_flattened())
-    }
-
     #[doc = stub!(PoseReport.axes)]
     #[getter]
-    fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        PyTuple::new(py, &self.0.axes)
+    fn axes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let axes = PyDict::new(py);
+        for axis in &self.0.axes {
+            axes.set_item(axis.name, AxisReport::new(axis, &self.0.joints))?;
+        }
+        Ok(axes)
     }
 
     #[doc = stub!(PoseReport.joints)]
@@ -100,28 +150,70 @@ impl PoseReport {
         PyTuple::new(py, &self.0.joints)
     }
 
+    #[doc = stub!(PoseReport.q)]
+    #[getter]
+    fn q<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        new_array(py, &[self.0.q.len()], &self.0.q)
+    }
+
+    #[doc = stub!(PoseReport.torque_limit)]
+    #[getter]
+    fn torque_limit<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        new_array(py, &[self.0.torque_limit.len()], &self.0.torque_limit)
+    }
+
+    #[doc = stub!(PoseReport.gravity_margin)]
+    #[getter]
+    fn gravity_margin<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        pairs(py, &self.0.gravity_margin)
+    }
+
+    #[doc = stub!(PoseReport.sigma_min)]
+    #[getter]
+    fn sigma_min(&self) -> f64 {
+        self.0.sigma_min
+    }
+
+    #[doc = stub!(PoseReport.condition)]
+    #[getter]
+    fn condition(&self) -> f64 {
+        self.0.condition
+    }
+
+    #[doc = stub!(PoseReport.sigma_0)]
+    #[getter]
+    fn sigma_0(&self) -> f64 {
+        self.0.sigma_0
+    }
+
+    #[doc = stub!(PoseReport.saturated)]
+    #[getter]
+    fn saturated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        PyArray1::from_slice(py, &self.0.saturated)
+    }
+
+    #[doc = stub!(PoseReport.locked)]
+    #[getter]
+    fn locked<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        PyArray1::from_slice(py, &self.0.locked)
+    }
+
     #[doc = stub!(PoseReport.max_host_loss_force)]
     #[getter]
     fn max_host_loss_force(&self) -> Option<f64> {
         self.0.max_host_loss_force
     }
 
-    #[doc = stub!(PoseReport.yields)]
+    #[doc = stub!(PoseReport.gain_factor)]
     #[getter]
-    fn yields(&self) -> Vec<(bool, bool)> {
-        self.0.yields.iter().map(|&[minus, plus]| (minus, plus)).collect()
+    fn gain_factor(&self) -> f64 {
+        self.0.gain_factor
     }
 
-    #[doc = stub!(PoseReport.coupled_to)]
+    #[doc = stub!(PoseReport.damping_factor)]
     #[getter]
-    fn coupled_to(&self) -> Vec<(Option<&'static str>, Option<&'static str>)> {
-        self.0.coupled_to.iter().map(|&[minus, plus]| (minus, plus)).collect()
-    }
-
-    #[doc = stub!(PoseReport.stop_joint)]
-    #[getter]
-    fn stop_joint(&self) -> Vec<(Option<&str>, Option<&str>)> {
-        stop_joints(&self.0)
+    fn damping_factor(&self) -> f64 {
+        self.0.damping_factor
     }
 
     #[doc = stub!(PoseReport.summary)]
@@ -134,14 +226,9 @@ impl PoseReport {
     }
 
     fn __repr__(&self) -> String {
-        format!("<PoseReport: axes {}; {} joints>", self.0.axes.join(" "), self.0.joints.len())
+        let axes: Vec<_> = self.0.axes.iter().map(|axis| axis.name).collect();
+        format!("<PoseReport: axes {}; {} joints>", axes.join(" "), self.0.joints.len())
     }
-}
-
-/// Returns the names of the joints that stop a push toward (−, +).
-fn stop_joints(report: &CoreReport) -> Vec<(Option<&str>, Option<&str>)> {
-    let name = |joint: Option<usize>| joint.map(|joint| report.joints[joint].as_str());
-    report.stop_joint.iter().map(|&[minus, plus]| (name(minus), name(plus))).collect()
 }
 
 fn pairs<'py>(py: Python<'py>, values: &[[f64; 2]]) -> Bound<'py, PyAny> {
@@ -151,7 +238,7 @@ fn pairs<'py>(py: Python<'py>, values: &[[f64; 2]]) -> Bound<'py, PyAny> {
 #[doc = stub!(Issue)]
 #[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Issue(CoreFinding);
+pub(crate) struct Issue(CoreIssue);
 
 #[pymethods]
 impl Issue {
@@ -200,7 +287,7 @@ impl Issue {
 #[doc = stub!(FeasibilityReport)]
 #[pyclass(module = "pliant.feasibility", frozen, eq)]
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct FeasibilityReport(CoreCheck);
+pub(crate) struct FeasibilityReport(CoreFeasibility);
 
 #[pymethods]
 impl FeasibilityReport {
@@ -216,11 +303,10 @@ impl FeasibilityReport {
         self.0.poses
     }
 
-    #[doc = stub!(FeasibilityReport.findings)]
+    #[doc = stub!(FeasibilityReport.issues)]
     #[getter]
-    fn findings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let found: PyResult<Vec<_>> =
-            self.0.findings.iter().map(|finding| Bound::new(py, Issue(finding.clone()))).collect();
+    fn issues<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let found: PyResult<Vec<_>> = self.0.issues.iter().map(|issue| Bound::new(py, Issue(issue.clone()))).collect();
         PyTuple::new(py, found?)
     }
 
@@ -266,10 +352,10 @@ impl FeasibilityReport {
         self.0.sigma_pose
     }
 
-    #[doc = stub!(FeasibilityReport.way_sigma)]
+    #[doc = stub!(FeasibilityReport.path_sigma)]
     #[getter]
-    fn way_sigma<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
-        pairs(py, &self.0.way_sigma)
+    fn path_sigma<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        pairs(py, &self.0.path_sigma)
     }
 
     fn __bool__(&self) -> bool {
@@ -282,7 +368,7 @@ impl FeasibilityReport {
 
     fn __repr__(&self) -> String {
         let verdict = if self.0.achievable { "achievable" } else { "not achievable" };
-        format!("<FeasibilityReport: {verdict}, {} poses, {} findings>", self.0.poses, self.0.findings.len())
+        format!("<FeasibilityReport: {verdict}, {} poses, {} issues>", self.0.poses, self.0.issues.len())
     }
 }
 

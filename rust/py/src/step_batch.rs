@@ -21,7 +21,7 @@ impl Words for OnInvalid {
 }
 
 #[doc = stub!(BatchState)]
-#[pyclass(module = "pliant")]
+#[pyclass(module = "pliant.types")]
 #[derive(Debug)]
 pub(crate) struct BatchState(CoreState);
 

@@ -3,8 +3,8 @@
 
 use crate::analysis::axis_strength::StepAnalysis;
 use crate::analysis::display::number;
-use crate::analysis::findings::{
-    PathSingularity, PathStop, Worst, axis_findings, host_loss_finding, joint_findings, path_findings, stop_findings,
+use crate::analysis::issues::{
+    PathSingularity, PathStop, Worst, axis_issues, host_loss_issue, joint_issues, path_issues, stop_issues,
 };
 use crate::analysis::report::{at_rest, current_limits, host_loss_now, push_path};
 use crate::controller::Controller;
@@ -43,7 +43,7 @@ pub struct FeasibilityReport {
     /// Number of poses checked.
     pub poses: usize,
     /// Unmet requirements, the required ones first.
-    pub findings: Vec<Issue>,
+    pub issues: Vec<Issue>,
     /// Names of the task's axes.
     pub axes: Vec<&'static str>,
     /// Smallest force that the servos' torque can hold along each axis, pushed toward (−, +) [N, N·m].
@@ -59,8 +59,8 @@ pub struct FeasibilityReport {
     pub sigma_min: f64,
     /// Index of the pose with this value.
     pub sigma_pose: usize,
-    /// Smallest `way_sigma` of the poses' reports; ∞ for sides that do not yield.
-    pub way_sigma: Vec<[f64; 2]>,
+    /// Smallest `path_sigma` of the poses' reports; ∞ for sides that do not yield.
+    pub path_sigma: Vec<[f64; 2]>,
 }
 
 /// Checks the settings in every posture (n) [rad] of a path, with the arm at rest on its target. Changes nothing.
@@ -81,8 +81,8 @@ pub struct FeasibilityReport {
 ///
 /// let check = check_path(&controller, &[vec![-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]])?;
 /// assert!(!check.achievable);
-/// let finding = &check.findings[0];
-/// assert_eq!(finding.setting.as_deref(), Some("axes.z.hold"));
+/// let issue = &check.issues[0];
+/// assert_eq!(issue.setting.as_deref(), Some("axes.z.hold"));
 /// # Ok(())
 /// # }
 /// ```
@@ -147,16 +147,16 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
         }
         singular.update(-rest.sigma_range()[0], index);
     }
-    let mut findings = joint_findings(controller, &weight, &limit, &outside);
+    let mut issues = joint_issues(controller, &weight, &limit, &outside);
     for r in 0..k {
-        axis_findings(controller, r, capacity_deficit[r], rub[r], &mut findings);
-        stop_findings(controller, r, near[r], &mut findings);
-        path_findings(controller, r, past[r], &mut findings);
+        axis_issues(controller, r, capacity_deficit[r], rub[r], &mut issues);
+        stop_issues(controller, r, near[r], &mut issues);
+        path_issues(controller, r, past[r], &mut issues);
     }
-    findings.extend(host_loss_finding(controller, host_loss.0, host_loss.1, host_loss.2));
+    issues.extend(host_loss_issue(controller, host_loss.0, host_loss.1, host_loss.2));
     let least = NEAR_SINGULAR * controller.params.damping.sigma_0;
     if -singular.value < least {
-        findings.push(Issue {
+        issues.push(Issue {
             pose: singular.pose,
             about: "σ_min".into(),
             required: false,
@@ -169,12 +169,12 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
             value: None,
         });
     }
-    let (mut findings, hints): (Vec<_>, Vec<_>) = findings.into_iter().partition(|finding| finding.required);
-    findings.extend(hints);
+    let (mut issues, hints): (Vec<_>, Vec<_>) = issues.into_iter().partition(|issue| issue.required);
+    issues.extend(hints);
     Ok(FeasibilityReport {
-        achievable: !findings.iter().any(|finding| finding.required),
+        achievable: !issues.iter().any(|issue| issue.required),
         poses: path.len(),
-        findings,
+        issues,
         axes: controller.params.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
         capacity: capacity_deficit.iter().map(|sides| sides.map(|worst| -worst.value)).collect(),
         worst_pose: capacity_deficit.iter().map(|sides| sides.map(|worst| worst.pose)).collect(),
@@ -182,7 +182,7 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
         stop_distance: near.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
         sigma_min: -singular.value,
         sigma_pose: singular.pose,
-        way_sigma: past.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
+        path_sigma: past.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
     })
 }
 
@@ -205,7 +205,7 @@ pub fn check_pose(controller: &Controller, target: &ToolPose, q0: &[f64]) -> Res
     let mut check = check_path(controller, &[found.q])?;
     if !found.converged {
         check.achievable = false;
-        let finding = Issue {
+        let issue = Issue {
             pose: 0,
             about: "target".into(),
             required: true,
@@ -218,7 +218,7 @@ pub fn check_pose(controller: &Controller, target: &ToolPose, q0: &[f64]) -> Res
             setting: None,
             value: None,
         };
-        check.findings.insert(0, finding);
+        check.issues.insert(0, issue);
     }
     Ok(check)
 }

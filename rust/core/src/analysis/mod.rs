@@ -4,11 +4,12 @@
 mod axis_strength;
 mod check;
 mod display;
-mod findings;
+mod issues;
 mod push_path;
 mod report;
 mod tracking;
 
 pub use check::{FeasibilityReport, Issue, check_path, check_pose};
-pub use report::{PoseReport, report, report_at};
+pub use push_path::JointStop;
+pub use report::{AxisReport, PoseReport, report, report_at};
 pub use tracking::raise_soft;

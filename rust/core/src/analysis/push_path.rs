@@ -30,16 +30,17 @@ const FRICTION_DAMPING: f64 = 1e-3;
 const SINGULAR: f64 = 1e-3;
 
 /// The first position limit on the path along one axis.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct JointStop {
-    /// Displacement at which it is met [m, rad].
-    pub(super) distance: f64,
-    /// The joint that meets it.
-    pub(super) joint: usize,
-    /// Its distance to the limit now [rad or m].
-    pub(super) room: f64,
-    /// `Σ_i |J⁺_ij| τ_f,i` of the remaining joints at the limit [N, N·m]; ∞ if they cannot move the axis alone.
-    pub(super) friction: f64,
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointStop {
+    /// Displacement of the axis at which it is met [m, rad]. Up to there the stop carries no part of a push.
+    pub distance: f64,
+    /// Index of the joint that meets it.
+    pub joint: usize,
+    /// Present distance of that joint from its limit [rad or m].
+    pub margin: f64,
+    /// Friction `Σ_i |J⁺_ij| τ_f,i` of the other joints along the axis at the stop [N, N·m]; ∞ if they cannot move the
+    /// axis alone, so that the stop carries everything above the cap.
+    pub friction: f64,
 }
 
 /// The path along one axis, 0.15 m or 0.4 rad, or up to the first stop.
@@ -85,17 +86,17 @@ impl PushPath<'_> {
             let direction = (direction * compliance).to_joints();
             let (mut step, mut result) = (travel / f64::from(STEPS), None);
             for i in 0..n {
-                let room = if direction[i] > 0.0 { params.upper[i] - q[i] } else { q[i] - params.lower[i] };
-                if room.max(0.0) < step * direction[i].abs() {
-                    (step, result) = (room.max(0.0) / direction[i].abs(), Some(i));
+                let margin = if direction[i] > 0.0 { params.upper[i] - q[i] } else { q[i] - params.lower[i] };
+                if margin.max(0.0) < step * direction[i].abs() {
+                    (step, result) = (margin.max(0.0) / direction[i].abs(), Some(i));
                 }
             }
             (0..n).for_each(|i| q[i] += step * direction[i]);
             distance += step;
             samples.push((q, distance));
             if let Some(joint) = result {
-                let room = (q[joint] - self.q[joint]).abs();
-                stop = Some(JointStop { distance, joint, room, friction: self.friction_without(&q, joint, row) });
+                let margin = (q[joint] - self.q[joint]).abs();
+                stop = Some(JointStop { distance, joint, margin, friction: self.friction_without(&q, joint, row) });
                 break;
             }
         }

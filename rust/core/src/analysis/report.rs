@@ -14,15 +14,15 @@ use crate::pose::COORDINATE_BOUND;
 use crate::{JointVec, MAX_JOINTS};
 
 use crate::analysis::axis_strength::StepAnalysis;
-use crate::analysis::push_path::PushPath;
+use crate::analysis::push_path::{JointStop, PushPath};
 
-/// Capabilities of one pose with the current settings; one entry per task axis or per joint.
+/// Capabilities of one pose with the current settings.
 ///
-/// Forces in N, for rotations N·m; all torques in N·m.
+/// Vectors have one entry per joint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseReport {
-    /// Names of the task's axes.
-    pub axes: Vec<&'static str>,
+    /// One entry per task axis, in the order of the task.
+    pub axes: Vec<AxisReport>,
     /// Names of the joints.
     pub joints: Vec<String>,
     /// Control law.
@@ -31,27 +31,6 @@ pub struct PoseReport {
     pub q: Vec<f64>,
     /// Torque limits in this pose [N·m].
     pub torque_limit: Vec<f64>,
-    /// The largest static force that these limits hold: `min_i (L_i + s_i g_i) / |a_i|`, `a = Jᵀd`. Negative if the arm
-    /// cannot hold itself.
-    pub static_force: Vec<[f64; 2]>,
-    /// The largest static force at the servos' full torque.
-    pub capacity: Vec<[f64; 2]>,
-    /// Force at which the axis yields under the law, without friction: at a small and at a large deviation, d⁻/(1 − η)
-    /// and d⁺/(1 − η), at most 0.15 m or 0.4 rad.
-    pub gives_way: Vec<[[f64; 2]; 2]>,
-    /// Compliance of the axis toward (−, +).
-    pub yields: Vec<[bool; 2]>,
-    /// Dry friction of the joints along the axis, `Σ_i |J⁺_ij| τ_f,i`: added to the force of a push from rest.
-    pub friction: Vec<f64>,
-    /// Friction that the feed-forward leaves in steady motion. An axis with a smaller strength cannot keep moving.
-    pub friction_left: Vec<f64>,
-    /// Strength of the axis if its own were 0, caused by the torque limits that the other axes require of the same
-    /// joints.
-    pub coupling: Vec<[f64; 2]>,
-    /// The other axis with the largest share of it.
-    pub coupled_to: Vec<[Option<&'static str>; 2]>,
-    /// Deviations d⁻/(1 − η), d⁺/(1 − η) between which the strength changes [m, rad].
-    pub thresholds: Vec<[f64; 2]>,
     /// Torque limit beyond gravity, for a joint pushed toward (−, +): `L − g`, `L + g` [N·m].
     pub gravity_margin: Vec<[f64; 2]>,
     /// Smallest singular value of the task rows, with translations divided by the arm's length.
@@ -64,42 +43,65 @@ pub struct PoseReport {
     pub saturated: Vec<bool>,
     /// Joints at a position limit, removed from the inverse kinematics.
     pub locked: Vec<bool>,
-    /// The largest force on a hand that pushes along the axis by 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s if the
-    /// host dies now, beginning at the arm's equilibrium, gear friction and damping included; ∞ if the arm cannot be
-    /// moved so far because it is stretched out or at stops.
-    pub host_loss_force: Vec<[f64; 2]>,
-    /// Allowed value of `host_loss_force` [N].
+    /// Prismatic joints: their units are metres.
+    pub prismatic: Vec<bool>,
+    /// Allowed value of [`AxisReport::host_loss_force`] along translations [N].
     pub max_host_loss_force: Option<f64>,
     /// Factor ≤ 1 on K_x, under law `impedance` on the stiffness, required by delay and pose.
     pub gain_factor: f64,
     /// Factor ≤ 1 on the damping of law `impedance`.
     pub damping_factor: f64,
-    /// Strength of an axis that does not yield; and the default if soft or firm raised it.
-    pub hold: Vec<(f64, Option<f64>)>,
-    /// Distance that the axis can be pushed, the others fixed, until a joint meets its position limit [m, rad]; ∞ if no
-    /// joint does within 0.15 m or 0.4 rad. Up to this distance the stop carries no part of a push.
-    pub stop_distance: Vec<[f64; 2]>,
-    /// The joint that meets its limit.
-    pub stop_joint: Vec<[Option<usize>; 2]>,
-    /// Distance of that joint to its limit now [rad or m]; ∞ if no joint stops.
-    pub stop_room: Vec<[f64; 2]>,
-    /// Friction of the other joints along the axis at the stop, instead of `friction`; ∞ if they cannot move the axis
-    /// alone, so that the stop carries everything above the cap. 0 if no joint stops.
-    pub stop_friction: Vec<[f64; 2]>,
-    /// Largest friction of the joints along the axis on the path of a push, 0.15 m or 0.4 rad or up to a stop [N, N·m];
-    /// many times `friction` if the path passes a singular pose.
-    pub way_friction: Vec<[f64; 2]>,
-    /// σ_min at that point.
-    pub way_sigma: Vec<[f64; 2]>,
-    /// Displacement of the axis at that point [m, rad].
-    pub way_distance: Vec<[f64; 2]>,
-    /// Deviation [m, rad] beyond which the target stops or follows the tool; ∞ without such a limit and toward sides
-    /// that yield.
-    pub deviation_limit: Vec<[f64; 2]>,
+}
+
+/// Capabilities along one task axis. Forces in N, for rotations N·m; displacements in m or rad.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AxisReport {
+    /// Name of the axis.
+    pub name: &'static str,
+    /// The largest static force that the present limits hold: `min_i (L_i + s_i g_i) / |a_i|`, `a = Jᵀd`. Negative if
+    /// the arm cannot hold itself.
+    pub static_force: [f64; 2],
+    /// The largest static force at the servos' full torque.
+    pub capacity: [f64; 2],
+    /// Compliance of the axis toward (−, +).
+    pub yields: [bool; 2],
+    /// Force at which the axis yields under the law, without friction, per side: at a small and at a large deviation,
+    /// d⁻/(1 − η) and d⁺/(1 − η), at most 0.15 m or 0.4 rad.
+    pub yield_force: [[f64; 2]; 2],
+    /// Deviations d⁻/(1 − η), d⁺/(1 − η) between which the strength changes.
+    pub thresholds: [f64; 2],
+    /// Dry friction of the joints along the axis, `Σ_i |J⁺_ij| τ_f,i`: added to the force of a push from rest.
+    pub friction: f64,
+    /// Friction that the feed-forward leaves in steady motion. An axis with a smaller strength cannot keep moving.
+    pub friction_left: f64,
+    /// Strength of the axis if its own were 0, caused by the torque limits that the other axes require of the same
+    /// joints.
+    pub coupling: [f64; 2],
+    /// The other axis with the largest share of it.
+    pub coupled_to: [Option<&'static str>; 2],
+    /// Strength of the axis toward sides that do not yield.
+    pub hold: f64,
+    /// The default of `hold`, if soft or firm raised it.
+    pub default_hold: Option<f64>,
+    /// The largest force on a hand that pushes along the axis by 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s if the
+    /// host dies now, beginning at the arm's equilibrium, gear friction and damping included; ∞ if the arm cannot be
+    /// moved so far because it is stretched out or at stops.
+    pub host_loss_force: [f64; 2],
+    /// The first position limit on the path of a push along the axis, the others fixed; `None` if no joint meets one
+    /// within 0.15 m or 0.4 rad.
+    pub stop: [Option<JointStop>; 2],
+    /// Largest friction of the joints along the axis on that path, up to the stop; many times `friction` if the path
+    /// passes a singular pose.
+    pub path_friction: [f64; 2],
+    /// σ_min at the point of `path_friction`.
+    pub path_sigma: [f64; 2],
+    /// Displacement of the axis at that point.
+    pub path_distance: [f64; 2],
+    /// Deviation beyond which the target stops or follows the tool; ∞ without such a limit and toward sides that
+    /// yield.
+    pub deviation_limit: [f64; 2],
     /// Behaviour of the target beyond the deviation limit.
-    pub on_deviation_limit: Vec<OnDeviationLimit>,
-    /// Prismatic joints: their units are metres.
-    pub prismatic: Vec<bool>,
+    pub on_deviation_limit: OnDeviationLimit,
 }
 
 /// Reports on the pose and the limits of the last step.
@@ -127,8 +129,9 @@ pub fn report(controller: &Controller) -> Result<PoseReport> {
 /// # let servos = Servos::new(vec![150.0], vec![10.7]);
 /// # let controller = Controller::new(model.clone(), Settings::default(), Some(servos))?;
 /// let report = report_at(&controller, &[-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17])?; // [rad]
-/// assert_eq!(report.axes[1], "y");
-/// assert!(report.capacity[1][0] > 0.0); // [N], all that the servos can answer to a push toward −y
+/// let y = &report.axes[1];
+/// assert_eq!(y.name, "y");
+/// assert!(y.capacity[0] > 0.0); // [N], all that the servos can answer to a push toward −y
 /// assert!(report.to_string().contains("gives way"));
 /// # Ok(())
 /// # }
@@ -152,93 +155,69 @@ pub(super) fn at_rest(controller: &Controller, q: &[f64]) -> Result<Controller> 
 
 fn build_report(controller: &Controller) -> PoseReport {
     let (params, record) = (&controller.params, &controller.diagnostics());
-    let (k, n) = (params.k, params.n);
+    let n = params.n;
     let limit = current_limits(controller);
     let pose = StepAnalysis::new(params, controller.settings(), record);
     let singular = record.singular_values(params);
     let sigma_min = singular.iter().copied().fold(f64::INFINITY, f64::min);
+    let mut static_friction = [0.0; MAX_JOINTS];
+    (0..n).for_each(|i| static_friction[i] = params.servos.friction_at_rest(i, record.gravity[i]));
+    let mut frames = JointFrames::default();
+    controller.model().chain().forward(&record.q, &mut frames);
+    let path = push_path(controller, &frames, &static_friction);
+    let goal = pad(controller.command.goal(), 0.0);
+    let host_loss = host_loss_now(controller, &frames, &goal, &limit, &static_friction);
+    let rest = host_loss.equilibrium();
     let friction = pose.friction();
-    let mut report = PoseReport {
-        axes: params.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
+    let axis_report = |row: usize| {
+        let (axis, axis_params) = (params.axes[row], &params.per_axis[row]);
+        let static_force =
+            |limit: &JointVec| [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n));
+        let coupling = [0, 1].map(|side| pose.coupling(row, side));
+        let pushes = [-1.0, 1.0].map(|sign| path.simulate(row, sign));
+        let deviation_limit = params.deviation_limits.iter().find(|limit| limit.axis == axis);
+        AxisReport {
+            name: AXIS_NAMES[axis],
+            static_force: static_force(&limit),
+            capacity: static_force(&params.servos.torque),
+            yields: axis_params.yields.map(|weight| weight > 0.0),
+            yield_force: [0, 1].map(|side| pose.yield_forces_at(row, side)),
+            thresholds: [axis_params.soft_until, axis_params.firm_from].map(|d| d / (1.0 - axis_params.eta)),
+            friction: friction[row],
+            friction_left: friction[row] * pose.friction_share_left(),
+            coupling: coupling.map(|(force, _)| force),
+            coupled_to: coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[params.axes[other]])),
+            hold: axis_params.hold,
+            default_hold: axis_params.default_hold,
+            host_loss_force: [-1.0, 1.0].map(|sign| {
+                let result = host_loss.max_push_force(&rest, row, sign);
+                if result.blocked { f64::INFINITY } else { result.force }
+            }),
+            stop: pushes.map(|push| push.stop),
+            path_friction: pushes.map(|push| push.friction),
+            path_sigma: pushes.map(|push| push.sigma),
+            path_distance: pushes.map(|push| push.at),
+            deviation_limit: deviation_limit.map_or([f64::INFINITY; 2], |limit| limit.max),
+            on_deviation_limit: controller.settings().axes[axis].on_deviation_limit,
+        }
+    };
+    PoseReport {
+        axes: (0..params.k).map(axis_report).collect(),
         joints: controller.model().joint_names().to_vec(),
         law: params.law,
         q: record.q[..n].to_vec(),
         torque_limit: limit[..n].to_vec(),
-        static_force: Vec::with_capacity(k),
-        capacity: Vec::with_capacity(k),
-        gives_way: Vec::with_capacity(k),
-        yields: params.per_axis[..k].iter().map(|row| row.yields.map(|w| w > 0.0)).collect(),
-        friction: friction[..k].to_vec(),
-        friction_left: friction[..k].iter().map(|f| f * pose.friction_share_left()).collect(),
-        coupling: Vec::with_capacity(k),
-        coupled_to: Vec::with_capacity(k),
-        thresholds: params.per_axis[..k]
-            .iter()
-            .map(|row| [row.soft_until, row.firm_from].map(|d| d / (1.0 - row.eta)))
-            .collect(),
         gravity_margin: (0..n).map(|i| [limit[i] - record.gravity[i], limit[i] + record.gravity[i]]).collect(),
         sigma_min,
         condition: singular.max() / sigma_min,
         sigma_0: params.damping.sigma_0,
         saturated: record.saturated[..n].to_vec(),
         locked: record.locked[..n].to_vec(),
-        host_loss_force: Vec::with_capacity(k),
+        prismatic: controller.model().prismatic().to_vec(),
         max_host_loss_force: params.max_host_loss_force,
         gain_factor: controller.gain_factor(),
         damping_factor: controller.damping_factor(),
-        hold: params.per_axis[..k].iter().map(|row| (row.hold, row.default_hold)).collect(),
-        stop_distance: Vec::with_capacity(k),
-        stop_joint: Vec::with_capacity(k),
-        stop_room: Vec::with_capacity(k),
-        stop_friction: Vec::with_capacity(k),
-        way_friction: Vec::with_capacity(k),
-        way_sigma: Vec::with_capacity(k),
-        way_distance: Vec::with_capacity(k),
-        deviation_limit: vec![[f64::INFINITY; 2]; k],
-        on_deviation_limit: params
-            .axes
-            .iter()
-            .map(|&axis| controller.settings().axes[axis].on_deviation_limit)
-            .collect(),
-        prismatic: controller.model().prismatic().to_vec(),
-    };
-    for limit in &params.deviation_limits {
-        for (slot, _) in report.deviation_limit.iter_mut().zip(&params.axes).filter(|(_, axis)| **axis == limit.axis) {
-            *slot = limit.max;
-        }
     }
-    let mut static_friction = [0.0; MAX_JOINTS];
-    (0..n).for_each(|i| static_friction[i] = params.servos.friction_at_rest(i, record.gravity[i]));
-    let mut frames = JointFrames::default();
-    controller.model().chain().forward(&record.q, &mut frames);
-    let push_path = push_path(controller, &frames, &static_friction);
-    let goal = pad(controller.command.goal(), 0.0);
-    let host_loss = host_loss_now(controller, &frames, &goal, &limit, &static_friction);
-    let rest = host_loss.equilibrium();
-    for row in 0..k {
-        let hold =
-            |limit: &JointVec| [-1.0, 1.0].map(|sign| static_force(&record.rows[row], sign, limit, &record.gravity, n));
-        report.static_force.push(hold(&limit));
-        report.capacity.push(hold(&params.servos.torque));
-        report.gives_way.push([0, 1].map(|side| pose.yield_forces_at(row, side)));
-        let coupling = [0, 1].map(|side| pose.coupling(row, side));
-        report.coupling.push(coupling.map(|(force, _)| force));
-        report.coupled_to.push(coupling.map(|(_, with)| with.map(|other| AXIS_NAMES[params.axes[other]])));
-        report.host_loss_force.push([-1.0, 1.0].map(|sign| {
-            let result = host_loss.max_push_force(&rest, row, sign);
-            if result.blocked { f64::INFINITY } else { result.force }
-        }));
-        let pushes = [-1.0, 1.0].map(|sign| push_path.simulate(row, sign));
-        let stops = pushes.map(|push| push.stop);
-        report.way_friction.push(pushes.map(|push| push.friction));
-        report.way_sigma.push(pushes.map(|push| push.sigma));
-        report.way_distance.push(pushes.map(|push| push.at));
-        report.stop_distance.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.distance)));
-        report.stop_joint.push(stops.map(|stop| stop.map(|stop| stop.joint)));
-        report.stop_room.push(stops.map(|stop| stop.map_or(f64::INFINITY, |stop| stop.room)));
-        report.stop_friction.push(stops.map(|stop| stop.map_or(0.0, |stop| stop.friction)));
-    }
-    report
 }
 
 /// Returns the push paths from the last step's pose; `friction` at rest [N·m].

@@ -1,4 +1,4 @@
-//! Findings of a check, from the worst values along a path.
+//! Issues of a feasibility check, from the worst values along a path.
 
 use crate::analysis::check::{Issue, NEAR_SINGULAR};
 use crate::analysis::display::{length, number, unit};
@@ -30,7 +30,7 @@ pub(super) type PathSingularity = (Worst, Option<(PathResult, f64)>);
 /// The smallest distance to a stop, its joint, and the deviation at which the axis exerts its whole cap.
 pub(super) type PathStop = (Worst, Option<(usize, f64)>);
 
-pub(super) fn joint_findings(
+pub(super) fn joint_issues(
     controller: &Controller,
     weight: &[Worst],
     limit: &[Worst],
@@ -75,7 +75,7 @@ pub(super) fn joint_findings(
 
 /// Position limits that are met before an axis exerts its whole cap; at that deviation the stop adds its force to
 /// the cap.
-pub(super) fn stop_findings(controller: &Controller, r: usize, near: [PathStop; 2], out: &mut Vec<Issue>) {
+pub(super) fn stop_issues(controller: &Controller, r: usize, near: [PathStop; 2], out: &mut Vec<Issue>) {
     if !controller.params.law.by_force() {
         return; // Law `paper` has no force cap to compare with.
     }
@@ -103,7 +103,7 @@ pub(super) fn stop_findings(controller: &Controller, r: usize, near: [PathStop; 
 }
 
 /// Singular poses that a push reaches from poses that are not near singular.
-pub(super) fn path_findings(controller: &Controller, r: usize, past: [PathSingularity; 2], out: &mut Vec<Issue>) {
+pub(super) fn path_issues(controller: &Controller, r: usize, past: [PathSingularity; 2], out: &mut Vec<Issue>) {
     let (axis, least) = (controller.params.per_axis[r].axis, NEAR_SINGULAR * controller.params.damping.sigma_0);
     for (side, (worst, what)) in past.into_iter().enumerate() {
         if let Some((push, friction)) = what.filter(|(push, _)| push.sigma < least && push.at > 0.0) {
@@ -129,7 +129,7 @@ pub(super) fn path_findings(controller: &Controller, r: usize, past: [PathSingul
 }
 
 /// Force on a hand after a host loss above the allowed one, although the limits hold no more than the arm's weight.
-pub(super) fn host_loss_finding(controller: &Controller, worst: Worst, row: usize, sign: f64) -> Option<Issue> {
+pub(super) fn host_loss_issue(controller: &Controller, worst: Worst, row: usize, sign: f64) -> Option<Issue> {
     let max = controller.params.max_host_loss_force.filter(|max| worst.value > max * (1.0 + 1e-9))?;
     Some(Issue {
         pose: worst.pose,
@@ -145,7 +145,7 @@ pub(super) fn host_loss_finding(controller: &Controller, worst: Worst, row: usiz
     })
 }
 
-pub(super) fn axis_findings(
+pub(super) fn axis_issues(
     controller: &Controller,
     r: usize,
     capacity_deficit: [Worst; 2],

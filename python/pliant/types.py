@@ -1,0 +1,5 @@
+"""Results of a controller and of the contact estimator, for annotations."""
+
+from pliant._core import BatchState, Diagnostics, WrenchEstimate
+
+__all__ = ["BatchState", "Diagnostics", "WrenchEstimate"]
