@@ -128,7 +128,7 @@ def disagreement(results: dict[str, Any]) -> str:
 
 
 def race(racers: list[Racer], rounds: int) -> None:
-    """Run all turns, in an order drawn anew in every round."""
+    """Run all turns, in a new random order in every round."""
     draw = random.Random(20260101)
     turns = [
         (racer, f"{task}/{kind}", kind)
