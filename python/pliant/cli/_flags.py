@@ -53,7 +53,7 @@ Frame = Annotated[str | None, tyro.conf.arg(metavar="FRAME")]
 
 @dataclass(frozen=True)
 class FileFlags:
-    """What a command takes in place of the files that a configuration names.
+    """Flags that replace files named by a configuration.
 
     Attributes:
         urdf: URDF in place of the file's, which must not be written for a built-in model.
@@ -82,7 +82,7 @@ class FileFlags:
 
 @dataclass(frozen=True)
 class BusFlags(FileFlags):
-    """What a command that talks to servos takes in place of what a configuration says.
+    """Flags of commands that talk to servos.
 
     Attributes:
         port: Serial port. In place of the file's.
@@ -93,7 +93,7 @@ class BusFlags(FileFlags):
 
 @dataclass(frozen=True)
 class ConfigFlags(BusFlags):
-    """What a command that may run without servos takes in place of what a configuration says.
+    """Flags of commands that can run without servos.
 
     Attributes:
         backend: bus, emulator or sim in place of the file's.
@@ -203,7 +203,7 @@ def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> No
         ImportError: The extra log is not installed.
     """
     if path is not None:
-        import pliant.log  # noqa: F401 -- what it needs is there
+        import pliant.log  # noqa: F401 - fails here if the extra is not installed
 
         check_written(path, "log", inputs)
         if path.suffix != ".mcap":

@@ -64,7 +64,7 @@ def run(
             [m] or {"q": [0, 0.1, ...]} [rad], played at the loop's rate; - for standard input;
             udp:PORT for datagrams on this machine. Nothing: the arm holds.
         duration: Ends by itself after this time [s].
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
         log: MCAP file to write (extra log).
         quiet: No table.
     """

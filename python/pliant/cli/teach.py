@@ -50,7 +50,7 @@ def run(
         bounds: Speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] that no joint of the motion
             may exceed (needs ruckig). Nothing: smoothed only.
         note: A line of your own.
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     from dataclasses import replace
 

@@ -48,7 +48,7 @@ def run(
         http_port: Port of the page; the next free one is taken.
         browser: Open the page in the browser.
         log: MCAP file to write (extra log).
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     if not 1 <= http_port <= HIGHEST:
         raise ConfigError(f"--http-port is a port from 1 to {HIGHEST}, got {http_port}")

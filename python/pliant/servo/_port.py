@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from pliant.drive import ServoStatus
 from pliant.servo._transactions import TransactionGuard, wire_time
 from pliant.servo.transport import BusError, RustypotTransport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
     from pliant.servo._device import Device
     from pliant.servo._transactions import Reply
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
+_T = TypeVar("_T")
 
 #: A servo that is silent for this many cycles is skipped for `PROBE_CYCLES` cycles, so that a dead
 #: servo does not cost a timeout in every cycle.
@@ -313,9 +314,9 @@ def latency_timer(path: str) -> float | None:
         return None
 
 
-def _groups(items: Iterable, key: Callable) -> list[list]:  # type: ignore[type-arg]
+def _groups(items: Iterable[_T], key: Callable[[_T], Hashable]) -> list[list[_T]]:
     """Group items by key, in order of first appearance."""
-    found: dict[object, list] = {}  # type: ignore[type-arg]
+    found: dict[Hashable, list[_T]] = {}
     for item in items:
         found.setdefault(key(item), []).append(item)
     return list(found.values())

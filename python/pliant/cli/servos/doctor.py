@@ -31,7 +31,7 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
         watch: Show the joints, torque off, until Ctrl-C: to check their directions by eye.
         duration: Ends by itself after this time [s]. Needs --watch.
     """

@@ -42,7 +42,7 @@ def run(
         lose: Share of the answers that get lost.
         seed: Of all chance.
         duration: Ends by itself after this time [s].
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     from pliant.config.factory import make_emulator
 
