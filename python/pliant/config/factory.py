@@ -334,7 +334,10 @@ def make_bus(config: Config, ports: dict[str, str]) -> ServoBus:
     bauds = {ports[port.name]: port.baud for port in config.port}
     loop = config.loop
     return ServoBus(
-        servo_specs(config, ports), baudrate=bauds, rate=loop.rate, patience=loop.patience
+        servo_specs(config, ports),
+        baudrate=bauds,
+        rate=loop.rate,
+        reply_timeout_min=loop.reply_timeout_min,
     )
 
 
@@ -400,7 +403,7 @@ def start_pose(config: Config, model: Model) -> Any:
 
 
 #: Minimum reply timeout [s]: the emulator runs on the same machine as the program.
-PATIENCE = 0.05
+REPLY_TIMEOUT_MIN = 0.05
 #: Emulator names of calibration registers, if they differ from pliant's; second: Protocol 1.0.
 REGISTERS = {"position_min": "min_position_limit", "position_max": "max_position_limit"}
 REGISTERS_P1 = {"position_min": "cw_angle_limit", "position_max": "ccw_angle_limit"}
@@ -424,7 +427,7 @@ class EmulatedBus(ServoBus):
             servo_specs(config, self.emulator.ports),
             baudrate=bauds,
             rate=config.loop.rate,
-            patience=max(PATIENCE, config.loop.patience),
+            reply_timeout_min=max(REPLY_TIMEOUT_MIN, config.loop.reply_timeout_min),
         )
 
     def close(self) -> None:

@@ -18,7 +18,7 @@ from pliant.arm._checks import MAX_COMM_TIMEOUT
 from pliant.config._messages import suggest
 from pliant.config._settings_table import check_preset, resolve
 from pliant.config.lerobot import read_calibration
-from pliant.servo._transactions import MAX_PATIENCE
+from pliant.servo._transactions import MAX_REPLY_TIMEOUT_MIN
 from pliant.servo.models import find
 from pliant.servo.spec import ServoSpec, Units, servos_from_units
 
@@ -205,13 +205,13 @@ class Loop(StrictModel):
         rate: [Hz]
         comm_timeout: Time without an answer from the bus or the program after which the arm is
             lowered [s], at most 60.
-        patience: Minimum reply timeout [s], at most 1; use more than the default on a busy
+        reply_timeout_min: Minimum reply timeout [s], at most 1; use more than the default on a busy
             computer.
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
     comm_timeout: Annotated[float, Field(gt=0.0, le=MAX_COMM_TIMEOUT, strict=True)] = 0.5
-    patience: Annotated[float, Field(gt=0.0, le=MAX_PATIENCE, strict=True)] = 0.01
+    reply_timeout_min: Annotated[float, Field(gt=0.0, le=MAX_REPLY_TIMEOUT_MIN, strict=True)] = 0.01
 
 
 class Life(StrictModel):

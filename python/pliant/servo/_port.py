@@ -42,7 +42,7 @@ class Port:
         devices: The servos on it.
         baudrate: Bits per second.
         cycle: Control period [s].
-        patience: Minimum reply timeout [s].
+        reply_timeout_min: Minimum reply timeout [s].
         open_transport: ``(path, baudrate, protocol) -> Transport``.
         clock: Clock of the readings.
 
@@ -59,7 +59,7 @@ class Port:
         *,
         baudrate: int,
         cycle: float,
-        patience: float,
+        reply_timeout_min: float,
         open_transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
@@ -81,7 +81,7 @@ class Port:
             baudrate=baudrate,
             latency=self.latency or 0.001,
             cycle=cycle,
-            patience=patience,
+            reply_timeout_min=reply_timeout_min,
             unused_id=max(set(range(self.highest + 1)) - ids),
             sample_clock=clock,
         )
