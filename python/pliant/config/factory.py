@@ -63,7 +63,6 @@ class ConnectOptions(ArmOptions, total=False):
     flicker: int
     noise: ArrayLike
     deadband: ArrayLike
-    backlash: ArrayLike
     read_loss: float
     write_loss: float
     silent: tuple[float, float] | None
@@ -71,8 +70,6 @@ class ConnectOptions(ArmOptions, total=False):
     friction_scale: ArrayLike
     damping_scale: ArrayLike
     payload: tuple[float, Sequence[float]] | None
-    speed_limit: ArrayLike | None
-    limit_type: Literal["current", "pwm"] | None
     overload: Overload | None
     friction: Literal["coulomb"] | Friction
     creep: float

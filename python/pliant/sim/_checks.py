@@ -29,11 +29,6 @@ def physics_steps(dt: float, rate: float) -> int:
     return steps
 
 
-def table(servos: Any | None) -> Servos | None:
-    """Check the servo table; None passes."""
-    return None if servos is None else instance(servos, Servos, "servos")
-
-
 def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
     """Check the servo tables of off-chain joints; leave out joints that the model lacks."""
     names = {joint.name for joint in model.joints} - set(model.joint_names)

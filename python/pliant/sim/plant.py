@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from pliant._core import Servos
     from pliant._typing import Array, Mask
     from pliant.sim._model_builder import Build, OffChain, Robot
-    from pliant.sim._parameters import LimitType
     from pliant.sim._servos import Overload
     from pliant.sim.hand import Hand
 
@@ -75,7 +74,6 @@ class Plant:
         noise: Standard deviation of the readings before rounding [rad].
         deadband: Error below which a servo gives no torque [rad]; above it, the error counts from
             the edge of the band.
-        backlash: Full backlash between gear and link [rad]; the encoder sits on the link.
         read_loss: Share of readings lost.
         write_loss: Share of writes lost.
         silent: Start and end of an outage of the bus in both directions [s].
@@ -84,8 +82,6 @@ class Plant:
         damping_scale: Ratio of true to tabulated damping, gears and back-EMF.
         payload: Mass [kg] and centre (3,) in the tool frame [m] of a load unknown to the
             controller.
-        speed_limit: Largest speed of the servos' internal goal [rad/s]; None: no limit.
-        limit_type: `current` or `pwm`, overriding the table.
         overload: Overload protection of the servos; None: no protection.
         friction: Dry friction of the gears: `coulomb`, as in the table, or by speed and load.
         creep: Creep of a joint that dry friction should hold, in [0.001, 1]: its speed is about
@@ -135,7 +131,6 @@ class Plant:
         flicker: int = 0,
         noise: ArrayLike = 0.0,
         deadband: ArrayLike = 0.0,
-        backlash: ArrayLike = 0.0,
         read_loss: float = 0.0,
         write_loss: float = 0.0,
         silent: tuple[float, float] | None = None,
@@ -143,8 +138,6 @@ class Plant:
         friction_scale: ArrayLike = 1.0,
         damping_scale: ArrayLike = 1.0,
         payload: tuple[float, Sequence[float]] | None = None,
-        speed_limit: ArrayLike | None = None,
-        limit_type: LimitType | None = None,
         overload: Overload | None = None,
         friction: Literal["coulomb"] | Friction = "coulomb",
         creep: float = 1.0,
@@ -158,7 +151,7 @@ class Plant:
         self.model, self.dt, self.rate = model, float(dt), float(rate)
         self.period = 1.0 / self.rate
         checks.off_chain(off_chain)
-        self.table = tabulate(model, checks.table(servos), limit_type)
+        self.table = tabulate(model, servos)
         self.tabulated = resolve(self.table)
         self.gains = self.tabulated.scaled(kp_scale, friction_scale, damping_scale)
         self._bus = Bus(
@@ -180,7 +173,6 @@ class Plant:
             dt=self.dt,
             off_chain=off_chain,
             payload=checks.load(payload),
-            backlash=checks.per_joint(backlash, n, "backlash", low=0.0),
             creep=checks.creep(creep),
             extra=checks.extra(model, extra_servos),
         )
@@ -200,9 +192,6 @@ class Plant:
             self.mj_data,
             self.gains,
             deadband=checks.per_joint(deadband, n, "deadband", low=0.0),
-            speed=None
-            if speed_limit is None
-            else checks.per_joint(speed_limit, n, "speed_limit", low=0),
             overload=check_overload(overload),
         )
         self._gears = self._make_gears(friction)
@@ -397,7 +386,7 @@ class Plant:
     def _step(self) -> None:
         """Run one physics step: servos, positions, external forces at these positions, motion."""
         data = self.mj_data
-        self._bank.drive(self.dt)
+        self._bank.drive()
         if self._gears is not None:
             self._gears.update()
         for fixture in self._fixtures:
