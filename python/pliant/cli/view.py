@@ -55,8 +55,8 @@ def run(
     is_simulated = not arm or scene is not None
     check_log(log, [] if is_simulated else override.inputs(arm, override.load(arm)))
     _needs()
-    from pliant.view.gate import is_loopback
-    from pliant.view.link import Link
+    from pliant.view.auth import is_loopback
+    from pliant.view.ipc import Link
     from pliant.view.session import Session
 
     source = (
