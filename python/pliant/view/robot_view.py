@@ -131,8 +131,10 @@ def _visual(
     origin = element.find("origin")
     pose = at.copy()
     if origin is not None:
-        turn = tf.SO3.from_rpy_radians(*_numbers(origin.get("rpy", "0 0 0"))).as_matrix()
-        pose = at @ _pose(turn, _numbers(origin.get("xyz", "0 0 0")))
+        turn = tf.SO3.from_rpy_radians(*_numbers(origin.get("rpy", "0 0 0")))
+        pose = at @ _pose(
+            np.asarray(turn.as_matrix(), np.float64), _numbers(origin.get("xyz", "0 0 0"))
+        )
     material = element.find("material")
     colour: tuple[float, ...] = PLAIN
     if material is not None:
