@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pliant.drive import Drive
     from pliant.emulator import Mount
     from pliant.emulator.arm import ArmEmulator
-    from pliant.servo.calibration import Calibration
+    from pliant.servo.spec import Calibration
     from pliant.sim import Fixture, Friction, Hand, Overload, Plant, Tabletop
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pliant._core import Settings
-    from pliant.servo.calibration import Calibration
+    from pliant.servo.spec import Calibration
 
 
 # Strict: a number in quotes is an error.

@@ -161,7 +161,7 @@ class Port:
             if self._is_armed and "watchdog" in device.family.registers:
                 device.note(self.guard.read(device.id, device.family.block("watchdog")))
         except BusError as error:
-            _raise_if_gone(error)
+            error.raise_if_gone()
             return False
         self.clear_watchdogs([device])
         return True
@@ -180,7 +180,7 @@ class Port:
                 for units in dict.fromkeys((0, self.watchdog)):
                     self.guard.write(device.id, address, bytes([units]))
             except BusError as error:
-                _raise_if_gone(error)
+                error.raise_if_gone()
             else:
                 device.tripped = False
 
@@ -212,7 +212,7 @@ class Port:
                 for units in dict.fromkeys((0, self.watchdog)):
                     self.guard.sync_write(ids, block.address, [bytes([units])] * len(ids))
             except BusError as error:
-                _raise_if_gone(error)
+                error.raise_if_gone()
             answered = [device for device in pending if self._read_block(device, block)]
             pending = [d for d in pending if d not in answered or d.watchdog != self.watchdog]
             if not answered:
@@ -244,7 +244,7 @@ class Port:
         try:
             device.note(self.guard.read(device.id, block, again=False))
         except BusError as error:
-            _raise_if_gone(error)
+            error.raise_if_gone()
             return False
         return True
 
@@ -253,7 +253,7 @@ class Port:
         try:
             return self.guard.sync_read([device.id for device in group], *group[0].family.read)
         except BusError as error:
-            _raise_if_gone(error)
+            error.raise_if_gone()
             culprit = error.id
         return self._read_each(group, last=culprit, again=False)
 
@@ -272,7 +272,7 @@ class Port:
             try:
                 reply = self.guard.read(device.id, *device.family.read, again=again)
             except BusError as error:
-                _raise_if_gone(error)
+                error.raise_if_gone()
                 if error.reason == "timeout":
                     missed.append(device.id)
             else:
@@ -294,7 +294,7 @@ class Port:
             try:
                 reply = self.guard.read(device.id, *device.family.read, again=False)
             except BusError as error:
-                _raise_if_gone(error)
+                error.raise_if_gone()
             else:
                 del self._silent[device.id]
                 return {device.id: reply}
@@ -320,12 +320,6 @@ def _groups(items: Iterable[_T], key: Callable[[_T], Hashable]) -> list[list[_T]
     for item in items:
         found.setdefault(key(item), []).append(item)
     return list(found.values())
-
-
-def _raise_if_gone(error: BusError) -> None:
-    """Raise an error that also affects all other servos."""
-    if error.reason == "gone":
-        raise error
 
 
 def status_blocks(family: Family) -> tuple[Block, ...]:
@@ -392,8 +386,7 @@ class StatusPoller:
         try:
             device.note(guard.read(device.id, block))
         except BusError as error:
-            if error.reason == "gone":
-                raise
+            error.raise_if_gone()
             return None
         return self._status(device.joint)
 
@@ -414,8 +407,7 @@ class StatusPoller:
             block = enabled[0].family.block("torque_enable")
             replies = port.guard.sync_read([d.id for d in enabled], block)
         except BusError as error:
-            if error.reason == "gone":
-                raise
+            error.raise_if_gone()
             return True
         for device in enabled:
             device.note(replies[device.id])

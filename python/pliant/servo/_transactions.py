@@ -406,8 +406,7 @@ class TransactionGuard:
                 if self.ping(number):
                     continue
             except BusError as error:
-                if error.reason == "gone":
-                    raise
+                error.raise_if_gone()
                 continue
             self._unused_id = number
             return

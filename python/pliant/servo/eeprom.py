@@ -244,8 +244,7 @@ def _write(io: TransactionGuard, id: int, family: Family, name: str, value: int)
     try:
         io.write(id, register.address, register.encode(value))
     except BusError as error:
-        if error.reason == "gone":
-            raise
+        error.raise_if_gone()
 
 
 def _lock(io: TransactionGuard, id: int, family: Family, *, locked: bool) -> None:
