@@ -28,10 +28,8 @@ ArmName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ARM")]
 #: A motion of `pliant teach`, or a log.
 MotionFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION")]
 LogFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-#: Optional file.
+#: Optional file, to read or to write.
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-#: Output file.
-Output = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 #: Port of this machine for the page.
 HttpPort = Annotated[int, tyro.conf.arg(metavar="PORT")]
 #: Present id and new id.
@@ -100,6 +98,16 @@ class ConfigFlags(BusFlags):
     """
 
     backend: Backend = None
+
+
+def check_duration(seconds: float | None) -> None:
+    """Check `--duration`.
+
+    Raises:
+        ConfigError: It is not above 0 s.
+    """
+    if seconds is not None and not seconds > 0.0:
+        raise ConfigError(f"--duration must be above 0 s, got {seconds:g}")
 
 
 def check_soft(axes: str, task: Task, remedy: str) -> None:

@@ -11,7 +11,14 @@ from rich.console import Console
 from pliant import teach
 from pliant._core import ConfigError
 from pliant.cli._console import EnterKey, print_line
-from pliant.cli._flags import ArmName, ConfigFlags, Duration, MotionFile, check_written
+from pliant.cli._flags import (
+    ArmName,
+    ConfigFlags,
+    Duration,
+    MotionFile,
+    check_duration,
+    check_written,
+)
 from pliant.config import connect
 from pliant.teach._retiming import import_ruckig
 from pliant.teach._scripted_hand import prepare
@@ -56,8 +63,7 @@ def run(
 
     if motion.suffix != ".json":
         raise ConfigError(f"a motion file ends with .json, got {motion}")
-    if not duration > 0.0:
-        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
+    check_duration(duration)
     if bounds is not None:
         import_ruckig(bounds)
     read = override.load(arm)

@@ -328,14 +328,19 @@ def check_above_table(plant: Plant) -> None:
 
 def make_bus(config: Config, ports: dict[str, str]) -> ServoBus:
     """Create the servo bus; `ports` maps port names of the file to paths."""
-    bauds = {ports[port.name]: port.baud for port in config.port}
-    loop = config.loop
-    return ServoBus(
-        servo_specs(config, ports),
-        baudrate=bauds,
-        rate=loop.rate,
-        reply_timeout_min=loop.reply_timeout_min,
-    )
+    return ServoBus(**_bus_options(config, ports))
+
+
+def _bus_options(
+    config: Config, ports: dict[str, str], reply_timeout_min: float = 0.0
+) -> dict[str, Any]:
+    """Return the arguments of the bus; the file's reply timeout counts from a minimum [s] on."""
+    return {
+        "specs": servo_specs(config, ports),
+        "baudrate": {ports[port.name]: port.baud for port in config.port},
+        "rate": config.loop.rate,
+        "reply_timeout_min": max(reply_timeout_min, config.loop.reply_timeout_min),
+    }
 
 
 def servo_specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
@@ -419,13 +424,7 @@ class EmulatedBus(ServoBus):
 
         at = None if q is None else vector(model, q, "q").tolist()
         self.emulator = EmulatorProcess(make_emulator, config, q=at)
-        bauds = {self.emulator.ports[port.name]: port.baud for port in config.port}
-        super().__init__(
-            servo_specs(config, self.emulator.ports),
-            baudrate=bauds,
-            rate=config.loop.rate,
-            reply_timeout_min=max(REPLY_TIMEOUT_MIN, config.loop.reply_timeout_min),
-        )
+        super().__init__(**_bus_options(config, self.emulator.ports, REPLY_TIMEOUT_MIN))
 
     def close(self) -> None:
         """Close the ports and end the emulator."""

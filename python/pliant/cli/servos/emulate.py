@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pliant._core import ConfigError
 from pliant._priority import raise_priority
-from pliant.cli._flags import ArmName, FileFlags, Seconds
+from pliant.cli._flags import ArmName, FileFlags, Seconds, check_duration
 from pliant.emulator import Faults, Timing
 
 #: Signals of a service manager, of a closing terminal, and Ctrl-\\.
@@ -48,8 +48,7 @@ def run(
 
     if not 0.0 <= lose <= 1.0:
         raise ConfigError(f"--lose is a share from 0 to 1, got {lose:g}")
-    if duration is not None and not duration > 0.0:
-        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
+    check_duration(duration)
     read = override.load(arm, backend="emulator")
     latency = 0.016 if timing == "usb" else 0.0
     chosen = Timing(wire=timing != "off", usb_latency=latency)
