@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from pliant._core import ConfigError, Model, PliantError, ShapeError
-from pliant._validation import format_value, instance
+from pliant._validation import format_value, instance, number
 from pliant.drive import State
 from pliant.sim import _checks as checks
 from pliant.sim._bus import Bus, Command
@@ -36,7 +36,10 @@ if TYPE_CHECKING:
 
 
 class Fixture(Protocol):
-    """A thing with bodies of its own (a door); hands and walls are only force laws."""
+    """A thing with bodies of its own (a door); hands and walls are only force laws.
+
+    A subclass needs only the methods in which it does something.
+    """
 
     def add(self, build_spec: Build) -> None:
         """Add bodies and constraints before the model is compiled."""
@@ -46,12 +49,15 @@ class Fixture(Protocol):
 
     def before(self, plant: Plant) -> None:
         """Prepare each physics step, e.g. prescribed motion."""
+        return
 
     def during(self, plant: Plant) -> None:
         """Apply external forces (`mj_data.qfrc_applied`), with positions up to date."""
+        return
 
     def after(self, plant: Plant) -> None:
         """Record results after each physics step."""
+        return
 
 
 class Plant:
@@ -150,7 +156,9 @@ class Plant:
         self.steps = checks.physics_steps(dt, rate)
         self.model, self.dt, self.rate = model, float(dt), float(rate)
         self.period = 1.0 / self.rate
-        checks.off_chain(off_chain)
+        if off_chain not in {"held", "welded"}:
+            value = format_value(off_chain)
+            raise ConfigError(f"off_chain is 'held' or 'welded', got {value}")
         self.table = tabulate(model, servos)
         self.tabulated = resolve(self.table)
         self.gains = self.tabulated.scaled(kp_scale, friction_scale, damping_scale)
@@ -173,7 +181,8 @@ class Plant:
             dt=self.dt,
             off_chain=off_chain,
             payload=checks.load(payload),
-            creep=checks.creep(creep),
+            # MuJoCo has no dry friction that holds a joint entirely.
+            creep=number(creep, "creep", 1e-3, 1.0),
             extra=checks.extra(model, extra_servos),
         )
         self.extra_tables = {name: built.extra[name] for name in built.held}
