@@ -111,12 +111,7 @@ def check_duration(seconds: float | None) -> None:
 
 
 def check_soft(axes: str, task: Task, remedy: str) -> None:
-    """Check that the task has the axes.
-
-    Args:
-        axes: Their names, as `pliant.Task` takes them.
-        task: The task.
-        remedy: How to get another task, for the error message.
+    """Check that the task has the axes; `remedy` says in the error how to get another task.
 
     Raises:
         ConfigError: A word is no axis, or no axis of the task.

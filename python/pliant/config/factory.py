@@ -264,15 +264,7 @@ def make_drive(
     real_time: bool = False,
     **plant: Any,
 ) -> Drive:
-    """Create the drive: the bus, its emulation, or the simulator alone.
-
-    Args:
-        config: The configuration.
-        model: Its model.
-        q: Initial joint positions of a simulated or emulated arm (n,) [rad].
-        real_time: Whether simulated time runs in real time.
-        **plant: Options of `pliant.sim.Plant`, which override the file.
-    """
+    """Create the drive: the bus, its emulation, or the simulator alone."""
     if config.backend == "sim":
         return make_simulated(config, model, q=q, real_time=real_time, **plant)
     if config.backend == "emulator":
