@@ -123,7 +123,7 @@ def stepped(
     with emulator(family, q=q, clock="steps", **options) as bus:
         drive = chain(
             factory.servo_specs(read, bus.ports),
-            patience=patience,
+            reply_timeout_min=patience,
             clock=ManualClock(bus),
         )
         try:

@@ -76,7 +76,7 @@ def measure(family: str, cycles: int, *, timed: bool) -> Rate:
     devices = [Device(model, id, return_delay_time=0, **own) for id in range(1, SERVOS + 1)]
     with EmulatorProcess(Emulator, devices, timing=Timing(wire=timed)) as bus:
         specs = [ServoSpec(name=f"j{d.id}", model=model, id=d.id, port=bus.port) for d in devices]
-        with ServoBus(specs, baudrate=BAUD, patience=0.05) as chain:
+        with ServoBus(specs, baudrate=BAUD, reply_timeout_min=0.05) as chain:
             limit = 0.2 * np.asarray(chain.servos.max_torque)
             goal = chain.read().position
             chain.enable(goal, limit)
@@ -96,7 +96,7 @@ def share(family: str, seconds: float) -> float:
     """Return the processor share of control of the arm at 100 Hz in the host's process."""
     read = configuration(family)
     with EmulatorProcess(emulator, family) as bus:
-        chain = ServoBus(factory.servo_specs(read, bus.ports), patience=0.05)
+        chain = ServoBus(factory.servo_specs(read, bus.ports), reply_timeout_min=0.05)
         arm = Arm(read.model(), chain, comm_timeout=5.0, signals=False)
         with chain:
             arm.enable()

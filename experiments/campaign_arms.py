@@ -165,4 +165,4 @@ def _table(name: str, bare: pliant.Model) -> pliant.Servos:
         cut = {field: np.asarray(getattr(ours, field))[: bare.n] for field in fields}
         speed = np.asarray(ours.no_load_speed)[: bare.n]
         return pliant.Servos(**cut, limit_type="pwm", no_load_speed=speed, stiffness_known=True)
-    return tabulate(bare, None, None).replace(stiffness_known=True)
+    return tabulate(bare, None).replace(stiffness_known=True)

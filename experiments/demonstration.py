@@ -7,14 +7,13 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
 
-from experiments import report
+from experiments import provenance, report
 from experiments.chapters import activation, caps, comparison, doors, static, tracking
 from experiments.chapters.common import Options
 from experiments.files import write_results
 from experiments.result import Verdict
 from experiments.runner import Job, Workers, draw_off_screen, prefixed
 from pliant import ConfigError
-from pliant._report import provenance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

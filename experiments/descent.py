@@ -22,7 +22,7 @@ from experiments.sheet import POSES
 from pliant import config
 from pliant.arm.arm import Arm
 from pliant.config import factory
-from pliant.config.factory import PATIENCE, make_emulator
+from pliant.config.factory import REPLY_TIMEOUT_MIN, make_emulator
 from pliant.emulator import ManualClock, Timing
 from pliant.servo import ServoBus
 from pliant.sim import Plant, SimDrive, table
@@ -278,7 +278,9 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
     bus.world.physics.step = watched  # type: ignore[method-assign]
     with bus:
         drive = ServoBus(
-            factory.servo_specs(own, bus.ports), patience=PATIENCE, clock=ManualClock(bus)
+            factory.servo_specs(own, bus.ports),
+            reply_timeout_min=REPLY_TIMEOUT_MIN,
+            clock=ManualClock(bus),
         )
         arm = Arm(model, drive, grippers=factory.gripper_configs(own), signals=False)
         try:

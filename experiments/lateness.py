@@ -21,15 +21,15 @@ from urllib.parse import urlsplit
 
 from pliant import config
 from pliant.loop import LatenessHistogram
-from pliant.view.link import Link
-from pliant.view.orders import Stop
+from pliant.view.ipc import Link
+from pliant.view.messages import Stop
 from pliant.view.session import Session
 from pliant.view.source import Configured
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from pliant.view.orders import Order
+    from pliant.view.messages import Message
 
 #: Control rate [Hz].
 RATE = 100.0
@@ -74,10 +74,10 @@ class Timed:
         """Start the time."""
         self._link, self._left, self.sent = link, ticks, 0
 
-    def orders(self) -> list[Order]:
-        """Return orders of the page, and the stop."""
+    def messages(self) -> list[Message]:
+        """Return messages of the page, and the stop."""
         self._left -= 1
-        heard = [] if self._link is None else self._link.orders()
+        heard = [] if self._link is None else self._link.messages()
         return [*heard, Stop()] if self._left == 0 else heard
 
     def due(self) -> bool:

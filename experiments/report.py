@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from experiments.demonstration import Subject
-    from pliant._report.provenance import Facts
+    from experiments.provenance import Facts
 
 CHIPS = {Verdict.AGREES: "agrees", Verdict.DIFFERS: "differs", Verdict.DISAGREES: "disagrees"}
 

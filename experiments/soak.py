@@ -278,7 +278,9 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
     """Soak in real time, servos and arm in a process of their own."""
     read = configuration(family)
     with EmulatorProcess(audited, family, seed) as bus:
-        chain = Recorder(factory.servo_specs(read, bus.ports), rate=rate, patience=PATIENCE)
+        chain = Recorder(
+            factory.servo_specs(read, bus.ports), rate=rate, reply_timeout_min=PATIENCE
+        )
         try:
             arm = Arm(
                 read.model(),

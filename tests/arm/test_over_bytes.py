@@ -54,7 +54,9 @@ def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=
             ServoSpec(name=n, model=model or device, id=k, port=bus.port, zero=(zero or {}).get(n))
             for k, n in enumerate(names, 1)
         ]
-        chain = ServoBus(specs, patience=patience, clock=Steps(bus) if clock == "steps" else None)
+        chain = ServoBus(
+            specs, reply_timeout_min=patience, clock=Steps(bus) if clock == "steps" else None
+        )
         yield bus, Arm(chain_model, chain, signals=False, **options)
 
 

@@ -50,7 +50,8 @@ print(json.dumps([code, sorted(loaded)]))
 def command(tmp_path):
     """Run a command over an emulated SO-101 that stays enabled."""
     arm = tmp_path / "arm.toml"
-    life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
+    loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
+    life = f'{loop}[life]\non_exit = "leave_enabled"\n'
     arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
 
     def run(name, *flags, each="pass", backend="emulator"):

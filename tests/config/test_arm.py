@@ -64,7 +64,9 @@ def move(arm, name):
 def test_a_ready_arm_moves_over_real_bytes(name):
     read = config.load(name)
     with make_emulator(read, clock="steps") as bus:
-        chain = ServoBus(factory.servo_specs(read, bus.ports), patience=0.2, clock=ManualClock(bus))
+        chain = ServoBus(
+            factory.servo_specs(read, bus.ports), reply_timeout_min=0.2, clock=ManualClock(bus)
+        )
         options = {"rate": 50.0, "grippers": factory.gripper_configs(read), "signals": False}
         with pliant.Arm(read.model(), chain, **options) as arm:
             target, reached = move(arm, name)

@@ -83,7 +83,7 @@ def test_urdf_and_file_that_disagree_on_joints():
         (SIM + "[[port]]\n[[port]]\n", "'main' is there twice"),
         (SIM + "[loop]\ncomm_timeout = inf", r"loop\.comm_timeout = inf: .* 60"),
         (SIM + "[loop]\ncomm_timeout = 61", r"loop\.comm_timeout = 61: .* 60"),
-        (SIM + "[loop]\npatience = 1e9", r"loop\.patience = 1000000000\.0: .* 1"),
+        (SIM + "[loop]\nreply_timeout_min = 1e9", r"loop\.reply_timeout_min = 1000000000\.0: .* 1"),
     ],
 )
 def test_mistakes_are_named_with_what_would_be_right(text, said):

@@ -52,7 +52,9 @@ def read(name, tmp_path, backend):
 def on_bytes(own, model):
     """Return the values that the driver of a real bus reads from such servos."""
     with make_emulator(own, clock="steps") as bus:
-        chain = ServoBus(factory.servo_specs(own, bus.ports), patience=0.5, clock=ManualClock(bus))
+        chain = ServoBus(
+            factory.servo_specs(own, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
+        )
         arm = pliant.Arm(model, chain, grippers=factory.gripper_configs(own), signals=False)
         arm.open()
         try:

@@ -199,7 +199,8 @@ def test_backend_sim_takes_the_options_of_the_simulator():
 
 
 def test_the_kind_of_a_simulated_arms_servos_is_an_option_of_the_plant():
-    arm = pliant.connect("so101", backend="sim", limit_type="current", signals=False)
+    table = pliant.config.load("so101").model().servos.replace(limit_type="current")
+    arm = pliant.connect("so101", backend="sim", servos=table, signals=False)
     assert arm.drive.plant.table.limit_type == "current"
 
 

@@ -73,7 +73,7 @@ def test_limits_reach_the_motors_and_the_arm_stays(build, share):
             )
             for mount, low, high in zip(mounts, model.lower, model.upper, strict=True)
         ]
-        chain = ServoBus(specs, rate=1.0 / TICK, patience=0.3, clock=Steps(bus))
+        chain = ServoBus(specs, rate=1.0 / TICK, reply_timeout_min=0.3, clock=Steps(bus))
         try:
             run(bus, chain, model, settings, share)
         finally:

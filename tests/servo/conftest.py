@@ -118,7 +118,7 @@ def emulated():
                 for i in range(n)
             ]
             clock = ManualClock(bus) if options.get("clock") == "steps" else None
-            chain = ServoBus(specs, rate=rate, patience=0.1, clock=clock)
+            chain = ServoBus(specs, rate=rate, reply_timeout_min=0.1, clock=clock)
             try:
                 if is_open:
                     chain.open()

@@ -189,7 +189,7 @@ def test_families_share_a_port_and_ports_an_arm(enabled):
             ServoSpec(name="lift", model="XM540-W270", id=1, port=two, secondary=(2, -1), **bounds),
             ServoSpec(name="wrist", model="STS3215-7.4V", id=2, port=one, **bounds),
         ]
-        with ServoBus(specs, patience=0.1, clock=ManualClock(bus)) as chain:
+        with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as chain:
             limit = enabled(chain)
             goal = np.array([0.2, 0.3, -0.1])
             sample = settle(bus, chain, goal, limit)
@@ -227,8 +227,8 @@ def test_names_and_ids_are_unique():
 @pytest.mark.parametrize("patience", [0.0, 1.5, np.inf, np.nan])
 def test_a_patience_that_a_silent_bus_would_outlast_is_refused(patience):
     spec = ServoSpec(name="pan", model="MX-64", id=1, port="/dev/null")
-    with pytest.raises(ConfigError, match=f"patience must .* 1 s, got {patience:g}"):
-        ServoBus([spec], patience=patience)
+    with pytest.raises(ConfigError, match=f"reply_timeout_min must .* 1 s, got {patience:g}"):
+        ServoBus([spec], reply_timeout_min=patience)
 
 
 def test_a_bus_that_is_not_open_raises():

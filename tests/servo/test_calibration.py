@@ -41,7 +41,7 @@ def opened(name, folder, **wrong):
     with make_emulator(good, clock="steps") as bus:
         before = bus.log.order(1)
         chain = ServoBus(
-            factory.servo_specs(theirs, bus.ports), patience=0.5, clock=ManualClock(bus)
+            factory.servo_specs(theirs, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
         )
         try:
             chain.open()

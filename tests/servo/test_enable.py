@@ -22,7 +22,7 @@ def chain_on(bus, kind, n, patience=0.005):
         )
         for i in range(n)
     ]
-    return ServoBus(specs, patience=patience, clock=ManualClock(bus))
+    return ServoBus(specs, reply_timeout_min=patience, clock=ManualClock(bus))
 
 
 def strike(bus, fault, place):

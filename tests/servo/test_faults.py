@@ -135,7 +135,7 @@ def test_one_port_unplugged_leaves_the_other_to_be_brought_down(enabled):
             )
             for i, port in enumerate(ports)
         ]
-        with ServoBus(specs, patience=0.1, clock=ManualClock(bus)) as chain:
+        with ServoBus(specs, reply_timeout_min=0.1, clock=ManualClock(bus)) as chain:
             limit = enabled(chain)
             bus.pull("b")
             found = []

@@ -11,7 +11,7 @@ from pliant.servo import ServoBus, ServoSpec
 
 def opened(bus, *specs, **options):
     specs = [ServoSpec(port=bus.port, **spec) for spec in specs]
-    with ServoBus(specs, patience=0.03, **options) as chain:
+    with ServoBus(specs, reply_timeout_min=0.03, **options) as chain:
         return chain
 
 
@@ -98,8 +98,8 @@ def test_a_port_that_is_taken():
     with Emulator([Device("STS3215", id=1)], clock="steps") as bus:
         spec = ServoSpec(port=bus.port, **PAN)
         refused = pytest.raises(ServoError, match="in use by another program")
-        with ServoBus([spec], patience=0.03), refused:
-            ServoBus([spec], patience=0.03).open()
+        with ServoBus([spec], reply_timeout_min=0.03), refused:
+            ServoBus([spec], reply_timeout_min=0.03).open()
 
 
 def test_ceilings_and_gains_are_the_servos_own():

@@ -22,7 +22,7 @@ def so101(bus, model, **options):
         )
         for i, (name, low, high) in enumerate(ranges, 1)
     ]
-    return ServoBus(specs, patience=0.1, **options)
+    return ServoBus(specs, reply_timeout_min=0.1, **options)
 
 
 @pytest.mark.parametrize("shares", [{}, {"lose": 0.01, "corrupt": 0.01, "late": 0.01}])

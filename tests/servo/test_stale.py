@@ -101,7 +101,12 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
     blocks = [type(block)(block.address, block.size) for block in family.read]
     bus = LateLine([1, 2, 3], held, keeps_order=keeps_order)
     guard = TransactionGuard(
-        bus, family.protocol, baudrate=1_000_000, patience=patience, unused_id=200, clock=bus.clock
+        bus,
+        family.protocol,
+        baudrate=1_000_000,
+        reply_timeout_min=patience,
+        unused_id=200,
+        clock=bus.clock,
     )
     taken = 0
     for cycle in range(6000):

@@ -151,10 +151,7 @@ def test_the_gripper_rides_along(grasp):
         ({"read_loss": 1.5}, "read_loss"),
         ({"write_loss": -0.1}, "write_loss"),
         ({"deadband": [0.1, 0.1]}, "deadband has shape"),
-        ({"backlash": -0.1}, "backlash"),
         ({"kp_scale": -1.0}, "kp_scale"),
-        ({"limit_type": "voltage"}, "limit_type 'voltage'"),
-        ({"limit_type": "pwm"}, "no_load_speed"),
         ({"payload": (-1.0, (0, 0, 0))}, "payload"),
     ],
 )

@@ -128,19 +128,6 @@ def test_speed_of_a_saturated_joint(grasp, kind):
     assert max(speeds) == pytest.approx(0.5 / resists, rel=0.02)
 
 
-def test_speed_limit_bounds_the_motion_to_the_goal(arm, grasp):
-    plant = Plant(arm, speed_limit=0.5)
-    plant.reset(grasp)
-    goal = grasp.copy()
-    goal[4] -= 1.0
-    fastest = 0.0
-    for _ in range(150):
-        plant.write(goal)
-        plant.advance()
-        fastest = max(fastest, abs(plant.dq[4]))
-    assert 0.4 < fastest < 0.65
-
-
 def test_dead_band_gives_no_torque_inside(grasp):
     arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
     plant = Plant(arm, deadband=0.01)
@@ -151,24 +138,6 @@ def test_dead_band_gives_no_torque_inside(grasp):
     plant.write(grasp + 0.02)
     plant.advance(n_steps=1)
     np.testing.assert_allclose(plant.torque, 0.01 * plant.gains.kp, rtol=1e-9)
-
-
-def test_play_lets_the_link_move_between_the_teeth(grasp):
-    arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
-    play = np.deg2rad(1.0)
-    plant = Plant(arm, backlash=play)
-    plant.reset(grasp)
-    wrist = pliant.sim.Push(torque_vector=(0.05, 0.0, 0.0), course=_at_once())
-    plant.set_hands([wrist])
-    for _ in range(100):
-        plant.advance()
-    names = [f"play:{name}" for name in arm.joint_names]
-    gaps = np.array([plant.mj_data.joint(name).qpos[0] for name in names])
-    assert np.all(np.abs(gaps) <= 0.6 * play)
-    assert np.abs(gaps).max() > 0.4 * play
-    motor = np.array([plant.mj_data.joint(name).qpos[0] for name in arm.joint_names])
-    np.testing.assert_allclose(plant.q, motor + gaps)
-    np.testing.assert_array_equal(plant.read().q, plant.q)
 
 
 def test_overload_cuts_the_torque_until_reset(arm, grasp):
@@ -183,7 +152,3 @@ def test_overload_cuts_the_torque_until_reset(arm, grasp):
     assert abs(plant.torque[3]) <= 0.2 * plant.gains.torque[3] + 1e-12
     plant.reset(grasp)
     assert not plant.tripped.any()
-
-
-def _at_once():
-    return pliant.sim.Course(start=0.0, rise=0.0, end=10.0)

@@ -274,7 +274,8 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     arm = tmp_path / "arm.toml"
     # Left enabled, not lowered: an emulated arm descends as slowly as a real one, and the machine
     # may be busy.
-    life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
+    loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
+    life = f'{loop}[life]\non_exit = "leave_enabled"\n'
     arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
     flags = [
         "replay",
@@ -300,7 +301,8 @@ def test_the_command_teaches_with_a_scripted_hand(tmp_path, backend, capsys, mon
     pytest.importorskip("rustypot")
     monkeypatch.setattr("sys.stdin", io.StringIO())
     file, arm = tmp_path / "m.json", tmp_path / "arm.toml"
-    life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
+    loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
+    life = f'{loop}[life]\non_exit = "leave_enabled"\n'
     arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
     assert main(["teach", str(arm), str(file), "--backend", backend, "--hand"]) == 0
     assert "pliant replay" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""A link without a page: orders by tick, snapshots in a list."""
+"""A link without a page: messages by tick, snapshots in a list."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ pytest.importorskip("mjviser", reason="the page needs mjviser: pip install 'plia
 class Script:
     """Replaces a `Link`.
 
-    `at` maps the number of a call of `orders()` to the page's orders at that call.
+    `at` maps the number of a call of `messages()` to the page's messages at that call.
     """
 
     def __init__(self, at, every=3):
         self.at, self.every = dict(at), every
         self.calls = 0
-        self.stages, self.snapshots, self.watchers = [], [], []
+        self.infos, self.snapshots, self.watchers = [], [], []
 
-    def orders(self):
+    def messages(self):
         self.calls += 1
         got = self.at.pop(self.calls, ())
         return list(got) if isinstance(got, list | tuple) else [got]
@@ -29,7 +29,7 @@ class Script:
 
     def send(self, word):
         is_snapshot = hasattr(word, "qpos")
-        (self.snapshots if is_snapshot else self.stages).append(word)
+        (self.snapshots if is_snapshot else self.infos).append(word)
 
     @property
     def running(self):

@@ -23,7 +23,7 @@ import pytest
 import pliant
 from pliant.sim import Plant
 from pliant.sim.postures import VERTICAL
-from pliant.view.world import FOV, GIZMO, overlook
+from pliant.view.scene_view import FOV, GIZMO, overlook
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 if BROWSER is None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import pliant
-from pliant.view import orders
-from pliant.view.desk import LAWS, OWN, Desk
+from pliant.view import messages
+from pliant.view.settings_editor import LAWS, OWN, SettingsEditor
 
 TASKS = {
     "arm7": ("x y z roll pitch yaw", "xyz", "x y yaw"),
@@ -35,41 +35,43 @@ def own_files(task):
 
 def begin(robot, task, own=None):
     model = pliant.robots.load(robot)
-    desk = Desk(task, 100.0, own)
-    return desk, pliant.Controller(model, desk.effective)
+    editor = SettingsEditor(task, 100.0, own)
+    return editor, pliant.Controller(model, editor.effective)
 
 
 @pytest.mark.parametrize(("robot", "task"), CASES)
 def test_every_preset_law_and_switch_works(robot, task):
-    desk, controller = begin(robot, task)
-    for preset in desk.presets:
+    editor, controller = begin(robot, task)
+    for preset in editor.presets:
         for law in LAWS:
-            desk.take(orders.Preset(1, preset), controller)
-            desk.take(orders.Law(2, law), controller)
+            editor.apply(messages.Preset(1, preset), controller)
+            editor.apply(messages.Law(2, law), controller)
             soft = {n: a.yields for n, a in controller.axes.items()}
-            desk.take(orders.Firm(3, True), controller)
+            editor.apply(messages.Firm(3, True), controller)
             assert controller.settings.law == law
             assert {a.yields for a in controller.axes.values()} == {"none"}
-            desk.take(orders.Firm(4, False), controller)
+            editor.apply(messages.Firm(4, False), controller)
             assert {n: a.yields for n, a in controller.axes.items()} == soft
 
 
 @pytest.mark.parametrize("kind", ["soft all", "firm", "by hand", "nothing"])
 @pytest.mark.parametrize(("robot", "task"), CASES)
 def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
-    desk, controller = begin(robot, task, own_files(task)[kind])
+    editor, controller = begin(robot, task, own_files(task)[kind])
     plain = kind in {"firm", "nothing"}
-    assert desk.preset == (desk.presets[1] if plain else OWN)
+    assert editor.preset == (editor.presets[1] if plain else OWN)
     for law in LAWS:
-        desk.take(orders.Law(1, law), controller)
+        editor.apply(messages.Law(1, law), controller)
         for name in pliant.Task(axes=task).names:
             for yields in ("both", "+", "-", "none"):
-                desk.take(orders.Change(2, name, {"yields": yields, "adaptation": 0.5}), controller)
+                editor.apply(
+                    messages.Change(2, name, {"yields": yields, "adaptation": 0.5}), controller
+                )
                 assert controller.axes[name].yields == yields
-        desk.take(orders.Eta(3, 0.7), controller)
-        desk.take(orders.Firm(4, True), controller)
-        desk.take(orders.Firm(5, False), controller)
-    desk.take(orders.Preset(6, OWN), controller)
+        editor.apply(messages.Adaptation(3, 0.7), controller)
+        editor.apply(messages.Firm(4, True), controller)
+        editor.apply(messages.Firm(5, False), controller)
+    editor.apply(messages.Preset(6, OWN), controller)
 
 
 def test_file_that_names_no_soft_axis_begins_like_the_simulated_arm():
@@ -89,7 +91,7 @@ def test_file_that_names_no_soft_axis_begins_like_the_simulated_arm():
 
 def test_no_preset_goes_faster_than_the_file():
     own = pliant.Settings(task="xyz", max_tool_speed=(0.1, 0.2))
-    desk, controller = begin("so101", "xyz", own)
-    for preset in desk.presets:
-        desk.take(orders.Preset(1, preset), controller)
+    editor, controller = begin("so101", "xyz", own)
+    for preset in editor.presets:
+        editor.apply(messages.Preset(1, preset), controller)
         assert controller.settings.max_tool_speed <= (0.1, 0.2)

@@ -11,8 +11,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.http11 import Request, Response
 from websockets.sync.client import connect
 
-from pliant.view.gate import Gate, is_loopback
-from pliant.view.link import Link
+from pliant.view.auth import TokenAuth, is_loopback
+from pliant.view.ipc import Link
 
 HOST = "127.0.0.1:8080"
 OWN = f"http://{HOST}"
@@ -22,7 +22,7 @@ def ask(gate, path="/", *more, **headers):
     sent = Headers({"Host": HOST})
     for name, value in (*headers.items(), *more):
         sent[name.replace("_", "-")] = value
-    return gate.judge(Request(path, sent))
+    return gate.respond(Request(path, sent))
 
 
 def open_socket(gate, path, *more, **headers):
@@ -35,7 +35,7 @@ def refused(answer):
 
 @pytest.fixture
 def gate():
-    return Gate()
+    return TokenAuth()
 
 
 def test_socket_with_the_token_and_its_own_origin_gets_in(gate):
@@ -104,7 +104,7 @@ def test_bytes_that_are_no_request_are_not_an_error_on_the_terminal(capfd):
 
 
 def test_tokens_are_long_and_differ():
-    tokens = {Gate().token for _ in range(20)}
+    tokens = {TokenAuth().token for _ in range(20)}
     assert len(tokens) == 20
     assert min(map(len, tokens)) >= 32
 

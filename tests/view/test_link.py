@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from pliant import PliantError
-from pliant.view import orders
-from pliant.view.link import Ear, Link, PageGone
-from pliant.view.orders import Scene
+from pliant.view import messages
+from pliant.view.ipc import Link, PageEndpoint, PageGone
+from pliant.view.messages import Scene
 from pliant.view.session import Session
 from pliant.view.source import Simulated
 
@@ -70,9 +70,9 @@ class Quick:
     def took(self):
         return max(time.perf_counter() - self.begun, 1.0)
 
-    def orders(self):
+    def messages(self):
         self.calls += 1
-        self.link.orders()
+        self.link.messages()
         return [Scene("free")] if self.calls == 400 else []
 
     def due(self):
@@ -84,7 +84,7 @@ class Quick:
 
 
 def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
-    # A descending arm takes no orders, but stays visible.
+    # A descending arm takes no messages, but stays visible.
     for _ in range(3):
         until = time.perf_counter() + 20.0
         while not link.due():
@@ -96,60 +96,60 @@ def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
 def flooded():
     """Return a page's end in this process that requests far more than a tick may take."""
     ours, theirs = socket.socketpair()
-    ear = Ear(theirs.detach())
+    endpoint = PageEndpoint(theirs.detach())
     for number in range(20_000):
-        ear.ask(orders.Change(number, f"axis {number}", {"hold": 1.0}))
-        ear.ask(orders.Push((1.0, 0.0, 0.0)))
-    ear.ask(orders.Stop())
+        endpoint.queue(messages.Change(number, f"axis {number}", {"hold": 1.0}))
+        endpoint.queue(messages.Push((1.0, 0.0, 0.0)))
+    endpoint.queue(messages.Stop())
     made = Link.__new__(Link)
-    made._pipe, made._waiting = Connection(ours.detach()), orders.Queue()
+    made._pipe, made._waiting = Connection(ours.detach()), messages.Queue()
     made._free, made._due, made._edit_due = True, 0.0, 0.0
-    return made, ear
+    return made, endpoint
 
 
 def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
     link, _ = flooded()
     heard, calls = [], 0
     until = time.perf_counter() + 20.0
-    while orders.Stop() not in heard:
+    while messages.Stop() not in heard:
         assert time.perf_counter() < until
-        took = link.orders()
-        assert len(took) <= orders.PER_TICK
+        took = link.messages()
+        assert len(took) <= messages.PER_TICK
         heard += took
         calls += bool(took)
         time.sleep(0.001)
     assert calls <= 4
-    assert len(link._waiting) <= orders.MOST
+    assert len(link._waiting) <= messages.MAX_QUEUED
 
 
 def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
-    monkeypatch.setattr("pliant.view.link.EDITS", 1e9)
+    monkeypatch.setattr("pliant.view.ipc.EDITS", 1e9)
     link, _ = flooded()
     until, heard = time.perf_counter() + 20.0, []
-    while orders.Stop() not in heard:
+    while messages.Stop() not in heard:
         assert time.perf_counter() < until
-        heard += link.orders()
+        heard += link.messages()
     for _ in range(100):
-        heard += link.orders()
-    assert sum(isinstance(order, orders.Edit) for order in heard) == 1
+        heard += link.messages()
+    assert sum(isinstance(message, messages.Edit) for message in heard) == 1
 
 
 def test_page_that_floods_still_takes_snapshots():
-    link, ear = flooded()
+    link, endpoint = flooded()
     until = time.perf_counter() + 20.0
     for number in range(3):
         while not link.due():
             assert time.perf_counter() < until
             time.sleep(0.005)
         link.send(np.full(3, number))
-        np.testing.assert_array_equal(ear.listen(), np.full(3, number))
+        np.testing.assert_array_equal(endpoint.receive(), np.full(3, number))
 
 
 def test_death_of_the_page_is_noticed(link):
     os.kill(link._process.pid, signal.SIGKILL)
     link._process.wait(20.0)
     with pytest.raises(PageGone, match="has ended"):
-        link.orders()
+        link.messages()
     assert not link.due()
     with pytest.raises(PageGone):
         link.send(np.zeros(3))
@@ -167,6 +167,6 @@ def test_large_word_does_not_stop_a_loop_whose_page_hangs(link):
         link.send(np.zeros(10))
         assert first
         assert not link.due()
-        link.orders()
+        link.messages()
     finally:
         os.kill(link._process.pid, signal.SIGCONT)

@@ -10,7 +10,7 @@ import pytest
 
 import pliant
 from pliant import ConfigError
-from pliant.view import checks, orders
+from pliant.view import messages
 
 MODEL = pliant.robots.so101()
 
@@ -22,87 +22,87 @@ def pose(*place):
 
 
 def flood(seed, count=2000):
-    """Return orders of every kind in random order, as from several flooding tabs."""
+    """Return messages of every kind in random message, as from several flooding tabs."""
     draw = random.Random(seed)
     makers = (
-        lambda i: orders.Target(pose(0.2, 0.0, 1e-4 * i)),
-        lambda i: orders.Push((float(i), 0.0, 0.0)),
-        lambda i: orders.Grab(2, (0.0, 0.0, 0.0), (float(i), 0.0, 0.0)),
-        lambda i: orders.Grab(2, None, (float(i), 0.0, 0.0)),
-        lambda i: orders.LetGo(),
-        lambda i: orders.Preset(i, "firm"),
-        lambda i: orders.Law(i, draw.choice(("cap", "paper"))),
-        lambda i: orders.Change(i, draw.choice("xyz"), {draw.choice(("soft", "hold")): i}),
-        lambda i: orders.Change(i, f"axis {i}", {"hold": i}),
-        lambda i: orders.Eta(i, 0.5),
-        lambda i: orders.Firm(i, True),
-        lambda i: orders.Home(),
-        lambda i: orders.Play(),
-        lambda i: orders.Start(),
+        lambda i: messages.Target(pose(0.2, 0.0, 1e-4 * i)),
+        lambda i: messages.Push((float(i), 0.0, 0.0)),
+        lambda i: messages.Grab(2, (0.0, 0.0, 0.0), (float(i), 0.0, 0.0)),
+        lambda i: messages.Grab(2, None, (float(i), 0.0, 0.0)),
+        lambda i: messages.LetGo(),
+        lambda i: messages.Preset(i, "firm"),
+        lambda i: messages.Law(i, draw.choice(("cap", "paper"))),
+        lambda i: messages.Change(i, draw.choice("xyz"), {draw.choice(("soft", "hold")): i}),
+        lambda i: messages.Change(i, f"axis {i}", {"hold": i}),
+        lambda i: messages.Adaptation(i, 0.5),
+        lambda i: messages.Firm(i, True),
+        lambda i: messages.Home(),
+        lambda i: messages.Play(),
+        lambda i: messages.Start(),
     )
     return [draw.choice(makers)(i) for i in range(count)]
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_flood_is_bounded_and_the_stop_comes_first(seed):
-    queue = orders.Queue()
+    queue = messages.Queue()
     sent = flood(seed)
-    for number, order in enumerate(sent):
-        queue.put(order)
-        assert len(queue) <= orders.MOST
+    for number, message in enumerate(sent):
+        queue.put(message)
+        assert len(queue) <= messages.MAX_QUEUED
         if number == len(sent) // 2:
-            queue.put(orders.Stop())
+            queue.put(messages.Stop())
     first = queue.take()
-    assert first[0] == orders.Stop()
+    assert first[0] == messages.Stop()
     rounds = [first]
     while len(queue):
         rounds.append(queue.take())
         assert rounds[-1]
-    assert all(len(taken) <= orders.PER_TICK for taken in rounds)
-    assert all(sum(isinstance(o, orders.Edit) for o in taken) <= 1 for taken in rounds)
+    assert all(len(taken) <= messages.PER_TICK for taken in rounds)
+    assert all(sum(isinstance(o, messages.Edit) for o in taken) <= 1 for taken in rounds)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_last_edit_and_last_target_are_never_lost(seed):
-    queue = orders.Queue()
+    queue = messages.Queue()
     sent = flood(seed)
-    for order in sent:
-        queue.put(order)
+    for message in sent:
+        queue.put(message)
     taken = []
     while len(queue):
         taken += queue.take()
-    for kind in (orders.Edit, (orders.Target, orders.Home), orders.Play):
+    for kind in (messages.Edit, (messages.Target, messages.Home), messages.Play):
         assert [o for o in taken if isinstance(o, kind)][-1] is [
             o for o in sent if isinstance(o, kind)
         ][-1]
 
 
 def test_edits_wait_while_they_may_not_be_taken():
-    queue = orders.Queue()
-    for order in (orders.Eta(1, 0.5), orders.Home(), orders.Firm(2, True)):
-        queue.put(order)
-    assert queue.take(edit=False) == [orders.Home()]
-    assert queue.take() == [orders.Eta(1, 0.5)]
-    assert queue.take() == [orders.Firm(2, True)]
+    queue = messages.Queue()
+    for message in (messages.Adaptation(1, 0.5), messages.Home(), messages.Firm(2, True)):
+        queue.put(message)
+    assert queue.take(edit=False) == [messages.Home()]
+    assert queue.take() == [messages.Adaptation(1, 0.5)]
+    assert queue.take() == [messages.Firm(2, True)]
 
 
 def test_later_edits_replace_earlier_ones_without_changing_what_they_mean():
-    soft = orders.Change(1, "y", {"soft": (1.0, 1.0)})
-    eta = orders.Change(2, "y", {"yields": "both", "adaptation": 0.5})
-    law, preset = orders.Law(3, "paper"), orders.Preset(4, "firm")
+    soft = messages.Change(1, "y", {"soft": (1.0, 1.0)})
+    eta = messages.Change(2, "y", {"yields": "both", "adaptation": 0.5})
+    law, preset = messages.Law(3, "paper"), messages.Preset(4, "firm")
     cases = (
         ([soft, eta], [soft, eta]),
-        ([soft, orders.Change(5, "y", {"soft": (2.0, 2.0)})], None),
+        ([soft, messages.Change(5, "y", {"soft": (2.0, 2.0)})], None),
         ([soft, eta, law], [eta, law]),
         ([law, soft], [law, soft]),
         ([soft, eta, law, preset], [preset]),
         ([preset, soft], [preset, soft]),
-        ([orders.Grab(2, (0, 0, 0), (1, 0, 0)), orders.Grab(2, None, (2, 0, 0))], ...),
+        ([messages.Grab(2, (0, 0, 0), (1, 0, 0)), messages.Grab(2, None, (2, 0, 0))], ...),
     )
     for put, left in cases:
-        queue = orders.Queue()
-        for order in put:
-            queue.put(order)
+        queue = messages.Queue()
+        for message in put:
+            queue.put(message)
         taken = []
         while len(queue):
             taken += queue.take()
@@ -118,7 +118,7 @@ def test_target_out_of_reach_is_refused(axis, far):
     place = [0.2, 0.0, 0.1]
     place[axis] = far
     with pytest.raises(ConfigError, match=r"the arm reaches 0\.\d+ m|not finite|e\+300 m"):
-        checks.target(orders.Target(pose(*place)), MODEL)
+        messages.check_target(messages.Target(pose(*place)), MODEL)
 
 
 @pytest.mark.parametrize(
@@ -127,26 +127,26 @@ def test_target_out_of_reach_is_refused(axis, far):
 )
 def test_target_that_is_no_pose_is_refused(wrong):
     with pytest.raises(ConfigError, match="target"):
-        checks.target(orders.Target(wrong), MODEL)
+        messages.check_target(messages.Target(wrong), MODEL)
 
 
 def test_target_in_reach_is_taken():
     np.testing.assert_array_equal(
-        checks.target(orders.Target(pose(0.2, 0.1, 0.1)), MODEL), pose(0.2, 0.1, 0.1)
+        messages.check_target(messages.Target(pose(0.2, 0.1, 0.1)), MODEL), pose(0.2, 0.1, 0.1)
     )
 
 
 @pytest.mark.parametrize("bad", BAD)
 def test_pushes_and_hands_are_bounded(bad):
-    strong = (0.9, 0.5)
-    for order in (
-        orders.Push((0.0, bad, 0.0)),
-        orders.Push((0.0, 0.0, 0.0), (bad, 0.0, 0.0)),
-        orders.Push((0.1, 0.0, 0.0), seconds=bad if bad != 1.0 else 0.0),
+    max_push = (0.9, 0.5)
+    for message in (
+        messages.Push((0.0, bad, 0.0)),
+        messages.Push((0.0, 0.0, 0.0), (bad, 0.0, 0.0)),
+        messages.Push((0.1, 0.0, 0.0), seconds=bad if bad != 1.0 else 0.0),
     ):
         with pytest.raises(ConfigError, match="push: "):
-            checks.push(order, strong)
+            messages.check_push(message, max_push)
     for place in ((150.0 if bad == 1.0 else bad, 0.0, 0.0), (0.0, 0.0)):
         with pytest.raises(ConfigError, match="hand: "):
-            checks.grab(orders.Grab(1, None, place))
-    checks.push(orders.Push((0.9, -0.9, 0.0), (0.5, 0.0, 0.0), 2.0), strong)
+            messages.check_grab(messages.Grab(1, None, place))
+    messages.check_push(messages.Push((0.9, -0.9, 0.0), (0.5, 0.0, 0.0), 2.0), max_push)

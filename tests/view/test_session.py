@@ -1,4 +1,4 @@
-"""The loop behind the page, without a page: orders in, snapshots out, on simulated time."""
+"""The loop behind the page, without a page: messages in, snapshots out, on simulated time."""
 
 from __future__ import annotations
 
@@ -6,38 +6,38 @@ import numpy as np
 import pytest
 
 from pliant import ConfigError, ServoError, robots
-from pliant.view import orders
-from pliant.view.link import PageGone
+from pliant.view import messages
+from pliant.view.ipc import PageGone
 from pliant.view.session import Session
 from pliant.view.source import Simulated
 
 #: An ending without a descent: a simulated arm needs none.
-END = orders.Scene("free")
+END = messages.Scene("free")
 
 
-def live(script, at, *, scene="free", robot="arm7", lives=1):
+def live(script, at, *, scene="free", robot="arm7", max_sessions=1):
     link = script(at)
     session = Session(Simulated(robot, scene, paced=False), link)
-    session.run(lives)
+    session.run(max_sessions)
     return session, link
 
 
-def deviation(snapshot, stage, axis):
-    return float(snapshot.step.deviation[stage.axes.index(axis)])
+def deviation(snapshot, info, axis):
+    return float(snapshot.step.deviation[info.axes.index(axis)])
 
 
 def test_the_stage_comes_first_and_describes_the_scene(script):
     _, link = live(script, {5: END})
-    stage = link.stages[0]
-    assert stage.arm == "arm7"
-    assert stage.scenes.keys() == {"free", "door", "drawer", "wall", "hand-over"}
-    assert stage.axes == ("x", "y", "z", "roll", "pitch", "yaw")
-    assert stage.strong == (40.0, 4.0)
-    assert link.snapshots[0].qpos.size == stage.figure.nq
+    info = link.infos[0]
+    assert info.arm == "arm7"
+    assert info.scenes.keys() == {"free", "door", "drawer", "wall", "hand-over"}
+    assert info.axes == ("x", "y", "z", "roll", "pitch", "yaw")
+    assert info.max_push == (40.0, 4.0)
+    assert link.snapshots[0].qpos.size == info.figure.nq
 
 
 def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
-    _, link = live(script, {30: orders.Stop()})
+    _, link = live(script, {30: messages.Stop()})
     assert {s.phase for s in link.snapshots} >= {"running", "lowering"}
     # Lowering sends as often as the page takes: the script's page takes all on request.
     down = [s for s in link.snapshots if s.phase == "lowering"]
@@ -56,10 +56,10 @@ def test_target_moves_the_tool(script):
             pose = session.home.copy()
             pose[:3, 3] += (0.0, 0.0, 0.05)
             moved["to"] = pose
-            return [orders.Target(pose)]
+            return [messages.Target(pose)]
         return [END] if number == 400 else []
 
-    link.orders = counted(link, heard)
+    link.messages = counted(link, heard)
     session.run(1)
     at = link.running[-1]
     assert np.linalg.norm(at.tool[:3, 3] - moved["to"][:3, 3]) < 0.004
@@ -75,22 +75,22 @@ def counted(link, heard):
 
 
 def test_push_moves_the_soft_axis_and_ends_by_itself(script):
-    push = orders.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+    push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
     _, link = live(script, {10: push, 400: END})
-    stage = link.stages[0]
+    info = link.infos[0]
     during = next(s for s in link.running if s.time > link.running[0].time + 0.9)
-    assert deviation(during, stage, "y") < -0.05
+    assert deviation(during, info, "y") < -0.05
     assert during.pull is not None
     np.testing.assert_allclose(during.pull[1], (0.0, 6.0, 0.0), atol=0.1)
     assert link.running[-1].pull is None
-    assert abs(deviation(link.running[-1], stage, "y")) < 0.02
+    assert abs(deviation(link.running[-1], info, "y")) < 0.02
 
 
 def test_firm_switch_holds_against_the_same_push_and_gives_back(script):
-    push = orders.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.5)
-    _, link = live(script, {5: orders.Firm(1, True), 20: push, 170: END})
-    stage = link.stages[0]
-    assert max(abs(deviation(s, stage, "y")) for s in link.running) < 0.02
+    push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.5)
+    _, link = live(script, {5: messages.Firm(1, True), 20: push, 170: END})
+    info = link.infos[0]
+    assert max(abs(deviation(s, info, "y")) for s in link.running) < 0.02
     last = link.running[-1]
     assert last.shown.firm
     assert last.shown.axes["y"]["yields"] == "both"
@@ -103,15 +103,15 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
 
     def heard(number):
         if number == 10:
-            body = session._body.plant.mj_model.site("tool").bodyid[0]
-            here = session._body.plant.tool[:3, 3]
+            body = session._robot.plant.mj_model.site("tool").bodyid[0]
+            here = session._robot.plant.tool[:3, 3]
             toward = here + np.array((0.0, 0.03, 0.0))
-            return [orders.Grab(int(body), tuple(here), tuple(toward))]
+            return [messages.Grab(int(body), tuple(here), tuple(toward))]
         if number == 100:
-            return [orders.LetGo()]
+            return [messages.LetGo()]
         return [END] if number == 200 else []
 
-    link.orders = counted(link, heard)
+    link.messages = counted(link, heard)
     session.run(1)
     pulled = [s for s in link.running if s.pull is not None]
     assert pulled
@@ -120,28 +120,28 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
 
 
 def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
-    grab = orders.Grab(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    door = orders.Grab(10_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    _, link = live(script, {5: [grab, door, orders.Grab(3, None, (1.0, 0, 0))], 40: END})
+    grab = messages.Grab(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    door = messages.Grab(10_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    _, link = live(script, {5: [grab, door, messages.Grab(3, None, (1.0, 0, 0))], 40: END})
     assert all(s.pull is None for s in link.running)
 
 
 @pytest.mark.parametrize(
-    ("order", "words"),
+    ("message", "words"),
     [
-        (orders.Change(1, "y", {"soft": (30.0, 30.0)}), "axes.y.soft = 30"),
-        (orders.Change(1, "y", {"soft": (float("nan"), 1.0)}), "axes.y.soft"),
-        (orders.Change(1, "w", {"soft": (1.0, 1.0)}), "no axis 'w'"),
-        (orders.Change(1, "y", {"softness": 1.0}), "softness"),
-        (orders.Eta(1, 1.5), "adaptation = 1.5"),
-        (orders.Preset(1, "softest"), "no preset 'softest'"),
-        (orders.Law(1, "gravity"), "gravity"),
+        (messages.Change(1, "y", {"soft": (30.0, 30.0)}), "axes.y.soft = 30"),
+        (messages.Change(1, "y", {"soft": (float("nan"), 1.0)}), "axes.y.soft"),
+        (messages.Change(1, "w", {"soft": (1.0, 1.0)}), "no axis 'w'"),
+        (messages.Change(1, "y", {"softness": 1.0}), "softness"),
+        (messages.Adaptation(1, 1.5), "adaptation = 1.5"),
+        (messages.Preset(1, "softest"), "no preset 'softest'"),
+        (messages.Law(1, "gravity"), "gravity"),
     ],
 )
-def test_bad_settings_are_said_and_the_old_ones_stay(script, order, words):
-    _, link = live(script, {4: order, 12: END})
+def test_bad_settings_are_said_and_the_old_ones_stay(script, message, words):
+    _, link = live(script, {4: message, 12: END})
     before, after = link.running[0], link.running[-1]
-    count, text, wrong = after.said
+    count, text, wrong = after.notice
     assert count == 1
     assert wrong
     assert words in text
@@ -165,137 +165,137 @@ def test_target_out_of_reach_is_said_and_the_old_one_stays(script, far):
 
     def heard(number):
         if number in asked:
-            return [orders.Target(moved(session.home, *asked[number]))]
+            return [messages.Target(moved(session.home, *asked[number]))]
         return [END] if number == 120 else []
 
-    link.orders = counted(link, heard)
+    link.messages = counted(link, heard)
     session.run(1)
-    told = [s for s in link.running if s.said[1]]
+    told = [s for s in link.running if s.notice[1]]
     assert told
-    assert "target" in told[0].said[1]
-    assert told[0].said[2]
+    assert "target" in told[0].notice[1]
+    assert told[0].notice[2]
     for snapshot in told:
         np.testing.assert_allclose(snapshot.step.target, moved(session.home, *near))
     # A valid target removes the message.
-    assert link.running[-1].said[1:] == ("", False)
+    assert link.running[-1].notice[1:] == ("", False)
 
 
 def test_target_that_only_the_core_refuses_does_not_end_the_life(script, monkeypatch):
     link = script({})
     session = Session(Simulated("so101", paced=False), link)
-    monkeypatch.setattr("pliant.view.checks.target", lambda order, _: order.pose)
+    monkeypatch.setattr("pliant.view.messages.check_target", lambda message, _: message.pose)
 
     def heard(number):
         if number == 20:
-            return [orders.Target(moved(session.home, 150.0, 0.0, 0.0))]
+            return [messages.Target(moved(session.home, 150.0, 0.0, 0.0))]
         return [END] if number == 60 else []
 
-    link.orders = counted(link, heard)
+    link.messages = counted(link, heard)
     session.run(1)
-    assert "target" in link.running[-1].said[1]
+    assert "target" in link.running[-1].notice[1]
     np.testing.assert_array_equal(link.running[-1].step.target, session.home)
 
 
 def test_message_of_a_rejected_setting_ends_with_a_valid_one(script):
-    bad, good = orders.Eta(1, 1.5), orders.Eta(2, 0.5)
+    bad, good = messages.Adaptation(1, 1.5), messages.Adaptation(2, 0.5)
     _, link = live(script, {4: bad, 16: good, 30: END})
-    assert any("adaptation = 1.5" in s.said[1] for s in link.running)
-    assert link.running[-1].said[1:] == ("", False)
+    assert any("adaptation = 1.5" in s.notice[1] for s in link.running)
+    assert link.running[-1].notice[1:] == ("", False)
 
 
 def test_message_of_a_rejected_setting_expires(script, monkeypatch):
-    monkeypatch.setattr("pliant.view.look.REFUSED", 0.0)
-    _, link = live(script, {4: orders.Eta(1, 1.5), 16: END})
-    assert link.running[-1].said == (2, "", False)
+    monkeypatch.setattr("pliant.view.publisher.REFUSED", 0.0)
+    _, link = live(script, {4: messages.Adaptation(1, 1.5), 16: END})
+    assert link.running[-1].notice == (2, "", False)
 
 
 def test_stop_is_not_undone_by_what_comes_with_it(script):
-    together = [orders.Stop(), orders.Scene("door"), orders.Start(), orders.Play()]
+    together = [messages.Stop(), messages.Scene("door"), messages.Start(), messages.Play()]
     _, link = live(script, {21: together})
-    assert len(link.stages) == 1
+    assert len(link.infos) == 1
     assert link.snapshots[-1].phase == "lowering"
 
 
 def test_torque_on_while_it_is_on_changes_nothing(script):
-    _, link = live(script, {10: orders.Start(), 40: END})
+    _, link = live(script, {10: messages.Start(), 40: END})
     assert link.calls == 40
 
 
 def test_all_firm_and_laws_on_a_small_arm(script):
     asked = {
-        5: orders.Firm(1, True),
-        15: orders.Firm(2, False),
-        20: orders.Law(3, "impedance"),
-        30: orders.Law(4, "paper"),
+        5: messages.Firm(1, True),
+        15: messages.Firm(2, False),
+        20: messages.Law(3, "impedance"),
+        30: messages.Law(4, "paper"),
         40: END,
     }
     _, link = live(script, asked, robot="koch")
-    assert {s.said[1] for s in link.running} == {""}
+    assert {s.notice[1] for s in link.running} == {""}
     assert {s.shown.law for s in link.running} == {"cap", "impedance", "paper"}
     assert {s.shown.firm for s in link.running} == {True, False}
 
 
 @pytest.mark.parametrize("law", ["impedance", "paper", "cap"])
 def test_laws_change_while_it_runs(script, law):
-    _, link = live(script, {4: orders.Law(1, law), 60: END})
+    _, link = live(script, {4: messages.Law(1, law), 60: END})
     last = link.running[-1]
-    assert last.said[1] == ""
+    assert last.notice[1] == ""
     assert last.shown.law == law
     assert last.shown.axes["y"]["yields"] == "both"
 
 
 def test_every_preset_can_be_chosen(script):
     first, link = live(script, {4: END})
-    names = link.stages[0].presets
-    asked = {10 + 6 * i: orders.Preset(i + 1, name) for i, name in enumerate(names)}
+    names = link.infos[0].presets
+    asked = {10 + 6 * i: messages.Preset(i + 1, name) for i, name in enumerate(names)}
     _, link = live(script, {**asked, 10 + 6 * len(names): END})
-    assert [s.said[1] for s in link.running if s.said[1]] == []
+    assert [s.notice[1] for s in link.running if s.notice[1]] == []
     assert {s.shown.preset for s in link.running} >= set(names)
-    assert first.desk.presets == names
+    assert first.editor.presets == names
 
 
 def test_scene_changes_without_lowering_and_takes_its_preset(script):
-    link = script({10: orders.Scene("door"), 40: orders.Scene("nowhere"), 60: END})
+    link = script({10: messages.Scene("door"), 40: messages.Scene("nowhere"), 60: END})
     session = Session(Simulated("arm7", paced=False), link)
     session.run(2)
-    assert [stage.scene for stage in link.stages] == ["free", "door"]
+    assert [info.scene for info in link.infos] == ["free", "door"]
     assert link.running[-1].shown.preset == "door"
-    assert link.stages[1].play
+    assert link.infos[1].play
 
 
 def test_torque_on_again_keeps_the_settings(script):
-    change = orders.Change(1, "y", {"soft": (2.0, 3.0)})
-    link = script({5: change, 20: orders.Stop(), 30: orders.Start(), 60: END})
+    change = messages.Change(1, "y", {"soft": (2.0, 3.0)})
+    link = script({5: change, 20: messages.Stop(), 30: messages.Start(), 60: END})
     Session(Simulated("arm7", paced=False), link).run(2)
-    assert len(link.stages) == 2
+    assert len(link.infos) == 2
     assert link.running[-1].shown.axes["y"]["soft"] == (2.0, 3.0)
     assert any(s.phase == "down" for s in link.snapshots)
 
 
 def test_door_opens_when_played(script):
-    session, link = live(script, {10: orders.Play(), 520: END}, scene="door")
-    assert np.rad2deg(session._body.plant.fixtures[0].widest) > 45.0
+    session, link = live(script, {10: messages.Play(), 520: END}, scene="door")
+    assert np.rad2deg(session._robot.plant.fixtures[0].widest) > 45.0
     assert link.running[-1].step is not None
 
 
 def test_person_takes_the_object_when_asked(script):
-    session, _ = live(script, {10: orders.Play(), 300: END}, scene="hand-over")
-    thing = session._body.plant.fixtures[0]
+    session, _ = live(script, {10: messages.Play(), 300: END}, scene="hand-over")
+    thing = session._robot.plant.fixtures[0]
     assert thing.released is not None
 
 
 def test_wall_meets_little_more_than_the_cap(script):
-    session, link = live(script, {10: orders.Play(), 330: END}, scene="wall")
-    assert len(link.stages[0].walls) == 1
-    wall = session._body.plant.hands[0]
+    session, link = live(script, {10: messages.Play(), 330: END}, scene="wall")
+    assert len(link.infos[0].walls) == 1
+    wall = session._robot.plant.hands[0]
     assert 4.0 < wall.peak_force < 20.0
 
 
 def test_other_arms_have_scenes_of_their_own(script):
     _, link = live(script, {30: END}, robot="so101")
-    assert link.stages[0].axes == ("x", "y", "z")
-    assert "door" not in link.stages[0].presets
-    assert link.running[-1].said == (0, "", False)
+    assert link.infos[0].axes == ("x", "y", "z")
+    assert "door" not in link.infos[0].presets
+    assert link.running[-1].notice == (0, "", False)
     with pytest.raises(ConfigError, match="so101 has no scene 'door'; it has free, wall"):
         Simulated("so101", "door")
 
@@ -308,18 +308,18 @@ def test_arm_is_lowered_when_the_page_is_gone(script):
             raise PageGone("the page's process has ended")
         return []
 
-    link.orders = counted(link, gone)
+    link.messages = counted(link, gone)
     session = Session(Simulated("arm7", paced=False), link)
     with pytest.raises(PageGone):
         session.run(1)
     assert not session._arm.enabled
-    assert session._body.plant.tool[2, 3] < session.home[2, 3] - 0.2
+    assert session._robot.plant.tool[2, 3] < session.home[2, 3] - 0.2
 
 
 def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
-    link = script({40: orders.Start(), 70: END})
+    link = script({40: messages.Start(), 70: END})
     session = Session(Simulated("arm7", paced=False), link)
-    inner = link.orders
+    inner = link.messages
     broken = []
 
     def trip():
@@ -329,18 +329,18 @@ def test_trouble_on_the_bus_is_said_and_torque_can_come_back(script):
             raise ServoError("shoulder: it is too hot")
         return got
 
-    link.orders = trip
+    link.messages = trip
     session.run(2)
-    said = [s for s in link.snapshots if s.said[1] == "shoulder: it is too hot"]
-    assert said
-    assert said[-1].phase == "down"
-    assert link.running[-1].said[1] == ""
-    assert said[0].said[2]
-    assert len(link.stages) == 2
+    notice = [s for s in link.snapshots if s.notice[1] == "shoulder: it is too hot"]
+    assert notice
+    assert notice[-1].phase == "down"
+    assert link.running[-1].notice[1] == ""
+    assert notice[0].notice[2]
+    assert len(link.infos) == 2
 
 
 def test_page_that_goes_during_the_descent_does_not_stop_it(script):
-    link = script({20: orders.Stop()})
+    link = script({20: messages.Stop()})
     session = Session(Simulated("arm7", paced=False), link)
     inner = link.send
 
@@ -352,7 +352,7 @@ def test_page_that_goes_during_the_descent_does_not_stop_it(script):
     link.send = send
     session.run(1)
     assert not session._arm.enabled
-    assert session._body.plant.tool[2, 3] < session.home[2, 3] - 0.2
+    assert session._robot.plant.tool[2, 3] < session.home[2, 3] - 0.2
 
 
 @pytest.mark.parametrize("robot", robots.names())

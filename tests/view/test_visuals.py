@@ -10,8 +10,8 @@ import trimesh
 
 import pliant
 from pliant.sim import Plant
-from pliant.view.visuals import find, visuals
-from pliant.view.world import _height, _shapes
+from pliant.view.robot_view import find, visuals
+from pliant.view.scene_view import _height, _shapes
 
 URDF = """<robot name="own">
   <material name="blue"><color rgba="0 0 1 1"/></material>

@@ -120,17 +120,10 @@ def check_rest(model: Model, points: ArmPoints, rest: Array, table: float | None
 def path_obstacle(
     model: Model, points: ArmPoints, q: Array, rest: Array, table: float | None
 ) -> str | None:
-    """Return why the straight joint-space path from q to the rest pose is blocked, or None.
+    """Return why the straight path from q to the rest pose (n,) [rad] is blocked, or None.
 
     Both ends are inside the joint limits, so every pose between them is too. A point that starts
     inside the table may stay at that depth.
-
-    Args:
-        model: The arm.
-        points: Its points.
-        q: Present joint positions (n,) [rad].
-        rest: The rest pose (n,) [rad].
-        table: Height of the table in base axes [m]; None: no table.
     """
     if table is None:
         return None

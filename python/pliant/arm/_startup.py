@@ -68,10 +68,6 @@ def check_within_limits(io: ArmIO, on: Mask) -> None:
     A reading far outside the limits means a wrong zero, so gravity torques and paths would be wrong
     too.
 
-    Args:
-        io: The arm; all joints have answered.
-        on: Mask of the chain's joints whose torque is on already (n,).
-
     Raises:
         ServoError: Joints read outside their limits; the message names each, with the remedy.
     """
@@ -93,10 +89,7 @@ def initial_commands(io: ArmIO, on: Mask) -> tuple[Array, Array, Mask]:
 
     Joints without torque start at their present positions. Joints with torque keep the goals and
     limits stored in their servos, which hold them. If these are unknown, the limit is the weight.
-
-    Args:
-        io: The arm; all joints have answered.
-        on: Mask of the chain's joints whose torque is on already (n,).
+    `on` (n,) marks joints whose torque is on already.
     """
     servos, q, weight = io.servos, io.q, io.gravity()
     kp, usable = np.asarray(servos.kp), np.asarray(servos.max_torque)

@@ -28,10 +28,8 @@ ArmName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ARM")]
 #: A motion of `pliant teach`, or a log.
 MotionFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION")]
 LogFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-#: Optional file.
+#: Optional file, to read or to write.
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-#: Output file.
-Output = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 #: Port of this machine for the page.
 HttpPort = Annotated[int, tyro.conf.arg(metavar="PORT")]
 #: Present id and new id.
@@ -53,7 +51,7 @@ Frame = Annotated[str | None, tyro.conf.arg(metavar="FRAME")]
 
 @dataclass(frozen=True)
 class FileFlags:
-    """What a command takes in place of the files that a configuration names.
+    """Flags that replace files named by a configuration.
 
     Attributes:
         urdf: URDF in place of the file's, which must not be written for a built-in model.
@@ -82,7 +80,7 @@ class FileFlags:
 
 @dataclass(frozen=True)
 class BusFlags(FileFlags):
-    """What a command that talks to servos takes in place of what a configuration says.
+    """Flags of commands that talk to servos.
 
     Attributes:
         port: Serial port. In place of the file's.
@@ -93,7 +91,7 @@ class BusFlags(FileFlags):
 
 @dataclass(frozen=True)
 class ConfigFlags(BusFlags):
-    """What a command that may run without servos takes in place of what a configuration says.
+    """Flags of commands that can run without servos.
 
     Attributes:
         backend: bus, emulator or sim in place of the file's.
@@ -102,13 +100,18 @@ class ConfigFlags(BusFlags):
     backend: Backend = None
 
 
-def check_soft(axes: str, task: Task, remedy: str) -> None:
-    """Check that the task has the axes.
+def check_duration(seconds: float | None) -> None:
+    """Check `--duration`.
 
-    Args:
-        axes: Their names, as `pliant.Task` takes them.
-        task: The task.
-        remedy: How to get another task, for the error message.
+    Raises:
+        ConfigError: It is not above 0 s.
+    """
+    if seconds is not None and not seconds > 0.0:
+        raise ConfigError(f"--duration must be above 0 s, got {seconds:g}")
+
+
+def check_soft(axes: str, task: Task, remedy: str) -> None:
+    """Check that the task has the axes; `remedy` says in the error how to get another task.
 
     Raises:
         ConfigError: A word is no axis, or no axis of the task.
@@ -203,7 +206,7 @@ def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> No
         ImportError: The extra log is not installed.
     """
     if path is not None:
-        import pliant.log  # noqa: F401 -- what it needs is there
+        import pliant.log  # noqa: F401 - fails here if the extra is not installed
 
         check_written(path, "log", inputs)
         if path.suffix != ".mcap":

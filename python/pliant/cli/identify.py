@@ -46,7 +46,7 @@ def run(
         procedure: servos, gravity or payload.
         span: Distance of the poses from the present one, per joint [rad]. Default: 0.1 for servos,
             0.3 for payload.
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     options: dict[str, Any] = {} if span is None else {"span": span}
     if procedure == "gravity" and options:

@@ -59,7 +59,7 @@ def run(
         stop: Force [N] that stops the arm; Enter goes on. Nothing: never.
         times: How often.
         log: MCAP file to write (extra log).
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     read = override.load(arm)
     check_log(log, [*override.inputs(arm, read), motion])

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from pliant._core import Command, ConfigError, Controller, Model
+from pliant._core import Command, Controller, Model
 from pliant._validation import AXES
 from pliant.cli._console import print_line
 from pliant.cli._flags import (
@@ -21,6 +21,7 @@ from pliant.cli._flags import (
     File,
     Seconds,
     apply_soft,
+    check_duration,
     check_log,
     recorder_of,
 )
@@ -64,15 +65,14 @@ def run(
             [m] or {"q": [0, 0.1, ...]} [rad], played at the loop's rate; - for standard input;
             udp:PORT for datagrams on this machine. Nothing: the arm holds.
         duration: Ends by itself after this time [s].
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
         log: MCAP file to write (extra log).
         quiet: No table.
     """
     read = override.load(arm)
     check_log(log, [*override.inputs(arm, read), targets])
     settings = read.settings()
-    if duration is not None and not duration > 0.0:
-        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
+    check_duration(duration)
     model = read.model()
     settings = apply_soft(settings, soft, model, holds=False)
     connected = connect(read)

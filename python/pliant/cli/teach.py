@@ -11,7 +11,14 @@ from rich.console import Console
 from pliant import teach
 from pliant._core import ConfigError
 from pliant.cli._console import EnterKey, print_line
-from pliant.cli._flags import ArmName, ConfigFlags, Duration, MotionFile, check_written
+from pliant.cli._flags import (
+    ArmName,
+    ConfigFlags,
+    Duration,
+    MotionFile,
+    check_duration,
+    check_written,
+)
 from pliant.config import connect
 from pliant.teach._retiming import import_ruckig
 from pliant.teach._scripted_hand import prepare
@@ -50,14 +57,13 @@ def run(
         bounds: Speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] that no joint of the motion
             may exceed (needs ruckig). Nothing: smoothed only.
         note: A line of your own.
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     from dataclasses import replace
 
     if motion.suffix != ".json":
         raise ConfigError(f"a motion file ends with .json, got {motion}")
-    if not duration > 0.0:
-        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
+    check_duration(duration)
     if bounds is not None:
         import_ruckig(bounds)
     read = override.load(arm)

@@ -48,15 +48,15 @@ def run(
         http_port: Port of the page; the next free one is taken.
         browser: Open the page in the browser.
         log: MCAP file to write (extra log).
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     if not 1 <= http_port <= HIGHEST:
         raise ConfigError(f"--http-port is a port from 1 to {HIGHEST}, got {http_port}")
     is_simulated = not arm or scene is not None
     check_log(log, [] if is_simulated else override.inputs(arm, override.load(arm)))
     _needs()
-    from pliant.view.gate import is_loopback
-    from pliant.view.link import Link
+    from pliant.view.auth import is_loopback
+    from pliant.view.ipc import Link
     from pliant.view.session import Session
 
     source = (

@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 def explain(error: ValidationError, schema: type[BaseModel]) -> list[str]:
-    """Return all validation errors, one sentence each.
-
-    Args:
-        error: Error of pydantic.
-        schema: Model of the table.
-    """
+    """Return all validation errors, one sentence each."""
     return list(dict.fromkeys(_sentence(detail, schema) for detail in error.errors()))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pliant._core import (
     Axis,
@@ -20,13 +20,15 @@ from pliant.config._messages import suggest
 from pliant.functional import PaperOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
+
+T = TypeVar("T")
 
 #: Presets; `soft` also needs axes.
 PRESETS = ("paper", "firm", "door", "drawer", "hand_guiding", "hand_over", "plug", "soft", "wipe")
 #: Groups of settings, each a table of its own.
-GROUPS = {
+GROUPS: dict[str, Callable[..., Any]] = {
     "tracking": Tracking,
     "null_space": NullSpace,
     "compensation": Compensation,
@@ -123,20 +125,9 @@ def _axis(key: str, value: Any, wrong: list[str]) -> Axis | None:
     if not isinstance(value, dict):
         wrong.append(f"axes.{key} is a table such as {{ soft = 4.0 }}, got {value!r}")
         return None
-    left: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
-    good = True
-    while True:
-        try:
-            axis = Axis(**left)
-        except (PliantError, TypeError) as error:
-            # `Axis` does not know its name.
-            message = str(error).removeprefix("Axis.")
-            wrong.append(f"axes.{key}: {message}")
-            good = False
-            if not _leave_out(left, message):
-                return None
-        else:
-            return axis if good else None
+    left = {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
+    # `Axis` does not know its name.
+    return _build(Axis, left, "Axis.", f"axes.{key}: ", wrong)
 
 
 def _group(name: str, table: Any, wrong: list[str]) -> Any:
@@ -144,18 +135,33 @@ def _group(name: str, table: Any, wrong: list[str]) -> Any:
     if not isinstance(table, dict):
         wrong.append(f"{name} is a table such as [settings.{name}], got {table!r}")
         return None
-    left, good = dict(table), True
+    return _build(GROUPS[name], dict(table), f"{name}.", f"{name}.", wrong)
+
+
+def _build(
+    make: Callable[..., T], left: dict[str, Any], own: str, place: str, wrong: list[str]
+) -> T | None:
+    """Make an object from its fields; None if one is wrong.
+
+    Args:
+        make: The constructor.
+        left: The fields.
+        own: Beginning of the constructor's messages, replaced by `place`.
+        place: Place in the file.
+        wrong: Gets all errors.
+    """
+    good = True
     while True:
         try:
-            group = GROUPS[name](**left)
+            made = make(**left)
         except (PliantError, TypeError) as error:
-            message = str(error).removeprefix(f"{name}.")
-            wrong.append(f"{name}.{message}")
+            message = str(error).removeprefix(own)
+            wrong.append(f"{place}{message}")
             good = False
             if not _leave_out(left, message):
                 return None
         else:
-            return group if good else None
+            return made if good else None
 
 
 def _leave_out(left: dict[str, Any], message: str) -> bool:

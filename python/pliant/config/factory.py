@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pliant.drive import Drive
     from pliant.emulator import Mount
     from pliant.emulator.arm import ArmEmulator
-    from pliant.servo.calibration import Calibration
+    from pliant.servo.spec import Calibration
     from pliant.sim import Fixture, Friction, Hand, Overload, Plant, Tabletop
 
 
@@ -63,7 +63,6 @@ class ConnectOptions(ArmOptions, total=False):
     flicker: int
     noise: ArrayLike
     deadband: ArrayLike
-    backlash: ArrayLike
     read_loss: float
     write_loss: float
     silent: tuple[float, float] | None
@@ -71,8 +70,6 @@ class ConnectOptions(ArmOptions, total=False):
     friction_scale: ArrayLike
     damping_scale: ArrayLike
     payload: tuple[float, Sequence[float]] | None
-    speed_limit: ArrayLike | None
-    limit_type: Literal["current", "pwm"] | None
     overload: Overload | None
     friction: Literal["coulomb"] | Friction
     creep: float
@@ -267,15 +264,7 @@ def make_drive(
     real_time: bool = False,
     **plant: Any,
 ) -> Drive:
-    """Create the drive: the bus, its emulation, or the simulator alone.
-
-    Args:
-        config: The configuration.
-        model: Its model.
-        q: Initial joint positions of a simulated or emulated arm (n,) [rad].
-        real_time: Whether simulated time runs in real time.
-        **plant: Options of `pliant.sim.Plant`, which override the file.
-    """
+    """Create the drive: the bus, its emulation, or the simulator alone."""
     if config.backend == "sim":
         return make_simulated(config, model, q=q, real_time=real_time, **plant)
     if config.backend == "emulator":
@@ -331,11 +320,19 @@ def check_above_table(plant: Plant) -> None:
 
 def make_bus(config: Config, ports: dict[str, str]) -> ServoBus:
     """Create the servo bus; `ports` maps port names of the file to paths."""
-    bauds = {ports[port.name]: port.baud for port in config.port}
-    loop = config.loop
-    return ServoBus(
-        servo_specs(config, ports), baudrate=bauds, rate=loop.rate, patience=loop.patience
-    )
+    return ServoBus(**_bus_options(config, ports))
+
+
+def _bus_options(
+    config: Config, ports: dict[str, str], reply_timeout_min: float = 0.0
+) -> dict[str, Any]:
+    """Return the arguments of the bus; the file's reply timeout counts from a minimum [s] on."""
+    return {
+        "specs": servo_specs(config, ports),
+        "baudrate": {ports[port.name]: port.baud for port in config.port},
+        "rate": config.loop.rate,
+        "reply_timeout_min": max(reply_timeout_min, config.loop.reply_timeout_min),
+    }
 
 
 def servo_specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
@@ -400,7 +397,7 @@ def start_pose(config: Config, model: Model) -> Any:
 
 
 #: Minimum reply timeout [s]: the emulator runs on the same machine as the program.
-PATIENCE = 0.05
+REPLY_TIMEOUT_MIN = 0.05
 #: Emulator names of calibration registers, if they differ from pliant's; second: Protocol 1.0.
 REGISTERS = {"position_min": "min_position_limit", "position_max": "max_position_limit"}
 REGISTERS_P1 = {"position_min": "cw_angle_limit", "position_max": "ccw_angle_limit"}
@@ -419,13 +416,7 @@ class EmulatedBus(ServoBus):
 
         at = None if q is None else vector(model, q, "q").tolist()
         self.emulator = EmulatorProcess(make_emulator, config, q=at)
-        bauds = {self.emulator.ports[port.name]: port.baud for port in config.port}
-        super().__init__(
-            servo_specs(config, self.emulator.ports),
-            baudrate=bauds,
-            rate=config.loop.rate,
-            patience=max(PATIENCE, config.loop.patience),
-        )
+        super().__init__(**_bus_options(config, self.emulator.ports, REPLY_TIMEOUT_MIN))
 
     def close(self) -> None:
         """Close the ports and end the emulator."""

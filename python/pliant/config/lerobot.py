@@ -14,7 +14,7 @@ from typing import Any
 from pliant._core import ConfigError
 from pliant._files import read_text
 from pliant.config._messages import suggest
-from pliant.servo.calibration import Calibration
+from pliant.servo.spec import Calibration
 
 __all__ = ["Calibration", "read_calibration"]
 

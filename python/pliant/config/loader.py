@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from pydantic import ValidationError
 
@@ -20,25 +19,33 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
 
-def load(
-    source: str | Path,
-    *,
-    port: str | None = None,
-    backend: str | None = None,
-    urdf: str | Path | None = None,
-    calibration: str | Path | None = None,
-    table: float | bool | None = None,
-) -> Config:
+class Overrides(TypedDict, total=False):
+    """Values that replace those of a file.
+
+    Attributes:
+        port: Serial device, for a file with a single port; or `auto`.
+        backend: `bus`, `emulator` or `sim`.
+        urdf: URDF file, relative to the working folder. Not allowed for a built-in model, because
+            the signs in the file belong to that model.
+        calibration: LeRobot calibration file, relative to the working folder.
+        table: Height of the table [m]; False: no table.
+    """
+
+    port: str | None
+    backend: str | None
+    urdf: str | Path | None
+    calibration: str | Path | None
+    table: float | bool | None
+
+
+def load(source: str | Path, **overrides: Unpack[Overrides]) -> Config:
     """Read a configuration file.
 
     Args:
         source: Path of a TOML file, or the name of a ready one (`pliant.config.names()`).
-        port: Serial device, overrides a file with a single port; or `auto`.
-        backend: `bus`, `emulator` or `sim`, overrides the file.
-        urdf: URDF file, overrides the file; relative to the working folder. Not allowed for a
-            built-in model, because the signs in the file belong to that model.
-        calibration: LeRobot calibration file, overrides the file; relative to the working folder.
-        table: Height of the table [m], overrides the file; False: no table.
+        **overrides: Values that replace those of the file: `port`, a serial device or `auto`;
+            `backend`; `urdf` and `calibration`, relative to the working folder; `table`, a height
+            [m] or False.
 
     Returns:
         The configuration, checked as a whole.
@@ -60,61 +67,59 @@ def load(
         raise ConfigError(
             f"{name!r} is neither a file nor the name of a ready one; {suggest(name, names())}"
         )
-    overrides = Overrides(port, backend, urdf, calibration, table)
-    return parse(text, source=label, folder=folder, overrides=overrides)
+    return parse(text, source=label, folder=folder, **overrides)
 
 
-@dataclass(frozen=True)
-class Overrides:
-    """Values that override the file; see `load`."""
+def _override(
+    data: dict[str, Any],
+    source: str,
+    *,
+    port: str | None = None,
+    backend: str | None = None,
+    urdf: str | Path | None = None,
+    calibration: str | Path | None = None,
+    table: float | bool | None = None,
+) -> None:
+    """Write the values into the tables of a file.
 
-    port: str | None = None
-    backend: str | None = None
-    urdf: str | Path | None = None
-    calibration: str | Path | None = None
-    table: float | bool | None = None
-
-    def apply(self, table: dict[str, Any], source: str) -> None:
-        """Write the values into the table.
-
-        Raises:
-            ConfigError: A port is given for a file with several ports or none, or a URDF for a
-                built-in model.
-        """
-        if self.backend is not None:
-            table["backend"] = self.backend
-        if self.urdf is not None and isinstance(table.get("robot"), dict):
-            if "builtin" in table["robot"]:
-                raise ConfigError(
-                    f"{source} is written for the built-in model {table['robot']['builtin']!r}: "
-                    f"its signs and zeros are wrong for {self.urdf}, which may count joints the "
-                    "other way round. Write a file with urdf, base and tip in [robot] and the "
-                    "signs of that URDF (docs/robots/so101.md has one), without --urdf"
-                )
-            table["robot"]["urdf"] = Path(self.urdf).expanduser().resolve()
-        if self.table is not None and isinstance(table.get("robot"), dict):
-            if self.table is True:
-                raise ConfigError("table is a height [m], or False for none; got True")
-            table["robot"].pop("table", None)
-            if self.table is not False:
-                table["robot"]["table"] = self.table
-        if self.calibration is not None:
-            table["calibration"] = Path(self.calibration).expanduser().resolve()
-        if self.port is None:
-            return
-        backend = table.get("backend", "bus")
-        if backend in {"sim", "emulator"}:
+    Raises:
+        ConfigError: A port is given for a file with several ports or none, or a URDF for a
+            built-in model.
+    """
+    if backend is not None:
+        data["backend"] = backend
+    robot = data.get("robot")
+    if urdf is not None and isinstance(robot, dict):
+        if "builtin" in robot:
             raise ConfigError(
-                f"port {self.port} is for servos on a bus, and backend {backend!r} opens none of "
-                "yours: leave the port out, or say backend 'bus'"
+                f"{source} is written for the built-in model {robot['builtin']!r}: its signs and "
+                f"zeros are wrong for {urdf}, which may count joints the other way round. Write a "
+                "file with urdf, base and tip in [robot] and the signs of that URDF "
+                "(docs/robots/so101.md has one), without --urdf"
             )
-        ports: Any = table.get("port", [{}])
-        if not isinstance(ports, list) or len(ports) != 1:
-            raise ConfigError(
-                f"{source} does not name just one port: a path from outside cannot replace them; "
-                "write the paths into the file"
-            )
-        table["port"] = [{**ports[0], "path": self.port}]
+        robot["urdf"] = Path(urdf).expanduser().resolve()
+    if table is not None and isinstance(robot, dict):
+        if table is True:
+            raise ConfigError("table is a height [m], or False for none; got True")
+        robot.pop("table", None)
+        if table is not False:
+            robot["table"] = table
+    if calibration is not None:
+        data["calibration"] = Path(calibration).expanduser().resolve()
+    if port is None:
+        return
+    if data.get("backend", "bus") in {"sim", "emulator"}:
+        raise ConfigError(
+            f"port {port} is for servos on a bus, and backend {data['backend']!r} opens none of "
+            "yours: leave the port out, or say backend 'bus'"
+        )
+    ports: Any = data.get("port", [{}])
+    if not isinstance(ports, list) or len(ports) != 1:
+        raise ConfigError(
+            f"{source} does not name just one port: a path from outside cannot replace them; "
+            "write the paths into the file"
+        )
+    data["port"] = [{**ports[0], "path": port}]
 
 
 def parse(
@@ -122,7 +127,7 @@ def parse(
     *,
     source: str = "configuration",
     folder: str | Path = ".",
-    overrides: Overrides = Overrides(),
+    **overrides: Unpack[Overrides],
 ) -> Config:
     """Check the text of a configuration.
 
@@ -130,7 +135,7 @@ def parse(
         text: TOML.
         source: Name of the text in errors.
         folder: Folder for relative paths.
-        overrides: Values that override the text.
+        **overrides: As in `load`.
 
     Raises:
         ConfigError: As in `load`.
@@ -143,13 +148,8 @@ def parse(
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        if text.lstrip().startswith("<"):
-            raise ConfigError(
-                f"{source} is XML, not a configuration: a URDF is named in one, [robot] "
-                'urdf = "arm.urdf"; docs/config.md has a whole file'
-            ) from error
         raise ConfigError(f"{source} is no TOML: {error}") from error
-    overrides.apply(table, source)
+    _override(table, source, **overrides)
     try:
         config = Config.model_validate(table)
     except ValidationError as error:

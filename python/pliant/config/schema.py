@@ -18,7 +18,7 @@ from pliant.arm._checks import MAX_COMM_TIMEOUT
 from pliant.config._messages import suggest
 from pliant.config._settings_table import check_preset, resolve
 from pliant.config.lerobot import read_calibration
-from pliant.servo._transactions import MAX_PATIENCE
+from pliant.servo._transactions import MAX_REPLY_TIMEOUT_MIN
 from pliant.servo.models import find
 from pliant.servo.spec import ServoSpec, Units, servos_from_units
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pliant._core import Settings
-    from pliant.servo.calibration import Calibration
+    from pliant.servo.spec import Calibration
 
 
 # Strict: a number in quotes is an error.
@@ -205,13 +205,13 @@ class Loop(StrictModel):
         rate: [Hz]
         comm_timeout: Time without an answer from the bus or the program after which the arm is
             lowered [s], at most 60.
-        patience: Minimum reply timeout [s], at most 1; use more than the default on a busy
+        reply_timeout_min: Minimum reply timeout [s], at most 1; use more than the default on a busy
             computer.
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
     comm_timeout: Annotated[float, Field(gt=0.0, le=MAX_COMM_TIMEOUT, strict=True)] = 0.5
-    patience: Annotated[float, Field(gt=0.0, le=MAX_PATIENCE, strict=True)] = 0.01
+    reply_timeout_min: Annotated[float, Field(gt=0.0, le=MAX_REPLY_TIMEOUT_MIN, strict=True)] = 0.01
 
 
 class Life(StrictModel):
@@ -306,7 +306,29 @@ class Config(StrictModel):
             UrdfError: The URDF is not usable.
             ConfigError: Its joints do not match the servos of the file.
         """
-        return make_model(self)
+        robot = self.robot
+        options: dict[str, Any] = {
+            "base": robot.base,
+            "tip": robot.tip,
+            "gravity": robot.gravity,
+            "locked": robot.locked or None,
+            "limits": robot.limits or None,
+        }
+        if robot.payload is not None:
+            options["payload"] = ToolPayload(robot.payload.mass, robot.payload.com)
+        options = {key: value for key, value in options.items() if value is not None}
+        if robot.builtin is not None:
+            out = robots.load(robot.builtin, **options)
+        else:
+            path = inside(self, robot.urdf)
+            if not path.is_file():
+                raise ConfigError(
+                    f"robot.urdf: there is no file {path}; give the path of this arm's URDF, in "
+                    "the file or by --urdf"
+                )
+            out = Model.from_urdf(str(path), **options)
+        _match(self, out)
+        return out.with_servos(chain_servos(self, out)) if self.servo else out
 
     def settings(self) -> Settings:
         """Return the controller settings, validated by the same code as those created in Python.
@@ -314,7 +336,10 @@ class Config(StrictModel):
         Raises:
             ConfigError: Invalid fields or values; the message lists all.
         """
-        return make_settings(self)
+        made, wrong = resolve(self.fields, self.preset, self.loop.rate)
+        if made is None:
+            raise ConfigError("; ".join(wrong))
+        return made
 
     def __repr__(self) -> str:
         """Return a one-line description."""
@@ -367,33 +392,6 @@ def servos(config: Config) -> dict[str, Servo]:
     if config.gripper is not None:
         out[config.gripper.joint] = config.gripper.servo
     return out
-
-
-def make_model(config: Config) -> Model:
-    """Return the kinematic model; see `Config.model`."""
-    robot = config.robot
-    options: dict[str, Any] = {
-        "base": robot.base,
-        "tip": robot.tip,
-        "gravity": robot.gravity,
-        "locked": robot.locked or None,
-        "limits": robot.limits or None,
-    }
-    if robot.payload is not None:
-        options["payload"] = ToolPayload(robot.payload.mass, robot.payload.com)
-    options = {key: value for key, value in options.items() if value is not None}
-    if robot.builtin is not None:
-        out = robots.load(robot.builtin, **options)
-    else:
-        path = inside(config, robot.urdf)
-        if not path.is_file():
-            raise ConfigError(
-                f"robot.urdf: there is no file {path}; give the path of this arm's URDF, in the "
-                "file or by --urdf"
-            )
-        out = Model.from_urdf(str(path), **options)
-    _match(config, out)
-    return out.with_servos(chain_servos(config, out)) if config.servo else out
 
 
 def spec(
@@ -460,14 +458,6 @@ def _match(config: Config, model: Model) -> None:
         f"file and URDF disagree on the joints from {model.base} to {model.tip}: "
         f"{'; '.join(parts)}. The chain has {', '.join(model.joint_names)}"
     )
-
-
-def make_settings(config: Config) -> Settings:
-    """Return the controller settings; see `Config.settings`."""
-    made, wrong = resolve(config.fields, config.preset, config.loop.rate)
-    if made is None:
-        raise ConfigError("; ".join(wrong))
-    return made
 
 
 def zeros(config: Config) -> dict[str, float | None]:

@@ -77,16 +77,6 @@ class Dxl1Servo(Servo):
             raise ConfigError(f"{self.model.name} cannot do {baud} bit/s")
         self.keep(self.table["baud_rate"].address, 1)
 
-    @property
-    def enabled(self) -> bool:
-        """Torque Enable."""
-        return self.get("torque_enable") == 1
-
-    @property
-    def level(self) -> int:
-        """Status Return Level."""
-        return self.get("status_return_level")
-
     def status(self) -> int:
         """Return the conditions: voltage, heat, overload."""
         return self.faults() | self._latched

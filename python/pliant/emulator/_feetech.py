@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 
-from pliant._core import ConfigError
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_CURRENT = 0x08
-BAUDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400, 19_200)
+_BAUDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400, 19_200)
 #: Duty per radian of error per count of P, and the largest duty, from published measurements.
 DUTY_PER_P, FULL_DUTY = 0.166, 0.97
 #: One count of speed: a step per second with the factory's Phase [rad/s].
@@ -26,6 +25,7 @@ class StsServo(Servo):
     """
 
     protocol = 1
+    bauds = _BAUDS
 
     def on_power(self) -> None:
         """Set Torque Limit to its maximum, and the goal to the present position."""
@@ -39,11 +39,6 @@ class StsServo(Servo):
         raw = round(self.shaft.angle / self.model.count) - self.get("homing_offset")
         return raw if self._multi_turn else raw % 4096
 
-    @property
-    def direction(self) -> int:
-        """Counts rise as the shaft turns forward."""
-        return 1
-
     def raw_of(self, count: float) -> float:
         """Return the raw count; the reported one excludes Homing Offset."""
         return count + self.get("homing_offset")
@@ -52,24 +47,6 @@ class StsServo(Servo):
     def _multi_turn(self) -> bool:
         free = self.get("min_position_limit") == 0 == self.get("max_position_limit")
         return free or bool(self.get("phase") & 0x10)
-
-    @property
-    def baud(self) -> int:
-        """Return the speed, from the maker's list."""
-        return BAUDS[self.get("baud_rate")]
-
-    def set_baud(self, baud: int) -> None:
-        """Store a speed of the list."""
-        if baud not in BAUDS:
-            rates = ", ".join(str(rate) for rate in BAUDS)
-            raise ConfigError(f"{self.model.name} cannot do {baud} bit/s; it has {rates}")
-        self.put("baud_rate", BAUDS.index(baud))
-        self.keep(self.table["baud_rate"].address, 1)
-
-    @property
-    def enabled(self) -> bool:
-        """Torque Enable is 1; 2 (damping) gives no torque here."""
-        return self.get("torque_enable") == 1
 
     @property
     def level(self) -> int:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from pliant._core import ConfigError
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 FAIL, INSTRUCTION, CRC, RANGE, LENGTH, LIMIT, ACCESS = range(1, 8)
 ALERT = 0x80
-BAUDS = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+_BAUDS = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
 #: Position counts per radian, over the 128 that the P gain is divided by.
 PER_P = 4096 / (2.0 * math.pi) / 128.0
@@ -30,6 +29,7 @@ class XServo(Servo):
     """
 
     protocol = 2
+    bauds = _BAUDS
 
     def on_power(self) -> None:
         """Set goals to their limits and to the present position."""
@@ -71,30 +71,6 @@ class XServo(Servo):
         """Present position [counts], unwrapped since power-up, with homing offset."""
         raw = round(self.shaft.angle / self.model.count) + 4096 * self._turns
         return (raw if self.direction > 0 else 4096 - raw) + self.get("homing_offset")
-
-    @property
-    def baud(self) -> int:
-        """Return the speed, from the maker's list."""
-        return BAUDS[self.get("baud_rate")]
-
-    def set_baud(self, baud: int) -> None:
-        """Store a speed of the list."""
-        highest = self.table["baud_rate"].high
-        if baud not in BAUDS[: highest + 1]:
-            rates = ", ".join(str(rate) for rate in BAUDS[: highest + 1])
-            raise ConfigError(f"{self.model.name} cannot do {baud} bit/s; it has {rates}")
-        self.put("baud_rate", BAUDS.index(baud))
-        self.keep(self.table["baud_rate"].address, 1)
-
-    @property
-    def enabled(self) -> bool:
-        """Torque Enable."""
-        return self.get("torque_enable") == 1
-
-    @property
-    def level(self) -> int:
-        """Status Return Level."""
-        return self.get("status_return_level")
 
     def heard(self) -> None:
         """Restart the watchdog: an instruction packet was on the bus."""

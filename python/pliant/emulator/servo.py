@@ -105,6 +105,8 @@ class Servo(ABC):
     """
 
     protocol: ClassVar[Protocol]
+    #: Speeds by the value of the register, in a family that has a list of them [bit/s].
+    bauds: ClassVar[tuple[int, ...]] = ()
 
     def __init__(self, model: Model, id: int, *, angle: float | None, **registers: int) -> None:
         """Make a servo in factory state, except for these EEPROM values.
@@ -277,24 +279,24 @@ class Servo(ABC):
     # Family.
 
     @property
-    @abstractmethod
     def baud(self) -> int:
         """Baud rate [bit/s]."""
+        return self.bauds[self.get("baud_rate")]
 
     @property
-    @abstractmethod
     def enabled(self) -> bool:
-        """True if torque is on."""
+        """True if torque is on; 2 of a Feetech (damping) gives no torque here."""
+        return self.get("torque_enable") == 1
 
     @property
-    @abstractmethod
     def level(self) -> int:
         """Reply level: 0 pings only, 1 also reads, 2 everything."""
+        return self.get("status_return_level")
 
     @property
-    @abstractmethod
     def direction(self) -> int:
         """1, or -1 if reported counts fall as the shaft turns forward."""
+        return 1
 
     @abstractmethod
     def raw_of(self, count: float) -> float:
@@ -305,13 +307,18 @@ class Servo(ABC):
         """Pause before a reply [s]."""
         return self.get("return_delay_time") * 2e-6
 
-    @abstractmethod
     def set_baud(self, baud: int) -> None:
         """Store a speed in EEPROM.
 
         Raises:
             ConfigError: The family has no such speed.
         """
+        bauds = self.bauds[: self.table["baud_rate"].high + 1]
+        if baud not in bauds:
+            rates = ", ".join(map(str, bauds))
+            raise ConfigError(f"{self.model.name} cannot do {baud} bit/s; it has {rates}")
+        self.put("baud_rate", bauds.index(baud))
+        self.keep(self.table["baud_rate"].address, 1)
 
     @abstractmethod
     def status(self) -> int:

@@ -55,12 +55,7 @@ def pose_list(
 ) -> list[Array]:
     """Return the poses to visit, the present one first unless the poses are given.
 
-    Args:
-        rig: The arm.
-        q: Present positions (n,) [rad].
-        poses: Postures (K, n) [rad], or how many to choose, as `check_poses` returns them.
-        span: Largest distance of a joint from q in a chosen pose [rad].
-        size: Swing about each pose (n,) [rad], inside the position limits.
+    Chosen poses keep each joint within `span` [rad] of q; `size` (n,) [rad] is their swing.
 
     Raises:
         OutOfRangeError: A pose and its swing leave the position limits.

@@ -238,14 +238,7 @@ class Delay:
 def fit_delay(
     rig: Excitation, records: Sequence[Record], solution: Solution, gravity: Array
 ) -> Delay:
-    """Fit the delay to the steps of all joints.
-
-    Args:
-        rig: Period and encoder count.
-        records: One record of steps per joint, in order.
-        solution: Stiffness, friction and damping from the slides.
-        gravity: Torque that holds the arm at the pose of the steps (n,) [N·m].
-    """
+    """Fit the delay to the steps of all joints, one record each, under `gravity` (n,) [N·m]."""
     grid = np.arange(0.0, MAX_DELAY + STEP / 2, STEP)
     misfit = np.array(
         [

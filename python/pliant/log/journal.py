@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -21,6 +21,15 @@ if TYPE_CHECKING:
 
 #: Sequence number of the call, and 1 for `step_joints`, else 0.
 STEP = struct.Struct("<QB")
+
+
+class StepInputs(TypedDict, total=False):
+    """Inputs of a step that may be left out; see `Controller.step`."""
+
+    dt: float | None
+    dq: ArrayLike | None
+    twist: ArrayLike | None
+    gradient: ArrayLike | None
 
 
 class Journal:
@@ -51,17 +60,13 @@ class Journal:
         q: ArrayLike,
         target: Any,
         *,
-        dt: float | None = None,
-        dq: ArrayLike | None = None,
-        twist: ArrayLike | None = None,
-        gradient: ArrayLike | None = None,
         out: Command | None = None,
+        **inputs: Unpack[StepInputs],
     ) -> Command:
         """`Controller.step`."""
         target = _pose(target)
-        command = self.inner.step(q, target, dt=dt, dq=dq, twist=twist, gradient=gradient, out=out)
-        given = {"dt": dt, "dq": dq, "twist": twist, "gradient": gradient}
-        self._note("target", q, target, given, command)
+        command = self.inner.step(q, target, out=out, **inputs)
+        self._note("target", q, target, inputs, command)
         return command
 
     def step_joints(
@@ -69,19 +74,13 @@ class Journal:
         q: ArrayLike,
         q_target: ArrayLike,
         *,
-        dt: float | None = None,
-        dq: ArrayLike | None = None,
-        twist: ArrayLike | None = None,
-        gradient: ArrayLike | None = None,
         out: Command | None = None,
+        **inputs: Unpack[StepInputs],
     ) -> Command:
         """`Controller.step_joints`."""
         q_target = np.array(q_target, dtype=np.float64)
-        command = self.inner.step_joints(
-            q, q_target, dt=dt, dq=dq, twist=twist, gradient=gradient, out=out
-        )
-        given = {"dt": dt, "dq": dq, "twist": twist, "gradient": gradient}
-        self._note("q_target", q, q_target, given, command)
+        command = self.inner.step_joints(q, q_target, out=out, **inputs)
+        self._note("q_target", q, q_target, inputs, command)
         return command
 
     def reset(self, q: ArrayLike) -> None:
@@ -136,7 +135,7 @@ class Journal:
         return pose
 
     def _note(
-        self, slot: str, q: ArrayLike, target: Array, given: dict[str, Any], command: Command
+        self, slot: str, q: ArrayLike, target: Array, inputs: StepInputs, command: Command
     ) -> None:
         """Record a successful step."""
         slots = self._slots
@@ -145,9 +144,9 @@ class Journal:
         self._target, self._joints = target, joints
         slots["q"][:] = q
         slots[slot][: target.size] = target.reshape(-1)
-        for name, value in given.items():
+        for name, value in inputs.items():
             if value is not None:
-                slots[name][:] = value
+                slots[name][:] = np.asarray(value)
         slots["goal"][:] = command.goal
         slots["torque_limit"][:] = command.torque_limit
         slots["speed_limit"][:] = command.speed_limit

@@ -7,13 +7,15 @@ and the configuration.
 from __future__ import annotations
 
 import json
+import platform
 from html import escape
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ConfigError
-from pliant._report import page, provenance
+from pliant._core import ConfigError, __version__
+from pliant._report import page
 from pliant._report.page import Table
 from pliant.log import felt as feeling
 from pliant.log import findings, pictures
@@ -72,7 +74,6 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
         ("loop", "Loop and servos", _loop(log, folder)),
         ("settings", "Configuration", _settings(log)),
     )
-    made = provenance.collect()
     return page.write(
         folder / "report.html",
         title=f"pliant: {title}",
@@ -83,9 +84,9 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
             f'<section class="chapter" id="{key}"><h2>{escape(name)}</h2>{html}</section>'
             for key, name, html in sections
         ),
-        footer=f"Recorded by pliant {log.run['pliant']}, reported by "
-        + ", ".join(f"{name} {version}" for name, version in made.versions.items())
-        + ".",
+        footer=f"Recorded by pliant {log.run['pliant']}, reported by pliant {__version__}, "
+        f"Python {platform.python_version()}, numpy {version('numpy')}, "
+        f"matplotlib {version('matplotlib')}.",
     )
 
 

@@ -82,10 +82,7 @@ def steps(
 ) -> Iterator[tuple[Any, Controller, Command]]:
     """Repeat the calls one by one: yield each step's call, the controller, and its command.
 
-    Args:
-        log: The log.
-        settings: As for `verify`.
-        before: Called with call and controller before every step, e.g. for a `ContactEstimator`.
+    `before` is called with call and controller before every step, e.g. for a `ContactEstimator`.
 
     Raises:
         ConfigError: As `verify`.

@@ -66,10 +66,13 @@ class Action(ABC):
     is_latching = False
     #: True if it completes immediately.
     is_one_shot = False
-    #: True if it needs a force estimate.
-    needs_force = False
 
-    def validate(self, controller: Controller) -> None:  # noqa: B027 - most refuse nothing
+    @property
+    def needs_force(self) -> bool:
+        """True if it needs a force estimate."""
+        return False
+
+    def validate(self, controller: Controller) -> None:  # noqa: B027 - optional for a subclass
         """Check that the action is possible with this controller.
 
         Raises:
@@ -258,7 +261,7 @@ class Retract(Action):
             positive(np.linalg.norm(along), "length of Retract.along")
 
     @property
-    def needs_force(self) -> bool:  # type: ignore[override]
+    def needs_force(self) -> bool:
         """True if the direction comes from the force estimate."""
         return self.along is None
 

@@ -115,14 +115,16 @@ Evaluator = Callable[["TickContext"], bool]
 class Condition(ABC):
     """A condition that is evaluated once per tick."""
 
-    #: True if it needs a force estimate.
-    needs_force = False
+    @property
+    def needs_force(self) -> bool:
+        """True if it needs a force estimate."""
+        return False
 
     @abstractmethod
     def evaluator(self) -> Evaluator:
         """Return a new judge of this condition."""
 
-    def validate(  # noqa: B027 - most refuse nothing
+    def validate(  # noqa: B027 - optional for a subclass
         self, contact: ContactEstimator | None, controller: Controller
     ) -> None:
         """Check that this arm can evaluate the condition.
@@ -174,7 +176,7 @@ class Joined(Condition):
     other: Condition
 
     @property
-    def needs_force(self) -> bool:  # type: ignore[override]
+    def needs_force(self) -> bool:
         """True if one of them needs a force estimate."""
         return self.one.needs_force or self.other.needs_force
 
@@ -204,7 +206,7 @@ class Not(Condition):
     one: Condition
 
     @property
-    def needs_force(self) -> bool:  # type: ignore[override]
+    def needs_force(self) -> bool:
         """True if it needs a force estimate."""
         return self.one.needs_force
 
@@ -233,7 +235,7 @@ class Lasting(Condition):
         number(self.seconds, "lasting", 0.0, unit="s")
 
     @property
-    def needs_force(self) -> bool:  # type: ignore[override]
+    def needs_force(self) -> bool:
         """True if it needs a force estimate."""
         return self.one.needs_force
 

@@ -319,8 +319,7 @@ def _send(device: Device, ports: Ports, first: str, data: bytes, what: str = "it
     try:
         status = guard.write(device.id, device.family.registers[first].address, data)
     except BusError as error:
-        if error.reason == "gone":
-            raise
+        error.raise_if_gone()
         raise ServoError(f"{device.name} did not confirm {what}: {error}") from error
     why = refusal(device.family, status)
     if why is not None:

@@ -123,8 +123,7 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
         try:
             image = read_image(port.guard, device)
         except BusError as error:
-            if error.reason == "gone":
-                raise
+            error.raise_if_gone()
             if error.reason == "noisy":
                 raise ServoError(f"{port.path}: {error}") from error
             if error.reason == "timeout":

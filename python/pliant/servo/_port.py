@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from pliant.drive import ServoStatus
 from pliant.servo._transactions import TransactionGuard, wire_time
 from pliant.servo.transport import BusError, RustypotTransport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
     from pliant.servo._device import Device
     from pliant.servo._transactions import Reply
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
+_T = TypeVar("_T")
 
 #: A servo that is silent for this many cycles is skipped for `PROBE_CYCLES` cycles, so that a dead
 #: servo does not cost a timeout in every cycle.
@@ -41,7 +42,7 @@ class Port:
         devices: The servos on it.
         baudrate: Bits per second.
         cycle: Control period [s].
-        patience: Minimum reply timeout [s].
+        reply_timeout_min: Minimum reply timeout [s].
         open_transport: ``(path, baudrate, protocol) -> Transport``.
         clock: Clock of the readings.
 
@@ -58,7 +59,7 @@ class Port:
         *,
         baudrate: int,
         cycle: float,
-        patience: float,
+        reply_timeout_min: float,
         open_transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
@@ -80,7 +81,7 @@ class Port:
             baudrate=baudrate,
             latency=self.latency or 0.001,
             cycle=cycle,
-            patience=patience,
+            reply_timeout_min=reply_timeout_min,
             unused_id=max(set(range(self.highest + 1)) - ids),
             sample_clock=clock,
         )
@@ -160,7 +161,7 @@ class Port:
             if self._is_armed and "watchdog" in device.family.registers:
                 device.note(self.guard.read(device.id, device.family.block("watchdog")))
         except BusError as error:
-            _raise_if_gone(error)
+            error.raise_if_gone()
             return False
         self.clear_watchdogs([device])
         return True
@@ -179,7 +180,7 @@ class Port:
                 for units in dict.fromkeys((0, self.watchdog)):
                     self.guard.write(device.id, address, bytes([units]))
             except BusError as error:
-                _raise_if_gone(error)
+                error.raise_if_gone()
             else:
                 device.tripped = False
 
@@ -211,7 +212,7 @@ class Port:
                 for units in dict.fromkeys((0, self.watchdog)):
                     self.guard.sync_write(ids, block.address, [bytes([units])] * len(ids))
             except BusError as error:
-                _raise_if_gone(error)
+                error.raise_if_gone()
             answered = [device for device in pending if self._read_block(device, block)]
             pending = [d for d in pending if d not in answered or d.watchdog != self.watchdog]
             if not answered:
@@ -243,7 +244,7 @@ class Port:
         try:
             device.note(self.guard.read(device.id, block, again=False))
         except BusError as error:
-            _raise_if_gone(error)
+            error.raise_if_gone()
             return False
         return True
 
@@ -252,7 +253,7 @@ class Port:
         try:
             return self.guard.sync_read([device.id for device in group], *group[0].family.read)
         except BusError as error:
-            _raise_if_gone(error)
+            error.raise_if_gone()
             culprit = error.id
         return self._read_each(group, last=culprit, again=False)
 
@@ -271,7 +272,7 @@ class Port:
             try:
                 reply = self.guard.read(device.id, *device.family.read, again=again)
             except BusError as error:
-                _raise_if_gone(error)
+                error.raise_if_gone()
                 if error.reason == "timeout":
                     missed.append(device.id)
             else:
@@ -293,7 +294,7 @@ class Port:
             try:
                 reply = self.guard.read(device.id, *device.family.read, again=False)
             except BusError as error:
-                _raise_if_gone(error)
+                error.raise_if_gone()
             else:
                 del self._silent[device.id]
                 return {device.id: reply}
@@ -313,18 +314,12 @@ def latency_timer(path: str) -> float | None:
         return None
 
 
-def _groups(items: Iterable, key: Callable) -> list[list]:  # type: ignore[type-arg]
+def _groups(items: Iterable[_T], key: Callable[[_T], Hashable]) -> list[list[_T]]:
     """Group items by key, in order of first appearance."""
-    found: dict[object, list] = {}  # type: ignore[type-arg]
+    found: dict[Hashable, list[_T]] = {}
     for item in items:
         found.setdefault(key(item), []).append(item)
     return list(found.values())
-
-
-def _raise_if_gone(error: BusError) -> None:
-    """Raise an error that also affects all other servos."""
-    if error.reason == "gone":
-        raise error
 
 
 def status_blocks(family: Family) -> tuple[Block, ...]:
@@ -391,8 +386,7 @@ class StatusPoller:
         try:
             device.note(guard.read(device.id, block))
         except BusError as error:
-            if error.reason == "gone":
-                raise
+            error.raise_if_gone()
             return None
         return self._status(device.joint)
 
@@ -413,8 +407,7 @@ class StatusPoller:
             block = enabled[0].family.block("torque_enable")
             replies = port.guard.sync_read([d.id for d in enabled], block)
         except BusError as error:
-            if error.reason == "gone":
-                raise
+            error.raise_if_gone()
             return True
         for device in enabled:
             device.note(replies[device.id])

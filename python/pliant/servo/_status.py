@@ -55,12 +55,7 @@ def _bits(value: int, texts: dict[int, str]) -> tuple[str, ...]:
 
 
 def conditions(family: Family, status: int) -> tuple[str, ...]:
-    """Return the health conditions in a status byte, one sentence each.
-
-    Args:
-        family: The servo's family.
-        status: Error byte of a reply.
-    """
+    """Return the health conditions in a status byte, one sentence each."""
     if family.status == "feetech":
         return _bits(status, _FEETECH)
     if family.status == "p1":

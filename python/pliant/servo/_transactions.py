@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 BITS_PER_BYTE = 10
 #: Response delay of a servo with Return Delay 0 [s].
 RESPONSE_DELAY = 30e-6
-#: Largest minimum reply timeout (`patience`) [s].
-MAX_PATIENCE = 1.0
+#: Largest minimum reply timeout (`reply_timeout_min`) [s].
+MAX_REPLY_TIMEOUT_MIN = 1.0
 #: Bytes of a packet without data: instruction and status.
 OVERHEAD = {"p1": (6, 6), "p2": (10, 11)}
 Kind = Literal["ping", "read", "write", "sync_read", "sync_write"]
@@ -92,27 +92,29 @@ def wire_time(
     return (sent + received) * BITS_PER_BYTE / baudrate + replies * response_delay
 
 
-def reply_timeout(wire: float, latency: float, cycle: float, patience: float = 0.010) -> float:
+def reply_timeout(
+    wire: float, latency: float, cycle: float, reply_timeout_min: float = 0.010
+) -> float:
     """Return the reply timeout [s].
 
     It is twice the wire time, plus twice the adapter's latency timer, plus 5 ms for the host; at
-    most three control cycles, but at least `patience`.
+    most three control cycles, but at least `reply_timeout_min`.
     """
-    return max(patience, min(2.0 * wire + 2.0 * latency + 0.005, 3.0 * cycle))
+    return max(reply_timeout_min, min(2.0 * wire + 2.0 * latency + 0.005, 3.0 * cycle))
 
 
-def check_patience(patience: float) -> float:
+def check_reply_timeout(reply_timeout_min: float) -> float:
     """Return a checked minimum reply timeout [s]; the bound makes a silent bus known soon.
 
     Raises:
         ConfigError: Not a number, or not in (0, 1] s.
     """
-    if not 0.0 < real(patience, "patience") <= MAX_PATIENCE:
+    if not 0.0 < real(reply_timeout_min, "reply_timeout_min") <= MAX_REPLY_TIMEOUT_MIN:
         raise ConfigError(
-            f"patience must be above 0 s and at most {MAX_PATIENCE:g} s, got {patience:g}: "
-            "nothing else is sent while an answer is waited for"
+            f"reply_timeout_min must be above 0 s and at most {MAX_REPLY_TIMEOUT_MIN:g} s, "
+            f"got {reply_timeout_min:g}: nothing else is sent while an answer is waited for"
         )
-    return float(patience)
+    return float(reply_timeout_min)
 
 
 #: Time for which the length of a missing reply is avoided if there is a choice; and time after
@@ -191,7 +193,7 @@ NOISE_MESSAGE = (
     "noise (cable, ground, termination)"
 )
 
-#: Minimum silence of a drain, as a share of `patience`: tolerance for a busy host.
+#: Minimum silence of a drain, as a share of `reply_timeout_min`: tolerance for a busy host.
 SILENCE_SHARE = 0.2
 #: Outside of a cycle: factor of the timeout, and number of tries. A try that receives a late reply
 #: counts too.
@@ -262,7 +264,7 @@ class TransactionGuard:
         baudrate: Bits per second.
         latency: The adapter's latency timer [s].
         cycle: Control period [s].
-        patience: Minimum reply timeout [s].
+        reply_timeout_min: Minimum reply timeout [s].
         unused_id: Unused id on the port, for drains.
         clock: Clock for timeouts.
         sample_clock: Clock of the time in replies; default: `clock`.
@@ -284,7 +286,7 @@ class TransactionGuard:
         baudrate: int,
         latency: float = 0.001,
         cycle: float = 0.01,
-        patience: float = 0.010,
+        reply_timeout_min: float = 0.010,
         unused_id: int = 252,
         clock: Callable[[], float] = time.perf_counter,
         sample_clock: Callable[[], float] | None = None,
@@ -300,9 +302,9 @@ class TransactionGuard:
         self._deadline = float("inf")
         self._is_dirty = False
         self._timeout = self._reply_timeout = self._wire = 0.0
-        self._patience = patience
+        self._reply_timeout_min = reply_timeout_min
         self._pending = PendingReplies()
-        self._silence = SILENCE_SHARE * patience + latency
+        self._silence = SILENCE_SHARE * reply_timeout_min + latency
 
     def start_cycle(self, budget: float = float("inf")) -> None:
         """Start a cycle: no retry and no drain runs later than `budget` [s] from now.
@@ -404,8 +406,7 @@ class TransactionGuard:
                 if self.ping(number):
                     continue
             except BusError as error:
-                if error.reason == "gone":
-                    raise
+                error.raise_if_gone()
                 continue
             self._unused_id = number
             return
@@ -481,11 +482,13 @@ class TransactionGuard:
             baudrate=self._baudrate,
             response_delay=self.response_delay,
         )
-        self._reply_timeout = reply_timeout(wire, self.latency, self._cycle, self._patience)
+        self._reply_timeout = reply_timeout(
+            wire, self.latency, self._cycle, self._reply_timeout_min
+        )
         if isinf(self._deadline) and not is_urgent:
             self._reply_timeout *= RELAXED_FACTOR
         self._set_timeout(self._reply_timeout)
-        self._silence = SILENCE_SHARE * self._patience + wire + self.latency
+        self._silence = SILENCE_SHARE * self._reply_timeout_min + wire + self.latency
         self._wire = wire
         self.counters.transactions += 1
         return self._sample_clock()

@@ -16,7 +16,7 @@ from pliant.servo import _enable as sequences
 from pliant.servo._device import Device
 from pliant.servo._handshake import ServoInfo, identify
 from pliant.servo._port import Port, StatusPoller
-from pliant.servo._transactions import check_patience
+from pliant.servo._transactions import check_reply_timeout
 from pliant.servo.spec import ServoSpec, check_specs, servos_from_units
 from pliant.servo.transport import BusError, RustypotTransport
 
@@ -85,7 +85,7 @@ def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -
     return JointReadings(position, ok, times, velocity, load, current)
 
 
-#: Time for one reading, in periods and in multiples of `patience`; no retries after that.
+#: Time for one reading, in periods and in multiples of `reply_timeout_min`; no retries after that.
 BUDGET = 3.0
 
 
@@ -100,7 +100,7 @@ class ServoBus:
         specs: One per joint, grippers included; all vectors have their order.
         baudrate: Bits per second, one value or a mapping by port.
         rate: Control rate [Hz], from which timeouts and the time for retries follow.
-        patience: Minimum reply timeout [s], at most 1; use more on a busy computer.
+        reply_timeout_min: Minimum reply timeout [s], at most 1; use more on a busy computer.
         speed: Largest speed of every joint [rad/s], for the servos' speed registers; None: the
             no-load speed.
         transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
@@ -127,7 +127,7 @@ class ServoBus:
         *,
         baudrate: int | Mapping[str, int] = 1_000_000,
         rate: float = 100.0,
-        patience: float = 0.010,
+        reply_timeout_min: float = 0.010,
         speed: float | None = None,
         transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
         clock: Clock | None = None,
@@ -143,8 +143,8 @@ class ServoBus:
         if missing := ports.keys() - rates.keys():
             raise ConfigError(f"no baud rate for {', '.join(sorted(missing))}")
         self._baudrate, self._cycle, self._speed = rates, 1.0 / rate, speed
-        self._patience = check_patience(patience)
-        self._budget = max(BUDGET * self._cycle, BUDGET * self._patience)
+        self._reply_timeout_min = check_reply_timeout(reply_timeout_min)
+        self._budget = max(BUDGET * self._cycle, BUDGET * self._reply_timeout_min)
         self._transport, self.clock = transport, clock
         self._reset()
         self._port_of: dict[int, Port] = {}
@@ -453,7 +453,7 @@ class ServoBus:
             devices,
             baudrate=self._baudrate[path],
             cycle=self._cycle,
-            patience=self._patience,
+            reply_timeout_min=self._reply_timeout_min,
             open_transport=self._transport,
             clock=time.perf_counter if self.clock is None else self.clock.now,
         )

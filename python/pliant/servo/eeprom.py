@@ -60,14 +60,7 @@ class RegisterChange:
 def plan_setup(
     io: TransactionGuard, joint: str, id: int, row: ServoModel, *, overload: bool = True
 ) -> list[RegisterChange]:
-    """Return the changes that a setup needs on one servo.
-
-    Args:
-        io: Transactions of the open port.
-        joint: Joint name, for messages.
-        id: Servo id.
-        row: Servo model.
-        overload: Whether to clear the overload bit of Shutdown.
+    """Return the changes that a setup needs on one servo; `overload` clears that bit of Shutdown.
 
     Raises:
         ServoError: No answer, or another model.
@@ -80,14 +73,7 @@ def plan_setup(
 def plan_restore(
     io: TransactionGuard, joint: str, id: int, row: ServoModel, former: Iterable[RegisterChange]
 ) -> list[RegisterChange]:
-    """Return the changes that restore one servo to its former values.
-
-    Args:
-        io: Transactions of the open port.
-        joint: Its joint.
-        id: Its id.
-        row: Its model.
-        former: Changes that were made, also on other servos.
+    """Return the changes that restore one servo; `former` may also hold those of other servos.
 
     Raises:
         ServoError: No answer, or another model.
@@ -184,14 +170,7 @@ def write_changes(io: TransactionGuard, family: Family, required: Sequence[Regis
 
 
 def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
-    """Change the id of the only servo that answers to `old`.
-
-    Args:
-        io: Transactions of the open port.
-        joint: Joint of the new id, for messages.
-        row: Servo model.
-        old: Present id.
-        new: New id.
+    """Change the id of the only servo that answers to `old`, which drives `joint`.
 
     Raises:
         ServoError: No answer, another model, torque is on, the new id is taken, or the servo did
@@ -244,8 +223,7 @@ def _write(io: TransactionGuard, id: int, family: Family, name: str, value: int)
     try:
         io.write(id, register.address, register.encode(value))
     except BusError as error:
-        if error.reason == "gone":
-            raise
+        error.raise_if_gone()
 
 
 def _lock(io: TransactionGuard, id: int, family: Family, *, locked: bool) -> None:

@@ -155,7 +155,7 @@ class _Asking:
         try:
             self._io.read(number, MODEL_AT[self._protocol][0], 2)
         except BusError as error:
-            _pass_on(error)
+            error.raise_if_gone()
             if error.reason == "timeout":
                 return False
         self._is_silent = False
@@ -171,7 +171,7 @@ class _Asking:
             try:
                 self._io.read(number, MODEL_AT[self._protocol][0], 2)
             except BusError as error:
-                _pass_on(error)
+                error.raise_if_gone()
                 self._is_silent = error.reason == "timeout"
                 if self._is_silent:
                     return None
@@ -197,17 +197,11 @@ class _Asking:
             try:
                 self._io.ping(UNUSED_ID)
             except BusError as error:
-                _pass_on(error)
+                error.raise_if_gone()
             if time.perf_counter() - before >= self._careful:
                 self._is_silent = True
                 return True
         return False
-
-
-def _pass_on(error: BusError) -> None:
-    """Raise an error that also affects all other ids."""
-    if error.reason == "gone":
-        raise error
 
 
 def _model(io: Transport, protocol: Wire, id: int) -> tuple[int | None, tuple[str, ...]]:
@@ -217,8 +211,7 @@ def _model(io: Transport, protocol: Wire, id: int) -> tuple[int | None, tuple[st
         try:
             data, _ = io.read(id, address, 2)
         except BusError as error:
-            if error.reason == "gone":
-                raise
+            error.raise_if_gone()
             continue
         value = int.from_bytes(data, "little")
         number = value if number is None else number

@@ -35,6 +35,11 @@ class BusError(ServoError):
         self.reason: Reason = reason
         self.id = id
 
+    def raise_if_gone(self) -> None:
+        """Raise this error again if the port is gone, which affects all other servos too."""
+        if self.reason == "gone":
+            raise self
+
 
 class Transport(Protocol):
     """Requests and replies on one port; every call may raise `BusError`.

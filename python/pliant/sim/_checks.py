@@ -8,7 +8,7 @@ import numpy as np
 
 from pliant._core import ConfigError, Servos, ShapeError
 from pliant._servo_tables import spread
-from pliant._validation import format_value, instance, number
+from pliant._validation import format_value, instance
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -29,11 +29,6 @@ def physics_steps(dt: float, rate: float) -> int:
     return steps
 
 
-def table(servos: Any | None) -> Servos | None:
-    """Check the servo table; None passes."""
-    return None if servos is None else instance(servos, Servos, "servos")
-
-
 def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
     """Check the servo tables of off-chain joints; leave out joints that the model lacks."""
     names = {joint.name for joint in model.joints} - set(model.joint_names)
@@ -45,17 +40,6 @@ def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
         if name in names:
             found[name] = spread(own, 1)
     return found
-
-
-def off_chain(value: str) -> None:
-    """Check the treatment of off-chain joints."""
-    if value not in {"held", "welded"}:
-        raise ConfigError(f"off_chain is 'held' or 'welded', got {format_value(value)}")
-
-
-def creep(value: float) -> float:
-    """Check the creep factor; MuJoCo has no dry friction that holds a joint entirely."""
-    return number(value, "creep", 1e-3, 1.0)
 
 
 def load(payload: Any) -> tuple[float, Array] | None:

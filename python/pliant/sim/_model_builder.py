@@ -153,24 +153,12 @@ MIN_MASS, MIN_INERTIA = 1e-4, 1e-7
 OFF_CHAIN_EFFORT = 1.0
 #: Armature of an off-chain servo [kg·m²] per N·m of effort, and of a mimic joint [kg·m²].
 OFF_CHAIN_ARMATURE, FOLLOWER_ARMATURE = 2e-3, 1e-4
-#: Share of a joint's rotor inertia and damping on the link side of the backlash.
-PLAY_SHARE = 0.02
-#: Tooth contact: time constant [s] and MuJoCo's solimp.
-PLAY_TIME, PLAY_IMPEDANCE = 0.003, (0.99, 0.999, 1e-4)
 #: Time constant [s] of the equality constraint of a mimic joint.
 MIMIC_TIME = 0.005
 
 
-def add_joint(
-    out: Build,
-    body: mujoco.MjsBody,
-    index: int,
-    gains: Gains,
-    *,
-    backlash: Array,
-    creep: float,
-) -> None:
-    """Add the joint that moves a group, its gears, and the backlash between gears and link."""
+def add_joint(out: Build, body: mujoco.MjsBody, index: int, gains: Gains, creep: float) -> None:
+    """Add the joint that moves a group, with its gears."""
     joint = out.model.joints[index]
     sliding = kind_of(joint) == "prismatic"
     mj = body.add_joint(name=joint.name, axis=unit_vector(joint.axis))
@@ -185,14 +173,6 @@ def add_joint(
     mj.frictionloss = gains.friction[i]
     mj.solimp_friction[:2] = sticking(creep)
     set_damping(mj, gains.damping[i])
-    if backlash[i] > 0.0:
-        play = body.add_joint(name=f"play:{joint.name}", axis=unit_vector(joint.axis), type=mj.type)
-        _limit(play, -backlash[i] / 2, backlash[i] / 2)
-        play.solref_limit = (PLAY_TIME, 1.0)
-        play.solimp_limit[:3] = PLAY_IMPEDANCE
-        play.armature = PLAY_SHARE * gains.armature[i]
-        set_damping(play, PLAY_SHARE * gains.damping[i])
-        out.backlash.append(joint.name)
 
 
 def sticking(creep: float) -> tuple[float, float]:
@@ -372,7 +352,6 @@ class Build:
         chain: MuJoCo joint of each chain coordinate, length n.
         held: Rest angle of each off-chain joint that has an actuator, by joint name.
         extra: Servo of each off-chain joint, one entry each, by joint name.
-        backlash: Joints with backlash behind the gear.
         rigid_groups: Groups of links without relative motion, parents first.
         bodies: MuJoCo body of each group.
     """
@@ -382,7 +361,6 @@ class Build:
     chain: list[str] = field(default_factory=list)
     held: dict[str, float] = field(default_factory=dict)
     extra: dict[str, Servos] = field(default_factory=dict)
-    backlash: list[str] = field(default_factory=list)
     rigid_groups: list[Group] = field(default_factory=list)
     bodies: list[mujoco.MjsBody] = field(default_factory=list)
 
@@ -394,7 +372,6 @@ def build_spec(
     dt: float,
     off_chain: OffChain = "held",
     payload: tuple[float, Array] | None = None,
-    backlash: Array,
     creep: float = 1.0,
     extra: Mapping[str, Servos] | None = None,
 ) -> Build:
@@ -411,7 +388,6 @@ def build_spec(
         off_chain: Treatment of off-chain joints.
         payload: Mass [kg] and centre (3,) [m] in the tool frame of a load that is fixed to the
             tool.
-        backlash: Full backlash behind each gear (n,) [rad].
         creep: Creep of joints held by friction, relative to MuJoCo's default.
         extra: Servos of off-chain joints, one entry each, by name; others are guessed from their
             efforts.
@@ -447,7 +423,7 @@ def build_spec(
         made.append(body)
         moving = group.joint is not None
         if group.joint is not None:
-            add_joint(out, body, group.joint, gains, backlash=backlash, creep=creep)
+            add_joint(out, body, group.joint, gains, creep)
         add_mass(model, body, group, moving, payload)
         for index, pose in group.members:
             link = model.links[index]

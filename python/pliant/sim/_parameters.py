@@ -7,12 +7,13 @@ or scaled values, to test the effect of wrong assumptions.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pliant._core import ConfigError, Servos
 from pliant._servo_tables import spread
+from pliant._validation import instance
 from pliant.sim._checks import per_joint
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 
     from pliant._typing import Array
 
-
-LimitType = Literal["current", "pwm"]
 
 #: Position error at which a servo of unknown gain is assumed to reach its full effort [rad].
 FULL_EFFORT_ERROR = 0.07
@@ -65,35 +64,23 @@ class Gains:
         )
 
 
-def tabulate(model: Any, servos: Servos | None, limit_type: LimitType | None) -> Servos:
+def tabulate(model: Any, servos: Any | None) -> Servos:
     """Return the servo table of a model with n entries, or a guess from its efforts.
 
     Args:
         model: The robot. Without `servos`, its `servos` or its `effort_limit` are used.
         servos: The table. None: the model's own, or else a guess from the efforts.
-        limit_type: Overrides the limit type of the table.
 
     Returns:
         The table. ``stiffness_known`` of a guess is False.
 
     Raises:
-        ConfigError: A joint has neither servo data nor an effort, or `pwm` lacks a no-load speed.
+        ConfigError: A joint has neither servo data nor an effort.
         ShapeError: The table is for another number of joints.
+        TypeError: `servos` is no table.
     """
-    table = servos if servos is not None else getattr(model, "servos", None)
-    if table is None:
-        return _guess(model)
-    if limit_type not in {None, "current", "pwm"}:
-        raise ConfigError(f"servo limit_type {limit_type!r} is unknown; choose 'current' or 'pwm'")
-    if (limit_type or table.limit_type) == "pwm" and table.no_load_speed is None:
-        raise ConfigError(
-            "servos of limit_type 'pwm' need no_load_speed [rad/s]: it sets their back-EMF"
-        )
-    return (
-        spread(table, model.n)
-        if limit_type is None
-        else spread(table, model.n).replace(limit_type=limit_type)
-    )
+    table = getattr(model, "servos", None) if servos is None else instance(servos, Servos, "servos")
+    return _guess(model) if table is None else spread(table, model.n)
 
 
 def resolve(table: Servos) -> Gains:

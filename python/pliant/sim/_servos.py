@@ -81,6 +81,7 @@ class ServoBank:
     Attributes:
         torque: Mean torque of the servos over the last period (n,) [N·m], inside their limits.
         held: Rest goal [rad] and torque limit [N·m] of each off-chain joint with a servo.
+        needs_drive: True if `drive` is needed at every physics step.
     """
 
     def __init__(
@@ -91,7 +92,6 @@ class ServoBank:
         gains: Gains,
         *,
         deadband: Array,
-        speed: Array | None,
         overload: Overload | None,
     ) -> None:
         """Look up the joints and actuators of a build in the compiled model."""
@@ -100,16 +100,12 @@ class ServoBank:
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._servo = np.array([model.actuator(name).id for name in built.chain])
-        plays = [model.joint(f"play:{name}") for name in built.backlash]
-        self._play = np.array([joint.qposadr[0] for joint in plays], dtype=int)
-        self._play_dof = np.array([joint.dofadr[0] for joint in plays], dtype=int)
-        self._play_of = np.array([built.chain.index(name) for name in built.backlash], dtype=int)
         self.held = {
             name: (rest, float(model.actuator(name).forcerange[1]))
             for name, rest in built.held.items()
         }
-        self._deadband, self._speed, self._overload = deadband, speed, overload
-        self._inner = bool(deadband.any()) or speed is not None or bool(self._play.size)
+        self._deadband, self._overload = deadband, overload
+        self.needs_drive = bool(deadband.any())
 
     def reset(self, q: Array) -> None:
         """Put all joints at rest: the chain at q (n,) [rad], the others at their rest angles."""
@@ -119,7 +115,6 @@ class ServoBank:
             self._data.qpos[self._model.joint(name).qposadr[0]] = rest
         self._place_followers()
         self._trip = OverloadTrip(n, self._overload)
-        self._reference = q.copy()
         self.torque, self._sum, self._steps = np.zeros(n), np.zeros(n), 0
 
     def _place_followers(self) -> None:
@@ -139,24 +134,15 @@ class ServoBank:
         return self._dof, self._servo
 
     @property
-    def needs_drive(self) -> bool:
-        """True if `drive` is needed at every physics step."""
-        return self._inner
-
-    @property
     def q(self) -> Array:
-        """True positions of the links (n,) [rad]."""
+        """True joint positions (n,) [rad]."""
         q: Array = self._data.qpos[self._qpos]
-        if self._play.size:
-            q[self._play_of] += self._data.qpos[self._play]
         return q
 
     @property
     def dq(self) -> Array:
-        """True velocities of the links (n,) [rad/s]."""
+        """True joint velocities (n,) [rad/s]."""
         dq: Array = self._data.qvel[self._dof]
-        if self._play.size:
-            dq[self._play_of] += self._data.qvel[self._play_dof]
         return dq
 
     @property
@@ -183,24 +169,11 @@ class ServoBank:
         self._sum[:] = 0.0
         self._steps = 0
 
-    def drive(self, dt: float) -> None:
-        """Update the servos before a physics step: speed limit, dead band, backlash.
-
-        The encoder sits on the link, so a servo with backlash controls the link, not its motor.
-        """
-        if not self._inner:
-            return
-        if self._speed is None:
-            self._reference = self._goal
-        else:
-            max_limit = self._speed * dt
-            self._reference = self._reference + np.clip(
-                self._goal - self._reference, -max_limit, max_limit
-            )
-        error = self._reference - self.q
-        ctrl = self._reference - np.clip(error, -self._deadband, self._deadband)
-        ctrl[self._play_of] -= self._data.qpos[self._play]
-        self._data.ctrl[self._servo] = ctrl
+    def drive(self) -> None:
+        """Apply the dead band before a physics step."""
+        if self.needs_drive:
+            error = np.clip(self._goal - self.q, -self._deadband, self._deadband)
+            self._data.ctrl[self._servo] = self._goal - error
 
     def count(self) -> None:
         """Add the torques of a finished physics step to the period's mean."""

@@ -6,8 +6,8 @@ rotate in the grip.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -101,10 +101,6 @@ class Door(GraspedObject):
                 f"got {self!r}"
             )
 
-    def with_(self, **changes: object) -> Door:
-        """Return a copy with these attributes changed."""
-        return replace(self, **changes)  # type: ignore[arg-type]
-
     def add(self, build_spec: Build) -> None:
         """Add carriage, leaf, handle and grip."""
         spec, arm = build_spec.spec, np.asarray(self.hinge, dtype=np.float64)
@@ -172,21 +168,20 @@ class Door(GraspedObject):
         """Record the opening, and the force and torque in the grip."""
         self.angle = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.angle)
-        self.record_grip(plant)
+        super().after(plant)
 
 
-def door(**changes: object) -> Door:
+def door(**fields: Any) -> Door:
     """A house door: vertical hinge 0.30 m to the right of the handle, 3 kg."""
-    return Door().with_(**changes)
+    return Door(**fields)
 
 
-def fridge(**changes: object) -> Door:
+def fridge(**fields: Any) -> Door:
     """A fridge: as the house door, 6 kg, little friction, a magnetic seal of 20 N at the handle."""
-    return Door(mass=6.0, friction=0.3, seal=20.0, name="fridge").with_(**changes)
+    return Door(**{"mass": 6.0, "friction": 0.3, "seal": 20.0, "name": "fridge", **fields})
 
 
-def oven(**changes: object) -> Door:
+def oven(**fields: Any) -> Door:
     """An oven: horizontal hinge 0.30 m below the handle, the leaf carried by a spring."""
-    return Door(hinge=(0.0, 0.0, -0.30), axis=(0.0, -1.0, 0.0), balanced=True, name="oven").with_(
-        **changes
-    )
+    hinge = {"hinge": (0.0, 0.0, -0.30), "axis": (0.0, -1.0, 0.0)}
+    return Door(**{**hinge, "balanced": True, "name": "oven", **fields})

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -61,10 +61,6 @@ class Drawer(GraspedObject):
                 f"got {self!r}"
             )
 
-    def with_(self, **changes: object) -> Drawer:
-        """Return a copy with these attributes changed."""
-        return replace(self, **changes)  # type: ignore[arg-type]
-
     def add(self, build_spec: Build) -> None:
         """Add slide, box and grip."""
         axis = np.asarray(self.axis, dtype=np.float64)
@@ -113,20 +109,17 @@ class Drawer(GraspedObject):
         friction = self.friction + self.binding * self._sideways
         plant.mj_model.dof_frictionloss[self._dof] = friction
 
-    def during(self, plant: Plant) -> None:
-        """Apply nothing: only the arm pulls at a drawer."""
-
     def after(self, plant: Plant) -> None:
         """Record the opening, and the grip's force along and across the slide."""
         self.opening = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.opening)
-        self.record_grip(plant)
+        super().after(plant)
         side = self.pull - (self.pull @ self._axis) * self._axis
         self._sideways = float(np.sqrt(side @ side))
         if plant.time > SETTLE:
             self.across = max(self.across, self._sideways)
 
 
-def drawer(**changes: object) -> Drawer:
+def drawer(**fields: Any) -> Drawer:
     """A drawer that opens toward the robot (-x) by 0.25 m, 2 kg, 3 N of friction."""
-    return Drawer().with_(**changes)
+    return Drawer(**fields)

@@ -10,6 +10,7 @@ import numpy as np
 from pliant._core import ConfigError
 from pliant.sim._mujoco import mujoco
 from pliant.sim.hand import Course
+from pliant.sim.plant import Fixture
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +34,7 @@ SETTLE = 0.5
 
 
 @dataclass(kw_only=True)
-class GraspedObject:
+class GraspedObject(Fixture):
     """An object that the arm holds at its site `handle`, which is where the tool is at reset.
 
     Attributes:
@@ -92,7 +93,7 @@ class GraspedObject:
         plant.mj_data.eq_active[self._grip] = 0
         self._row = None
 
-    def record_grip(self, plant: Plant) -> None:
+    def after(self, plant: Plant) -> None:
         """Record force and torque in the grip; `pull` (3,) is the force in base axes [N]."""
         data = plant.mj_data
         if not data.eq_active[self._grip]:
@@ -196,9 +197,6 @@ class HandoverObject(GraspedObject):
         super().release(plant)
         self.released = plant.time
 
-    def before(self, plant: Plant) -> None:
-        """Do nothing: no motion is prescribed."""
-
     def during(self, plant: Plant) -> None:
         """Apply the person's force, and the ball's weight once the grip is open."""
         data = plant.mj_data
@@ -214,10 +212,6 @@ class HandoverObject(GraspedObject):
         self.peak_effort = max(self.peak_effort, size)
         lift = self._weight if self.released is not None else np.zeros(3)
         plant.pull(self._body, force + lift, np.zeros(3), place.copy())
-
-    def after(self, plant: Plant) -> None:
-        """Record the force and torque in the grip."""
-        self.record_grip(plant)
 
     def place_of(self, plant: Plant) -> np.ndarray:
         """Return the position of the ball (3,) [m]."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from pliant._core import ConfigError, Model, PliantError, ShapeError
-from pliant._validation import format_value, instance
+from pliant._validation import format_value, instance, number
 from pliant.drive import State
 from pliant.sim import _checks as checks
 from pliant.sim._bus import Bus, Command
@@ -31,13 +31,15 @@ if TYPE_CHECKING:
     from pliant._core import Servos
     from pliant._typing import Array, Mask
     from pliant.sim._model_builder import Build, OffChain, Robot
-    from pliant.sim._parameters import LimitType
     from pliant.sim._servos import Overload
     from pliant.sim.hand import Hand
 
 
 class Fixture(Protocol):
-    """A thing with bodies of its own (a door); hands and walls are only force laws."""
+    """A thing with bodies of its own (a door); hands and walls are only force laws.
+
+    A subclass needs only the methods in which it does something.
+    """
 
     def add(self, build_spec: Build) -> None:
         """Add bodies and constraints before the model is compiled."""
@@ -47,12 +49,15 @@ class Fixture(Protocol):
 
     def before(self, plant: Plant) -> None:
         """Prepare each physics step, e.g. prescribed motion."""
+        return
 
     def during(self, plant: Plant) -> None:
         """Apply external forces (`mj_data.qfrc_applied`), with positions up to date."""
+        return
 
     def after(self, plant: Plant) -> None:
         """Record results after each physics step."""
+        return
 
 
 class Plant:
@@ -75,7 +80,6 @@ class Plant:
         noise: Standard deviation of the readings before rounding [rad].
         deadband: Error below which a servo gives no torque [rad]; above it, the error counts from
             the edge of the band.
-        backlash: Full backlash between gear and link [rad]; the encoder sits on the link.
         read_loss: Share of readings lost.
         write_loss: Share of writes lost.
         silent: Start and end of an outage of the bus in both directions [s].
@@ -84,8 +88,6 @@ class Plant:
         damping_scale: Ratio of true to tabulated damping, gears and back-EMF.
         payload: Mass [kg] and centre (3,) in the tool frame [m] of a load unknown to the
             controller.
-        speed_limit: Largest speed of the servos' internal goal [rad/s]; None: no limit.
-        limit_type: `current` or `pwm`, overriding the table.
         overload: Overload protection of the servos; None: no protection.
         friction: Dry friction of the gears: `coulomb`, as in the table, or by speed and load.
         creep: Creep of a joint that dry friction should hold, in [0.001, 1]: its speed is about
@@ -135,7 +137,6 @@ class Plant:
         flicker: int = 0,
         noise: ArrayLike = 0.0,
         deadband: ArrayLike = 0.0,
-        backlash: ArrayLike = 0.0,
         read_loss: float = 0.0,
         write_loss: float = 0.0,
         silent: tuple[float, float] | None = None,
@@ -143,8 +144,6 @@ class Plant:
         friction_scale: ArrayLike = 1.0,
         damping_scale: ArrayLike = 1.0,
         payload: tuple[float, Sequence[float]] | None = None,
-        speed_limit: ArrayLike | None = None,
-        limit_type: LimitType | None = None,
         overload: Overload | None = None,
         friction: Literal["coulomb"] | Friction = "coulomb",
         creep: float = 1.0,
@@ -157,8 +156,10 @@ class Plant:
         self.steps = checks.physics_steps(dt, rate)
         self.model, self.dt, self.rate = model, float(dt), float(rate)
         self.period = 1.0 / self.rate
-        checks.off_chain(off_chain)
-        self.table = tabulate(model, checks.table(servos), limit_type)
+        if off_chain not in {"held", "welded"}:
+            value = format_value(off_chain)
+            raise ConfigError(f"off_chain is 'held' or 'welded', got {value}")
+        self.table = tabulate(model, servos)
         self.tabulated = resolve(self.table)
         self.gains = self.tabulated.scaled(kp_scale, friction_scale, damping_scale)
         self._bus = Bus(
@@ -180,8 +181,8 @@ class Plant:
             dt=self.dt,
             off_chain=off_chain,
             payload=checks.load(payload),
-            backlash=checks.per_joint(backlash, n, "backlash", low=0.0),
-            creep=checks.creep(creep),
+            # MuJoCo has no dry friction that holds a joint entirely.
+            creep=number(creep, "creep", 1e-3, 1.0),
             extra=checks.extra(model, extra_servos),
         )
         self.extra_tables = {name: built.extra[name] for name in built.held}
@@ -200,9 +201,6 @@ class Plant:
             self.mj_data,
             self.gains,
             deadband=checks.per_joint(deadband, n, "deadband", low=0.0),
-            speed=None
-            if speed_limit is None
-            else checks.per_joint(speed_limit, n, "speed_limit", low=0),
             overload=check_overload(overload),
         )
         self._gears = self._make_gears(friction)
@@ -397,7 +395,7 @@ class Plant:
     def _step(self) -> None:
         """Run one physics step: servos, positions, external forces at these positions, motion."""
         data = self.mj_data
-        self._bank.drive(self.dt)
+        self._bank.drive()
         if self._gears is not None:
             self._gears.update()
         for fixture in self._fixtures:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pliant._core import ConfigError
 from pliant.sim._mujoco import mujoco
+from pliant.sim.plant import Fixture
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +32,7 @@ WALL = 0.03
 
 
 @dataclass(kw_only=True)
-class Socket:
+class Socket(Fixture):
     """A square hole under the tool, and a round-ended plug whose tip is the tool's origin.
 
     The plug is fixed to the tool and points along the tool's -z, as the hole does at reset. Four
@@ -74,10 +75,6 @@ class Socket:
                 "Socket needs width > 0 and depth > chamfer; clearance, chamfer and friction at "
                 f"least 0; got {self!r}"
             )
-
-    def with_(self, **changes: object) -> Socket:
-        """Return a copy with these attributes changed."""
-        return replace(self, **changes)  # type: ignore[arg-type]
 
     def add(self, build_spec: Build) -> None:
         """Add the plug to the arm and the socket to the world, and switch contacts on."""
@@ -156,12 +153,6 @@ class Socket:
         self._plug = int(model.geom(f"{self.name}:plug").id)
         self._wrench, self._mean = np.zeros(6), np.zeros(3)
         self.force = self.peak_along = self.peak_across = self.deepest = 0.0
-
-    def before(self, plant: Plant) -> None:
-        """Do nothing: no motion is prescribed."""
-
-    def during(self, plant: Plant) -> None:
-        """Do nothing: MuJoCo computes the contacts."""
 
     def after(self, plant: Plant) -> None:
         """Record the depth of the tip and the contact force."""

@@ -10,6 +10,7 @@ import numpy as np
 from pliant._core import ConfigError
 from pliant.sim._model_builder import as_matrix, unit_vector
 from pliant.sim._mujoco import mujoco
+from pliant.sim.plant import Fixture
 
 if TYPE_CHECKING:
     from pliant._typing import Array
@@ -26,7 +27,7 @@ VERTICAL = 0.999
 
 
 @dataclass(kw_only=True, eq=False)
-class Tabletop:
+class Tabletop(Fixture):
     """A horizontal plane that stops every link that can move up or down.
 
     The contact geometry of a link is the capsules that draw it. Links that only turn about a
@@ -87,12 +88,6 @@ class Tabletop:
         self._data, self._model = plant.mj_data, model
         self.force = self.peak_force = 0.0
         self.touching = ()
-
-    def before(self, plant: Plant) -> None:
-        """Do nothing: no motion is prescribed."""
-
-    def during(self, plant: Plant) -> None:
-        """Do nothing: MuJoCo computes the contacts."""
 
     def after(self, plant: Plant) -> None:
         """Record the contact force and the links in contact."""

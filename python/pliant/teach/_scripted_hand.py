@@ -23,9 +23,6 @@ STIFFNESS, LIMIT = 800.0, 30.0
 def prepare(arm: Arm) -> Callable[[], None]:
     """Import the simulator in advance: the import takes 0.6 s, too long between two ticks.
 
-    Args:
-        arm: A simulated or emulated arm.
-
     Returns:
         A function that starts the hand and returns immediately.
 
@@ -51,9 +48,6 @@ def prepare(arm: Arm) -> Callable[[], None]:
 
 def lead(arm: Arm) -> None:
     """Start the hand that leads the tool.
-
-    Args:
-        arm: A simulated or emulated arm.
 
     Raises:
         ConfigError: The arm is real.

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import viser
 
-from pliant.view import meters, orders
-from pliant.view.desk import LAWS
+from pliant.view import html, messages
+from pliant.view.settings_editor import LAWS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pliant.view.snapshot import Shown, Snapshot, Stage
+    from pliant.view.snapshot import SceneInfo, SettingsView, Snapshot
 
-    Tell = Callable[[orders.Order], None]
+    Tell = Callable[[messages.Message], None]
 
 #: Labels of the page for the pushes to which an axis yields, with the values of `pliant.Axis`.
 YIELDS = {
@@ -37,45 +37,45 @@ FIRST = 0.15
 class Controls:
     """The control panel: sends changes to the arm and shows the arm's present state."""
 
-    def __init__(self, server: viser.ViserServer, stage: Stage, tell: Tell) -> None:
+    def __init__(self, server: viser.ViserServer, info: SceneInfo, send: Tell) -> None:
         """Add the controls to the open container."""
-        self._gui, self._stage, self._tell = server.gui, stage, tell
+        self._gui, self._info, self._send = server.gui, info, send
         self._numbers = itertools.count(1)
-        self._said = 0
+        self._last_edit = 0
         #: Last known values of the controls, set by the arm or a visitor, by id.
         self._known: dict[int, Any] = {}
         self._scene()
         self._softness()
-        if stage.strong is not None:
-            self._push(stage.strong)
+        if info.max_push is not None:
+            self._push(info.max_push)
 
     # Construction.
 
     def _scene(self) -> None:
-        gui, stage = self._gui, self._stage
-        with gui.add_folder("Scene" if stage.scenes else "Target"):
-            if stage.scenes:
-                scene = gui.add_dropdown("Scene", tuple(stage.scenes), initial_value=stage.scene)
-                self._by_hand(scene, lambda: self._tell(orders.Scene(scene.value)))
-                gui.add_markdown(stage.scenes[stage.scene])
-            if stage.play:
-                play = gui.add_button(stage.play, icon=viser.Icon.PLAYER_PLAY)
-                play.on_click(lambda _: self._tell(orders.Play()))
+        gui, info = self._gui, self._info
+        with gui.add_folder("Scene" if info.scenes else "Target"):
+            if info.scenes:
+                scene = gui.add_dropdown("Scene", tuple(info.scenes), initial_value=info.scene)
+                self._by_hand(scene, lambda: self._send(messages.Scene(scene.value)))
+                gui.add_markdown(info.scenes[info.scene])
+            if info.play:
+                play = gui.add_button(info.play, icon=viser.Icon.PLAYER_PLAY)
+                play.on_click(lambda _: self._send(messages.Play()))
             self._places = gui.add_html("")
             home = gui.add_button("Target back to the start", icon=viser.Icon.HOME, color="gray")
-            home.on_click(lambda _: self._tell(orders.Home()))
+            home.on_click(lambda _: self._send(messages.Home()))
 
     def _softness(self) -> None:
-        gui, stage = self._gui, self._stage
+        gui, info = self._gui, self._info
         with gui.add_folder("Softness"):
-            self.preset = gui.add_dropdown("Preset", stage.presets)
-            self._edits(self.preset, lambda n: orders.Preset(n, self.preset.value))
+            self.preset = gui.add_dropdown("Preset", info.presets)
+            self._edits(self.preset, lambda n: messages.Preset(n, self.preset.value))
             self.law = gui.add_dropdown("Law", LAWS)
-            self._edits(self.law, lambda n: orders.Law(n, self.law.value))
+            self._edits(self.law, lambda n: messages.Law(n, self.law.value))
             self.firm = gui.add_checkbox(
                 "All firm", initial_value=False, hint="The same pose, all axes stiff"
             )
-            self._edits(self.firm, lambda n: orders.Firm(n, self.firm.value))
+            self._edits(self.firm, lambda n: messages.Firm(n, self.firm.value))
             self.eta = gui.add_slider(
                 "η",
                 min=0.0,
@@ -84,16 +84,16 @@ class Controls:
                 initial_value=0.9,
                 hint="0: comes back to the target; near 1: stays where it is put",
             )
-            self._edits(self.eta, lambda n: orders.Eta(n, float(self.eta.value)))
+            self._edits(self.eta, lambda n: messages.Adaptation(n, float(self.eta.value)))
             self.yields = {}
-            for name in stage.axes:
+            for name in info.axes:
                 choice = gui.add_dropdown(name, tuple(YIELDS))
                 self.yields[name] = choice
                 self._edits(choice, self._change(name, "yields", choice))
         with gui.add_folder("Strength: pushed toward −, toward +", expand_by_default=False):
             self.strength: dict[tuple[str, str], Any] = {}
             tabs = gui.add_tab_group()
-            for name in stage.axes:
+            for name in info.axes:
                 with tabs.add_tab(name):
                     self._strengths(name)
 
@@ -119,63 +119,63 @@ class Controls:
         self.strength[name, "hold"] = hold
         self._edits(hold, self._change(name, "hold", hold))
 
-    def _push(self, strong: tuple[float, float]) -> None:
-        gui, axes = self._gui, self._stage.axes
+    def _push(self, max_push: tuple[float, float]) -> None:
+        gui, axes = self._gui, self._info.axes
         with gui.add_folder("Push"):
             gui.add_markdown("Drag any part of the arm with the mouse, or:")
             sides = [f"{sign}{name}" for name in axes for sign in "+−"]
             first = "+y" if "+y" in sides else sides[0]
             self.side = gui.add_dropdown("Toward", tuple(sides), initial_value=first)
             self.force = gui.add_slider("Force [N]", min=0.0, max=1.0, step=0.1, initial_value=0.0)
-            self._scale(strong)
-            self.side.on_update(lambda _: self._scale(strong))
+            self._scale(max_push)
+            self.side.on_update(lambda _: self._scale(max_push))
             held = gui.add_button("Push while held down", icon=viser.Icon.HAND_FINGER)
-            held.on_hold(lambda _: self._tell(self._pushing(COUNTS)), callback_hz=HOLDING)
+            held.on_hold(lambda _: self._send(self._pushing(COUNTS)), callback_hz=HOLDING)
             timed = gui.add_button(f"Push for {PUSH:g} s", color="gray")
-            timed.on_click(lambda _: self._tell(self._pushing(PUSH)))
+            timed.on_click(lambda _: self._send(self._pushing(PUSH)))
 
-    def _scale(self, strong: tuple[float, float]) -> None:
+    def _scale(self, max_push: tuple[float, float]) -> None:
         """Set range and unit of the push: newtons along an axis, newton metres about one."""
         turning = self.side.value[1:] not in {"x", "y", "z"}
         label = "Torque [N·m]" if turning else "Force [N]"
         if self.force.label != label or self.force.value == 0.0:
-            most = strong[turning]
+            most = max_push[turning]
             self.force.label, self.force.step = label, 10.0 ** np.floor(np.log10(most / 40.0))
             self.force.max = float(np.round(most, 3))
             force: Any = self.force
             force.value = float(np.round(FIRST * most, 3))
 
-    def _pushing(self, seconds: float) -> orders.Push:
+    def _pushing(self, seconds: float) -> messages.Push:
         side = self.side.value
         wrench = np.zeros(6)
         place = ("x", "y", "z", "roll", "pitch", "yaw").index(side[1:])
         wrench[place] = self.force.value if side[0] == "+" else -self.force.value
         x, y, z, *turn = wrench.tolist()
-        return orders.Push((x, y, z), (turn[0], turn[1], turn[2]), seconds)
+        return messages.Push((x, y, z), (turn[0], turn[1], turn[2]), seconds)
 
     # Sending and display.
 
-    def _change(self, axis: str, word: str, handle: Any) -> Callable[[int], orders.Edit]:
+    def _change(self, axis: str, word: str, handle: Any) -> Callable[[int], messages.Edit]:
         """Return a function that makes the edit of one field of an axis."""
 
-        def made(number: int) -> orders.Edit:
+        def made(number: int) -> messages.Edit:
             value = handle.value
             value = YIELDS[value] if word == "yields" else value
             fields = {word: value}
             if word == "yields" and value != "none":
                 fields["adaptation"] = float(self.eta.value)
-            return orders.Change(number, axis, fields)
+            return messages.Change(number, axis, fields)
 
         return made
 
-    def _edits(self, handle: Any, make: Callable[[int], orders.Edit]) -> None:
+    def _edits(self, handle: Any, make: Callable[[int], messages.Edit]) -> None:
         """Send an edit when a visitor moves a control."""
 
-        def tell() -> None:
-            self._said = next(self._numbers)
-            self._tell(make(self._said))
+        def send() -> None:
+            self._last_edit = next(self._numbers)
+            self._send(make(self._last_edit))
 
-        self._by_hand(handle, tell)
+        self._by_hand(handle, send)
 
     def _by_hand(self, handle: Any, act: Callable[[], None]) -> None:
         """Act on a visitor's change, not on a change by the page itself."""
@@ -195,11 +195,11 @@ class Controls:
         Snapshots come in another thread than the visitors' changes. If a control differs from its
         last known value, its edit is about to arrive.
         """
-        self._places.content = meters.places(now)
-        if now.shown is not None and now.edit >= self._said:
-            self._bring(now.shown)
+        self._places.content = html.places(now)
+        if now.shown is not None and now.edit >= self._last_edit:
+            self._show_settings(now.shown)
 
-    def _bring(self, shown: Shown) -> None:
+    def _show_settings(self, shown: SettingsView) -> None:
         self._put(self.preset, shown.preset)
         self._put(self.law, shown.law)
         self._put(self.firm, shown.firm)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from viser import uplot
 
-from pliant.view.meters import COLOURS, caption
+from pliant.view.html import COLOURS, caption
 
 if TYPE_CHECKING:
     import viser
 
     from pliant._typing import Array
-    from pliant.view.snapshot import Snapshot, Stage
+    from pliant.view.snapshot import SceneInfo, Snapshot
 
 
 #: Length of a curve [s], and points per second.
@@ -86,14 +86,14 @@ class Plot:
 class Plots:
     """The three plots of the page."""
 
-    def __init__(self, gui: viser.GuiApi, stage: Stage) -> None:
+    def __init__(self, gui: viser.GuiApi, info: SceneInfo) -> None:
         """Add the plots, empty."""
-        self._linear = [i for i, name in enumerate(stage.axes) if name in {"x", "y", "z"}]
-        names = tuple(stage.axes[i] for i in self._linear)
-        self._usable, self._last = stage.usable, -np.inf
+        self._linear = [i for i, name in enumerate(info.axes) if name in {"x", "y", "z"}]
+        names = tuple(info.axes[i] for i in self._linear)
+        self._usable, self._last = info.usable, -np.inf
         self._away = Plot(gui, "Off target [mm]", names, -20.0, 20.0)
-        self._soft = Plot(gui, "Soft [%]", stage.axes, 0.0, 100.0)
-        self._limit = Plot(gui, LIMITS, stage.joints, 0.0, 100.0, named=False)
+        self._soft = Plot(gui, "Soft [%]", info.axes, 0.0, 100.0)
+        self._limit = Plot(gui, LIMITS, info.joints, 0.0, 100.0, named=False)
 
     def show(self, now: Snapshot) -> None:
         """Add a snapshot, at most ten per second."""

@@ -73,7 +73,7 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
         ConfigError: No such arm.
     """
     if robot != "arm7":
-        return robots.load(robot), of_any(np.array(AHEAD[robot]))
+        return robots.load(robot), generic_scenes(np.array(AHEAD[robot]))
     free = Scene(
         about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=VERTICAL
     )
@@ -89,7 +89,7 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
         about="Its slide is 10° off the pull; y and z follow it.",
         preset="drawer",
         q=AT_DOOR,
-        make=lambda: [drawer(axis=_beside(10.0))],
+        make=lambda: [drawer(axis=_slide_direction(10.0))],
         play="Pull it open",
         way=(-WAY, 0.0, 0.0),
     )
@@ -117,7 +117,7 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
     }
 
 
-def of_any(q: Array) -> Mapping[str, Scene]:
+def generic_scenes(q: Array) -> Mapping[str, Scene]:
     """Return scenes for any arm at a posture (n,) [rad]."""
     return {
         "free": Scene(
@@ -144,7 +144,7 @@ def take(plant: Plant) -> bool:
     return False
 
 
-def let_go_when_taken(plant: Plant, home: Array) -> None:
+def release_when_pulled(plant: Plant, home: Array) -> None:
     """Open the grip once the tool was pulled away from its start (4, 4)."""
     for thing in plant.fixtures:
         if isinstance(thing, HandoverObject) and thing.released is None:
@@ -153,14 +153,14 @@ def let_go_when_taken(plant: Plant, home: Array) -> None:
                 thing.release(plant)
 
 
-def planes(plant: Plant) -> tuple[tuple[Array, Array], ...]:
+def wall_planes(plant: Plant) -> tuple[tuple[Array, Array], ...]:
     """Return the walls of the scene: a point (3,) and the direction (3,) into each."""
     out = []
-    for felt in plant.hands:
-        if isinstance(felt.hand, Wall):
-            into = np.asarray(felt.hand.into, dtype=np.float64)
-            start = plant.ground_truth.frame(felt.hand.at).start
-            out.append((start + felt.hand.distance * into, into))
+    for record in plant.hands:
+        if isinstance(record.hand, Wall):
+            into = np.asarray(record.hand.into, dtype=np.float64)
+            start = plant.ground_truth.frame(record.hand.at).start
+            out.append((start + record.hand.distance * into, into))
     return tuple(out)
 
 
@@ -168,7 +168,7 @@ def _wall() -> Wall:
     return Wall(distance=DISTANCE, damping=20.0)
 
 
-def _beside(degrees: float) -> tuple[float, float, float]:
+def _slide_direction(degrees: float) -> tuple[float, float, float]:
     """Return the direction of a slide toward the robot, turned in the horizontal plane."""
     angle = np.deg2rad(degrees)
     return -float(np.cos(angle)), float(np.sin(angle)), 0.0

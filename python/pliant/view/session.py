@@ -1,4 +1,4 @@
-"""The loop behind a page: one arm, its controller, and the orders between ticks."""
+"""The loop behind a page: one arm, its controller, and the messages between ticks."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import numpy as np
 
 from pliant._core import ConfigError, Controller, PliantError, ServoError
 from pliant.loop import Loop
-from pliant.view import checks, orders, scenes
-from pliant.view.body import Body
-from pliant.view.desk import Desk
-from pliant.view.hand import VisitorHand
-from pliant.view.look import Look
-from pliant.view.pace import Pace
-from pliant.view.snapshot import Stage
-from pliant.view.tap import Tap
+from pliant.view import messages, scenes
+from pliant.view.mouse_force import MouseForce
+from pliant.view.publisher import DriveObserver, Publisher
+from pliant.view.robot_view import RobotView
+from pliant.view.settings_editor import SettingsEditor
+from pliant.view.snapshot import SceneInfo
+from pliant.view.source import RealtimePacer
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,12 +23,12 @@ if TYPE_CHECKING:
     from pliant._core import Command
     from pliant.arm import Arm
     from pliant.loop import Tick
-    from pliant.view.link import Link
+    from pliant.view.ipc import Link
     from pliant.view.source import Source
 
     Next = Literal["stop", "start", "scene"]
 
-#: Polling period of orders while no loop runs [s].
+#: Polling period of messages while no loop runs [s].
 IDLE = 0.03
 #: Display names of built-in arms, by the name in their URDF.
 NAMES = {"so101_like": "SO-101 (simplified)", "koch_like": "Koch (simplified)"}
@@ -46,8 +45,8 @@ class Session:
         log: MCAP file to write; later runs of the arm add `-2`, `-3`, ... to its name.
 
     Attributes:
-        look: Snapshots for the page.
-        desk: The settings.
+        publisher: Snapshots for the page.
+        editor: The settings.
         target: Target pose (4, 4) of the controller.
         loop: The present loop, or the last.
     """
@@ -55,61 +54,61 @@ class Session:
     def __init__(self, source: Source, link: Link, log: Path | None = None) -> None:
         """Prepare a session; the arm does not move yet."""
         self._source, self._link, self._log = source, link, log
-        self._life = 0
+        self._session_number = 0
         self.loop: Loop | None = None
         self._played: float | None = None
-        self._strong = 0.0, 0.0
+        self._max_push = 0.0, 0.0
         self.target = self._accepted = np.eye(4)
-        self.look = Look(link, source.rate)
-        self.desk = Desk(source.axes, source.rate, source.settings)
+        self.publisher = Publisher(link, source.rate)
+        self.editor = SettingsEditor(source.axes, source.rate, source.settings)
         self._fresh = True
 
-    def run(self, lives: int | None = None) -> None:
+    def run(self, max_sessions: int | None = None) -> None:
         """Run until the page or the program ends.
 
         Args:
-            lives: Number of runs, from torque on to torque off; None: unlimited.
+            max_sessions: Number of runs, from torque on to torque off; None: unlimited.
 
         Raises:
             PageGone: The page has ended; the arm has been lowered.
             PliantError: There is no arm.
         """
-        for self._life in itertools.count(1):
+        for self._session_number in itertools.count(1):
             self._next: Next | None = None
             try:
-                self._live()
+                self._run_session()
             except ServoError as error:
-                if self.look.shown is None:
+                if self.publisher.shown is None:
                     raise
                 # Show the error on the page; the visitor may try again.
-                self.look.say(str(error), "fault")
-            self.look.phase = "down"
-            if self._life == lives:
+                self.publisher.show_error(str(error), "fault")
+            self.publisher.phase = "down"
+            if self._session_number == max_sessions:
                 return
             self._wait()
 
     # One run.
 
-    def _live(self) -> None:
+    def _run_session(self) -> None:
         """Switch torque on, control the arm, and lower it."""
         arm = self._source.arm()
-        tap = arm.drive = Tap(arm.drive)
-        self._arm, self._body = arm, Body(arm, self._source.urdf)
-        self._pace = Pace(arm.clock) if self._source.paced else None
-        self.look.at(arm, self._body, tap, self._pace)
-        tap.on_read = self.look.on_read
+        observer = arm.drive = DriveObserver(arm.drive)
+        self._arm, self._robot = arm, RobotView(arm, self._source.urdf)
+        self._pacer = RealtimePacer(arm.clock) if self._source.paced else None
+        self.publisher.observe(arm, self._robot, observer, self._pacer)
+        observer.on_read = self.publisher.on_read
         # Check the settings before torque comes on.
-        Controller(arm.model, self.desk.effective, arm.servos)
+        Controller(arm.model, self.editor.effective, arm.servos)
         with arm:
             try:
                 self._control(arm)
             except ServoError as error:
                 # Show the error before the descent, which may take a minute.
-                self.look.say(str(error), "fault")
+                self.publisher.show_error(str(error), "fault")
                 raise
             finally:
                 # The page shows the descent, whatever the cause.
-                self.look.phase = "lowering"
+                self.publisher.phase = "lowering"
             if self._next == "scene":
                 arm.disable_torque()
 
@@ -121,20 +120,20 @@ class Session:
             from pliant.log import Recorder
 
             path = self._log
-            if self._life > 1:
-                path = path.with_stem(f"{path.stem}-{self._life}")
+            if self._session_number > 1:
+                path = path.with_stem(f"{path.stem}-{self._session_number}")
             recorder = Recorder(path, config=self._source.config)
-        self.look.phase = "running"
-        self.look.settle("target", "hand", "settings", "fault")
+        self.publisher.phase = "running"
+        self.publisher.clear_error("target", "hand", "settings", "fault")
         loop = self.loop = Loop(arm, controller, rate=self._source.rate, recorder=recorder)
         controller = loop.controller
         for tick in loop:
-            self._take(controller)
+            self._handle_messages(controller)
             self._scripted(tick.began)
-            self.look.before_step(tick, loop)
+            self.publisher.before_step(tick, loop)
             command = self._step(tick, controller)
             tick.write(command)
-            self.look.after_step(tick, controller, command, self.target, loop)
+            self.publisher.after_step(tick, controller, command, self.target, loop)
             if self._next is not None:
                 return
 
@@ -149,134 +148,134 @@ class Session:
                 raise
             self.target, self._played = self._accepted, None
             command = controller.step(tick.q, self.target, dt=tick.dt)
-            self.look.say(str(error), "target")
+            self.publisher.show_error(str(error), "target")
         self._accepted = self.target
         return command
 
     def _begin(self, arm: Arm) -> Controller:
-        """Make the controller and the hand, and send the stage."""
+        """Make the controller and the hand, and describe the scene to the page."""
         q = arm.read().q
         if self._source.scene is not None and self._fresh:
-            self.desk.begin(self._source.scene.preset)
+            self.editor.begin(self._source.scene.preset)
         self._fresh = False
-        controller = Controller(arm.model, self.desk.effective, arm.servos)
+        controller = Controller(arm.model, self.editor.effective, arm.servos)
         self.home = np.asarray(arm.model.forward_kinematics(q))
         self.target = self._accepted = self.home.copy()
         self._played = None
         strengths = controller.axes
-        strong = [STRONG * float(axis.hold or 0.0) for axis in strengths.values()]
+        max_push = [STRONG * float(axis.hold or 0.0) for axis in strengths.values()]
         names = tuple(strengths)
-        linear = [f for f, name in zip(strong, names, strict=True) if name in "xyz"]
-        turning = [f for f, name in zip(strong, names, strict=True) if name not in "xyz"]
-        self._hand: VisitorHand | None = None
-        if self._body.simulated:
-            plant = self._body.plant
-            self._hand = self.look.hand = VisitorHand(max(linear, default=0.0))
-            plant.set_hands([*(felt.hand for felt in plant.hands), self._hand])
-        self._strong = max(linear, default=0.0), max(turning, default=0.0)
-        push = None if self._hand is None else self._strong
-        self.look.feel(controller)
-        self.look.shown = self.desk.show(controller, q)
-        stage = Stage(
-            figure=self._body.plant.mj_model,
+        linear = [f for f, name in zip(max_push, names, strict=True) if name in "xyz"]
+        turning = [f for f, name in zip(max_push, names, strict=True) if name not in "xyz"]
+        self._hand: MouseForce | None = None
+        if self._robot.simulated:
+            plant = self._robot.plant
+            self._hand = self.publisher.hand = MouseForce(max(linear, default=0.0))
+            plant.set_hands([*(record.hand for record in plant.hands), self._hand])
+        self._max_push = max(linear, default=0.0), max(turning, default=0.0)
+        push = None if self._hand is None else self._max_push
+        self.publisher.estimate_contact(controller)
+        self.publisher.shown = self.editor.describe(controller, q)
+        info = SceneInfo(
+            figure=self._robot.plant.mj_model,
             arm=display_name(arm.model.name),
             where=self._source.where,
             axes=names,
             joints=arm.model.joint_names,
-            start=self._body.pose(q, {}),
+            start=self._robot.pose(q, {}),
             usable=np.asarray(arm.servos.max_torque),
             scene=self._source.name,
             scenes={name: scene.about for name, scene in self._source.scenes.items()},
             play=self._source.scene.play if self._source.scene is not None else "",
-            presets=self.desk.presets,
-            walls=scenes.planes(self._body.plant),
+            presets=self.editor.presets,
+            walls=scenes.wall_planes(self._robot.plant),
             home=self.home,
-            strong=push,
+            max_push=push,
             force=max(linear, default=0.0),
             reach=arm.model.reach,
-            visuals=self._body.visuals,
+            visuals=self._robot.visuals,
             table=self._source.table,
         )
-        self._link.send(stage)
+        self._link.send(info)
         return controller
 
     # Orders.
 
-    def _take(self, controller: Controller | None) -> None:
-        """Carry out the page's orders since the last tick."""
-        for order in self._link.orders():
-            self.take(order, controller)
+    def _handle_messages(self, controller: Controller | None) -> None:
+        """Carry out the page's messages since the last tick."""
+        for message in self._link.messages():
+            self.handle(message, controller)
 
-    def take(self, order: orders.Order, controller: Controller | None) -> None:
-        """Carry out one order; if it is refused, report why and change nothing."""
-        if self._next == "stop" and not isinstance(order, orders.Edit):
+    def handle(self, message: messages.Message, controller: Controller | None) -> None:
+        """Carry out one message; if it is refused, report why and change nothing."""
+        if self._next == "stop" and not isinstance(message, messages.Edit):
             return
-        match order:
-            case orders.Edit(number=number):
-                self.look.edit = number
+        match message:
+            case messages.Edit(number=number):
+                self.publisher.edit = number
                 if controller is not None:
-                    self._edit(order, controller)
-            case orders.Target():
-                self._lead(order)
-            case orders.Home():
+                    self._edit(message, controller)
+            case messages.Target():
+                self._set_target(message)
+            case messages.Home():
                 self.target, self._played = self.home.copy(), None
-                self.look.settle("target")
-            case orders.Stop():
+                self.publisher.clear_error("target")
+            case messages.Stop():
                 self._next = "stop"
-            case orders.Start():
+            case messages.Start():
                 # A late click must not end the new run.
-                if self.look.phase == "down":
+                if self.publisher.phase == "down":
                     self._next = "start"
-            case orders.Scene(name=name):
+            case messages.Scene(name=name):
                 if name in self._source.scenes:
                     self._source.name, self._next, self._fresh = name, "scene", True
-            case orders.Play():
+            case messages.Play():
                 self._play()
             case _:
-                self._touch(order)
+                self._apply_to_hand(message)
 
-    def _lead(self, order: orders.Target) -> None:
+    def _set_target(self, message: messages.Target) -> None:
         """Set a new target if the arm can reach it."""
         try:
-            pose = checks.target(order, self._arm.model)
+            pose = messages.check_target(message, self._arm.model)
         except ConfigError as error:
-            self.look.say(f"{error}; the old target stays", "target")
+            self.publisher.show_error(f"{error}; the old target stays", "target")
             return
         self.target, self._played = pose, None
-        self.look.settle("target")
+        self.publisher.clear_error("target")
 
-    def _touch(self, order: orders.Order) -> None:
-        """Apply an order to the visitor's hand."""
+    def _apply_to_hand(self, message: messages.Message) -> None:
+        """Apply a message to the visitor's hand."""
         hand = self._hand
         if hand is None:
             return
         try:
-            match order:
-                case orders.Push(force=force, torque=torque, seconds=seconds):
-                    checks.push(order, self._strong)
-                    hand.push(force, torque, self._body.plant.time + seconds)
-                case orders.Grab(body=body, point=point, toward=toward):
-                    checks.grab(order)
-                    hand.grab(self._body.plant, body, point, toward)
-                case orders.LetGo():
+            match message:
+                case messages.Push(force=force, torque=torque, seconds=seconds):
+                    messages.check_push(message, self._max_push)
+                    hand.push(force, torque, self._robot.plant.time + seconds)
+                case messages.Grab(body=body, point=point, toward=toward):
+                    messages.check_grab(message)
+                    hand.grab(self._robot.plant, body, point, toward)
+                case messages.LetGo():
                     hand.let_go()
         except ConfigError as error:
-            self.look.say(str(error), "hand")
+            self.publisher.show_error(str(error), "hand")
             return
-        self.look.settle("hand")
+        self.publisher.clear_error("hand")
 
-    def _edit(self, order: orders.Edit, controller: Controller) -> None:
+    def _edit(self, message: messages.Edit, controller: Controller) -> None:
         try:
-            self.desk.take(order, controller)
+            self.editor.apply(message, controller)
         except PliantError as error:
-            self.look.say(str(error), "settings")
+            self.publisher.show_error(str(error), "settings")
         else:
-            self.look.settle("settings")
-        self.look.shown = self.desk.show(controller)
-        self.look.forget_report()
+            self.publisher.clear_error("settings")
+        self.publisher.shown = self.editor.describe(controller)
+        self.publisher.request_report()
 
     def _play(self) -> None:
-        if self._body.simulated and scenes.take(self._body.plant):
+        if self._robot.simulated and scenes.take(self._robot.plant):
             return
         self._played = self._arm.clock.now()
 
@@ -285,7 +284,7 @@ class Session:
         scene = self._source.scene
         if scene is None:
             return
-        scenes.let_go_when_taken(self._body.plant, self.home)
+        scenes.release_when_pulled(self._robot.plant, self.home)
         if self._played is not None:
             pose = scene.target(self.home, now - self._played)
             if pose is None:
@@ -300,11 +299,11 @@ class Session:
         self._next = None
         clock = self._arm.clock
         while self._next not in {"start", "scene"}:
-            self._take(None)
-            self.look.still()
+            self._handle_messages(None)
+            self.publisher.publish_reading()
             clock.wait_until(clock.now() + IDLE)
-            if self._pace is not None:
-                self._pace.wait()
+            if self._pacer is not None:
+                self._pacer.wait()
 
 
 def display_name(name: str) -> str:

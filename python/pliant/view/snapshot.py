@@ -10,13 +10,13 @@ import numpy as np
 
 if TYPE_CHECKING:
     from pliant._typing import Array, Mask
-    from pliant.view.visuals import Visual
+    from pliant.view.robot_view import Visual
 
     Phase = Literal["starting", "running", "lowering", "down"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stage:
+class SceneInfo:
     """Data that stay constant until the scene changes.
 
     Attributes:
@@ -33,7 +33,7 @@ class Stage:
         presets: Names of presets.
         walls: Planes to be drawn: a point (3,) [m] and the direction (3,) into it.
         home: First pose of the tool (4, 4).
-        strong: Largest force [N] and torque [N·m] of the push sliders; None: no pushing.
+        max_push: Largest force [N] and torque [N·m] of the push sliders; None: no pushing.
         force: Force [N] of the longest arrow.
         reach: Reach of the arm [m].
         visuals: Shapes of the arm's URDF.
@@ -53,7 +53,7 @@ class Stage:
     presets: tuple[str, ...]
     walls: tuple[tuple[Array, Array], ...]
     home: Array
-    strong: tuple[float, float] | None
+    max_push: tuple[float, float] | None
     force: float
     reach: float
     visuals: tuple[Visual, ...] = ()
@@ -61,7 +61,7 @@ class Stage:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class SettingsView:
     """The settings in force, as controls show them.
 
     Attributes:
@@ -80,7 +80,7 @@ class Shown:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Health:
+class LoopTiming:
     """Timing of the loop since torque on.
 
     Attributes:
@@ -123,7 +123,7 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Felt:
+class ForceEstimate:
     """Force at the tool, estimated from joint positions, base axes.
 
     Attributes:
@@ -135,7 +135,7 @@ class Felt:
     bound: Array
 
     @property
-    def certain(self) -> Array:
+    def significant_force(self) -> Array:
         """The force (3,) [N] along the axes where it is above its bound; 0 along the others."""
         return np.where(np.abs(self.force) > self.bound, self.force, 0.0)[:3]
 
@@ -156,7 +156,7 @@ class Snapshot:
         felt: Estimated force at the tool; None without a controller.
         health: Timing of the loop.
         report: Sentences on the present pose.
-        said: Number of errors and messages so far, the last one, and True if it is an error.
+        notice: Number of errors and messages so far, the last one, and True if it is an error.
         edit: Number of the last processed edit.
         shown: The settings in force; None before the first.
     """
@@ -168,9 +168,9 @@ class Snapshot:
     tool: Array
     step: Step | None
     pull: tuple[Array, Array] | None
-    felt: Felt | None
-    health: Health
+    felt: ForceEstimate | None
+    health: LoopTiming
     report: tuple[str, ...] = ()
-    said: tuple[int, str, bool] = (0, "", False)
+    notice: tuple[int, str, bool] = (0, "", False)
     edit: int = 0
-    shown: Shown | None = None
+    shown: SettingsView | None = None

@@ -9,7 +9,7 @@ import numpy as np
 from pliant._extras import pip
 from pliant._files import replacing
 from pliant.cli._console import print_line
-from pliant.cli._flags import LogFile, Output
+from pliant.cli._flags import File, LogFile
 from pliant.cli.log._output import check_data, check_output
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pliant.log import Log
 
 
-def run(log: LogFile, *, output: Output = None, parquet: bool = False) -> None:
+def run(log: LogFile, *, output: File = None, parquet: bool = False) -> None:
     """Write a table with one row per tick.
 
     Args:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pliant._extras import missing
 from pliant._files import replacing
 from pliant.cli._console import print_line
-from pliant.cli._flags import LogFile, Output
+from pliant.cli._flags import File, LogFile
 from pliant.cli.log._output import check_data, check_output
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ FIGURES = {
 }
 
 
-def run(log: LogFile, *, output: Output = None) -> None:
+def run(log: LogFile, *, output: File = None) -> None:
     """Draw joints and task over time.
 
     Args:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pliant._files import check_output
 from pliant.cli._console import print_line
-from pliant.cli._flags import LogFile, Output, check_written
+from pliant.cli._flags import File, LogFile, check_written
 
 
 def run(
     log: LogFile,
     *,
-    output: Output = None,
+    output: File = None,
 ) -> None:
     """Write a page that says why the arm was soft or not.
 

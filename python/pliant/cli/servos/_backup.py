@@ -24,11 +24,6 @@ _KINDS = {"joint": str, "id": int, "register": str, "old": int, "new": int, "why
 def save(path: Path, arm: str, planned: Sequence[RegisterChange]) -> None:
     """Save the old values before a change.
 
-    Args:
-        path: The file, which must not exist: old values would be lost.
-        arm: ARM argument of the command.
-        planned: The changes.
-
     Raises:
         ConfigError: The file exists.
         OSError: It cannot be written.
@@ -41,10 +36,6 @@ def save(path: Path, arm: str, planned: Sequence[RegisterChange]) -> None:
 
 def load(path: Path, arm: str) -> list[RegisterChange]:
     """Load the changes of a backup.
-
-    Args:
-        path: The file.
-        arm: ARM argument of the command.
 
     Raises:
         ConfigError: It is another arm's.
@@ -72,11 +63,6 @@ def load(path: Path, arm: str) -> list[RegisterChange]:
 
 def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpec]) -> None:
     """Check that every old value belongs to a servo of the arm and can be written to it.
-
-    Args:
-        path: The file, for error messages.
-        former: The changes to undo.
-        specs: Servos of the configuration.
 
     Raises:
         ConfigError: A servo is not configured or is another model, a register is none that setup

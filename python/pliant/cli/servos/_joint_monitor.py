@@ -120,12 +120,9 @@ class JointMonitor:
 
 
 def watch(config: Config, console: Console, seconds: float | None) -> None:
-    """Show the joints until Ctrl-C, or for a time; nothing is written to the servos.
+    """Show the joints until Ctrl-C, or for a time [s]; nothing is written to the servos.
 
-    Args:
-        config: The arm.
-        console: Output; without a terminal it gets a line whenever a joint has been moved.
-        seconds: Duration [s]; None: until Ctrl-C.
+    Without a terminal there is a line whenever a joint has been moved.
 
     Raises:
         ServoError: A port cannot be opened, or a servo is missing or cannot be driven.

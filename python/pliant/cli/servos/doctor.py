@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from pliant._core import ConfigError, PliantError
-from pliant.cli._flags import ArmName, ConfigFlags, Seconds
+from pliant.cli._flags import ArmName, ConfigFlags, Seconds, check_duration
 from pliant.cli.servos._joint_monitor import watch as watch_joints
 from pliant.config.doctor import examine
 
@@ -31,14 +31,13 @@ def run(
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
         watch: Show the joints, torque off, until Ctrl-C: to check their directions by eye.
         duration: Ends by itself after this time [s]. Needs --watch.
     """
     if duration is not None and not watch:
         raise ConfigError("--duration belongs to --watch, which was not given")
-    if duration is not None and not duration > 0.0:
-        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
+    check_duration(duration)
     console, bad = Console(), 0
     read = override.load(arm)
     if watch:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pliant._core import ConfigError
 from pliant._priority import raise_priority
-from pliant.cli._flags import ArmName, FileFlags, Seconds
+from pliant.cli._flags import ArmName, FileFlags, Seconds, check_duration
 from pliant.emulator import Faults, Timing
 
 #: Signals of a service manager, of a closing terminal, and Ctrl-\\.
@@ -42,14 +42,13 @@ def run(
         lose: Share of the answers that get lost.
         seed: Of all chance.
         duration: Ends by itself after this time [s].
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     from pliant.config.factory import make_emulator
 
     if not 0.0 <= lose <= 1.0:
         raise ConfigError(f"--lose is a share from 0 to 1, got {lose:g}")
-    if duration is not None and not duration > 0.0:
-        raise ConfigError(f"--duration must be above 0 s, got {duration:g}")
+    check_duration(duration)
     read = override.load(arm, backend="emulator")
     latency = 0.016 if timing == "usb" else 0.0
     chosen = Timing(wire=timing != "off", usb_latency=latency)

@@ -52,7 +52,7 @@ def run(
         backup: Where the old values go.
         set_id: Give the servo that answers to id OLD the id NEW of the configuration, and do
             nothing else. Connect only that servo.
-        override: What the command line says in place of the file.
+        override: Values that replace those of the configuration file.
     """
     if set_id is not None and undo is not None:
         raise ConfigError(

@@ -89,9 +89,8 @@ class Family:
         speed_max: Largest value of the speed cap.
         ceiling: EEPROM field that bounds the limit from above.
         multi_turn: Whether goals may leave one turn, so that software keeps the position limits.
-        drive_values: Further registers in RAM that limit torque or motion, and what they are while
-            we
-            drive: a number, or the field that holds their value.
+        drive_values: Further registers in RAM that limit torque or motion, and their values while
+            the servo is driven: a number, or the field that holds it.
     """
 
     name: str
@@ -151,13 +150,11 @@ class Mechanics:
         friction: Dry friction [N·m].
         damping: Viscous friction, without back-EMF [N·m·s/rad].
         armature: Rotor inertia [kg·m²].
-        identified: Whether these were measured on the model.
     """
 
     friction: float
     damping: float
     armature: float
-    identified: bool = True
 
 
 def estimated_mechanics(stall: float) -> Mechanics:
@@ -165,9 +162,7 @@ def estimated_mechanics(stall: float) -> Mechanics:
 
     Shares that the identified servos (MX-64, MX-106, XL330, STS3215) have, to a factor of two.
     """
-    return Mechanics(
-        friction=0.02 * stall, damping=0.005 * stall, armature=0.003 * stall, identified=False
-    )
+    return Mechanics(friction=0.02 * stall, damping=0.005 * stall, armature=0.003 * stall)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,8 +187,6 @@ class ServoModel:
         stall_current: Current at the stall torque of the rated voltage [A], NaN where not used.
         rated: Voltage that the maker recommends [V].
         voltage: Lowest and highest supply voltage [V].
-        temperature: Temperature at which the servo shuts down, as delivered [°C].
-        shutdown: Shutdown mask as delivered.
         overload: Share of full torque above which the servo's own overload protection counts; None
             where the maker gives none.
         mechanics: Friction and inertia of the gears.
@@ -213,8 +206,6 @@ class ServoModel:
     speed_unit: float
     rated: float
     voltage: tuple[float, float]
-    temperature: int
-    shutdown: int
     current_unit: float = 0.0
     current_max: int = 0
     stall_current: float = nan

@@ -73,7 +73,6 @@ def _geared(ratio: float) -> Mechanics:
         friction=GEARS.friction * r,
         damping=GEARS.damping * r * r,
         armature=GEARS.armature * r * r,
-        identified=False,
     )
 
 
@@ -101,8 +100,6 @@ def _sts3215(  # noqa: PLR0917 -- a row of a table
         current_unit=0.0065,
         rated=stall[0],
         voltage=voltage,
-        temperature=70,
-        shutdown=44,
         overload=0.80,
         mechanics=mechanics,
         aliases=aliases,

@@ -88,6 +88,35 @@ MX_DUAL = _family(
     "MX-106", drive_values=_FREE, gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION
 )
 
+
+def _mx(  # noqa: PLR0917 - a row of a table
+    name: str,
+    number: int,
+    family: Family,
+    stall: tuple[float, float, float],
+    no_load: tuple[float, float, float],
+    mechanics: Mechanics,
+) -> ServoModel:
+    """Return an MX: stall torques [N·m] and speeds [rpm] at 11.1, 12.0 and 14.8 V."""
+    volts = (11.1, 12.0, 14.8)
+    return ServoModel(
+        name=name,
+        number=number,
+        family=family,
+        kind="pwm",
+        resolution=4096,
+        counts=4095,
+        stall=tuple(zip(volts, stall, strict=True)),
+        no_load=tuple(zip(volts, no_load, strict=True)),
+        gain=0.158,
+        gain_default=32,
+        speed_unit=0.114,
+        rated=12.0,
+        voltage=(10.0, 14.8),
+        mechanics=mechanics,
+    )
+
+
 MODELS = (
     ServoModel(
         name="EX-106+",
@@ -103,8 +132,6 @@ MODELS = (
         speed_unit=0.111,
         rated=14.8,
         voltage=(12.0, 18.5),
-        temperature=80,
-        shutdown=36,
         mechanics=estimated_mechanics(8.7),
     ),
     ServoModel(
@@ -121,62 +148,15 @@ MODELS = (
         speed_unit=0.111,
         rated=14.8,
         voltage=(12.0, 18.5),
-        temperature=80,
-        shutdown=36,
         mechanics=estimated_mechanics(4.2),
     ),
-    ServoModel(
-        name="MX-28",
-        number=29,
-        family=MX,
-        kind="pwm",
-        resolution=4096,
-        counts=4095,
-        stall=((11.1, 2.3), (12.0, 2.5), (14.8, 3.1)),
-        no_load=((11.1, 50.0), (12.0, 55.0), (14.8, 67.0)),
-        gain=0.158,
-        gain_default=32,
-        speed_unit=0.114,
-        rated=12.0,
-        voltage=(10.0, 14.8),
-        temperature=80,
-        shutdown=36,
-        mechanics=estimated_mechanics(2.5),
+    _mx("MX-28", 29, MX, (2.3, 2.5, 3.1), (50.0, 55.0, 67.0), estimated_mechanics(2.5)),
+    _mx(
+        "MX-64", 310, MX, (5.5, 6.0, 7.3), (58.0, 63.0, 78.0),
+        Mechanics(friction=0.090, damping=0.012, armature=0.012),
     ),
-    ServoModel(
-        name="MX-64",
-        number=310,
-        family=MX,
-        kind="pwm",
-        resolution=4096,
-        counts=4095,
-        stall=((11.1, 5.5), (12.0, 6.0), (14.8, 7.3)),
-        no_load=((11.1, 58.0), (12.0, 63.0), (14.8, 78.0)),
-        gain=0.158,
-        gain_default=32,
-        speed_unit=0.114,
-        rated=12.0,
-        voltage=(10.0, 14.8),
-        temperature=80,
-        shutdown=36,
-        mechanics=Mechanics(friction=0.090, damping=0.012, armature=0.012),
+    _mx(
+        "MX-106", 320, MX_DUAL, (8.0, 8.4, 10.0), (41.0, 45.0, 55.0),
+        Mechanics(friction=0.104, damping=0.035, armature=0.027),
     ),
-    ServoModel(
-        name="MX-106",
-        number=320,
-        family=MX_DUAL,
-        kind="pwm",
-        resolution=4096,
-        counts=4095,
-        stall=((11.1, 8.0), (12.0, 8.4), (14.8, 10.0)),
-        no_load=((11.1, 41.0), (12.0, 45.0), (14.8, 55.0)),
-        gain=0.158,
-        gain_default=32,
-        speed_unit=0.114,
-        rated=12.0,
-        voltage=(10.0, 14.8),
-        temperature=80,
-        shutdown=36,
-        mechanics=Mechanics(friction=0.104, damping=0.035, armature=0.027),
-    ),
-)
+)  # fmt: skip

@@ -110,8 +110,6 @@ def _current(  # noqa: PLR0917
     no_load: tuple[tuple[float, float], ...],
     gain: int,
     voltage: tuple[float, float],
-    temperature: int = 80,
-    shutdown: int = 52,
     mechanics: Mechanics | None = None,
 ) -> ServoModel:
     """A servo with current limit; `rated` is (voltage, stall torque, stall current)."""
@@ -132,8 +130,6 @@ def _current(  # noqa: PLR0917
         stall_current=rated[2],
         rated=rated[0],
         voltage=voltage,
-        temperature=temperature,
-        shutdown=shutdown,
         mechanics=mechanics or estimated_mechanics(rated[1]),
     )
 
@@ -146,7 +142,6 @@ def _duty(  # noqa: PLR0917
     no_load: tuple[tuple[float, float], ...],
     gain: int,
     voltage: tuple[float, float],
-    temperature: int,
 ) -> ServoModel:
     """A servo whose only limiter is the PWM; `rated` is (voltage, stall torque)."""
     return ServoModel(
@@ -163,8 +158,6 @@ def _duty(  # noqa: PLR0917
         speed_unit=0.229,
         rated=rated[0],
         voltage=voltage,
-        temperature=temperature,
-        shutdown=52,
         mechanics=estimated_mechanics(rated[1]),
     )
 
@@ -179,22 +172,22 @@ MODELS = (
     _current(
         "XL330-M077", 1190, 0.001, 1750, (5.0, 0.215, 1.47),
         _at(3.7, 0.18, 5.0, 0.215, 6.0, 0.228), _at(3.7, 278, 5.0, 383, 6.0, 456),
-        400, (3.7, 6.0), 70, 53,
+        400, (3.7, 6.0),
     ),
     _current(
         "XL330-M288", 1200, 0.001, 1750, (5.0, 0.52, 1.47),
         _at(3.7, 0.42, 5.0, 0.52, 6.0, 0.60), _at(3.7, 76, 5.0, 103, 6.0, 123),
-        400, (3.7, 6.0), 70, 53, Mechanics(friction=0.013, damping=0.0037, armature=0.0018),
+        400, (3.7, 6.0), Mechanics(friction=0.013, damping=0.0037, armature=0.0018),
     ),
     _current(
         "XC330-T181", 1210, 0.001, 910, (11.1, 0.76, 0.80),
         _at(9.0, 0.65, 11.1, 0.76, 12.0, 0.80), _at(9.0, 83, 11.1, 104, 12.0, 113),
-        900, (6.5, 12.0), 70, 53,
+        900, (6.5, 12.0),
     ),
     _current(
         "XC330-T288", 1220, 0.001, 910, (11.1, 0.92, 0.80),
         _at(9.0, 0.76, 11.1, 0.92, 12.0, 1.00), _at(9.0, 52, 11.1, 65, 12.0, 71),
-        900, (6.5, 12.0), 70, 53,
+        900, (6.5, 12.0),
     ),
     _current(
         "XM430-W210", 1030, 0.00269, 1193, (12.0, 3.0, 2.3),
@@ -240,21 +233,21 @@ MODELS = (
     ),
     _duty(
         "MX-28(2.0)", 30, (12.0, 2.5),
-        _at(11.1, 2.3, 12.0, 2.5, 14.8, 3.1), _at(11.1, 50, 12.0, 55, 14.8, 67), 850, _12V, 80,
+        _at(11.1, 2.3, 12.0, 2.5, 14.8, 3.1), _at(11.1, 50, 12.0, 55, 14.8, 67), 850, _12V,
     ),
     _duty(
         "XL430-W250", 1060, (11.1, 1.4),
         _at(9.0, 1.0, 11.1, 1.4, 12.0, 1.5), _at(9.0, 47, 11.1, 57, 12.0, 61), 640,
-        (6.5, 12.0), 72,
+        (6.5, 12.0),
     ),
     _duty(
         "XC430-W150", 1070, (12.0, 1.6),
         _at(9.0, 1.2, 11.1, 1.4, 12.0, 1.6), _at(9.0, 80, 11.1, 99, 12.0, 106), 800,
-        (6.5, 14.8), 80,
+        (6.5, 14.8),
     ),
     _duty(
         "XC430-W240", 1080, (12.0, 1.9),
         _at(9.0, 1.4, 11.1, 1.7, 12.0, 1.9), _at(9.0, 52, 11.1, 65, 12.0, 70), 800,
-        (6.5, 14.8), 80,
+        (6.5, 14.8),
     ),
 )  # fmt: skip

@@ -42,7 +42,7 @@ def collect() -> Facts:
 
 
 def commit(folder: Path) -> str | None:
-    """Short hash of this package's commit, with `+` for uncommitted changes; None if none."""
+    """Return the short hash of the commit, with `+` for uncommitted changes; None without one."""
     top = _git(folder, "rev-parse", "--show-toplevel")
     # An installed copy may be inside another repository: only this project's tree counts.
     if top is None or not (Path(top) / "python" / "pliant").is_dir():

@@ -1,8 +1,8 @@
 """The pipe between the loop and the page, which is a separate process.
 
 The loop never waits for the page: it sends a snapshot only after the page has taken the last one,
-so the pipe holds at most one. The page cannot starve the loop: orders are merged at both ends, and
-a tick takes a bounded number of them.
+so the pipe holds at most one. The page cannot starve the loop: messages are merged at both ends,
+and a tick takes a bounded number of them.
 """
 
 from __future__ import annotations
@@ -14,23 +14,24 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from pliant._core import PliantError
-from pliant.view.orders import Edit, Order, Queue
+from pliant.view.messages import Edit, Message, Queue
 
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from pliant.view.snapshot import Snapshot, Stage
+    from pliant.view.snapshot import SceneInfo, Snapshot
 
 #: Largest rate of snapshots [Hz].
 FRAMES = 30.0
 #: Timeout for the start and the end of the page [s].
-PATIENCE = 30.0
-#: Least period of orders from the page [s], and messages taken per poll of the pipe.
+TIMEOUT = 30.0
+#: Least period of messages from the page [s], and messages taken per poll of the pipe.
 PASSED, WORDS = 0.02, 4
 #: Least time between two edits of the settings [s].
 EDITS = 0.05
@@ -40,28 +41,22 @@ class PageGone(PliantError):
     """The page's process has ended."""
 
 
-class Taken:
-    """Message of the page: it has taken a snapshot."""
+class Ack:
+    """Message of either end: it has taken what was sent, and the next may come."""
 
 
-class Heard:
-    """Message of the loop: it has taken the orders, and the next may be sent."""
-
-
+@dataclass(frozen=True)
 class Ready:
-    """First message of the page: its link."""
+    """First message of the page: its link, with the token."""
 
-    def __init__(self, link: str) -> None:
-        """Store the link, with the token."""
-        self.link = link
+    link: str
 
 
-class Failed:
-    """Only message of a page that cannot start."""
+@dataclass(frozen=True)
+class StartupError:
+    """Only message of a page that cannot start: the reason."""
 
-    def __init__(self, text: str) -> None:
-        """Store the reason."""
-        self.text = text
+    text: str
 
 
 class Link:
@@ -93,22 +88,22 @@ class Link:
         self._pipe = Connection(ours.detach())
         self._free, self._due = True, 0.0
         self._waiting, self._edit_due = Queue(), 0.0
-        self.address = self._come_up()
+        self.address = self._wait_for_page()
 
-    def _come_up(self) -> str:
+    def _wait_for_page(self) -> str:
         first: Any = None
         with contextlib.suppress(EOFError, OSError):
-            if self._pipe.poll(PATIENCE):
+            if self._pipe.poll(TIMEOUT):
                 first = self._pipe.recv()
         if isinstance(first, Ready):
             return first.link
         self.close()
-        if isinstance(first, Failed):
+        if isinstance(first, StartupError):
             raise PliantError(first.text)
         raise PliantError("the page's process did not start; its output is above")
 
-    def orders(self) -> list[Order]:
-        """Return the next orders of the page: at most `orders.PER_TICK`, edits at a bounded rate.
+    def messages(self) -> list[Message]:
+        """Return the next messages: at most `PER_TICK`, edits at a bounded rate.
 
         Raises:
             PageGone: The page's process has ended.
@@ -117,7 +112,7 @@ class Link:
             raise PageGone("the page's process has ended, so it could no longer stop the arm")
         now = time.perf_counter()
         out = self._waiting.take(edit=now >= self._edit_due)
-        if any(isinstance(order, Edit) for order in out):
+        if any(isinstance(message, Edit) for message in out):
             self._edit_due = now + EDITS
         return out
 
@@ -128,12 +123,12 @@ class Link:
                 if not self._pipe.poll():
                     break
                 heard = self._pipe.recv()
-                if isinstance(heard, Taken):
+                if isinstance(heard, Ack):
                     self._free = True
                     continue
-                self._pipe.send(Heard())
-                for order in heard:
-                    self._waiting.put(order)
+                self._pipe.send(Ack())
+                for message in heard:
+                    self._waiting.put(message)
         except (EOFError, OSError):
             return False
         return True
@@ -142,8 +137,8 @@ class Link:
         """Return True if a snapshot is due now; False if the page has ended."""
         return time.perf_counter() >= self._due and self._listen() and self._free
 
-    def send(self, snapshot: Snapshot | Stage) -> None:
-        """Send a snapshot when one is `due`, or a stage at any time.
+    def send(self, snapshot: Snapshot | SceneInfo) -> None:
+        """Send a snapshot when one is `due`, or the scene at any time.
 
         Raises:
             PageGone: The page's process has ended.
@@ -158,7 +153,7 @@ class Link:
         """Close the pipe and wait for the page to end."""
         self._pipe.close()
         try:
-            self._process.wait(PATIENCE)
+            self._process.wait(TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -175,10 +170,10 @@ class Link:
         self.close()
 
 
-class Ear:
-    """The page's end of the pipe. It sends orders only after the loop has taken the last ones.
+class PageEndpoint:
+    """The page's end of the pipe. It sends messages only after the loop has taken the last ones.
 
-    Otherwise a flood of orders could fill the pipe, and both ends would block.
+    Otherwise a flood of messages could fill the pipe, and both ends would block.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -187,28 +182,28 @@ class Ear:
         self._pipe, self._lock = Connection(descriptor), threading.Lock()
         self._waiting, self._changed, self._free = Queue(), threading.Condition(), True
         self._words: SimpleQueue[Any] = SimpleQueue()
-        for work in (self._receive, self._pass_on):
+        for work in (self._sort_incoming, self._forward):
             threading.Thread(target=work, daemon=True).start()
 
-    def say(self, word: Ready | Failed | Taken | list[Order]) -> None:
+    def send(self, word: Ready | StartupError | Ack | list[Message]) -> None:
         """Send a message to the loop; ignore errors if the loop has ended."""
         with self._lock, contextlib.suppress(OSError):
             self._pipe.send(word)
 
-    def ask(self, order: Order) -> None:
-        """Queue an order, which a later one may replace; never blocks."""
+    def queue(self, message: Message) -> None:
+        """Queue a message, which a later one may replace; never blocks."""
         with self._changed:
-            self._waiting.put(order)
+            self._waiting.put(message)
             self._changed.notify()
 
-    def listen(self) -> Any:
-        """Return the next stage or snapshot and acknowledge it; None once the loop has ended."""
+    def receive(self) -> Any:
+        """Return the next scene or snapshot and acknowledge it; None once the loop has ended."""
         word = self._words.get()
         if word is not None:
-            self.say(Taken())
+            self.send(Ack())
         return word
 
-    def _receive(self) -> None:
+    def _sort_incoming(self) -> None:
         """Receive and sort messages of the loop."""
         while True:
             try:
@@ -216,18 +211,18 @@ class Ear:
             except (EOFError, OSError):
                 self._words.put(None)
                 return
-            if not isinstance(word, Heard):
+            if not isinstance(word, Ack):
                 self._words.put(word)
                 continue
             with self._changed:
                 self._free = True
                 self._changed.notify()
 
-    def _pass_on(self) -> None:
-        """Send queued orders, a few at a time."""
+    def _forward(self) -> None:
+        """Send queued messages, a few at a time."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._free and len(self._waiting) > 0)
                 out, self._free = self._waiting.take(), False
-            self.say(out)
+            self.send(out)
             time.sleep(PASSED)

@@ -12,7 +12,14 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pliant._typing import Array
-    from pliant.view.snapshot import Felt, Health, Shown, Snapshot, Stage, Step
+    from pliant.view.snapshot import (
+        ForceEstimate,
+        LoopTiming,
+        SceneInfo,
+        SettingsView,
+        Snapshot,
+        Step,
+    )
 
 
 #: Colours shared by texts, bars and plots.
@@ -37,17 +44,17 @@ SIDES = {"both": (-1.0, 1.0), "+": (1.0,), "-": (-1.0,)}
 UNKNOWN = 1000.0
 
 
-def status(stage: Stage, now: Snapshot) -> str:
+def status(info: SceneInfo, now: Snapshot) -> str:
     """Return a line with the arm's name and its state."""
     words, colour = PHASES[now.phase]
     return _box(
         f'<span style="display:inline-block;width:9px;height:9px;border-radius:50%;'
         f'background:{colour};margin-right:6px"></span>'
-        f"<b>{escape(stage.arm)}</b> · {escape(stage.where)} · {words}"
+        f"<b>{escape(info.arm)}</b> · {escape(info.where)} · {words}"
     )
 
 
-def health(h: Health) -> str:
+def health(h: LoopTiming) -> str:
     """Return a line on the loop's timing."""
     if not h.ticks:
         return _box("<span>the loop has not run yet</span>")
@@ -63,7 +70,7 @@ def health(h: Health) -> str:
     )
 
 
-def _troubles(h: Health) -> tuple[tuple[str, int], ...]:
+def _troubles(h: LoopTiming) -> tuple[tuple[str, int], ...]:
     return (
         ("missed ticks", h.missed),
         ("ticks without positions", h.stale),
@@ -83,20 +90,22 @@ def _point(pose: Array) -> str:
     return f"x {x}, y {y}, z {z} mm"
 
 
-def ranges(stage: Stage, shown: Shown, step: Step, before: Mapping[str, float]) -> dict[str, float]:
+def ranges(
+    info: SceneInfo, shown: SettingsView, step: Step, before: Mapping[str, float]
+) -> dict[str, float]:
     """Return the full scale of the deviation bars [mm, °], one for all axes of a unit.
 
     A scale holds the largest deviation and the first threshold of every soft axis. It grows
     immediately, and shrinks only when less than a third of it is used.
 
     Args:
-        stage: The axes.
+        info: The axes.
         shown: Thresholds.
         step: Deviations.
         before: The scales so far, by unit.
     """
     needed: dict[str, float] = {}
-    for i, name in enumerate(stage.axes):
+    for i, name in enumerate(info.axes):
         unit, scale = unit_of(name)
         soft = step.softness[i] > SOFT_ENOUGH
         room = max(abs(step.deviation[i]), shown.thresholds[i][0] if soft else 0.0)
@@ -114,7 +123,7 @@ def unit_of(axis: str) -> tuple[str, float]:
     return ("mm", 1e3) if axis in LINEAR else ("°", 180.0 / np.pi)
 
 
-def axes(stage: Stage, shown: Shown, step: Step, full: Mapping[str, float]) -> str:
+def axes(info: SceneInfo, shown: SettingsView, step: Step, full: Mapping[str, float]) -> str:
     """Return a row per task axis: offset of the tool, push-back against its cap, compliance.
 
     The bars of one unit have one scale, from -full to +full; thin lines mark d- and d+. The sign is
@@ -122,7 +131,7 @@ def axes(stage: Stage, shown: Shown, step: Step, full: Mapping[str, float]) -> s
     """
     rows = []
     paper = shown.law == "paper"
-    for i, name in enumerate(stage.axes):
+    for i, name in enumerate(info.axes):
         linear = name in LINEAR
         unit, scale = unit_of(name)
         soft = step.softness[i] > SOFT_ENOUGH
@@ -130,7 +139,7 @@ def axes(stage: Stage, shown: Shown, step: Step, full: Mapping[str, float]) -> s
         off = -scale * float(step.deviation[i])
         signs = SIDES.get(shown.axes[name]["yields"], ()) if soft else ()
         marks = [sign * scale * float(d) for sign in signs for d in shown.thresholds[i]]
-        force = step.wrench[i] if step.wrench.size == len(stage.axes) else 0.0
+        force = step.wrench[i] if step.wrench.size == len(info.axes) else 0.0
         cap = step.strength[i]
         push = (
             f"{cap:.2g} N·m budget"
@@ -161,11 +170,11 @@ def axes(stage: Stage, shown: Shown, step: Step, full: Mapping[str, float]) -> s
     return _table(head, rows, (32, 66, 60, 66, 80, 34)) + _box(legend)
 
 
-def felt(stage: Stage, what: Felt) -> str:
+def felt(info: SceneInfo, what: ForceEstimate) -> str:
     """Return the estimated force at the tool with its uncertainty, base axes."""
     words = []
     for i, name in enumerate(("x", "y", "z")):
-        if name not in stage.axes and not np.isfinite(what.bound[i]):
+        if name not in info.axes and not np.isfinite(what.bound[i]):
             continue
         if what.bound[i] > UNKNOWN:
             words.append(f"{name} ?")
@@ -179,11 +188,11 @@ def felt(stage: Stage, what: Felt) -> str:
     return _box(f"{title}: {' · '.join(words)}")
 
 
-def joints(stage: Stage, step: Step) -> str:
+def joints(info: SceneInfo, step: Step) -> str:
     """Return a row per joint: torque limit as a share of the usable torque."""
     rows = []
-    for i, name in enumerate(stage.joints):
-        share = float(step.limit[i] / max(stage.usable[i], 1e-9))
+    for i, name in enumerate(info.joints):
+        share = float(step.limit[i] / max(info.usable[i], 1e-9))
         note = "at a stop" if step.locked[i] else "at its ceiling" if step.saturated[i] else ""
         rows.append(
             "<tr>"
@@ -198,11 +207,11 @@ def joints(stage: Stage, step: Step) -> str:
     return _table(("joint", "torque limit", "", "", ""), rows, (92, 90, 36, 62, 66))
 
 
-def matrix(stage: Stage, step: Step) -> str:
+def matrix(info: SceneInfo, step: Step) -> str:
     """Return the activation matrix: share of each joint in each axis' strength."""
-    names = (*stage.axes, "null")[: step.activation.shape[1]]
+    names = (*info.axes, "null")[: step.activation.shape[1]]
     rows = []
-    for i, joint in enumerate(stage.joints):
+    for i, joint in enumerate(info.joints):
         cells = "".join(
             f'<td style="text-align:center;padding:2px 0;background:rgba(28,100,200,{a:.2f});'
             f'color:{"#fff" if a > 0.55 else "inherit"}">{a:.2f}</td>'

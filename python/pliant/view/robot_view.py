@@ -1,4 +1,4 @@
-"""The visual geometry of a URDF: shapes and mesh files of every link, placed on drawn bodies."""
+"""The drawn arm: its MuJoCo model, its coordinates, and the visual geometry of its URDF."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import trimesh
+import viser.transforms as tf
+
+from pliant.sim import Plant
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from pliant._core import Model
     from pliant._typing import Array
+    from pliant.arm import Arm
 
 
 #: Default colour of a shape: red, green, blue, opacity, 0 to 1.
@@ -127,8 +131,10 @@ def _visual(
     origin = element.find("origin")
     pose = at.copy()
     if origin is not None:
-        turn = _rotation(*_numbers(origin.get("rpy", "0 0 0")))
-        pose = at @ _pose(turn, _numbers(origin.get("xyz", "0 0 0")))
+        turn = tf.SO3.from_rpy_radians(*_numbers(origin.get("rpy", "0 0 0")))
+        pose = at @ _pose(
+            np.asarray(turn.as_matrix(), np.float64), _numbers(origin.get("xyz", "0 0 0"))
+        )
     material = element.find("material")
     colour: tuple[float, ...] = PLAIN
     if material is not None:
@@ -176,18 +182,6 @@ def _pose(rotation: Array, position: Sequence[float] | Array) -> Array:
     return out
 
 
-def _rotation(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the rotation (3, 3) of a URDF's roll, pitch and yaw [rad] about fixed axes."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos((roll, pitch, yaw)), np.sin((roll, pitch, yaw))
-    return np.array(
-        (
-            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-            (-sp, cp * sr, cp * cr),
-        )
-    )
-
-
 def _colour(material: ElementTree.Element) -> tuple[float, ...] | None:
     """Return the colour of a material, None for a reference to another."""
     colour = material.find("color")
@@ -198,3 +192,51 @@ def _colour(material: ElementTree.Element) -> tuple[float, ...] | None:
 def _numbers(text: str) -> tuple[float, ...]:
     """Return the numbers of an attribute."""
     return tuple(map(float, text.split()))
+
+
+class RobotView:
+    """The drawn figure of an arm, real or simulated.
+
+    A simulated arm is drawn in its true state with its scene, a real one by its joint readings.
+
+    Attributes:
+        plant: The simulation; for a real arm, a simulation that never runs.
+        simulated: True if the arm is simulated.
+        visuals: Shapes of the arm's URDF that can be drawn.
+    """
+
+    def __init__(self, arm: Arm, urdf: Path | None = None) -> None:
+        """Find the simulation, or build one for drawing; `urdf` is the arm's file, if any."""
+        plant = getattr(arm.drive, "plant", None)
+        self.simulated = plant is not None
+        self.plant: Plant = plant if plant is not None else Plant(arm.model)
+        self._model = arm.model
+        mj = self.plant.mj_model
+        self.visuals = visuals(arm.model, mj, urdf)
+        self._at = {mj.joint(i).name: int(mj.jnt_qposadr[i]) for i in range(mj.njnt)}
+
+    def pose(self, q: Array, extra: Mapping[str, float]) -> Array:
+        """Return the figure's coordinates; joints (n,) and off-chain joints [rad] of a real arm."""
+        if self.simulated:
+            return np.array(self.plant.mj_data.qpos)
+        out: Array = self.plant.mj_model.qpos0.copy()
+        known = {**dict(zip(self._model.joint_names, q.tolist(), strict=True)), **extra}
+        for name, angle in {**known, **_followers(self._model, known)}.items():
+            if name in self._at:
+                out[self._at[name]] = angle
+        return out
+
+    def mocap(self) -> tuple[Array, Array]:
+        """Return positions (m, 3) [m] and quaternions wxyz (m, 4) of the mocap bodies."""
+        data = self.plant.mj_data
+        return data.mocap_pos.copy(), data.mocap_quat.copy()
+
+
+def _followers(model: Model, known: Mapping[str, float]) -> dict[str, float]:
+    """Return the angles of mimic joints whose drivers are known."""
+    out = {}
+    for joint in model.joints:
+        rule = joint.mimic
+        if rule is not None and (driver := model.joints[rule.joint].name) in known:
+            out[joint.name] = rule.multiplier * known[driver] + rule.offset
+    return out

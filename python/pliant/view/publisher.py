@@ -4,41 +4,67 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pliant._core import ContactEstimator
-from pliant.view.link import PageGone
-from pliant.view.snapshot import Felt, Health, Shown, Snapshot, Step
+from pliant.view.ipc import PageGone
+from pliant.view.snapshot import ForceEstimate, LoopTiming, SettingsView, Snapshot, Step
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pliant._core import Command, Controller
     from pliant._typing import Array
     from pliant.arm import Arm
+    from pliant.drive import Drive, JointReadings
     from pliant.loop import Loop, Tick
-    from pliant.view.body import Body
-    from pliant.view.hand import VisitorHand
-    from pliant.view.link import Link
-    from pliant.view.pace import Pace
+    from pliant.view.ipc import Link
+    from pliant.view.mouse_force import MouseForce
+    from pliant.view.robot_view import RobotView
     from pliant.view.snapshot import Phase
-    from pliant.view.tap import Tap
+    from pliant.view.source import RealtimePacer
 
 
-#: Cause of a message: a refused order of one kind, or the error that ended a run.
+#: Cause of an error: a refused message of one kind, or the error that ended a run.
 Cause = Literal["target", "hand", "settings", "fault"]
 #: Period of the report [s].
 REPORT = 1.0
-#: Longest display time of a refused order [s].
+#: Longest display time of a refused message [s].
 REFUSED = 12.0
 
 
-class Look:
+class DriveObserver:
+    """Wraps a drive and keeps its last reading, also during the descent.
+
+    Attributes:
+        last: The last reading; None before the first.
+        on_read: Called after every reading.
+    """
+
+    def __init__(self, drive: Drive) -> None:
+        """Wrap a drive."""
+        self._drive = drive
+        self.last: JointReadings | None = None
+        self.on_read: Callable[[], object] = lambda: None
+
+    def read(self) -> JointReadings:
+        """Read the positions of this cycle."""
+        self.last = self._drive.read()
+        self.on_read()
+        return self.last
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._drive, name)
+
+
+class Publisher:
     """Collects snapshots of successive arms and sends them when due.
 
     Attributes:
         phase: Phase of the arm's life.
-        said: Number of errors and messages so far, the last one, and True if it is an error.
+        notice: Number of errors and messages so far, the last one, and True if it is an error.
         edit: Number of the last processed edit.
         shown: The settings in force; None before the first.
         hand: The visitor's hand, on a simulated arm.
@@ -46,42 +72,44 @@ class Look:
 
     def __init__(self, link: Link, rate: float) -> None:
         """Start without an arm."""
-        self._link, self._health = link, Health(rate=rate)
+        self._link, self._health = link, LoopTiming(rate=rate)
         self.phase: Phase = "starting"
-        self.said: tuple[int, str, bool] = (0, "", False)
+        self.notice: tuple[int, str, bool] = (0, "", False)
         self._cause: Cause | None = None
-        self._said_at = -np.inf
+        self._notice_time = -np.inf
         self.edit, self.shown = 0, None
-        self.hand: VisitorHand | None = None
-        self.forget_report()
+        self.hand: MouseForce | None = None
+        self.request_report()
 
-    shown: Shown | None
+    shown: SettingsView | None
 
-    def at(self, arm: Arm, body: Body, tap: Tap, pace: Pace | None) -> None:
-        """Observe a new arm from now on."""
-        self._arm, self._body, self._tap, self._pace = arm, body, tap, pace
+    def observe(
+        self, arm: Arm, robot: RobotView, observer: DriveObserver, pacer: RealtimePacer | None
+    ) -> None:
+        """Publish the state of a new arm from now on."""
+        self._arm, self._robot, self._observer, self._pacer = arm, robot, observer, pacer
         self._step: Step | None = None
         self._contact: ContactEstimator | None = None
         self.phase, self.hand = "starting", None
 
-    def say(self, text: str, cause: Cause) -> None:
+    def show_error(self, text: str, cause: Cause) -> None:
         """Show an error on the page until its cause is gone."""
-        if (text, cause) != (self.said[1], self._cause):
-            self.said = (self.said[0] + 1, text, True)
-        self._cause, self._said_at = cause, time.perf_counter()
+        if (text, cause) != (self.notice[1], self._cause):
+            self.notice = (self.notice[0] + 1, text, True)
+        self._cause, self._notice_time = cause, time.perf_counter()
 
-    def settle(self, *causes: Cause) -> None:
+    def clear_error(self, *causes: Cause) -> None:
         """Remove the error if it has one of these causes."""
         if self._cause in causes:
-            self.said, self._cause = (self.said[0] + 1, "", False), None
+            self.notice, self._cause = (self.notice[0] + 1, "", False), None
 
-    def forget_report(self) -> None:
+    def request_report(self) -> None:
         """Request a new report after a change of settings."""
         self._report: tuple[float, tuple[str, ...]] = (-np.inf, ())
 
     # With a controller.
 
-    def feel(self, controller: Controller) -> None:
+    def estimate_contact(self, controller: Controller) -> None:
         """Start to estimate the force at the tool for this controller."""
         self._contact, self._restarts = ContactEstimator(controller), -1
 
@@ -120,10 +148,10 @@ class Look:
         self._health = self._punctuality(loop)
         self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.began))
 
-    def _punctuality(self, loop: Loop) -> Health:
+    def _punctuality(self, loop: Loop) -> LoopTiming:
         """Return the timing of the loop, or of the paced simulation."""
-        late = loop.lateness if self._pace is None else self._pace.lateness
-        return Health(
+        late = loop.lateness if self._pacer is None else self._pacer.lateness
+        return LoopTiming(
             rate=1.0 / loop.period,
             ticks=len(late),
             p50=late.percentile(50.0),
@@ -134,23 +162,23 @@ class Look:
             refused=loop.rejected,
             restarts=loop.restarts,
             delay=loop.delay,
-            speed=1.0 if self._pace is None else self._pace.speed,
+            speed=1.0 if self._pacer is None else self._pacer.speed,
         )
 
     # Without a controller.
 
     def on_read(self) -> None:
         """Handle every reading: pace simulated time, and show the descent."""
-        if self._pace is not None:
-            self._pace.wait()
+        if self._pacer is not None:
+            self._pacer.wait()
         if self.phase == "lowering":
             # The descent continues without the page.
             with contextlib.suppress(PageGone):
-                self.still()
+                self.publish_reading()
 
-    def still(self) -> None:
+    def publish_reading(self) -> None:
         """Send a snapshot without a controller step, if due."""
-        last, names = self._tap.last, self._arm.drive.names
+        last, names = self._observer.last, self._arm.drive.names
         if last is None or not self._link.due():
             return
         by_name = dict(zip(names, np.asarray(last.position).tolist(), strict=True))
@@ -158,31 +186,31 @@ class Look:
         self._link.send(self._snapshot(q, by_name, self._arm.clock.now()))
 
     def _snapshot(self, q: Array, extra: dict[str, float], now: float) -> Snapshot:
-        if time.perf_counter() - self._said_at > REFUSED:
-            self.settle("target", "hand", "settings")
+        if time.perf_counter() - self._notice_time > REFUSED:
+            self.clear_error("target", "hand", "settings")
         running = self.phase == "running"
         tool = np.asarray(self._arm.model.forward_kinematics(q))
         felt = None
         if running and self._contact is not None:
             estimate = self._contact.estimate
-            felt = Felt(force=estimate.force_base, bound=estimate.uncertainty_base)
+            felt = ForceEstimate(force=estimate.force_base, bound=estimate.uncertainty_base)
         pull = None
         if self.hand is not None:
             pull = self.hand.felt
         elif felt is not None:
-            pull = tool[:3, 3], felt.certain
+            pull = tool[:3, 3], felt.significant_force
         return Snapshot(
             time=now,
             phase=self.phase,
-            qpos=self._body.pose(q, extra),
-            mocap=self._body.mocap(),
+            qpos=self._robot.pose(q, extra),
+            mocap=self._robot.mocap(),
             tool=tool,
             step=self._step if running else None,
             pull=pull,
             felt=felt,
             health=self._health,
             report=self._report[1],
-            said=self.said,
+            notice=self.notice,
             edit=self.edit,
             shown=self.shown,
         )

@@ -68,7 +68,7 @@ HEADERS = {
 }
 
 
-class Gate:
+class TokenAuth:
     """Answers every request to the page's server, and accepts web sockets with the token.
 
     Attributes:
@@ -79,7 +79,7 @@ class Gate:
         """Generate a token."""
         self.token = secrets.token_urlsafe(BYTES)
 
-    def judge(self, request: Request) -> Response | None:
+    def respond(self, request: Request) -> Response | None:
         """Return the response to a request; None accepts a web socket.
 
         A web socket needs the token and the page's own origin. Every other request gets the page's
@@ -103,8 +103,8 @@ class Gate:
         sent = parse_qs(query).get("token", [])
         return len(sent) == 1 and hmac.compare_digest(sent[0].encode(), self.token.encode())
 
-    def close(self) -> None:
-        """Apply this gate to every server that the process starts from now on.
+    def install(self) -> None:
+        """Apply this check to every server that the process starts from now on.
 
         viser has no hook for requests, so the function that starts its server is replaced. Hence
         `viser<1.2`, and a test that opens a web socket without the token.
@@ -114,7 +114,7 @@ class Gate:
         @functools.wraps(inner)
         def serve(*args: Any, process_request: Any = None, **more: Any) -> Any:
             def ask(_: ServerConnection, request: Request) -> Response | None:
-                return self.judge(request)
+                return self.respond(request)
 
             return inner(*args, process_request=ask, **more)
 

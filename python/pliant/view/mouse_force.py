@@ -24,18 +24,18 @@ RISE = 0.1
 REACH, BRAKE = 0.15, 0.05
 
 
-class VisitorHand:
+class MouseForce:
     """A `pliant.sim.Hand` that is controlled from outside while the physics runs.
 
     Attributes:
         at: Frame on which it acts.
-        strong: Largest force [N].
+        max_push: Largest force [N].
         felt: Point of application (3,) [m] and force (3,) [N] of the last physics step; None: none.
     """
 
-    def __init__(self, strong: float) -> None:
+    def __init__(self, max_push: float) -> None:
         """Start without a force."""
-        self.at, self.strong = TOOL, strong
+        self.at, self.max_push = TOOL, max_push
         self._zero = np.zeros(3)
         self.let_go()
 
@@ -82,11 +82,11 @@ class VisitorHand:
         lever = frame.rotation @ self._local
         place = frame.position + lever
         twist = frame.twist()
-        stiffness = self.strong / REACH
+        stiffness = self.max_push / REACH
         speed = twist[:3] + np.cross(twist[3:], lever)
         pull = stiffness * (self._toward - place) - BRAKE * stiffness * speed
         size = float(np.linalg.norm(pull))
-        pull *= min(1.0, self.strong / max(size, 1e-9))
+        pull *= min(1.0, self.max_push / max(size, 1e-9))
         self.felt = place, pull
         return pull, self._zero, place
 

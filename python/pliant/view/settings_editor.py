@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 
 from pliant._core import Axis, ConfigError, PliantError, Settings, Task
-from pliant.view import orders
-from pliant.view.snapshot import Shown
+from pliant.view import messages
+from pliant.view.snapshot import SettingsView
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,28 +20,13 @@ if TYPE_CHECKING:
 LAWS = ("cap", "impedance", "paper")
 #: Preset with the settings of a configuration file.
 OWN = "from the file"
-#: All fields of an axis.
-FIELDS = (
-    "soft",
-    "firm",
-    "hold",
-    "stiffness",
-    "damping",
-    "yields",
-    "adaptation",
-    "soft_until",
-    "firm_from",
-    "profile",
-    "max_velocity",
-    "soft_step_limit",
-    "deviation_limit",
-    "on_deviation_limit",
-)
+#: Fields of an axis that the page shows.
+FIELDS = ("soft", "firm", "hold", "stiffness", "yields", "adaptation")
 #: Fields that depend on the law.
 OF_THE_LAW = ("soft", "firm", "hold", "stiffness", "damping")
 
 
-class Desk:
+class SettingsEditor:
     """Holds settings, applies changes to a controller, and restores the old ones after a rejection.
 
     Args:
@@ -96,7 +81,7 @@ class Desk:
         }
         return self.settings.replace(axes=axes)
 
-    def take(self, order: orders.Edit, controller: Controller) -> None:
+    def apply(self, message: messages.Edit, controller: Controller) -> None:
         """Change the settings of a controller.
 
         Raises:
@@ -104,58 +89,57 @@ class Desk:
         """
         before = self.settings, self.preset, self.firm
         try:
-            self._change(order, controller)
+            self._change(message, controller)
             controller.update(self.effective)
         except (PliantError, TypeError, ValueError) as error:
             self.settings, self.preset, self.firm = before
             # The core names a single axis "Axis" in its errors.
-            where = f"axes.{order.axis}" if isinstance(order, orders.Change) else "Axis"
+            where = f"axes.{message.axis}" if isinstance(message, messages.Change) else "Axis"
             raise ConfigError(str(error).replace("Axis.", f"{where}.", 1)) from error
 
-    def _change(self, order: orders.Edit, controller: Controller) -> None:
+    def _change(self, message: messages.Edit, controller: Controller) -> None:
         axes = self._axes(self.settings)
-        match order:
-            case orders.Preset(name=preset):
+        match message:
+            case messages.Preset(name=preset):
                 self.begin(preset)
-            case orders.Law(law=law):
+            case messages.Law(law=law):
                 bare: dict[str, Any] = dict.fromkeys(OF_THE_LAW)
                 for name, axis in axes.items():
-                    axes[name] = Axis(**{**fields_of(axis), **bare, "yields": yields_of(axis)})
+                    axes[name] = axis.replace(**{**bare, "yields": yields_of(axis)})
                 # The core rejects an unknown law.
                 known = cast("Literal['cap', 'impedance', 'paper']", law)
                 self.settings = self.settings.replace(law=known, axes=axes)
-            case orders.Change(axis=name, fields=fields):
+            case messages.Change(axis=name, fields=fields):
                 strengths: dict[str, Axis] = {n: a for n, a in controller.axes.items()}
                 if name not in strengths:
                     there = ", ".join(strengths)
                     raise ConfigError(f"the task has no axis {name!r}; it has {there}")
-                made = fields_of(strengths[name])
+                made: dict[str, Any] = {}
                 if name in axes:
-                    made["yields"], made["adaptation"] = (
-                        yields_of(axes[name]),
-                        axes[name].adaptation,
-                    )
+                    made = {"yields": yields_of(axes[name]), "adaptation": axes[name].adaptation}
                 made |= fields
-                if made["yields"] == "none":
+                if made.get("yields", strengths[name].yields) == "none":
                     made["adaptation"] = 0.0
-                self.settings = self.settings.replace(axes={**axes, name: Axis(**made)})
-            case orders.Eta(value=eta):
+                edited = strengths[name].replace(**made)
+                self.settings = self.settings.replace(axes={**axes, name: edited})
+            case messages.Adaptation(value=eta):
                 for name, axis in axes.items():
                     if yields_of(axis) != "none":
                         axes[name] = axis.replace(adaptation=eta)
                 self.settings = self.settings.replace(axes=axes)
-            case orders.Firm(on=on):
+            case messages.Firm(on=on):
                 self.firm = on
 
-    def show(self, controller: Controller, q: Array | None = None) -> Shown:
+    def describe(self, controller: Controller, q: Array | None = None) -> SettingsView:
         """Return the settings in force, for the controls; q (n,) [rad] if there was no step yet."""
         axes: dict[str, dict[str, Any]] = {
-            name: fields_of(axis) for name, axis in controller.axes.items()
+            name: {key: getattr(axis, key) for key in FIELDS}
+            for name, axis in controller.axes.items()
         }
         if self.firm:
             for name, axis in self._axes(self.settings).items():
                 axes[name]["yields"], axes[name]["adaptation"] = yields_of(axis), axis.adaptation
-        return Shown(
+        return SettingsView(
             law=controller.settings.law,
             preset=self.preset,
             firm=self.firm,
@@ -172,11 +156,6 @@ class Desk:
         if name not in self._makers:
             raise ConfigError(f"no preset {name!r}; there are {', '.join(self._makers)}")
         return self._makers[name]().replace(rate=self._rate)
-
-
-def fields_of(axis: Axis) -> dict[str, Any]:
-    """Return the fields of an axis."""
-    return {name: getattr(axis, name) for name in FIELDS}
 
 
 def yields_of(axis: Axis) -> Literal["both", "+", "-", "none"]:

@@ -11,15 +11,15 @@ import viser
 import viser.transforms as tf
 from mjviser.scene import ViserMujocoScene
 
-from pliant.view import orders
+from pliant.view import messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pliant._typing import Array
-    from pliant.view.snapshot import Snapshot, Stage
+    from pliant.view.snapshot import SceneInfo, Snapshot
 
-    Tell = Callable[[orders.Order], None]
+    Tell = Callable[[messages.Message], None]
 
 #: Reach of an arm [m] for the lengths given here; smaller arms scale them down.
 REACH = 0.71
@@ -27,7 +27,7 @@ REACH = 0.71
 #: [m].
 LONGEST, SHAFT, HEAD, POINT = 0.6, 0.006, 0.016, 0.035
 #: Colours: the hand's arrow, the line from tool to target, walls.
-HAND, LEASH, WALL, POST = (235, 87, 60), (46, 125, 220), (150, 165, 180), (205, 211, 219)
+HAND, TARGET_LINE, WALL, POST = (235, 87, 60), (46, 125, 220), (150, 165, 180), (205, 211, 219)
 #: Links, as shares of red, green, blue; drums of joints with no torque and with all of it; a change
 #: of colour that is worth sending.
 LINK = (0.42, 0.48, 0.56)
@@ -52,47 +52,47 @@ SIDE = np.array((0.532, -0.745, 0.404))
 NEAR = 0.002
 
 
-class World:
-    """The 3-D scene, until the stage changes.
+class SceneView:
+    """The 3-D scene, until the scene changes.
 
     Attributes:
         gizmo: The draggable target.
         held_by: Number of the browser tab that drags the arm; None: no tab.
     """
 
-    def __init__(self, server: viser.ViserServer, stage: Stage, tell: Tell) -> None:
-        """Draw the stage; dragging sends orders by `tell`."""
-        self._server, self._tell, self._stage = server, tell, stage
-        size = self._size = float(np.clip(stage.reach / REACH, SMALLEST, 1.0))
+    def __init__(self, server: viser.ViserServer, info: SceneInfo, send: Tell) -> None:
+        """Draw the scene; dragging sends messages by `send`."""
+        self._server, self._send, self._info = server, send, info
+        size = self._size = float(np.clip(info.reach / REACH, SMALLEST, 1.0))
         scene = server.scene
         scene.reset()
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
-        self._data = mujoco.MjData(stage.figure)
-        shapes = _shapes(stage)
-        _paint(stage.figure, set(shapes))
-        self._figure = ViserMujocoScene(server, stage.figure, num_envs=1)
+        self._data = mujoco.MjData(info.figure)
+        shapes = _shapes(info)
+        _paint(info.figure, set(shapes))
+        self._figure = ViserMujocoScene(server, info.figure, num_envs=1)
         self._figure.camera_tracking_enabled = False
         scene.configure_environment_map(environment_intensity=0.35)
         # Child nodes of a body's node cannot lag behind it.
-        moved = {int(stage.figure.jnt_bodyid[stage.figure.joint(j).id]) for j in stage.joints}
+        moved = {int(info.figure.jnt_bodyid[info.figure.joint(j).id]) for j in info.joints}
         self._nodes: dict[int, viser.SceneNodeHandle] = {
             body: scene.add_mesh_trimesh(f"/arm/{body}", shapes[body])
             if body in shapes
             else scene.add_frame(f"/arm/{body}", show_axes=False)
             for body in sorted(moved | set(shapes))
         }
-        self._hinges = Hinges(scene, stage)
-        self._data.qpos[:] = stage.start
-        mujoco.mj_kinematics(stage.figure, self._data)
+        self._hinges = Hinges(scene, info)
+        self._data.qpos[:] = info.start
+        mujoco.mj_kinematics(info.figure, self._data)
         self._place_nodes()
-        _ground(scene, stage, size)
+        _ground(scene, info, size)
         camera = server.initial_camera
         camera.look_at, camera.position = overlook(
-            stage.figure, self._data, stage.home[:3, 3], GIZMO * size
+            info.figure, self._data, info.home[:3, 3], GIZMO * size
         )
         camera.fov = FOV
-        for number, (point, into) in enumerate(stage.walls):
+        for number, (point, into) in enumerate(info.walls):
             _wall(scene, f"/walls/{number}", point, into)
         self._arrow = scene.add_arrows(
             "/hand",
@@ -103,17 +103,17 @@ class World:
             head_length=POINT * size,
             visible=False,
         )
-        self._leash = scene.add_line_segments(
+        self._target_line = scene.add_line_segments(
             "/leash",
             np.zeros((1, 2, 3)),
-            LEASH,
+            TARGET_LINE,
             thickness=2.5,
             thickness_units="screen",
             visible=False,
         )
         self._dragging = False
         self.held_by: int | None = None
-        self._turns = bool({"roll", "pitch", "yaw"} & set(stage.axes))
+        self._turns = bool({"roll", "pitch", "yaw"} & set(info.axes))
         self.gizmo = scene.add_transform_controls(
             "/target",
             scale=GIZMO * size,
@@ -121,36 +121,36 @@ class World:
             disable_sliders=True,
             disable_rotations=not self._turns,
             depth_test=False,
-            wxyz=self._handles(stage.home),
-            position=stage.home[:3, 3],
+            wxyz=self._handles(info.home),
+            position=info.home[:3, 3],
         )
-        self.gizmo.on_update(self._led)
-        if stage.strong is not None:
+        self.gizmo.on_update(self._on_gizmo)
+        if info.max_push is not None:
             for group in self._figure._mesh_groups:
-                group.handle.on_drag("left")(self._pulled(group.body_ids))
+                group.handle.on_drag("left")(self._drag_handler(group.body_ids))
             for body, node in self._nodes.items():
                 if isinstance(node, viser.GlbHandle):
-                    node.on_drag("left")(self._pulled((body,)))
+                    node.on_drag("left")(self._drag_handler((body,)))
 
     def show(self, now: Snapshot) -> None:
         """Update the scene to a snapshot."""
         self._data.qpos[:] = now.qpos
         self._data.mocap_pos[:], self._data.mocap_quat[:] = now.mocap
-        mujoco.mj_kinematics(self._stage.figure, self._data)
+        mujoco.mj_kinematics(self._info.figure, self._data)
         self._figure.update_from_mjdata(self._data)
         self._place_nodes()
         self._hinges.show(now)
         self._show_hand(now)
         step = now.step
         if step is None:
-            self._leash.visible = False
+            self._target_line.visible = False
             return
         if not self._dragging:
             self.gizmo.position = step.target[:3, 3]
             self.gizmo.wxyz = self._handles(step.target)
         ends = np.stack((now.tool[:3, 3], step.target[:3, 3]))[None]
-        self._leash.visible = bool(np.linalg.norm(ends[0, 1] - ends[0, 0]) > NEAR)
-        self._leash.points = ends.astype(np.float32)
+        self._target_line.visible = bool(np.linalg.norm(ends[0, 1] - ends[0, 0]) > NEAR)
+        self._target_line.points = ends.astype(np.float32)
 
     def _place_nodes(self) -> None:
         """Update the nodes of the arm's bodies."""
@@ -161,7 +161,7 @@ class World:
         shown = False
         if now.pull is not None:
             point, force = now.pull
-            way = force * (self._size * LONGEST / max(self._stage.force, 1e-9))
+            way = force * (self._size * LONGEST / max(self._info.force, 1e-9))
             shown = bool(np.linalg.norm(way) > 0.004)
             if shown:
                 # Its head is at the point of application, as for a push.
@@ -173,27 +173,27 @@ class World:
         turned = target[:3, :3] if self._turns else np.eye(3)
         return np.asarray(tf.SO3.from_matrix(turned).wxyz)
 
-    async def _led(self, event: viser.TransformControlsEvent) -> None:
+    async def _on_gizmo(self, event: viser.TransformControlsEvent) -> None:
         """Send the gizmo's pose: in order, hence in the server's own thread."""
         self._dragging = event.phase != "end"
-        pose = self._stage.home.copy()
+        pose = self._info.home.copy()
         if self._turns:
             pose[:3, :3] = tf.SO3(np.asarray(event.target.wxyz)).as_matrix()
         pose[:3, 3] = event.target.position
-        self._tell(orders.Target(pose))
+        self._send(messages.Target(pose))
 
-    def _pulled(self, bodies: Any) -> Callable[[Any], Any]:
+    def _drag_handler(self, bodies: Any) -> Callable[[Any], Any]:
         """Return the handler for dragging a body of the arm."""
 
         async def pulled(event: Any) -> None:
             body = int(bodies[event.instance_index or 0])
             if event.phase == "end":
                 self.held_by = None
-                self._tell(orders.LetGo())
+                self._send(messages.LetGo())
                 return
             self.held_by = event.client_id
             first = event.start_position if event.phase == "start" else None
-            self._tell(orders.Grab(body, first, event.end_position))
+            self._send(messages.Grab(body, first, event.end_position))
 
         return pulled
 
@@ -201,19 +201,19 @@ class World:
 class Hinges:
     """Joints drawn as drums on the bodies that they move; the colour shows the torque limit."""
 
-    def __init__(self, scene: viser.SceneApi, stage: Stage) -> None:
+    def __init__(self, scene: viser.SceneApi, info: SceneInfo) -> None:
         """Place a drum on the axis of every joint of the chain."""
-        figure = stage.figure
-        self._usable = stage.usable
+        figure = info.figure
+        self._usable = info.usable
         arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
         thick = float(figure.geom_size[arm, 0].max(initial=0.008))
         # With URDF shapes, only the ends of the drums are visible.
-        radius, height = (0.7, 3.2) if stage.visuals else (1.2, 2.5)
+        radius, height = (0.7, 3.2) if info.visuals else (1.2, 2.5)
         drum = trimesh.creation.cylinder(radius=radius * thick, height=height * thick, sections=40)
         drum.unmerge_vertices()
-        self._colours = np.tile(np.array(COOL), (len(stage.joints), 1))
+        self._colours = np.tile(np.array(COOL), (len(info.joints), 1))
         self._drums = []
-        for name in stage.joints:
+        for name in info.joints:
             joint = figure.joint(name).id
             body = int(figure.jnt_bodyid[joint])
             self._drums.append(
@@ -258,11 +258,11 @@ def _paint(figure: mujoco.MjModel, shaped: set[int]) -> None:
             figure.geom_group[i] = HIDDEN
 
 
-def _shapes(stage: Stage) -> dict[int, trimesh.Trimesh]:
+def _shapes(info: SceneInfo) -> dict[int, trimesh.Trimesh]:
     """Return one mesh per body of the arm whose shapes can be drawn, in the frame of the body."""
     parts: dict[int, list[trimesh.Trimesh]] = {}
     broken: set[int] = set()
-    for visual in stage.visuals:
+    for visual in info.visuals:
         try:
             parts.setdefault(visual.body, []).append(visual.mesh())
         except Exception:
@@ -274,26 +274,26 @@ def _shapes(stage: Stage) -> dict[int, trimesh.Trimesh]:
     return {body: mesh for body, mesh in out.items() if body not in broken}
 
 
-def _height(stage: Stage) -> float:
+def _height(info: SceneInfo) -> float:
     """Return the height of the floor under the arm [m]."""
-    figure = stage.figure
+    figure = info.figure
     planes = np.flatnonzero(figure.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     if planes.size:
         return float(figure.geom_pos[planes[0], 2])
-    if stage.table is not None:
-        return stage.table
+    if info.table is not None:
+        return info.table
     # A base drawn down to its frame stands on a table.
-    standing = [v for v in stage.visuals if figure.body(v.body).parentid[0] == 0]
+    standing = [v for v in info.visuals if figure.body(v.body).parentid[0] == 0]
     lows = [v.mesh().bounds[0, 2] for v in standing if v.kind != "mesh"]
     if lows and abs(min(lows)) < STANDS:
         return float(min(lows))
-    height = float(stage.home[2, 3])
+    height = float(info.home[2, 3])
     return 0.0 if height > -STANDS else height - 0.3
 
 
-def _ground(scene: viser.SceneApi, stage: Stage, size: float) -> None:
+def _ground(scene: viser.SceneApi, info: SceneInfo, size: float) -> None:
     """Draw a floor with the base axes, and a post for an arm that hangs above it."""
-    low = _height(stage)
+    low = _height(info)
     scene.add_grid(
         "/floor",
         width=2.4,
