@@ -9,16 +9,15 @@ import numpy as np
 
 import pliant
 from experiments import metrics
-from experiments.conditions import NOMINAL
-from experiments.episode import Trace, run
-from experiments.setups import AXES, arm, displaced, servos, tool
+from experiments.poses import AXES, arm, displaced, servos, tool
+from experiments.simulation import NOMINAL, Trace, run
 from pliant.sim import Course, Drag, Wall
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from experiments.conditions import Conditions
+    from experiments.simulation import Conditions
     from pliant.sim import Plant
 
     Array = NDArray[np.float64]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from experiments.demonstration import Demonstration, Subject
-    from experiments.result import Chapter, Check
+    from experiments.report import Chapter, Check
 
 #: Beyond this number of processes the longest run decides.
 MOST_JOBS = 16
@@ -97,12 +97,14 @@ def _load() -> ModuleType:
 
 def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -> Subject:
     from experiments import demonstration
-    from experiments.chapters import anyarm, anyarm_subject
+    from experiments.chapters import generic_arm
 
     if urdf is not None:
-        return anyarm_subject.subject(anyarm.Source(urdf=str(urdf), base=base, tip=tip))
+        return generic_arm.subject(generic_arm.Source(urdf=str(urdf), base=base, tip=tip))
     return (
-        demonstration.ARM7 if robot == "arm7" else anyarm_subject.subject(anyarm.Source(name=robot))
+        demonstration.ARM7
+        if robot == "arm7"
+        else generic_arm.subject(generic_arm.Source(name=robot))
     )
 
 
@@ -140,7 +142,7 @@ class Bar:
 
 def missed(chapter: Chapter) -> list[str]:
     """List our own bands that this run did not keep, a line each, with the number and the cause."""
-    from experiments.result import Verdict
+    from experiments.report import Verdict
 
     lines = []
     for statement in chapter.statements("study"):
@@ -168,7 +170,7 @@ def _band(test: Check) -> str:
 
 def _close(console: Console, done: Demonstration) -> None:
     """Print the results, the path of the report last."""
-    from experiments.result import Verdict
+    from experiments.report import Verdict
 
     paper = any(chapter.statements("paper") for chapter in done.chapters)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left")

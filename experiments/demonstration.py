@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 from experiments import report
 from experiments.chapters import activation, caps, comparison, doors, static, tracking
 from experiments.chapters.common import Options
-from experiments.files import write_results
-from experiments.result import Verdict
-from experiments.runner import Job, Workers, draw_off_screen, prefixed
+from experiments.program import write_results
+from experiments.report import Verdict
+from experiments.runner import Job, draw_off_screen, run_by_key
 from pliant import ConfigError
 from pliant._report import provenance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from experiments.result import Chapter, Numbers
+    from experiments.report import Chapter, Numbers
 
 
 class Experiment(Protocol):
@@ -155,18 +155,19 @@ def run(
     options.figures.mkdir(parents=True, exist_ok=True)
     planned = {number: module.jobs(options) for number, module in chosen.items()}
     watcher.expect(sum(len(runs) for runs in planned.values()) + len(chosen) + 1)
-    with Workers(jobs) as workers:
-        every = [job for number, runs in planned.items() for job in prefixed(f"{number}:", runs)]
-        outcomes = workers.run(every, watcher.done)
-        own = {
-            number: {job.key: outcomes[f"{number}:{job.key}"] for job in runs}
-            for number, runs in planned.items()
-        }
-        drawing = [
-            Job(f"figures of {number}", module.draw, (own[number], options))
-            for number, module in chosen.items()
-        ]
-        workers.run(drawing, watcher.done)
+    every = [
+        replace(job, key=f"{number}:{job.key}") for number, runs in planned.items() for job in runs
+    ]
+    outcomes = run_by_key(every, jobs, progress=watcher.done)
+    own = {
+        number: {job.key: outcomes[f"{number}:{job.key}"] for job in runs}
+        for number, runs in planned.items()
+    }
+    drawing = [
+        Job(f"figures of {number}", module.draw, (own[number], options))
+        for number, module in chosen.items()
+    ]
+    run_by_key(drawing, jobs, progress=watcher.done)
     chapters = tuple(module.chapter(module.measure(own[n])) for n, module in chosen.items())
     facts = provenance.collect()
     results = _write_results(out, subject, chapters, facts, quick=quick)

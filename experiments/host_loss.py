@@ -8,19 +8,18 @@ compared with ``report().host_loss_force`` of the last step.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import AXES, Arm, load
-from experiments.campaign_grip import OF_CAPACITY, Grip
-from experiments.parallel import parallel
+from experiments import program
+from experiments.arms import AXES, Arm, load
+from experiments.runner import run_jobs
+from experiments.spring_hand import OF_CAPACITY, Grip
 from pliant import robots
 from pliant.sim import Plant
 
@@ -216,39 +215,27 @@ def text(found: Sequence[Met]) -> str:
     return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Options:
+def main(
+    *, poses: int = POSES, arm: program.Arms = (), jobs: int = 2, out: Path | None = None
+) -> None:
     """Drag arms after a host loss.
 
-    Attributes:
+    Args:
         poses: Poses of arm7; other arms have a third.
         arm: Arms by name; default those that ship with the package.
         jobs: Number of processes.
-        out: File for every push, as JSON; default no file.
+        out: Folder of results.json with every push; default no file.
     """
-
-    poses: int = POSES
-    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    jobs: int = 2
-    out: Path | None = None
-
-
-def main(options: Options) -> None:
-    """Run the requested arms, print the table."""
-    names = options.arm or robots.names()
     work = [
         Job(name, pose)
-        for name in names
-        for pose in range(options.poses if name == "arm7" else -(-options.poses * OTHERS // POSES))
+        for name in arm or robots.names()
+        for pose in range(poses if name == "arm7" else -(-poses * OTHERS // POSES))
     ]
-    found = [met for one in parallel(work, options.jobs, "dead") for met in one]
+    found = [push for one in run_jobs(work, jobs, "host loss") for push in one]
     print(text(found))
-    if options.out is not None:
-        options.out.write_text(json.dumps([asdict(met) for met in found], indent=1) + "\n")
+    if out is not None:
+        program.write_results(out, {"pushes": [asdict(push) for push in found]})
 
 
 if __name__ == "__main__":
-    # Other processes import this module's jobs by its name, not as `__main__`.
-    from experiments import host_loss  # noqa: PLW0406 -- by name
-
-    host_loss.main(tyro.cli(host_loss.Options))
+    program.start(main)

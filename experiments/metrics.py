@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from experiments.episode import Trace
+    from experiments.simulation import Trace
 
     Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 import pliant
-from experiments import steps
+from experiments import program, steps
 from pliant.sim import Drag, Plant, Push
 
 if TYPE_CHECKING:
@@ -123,4 +123,4 @@ def main(robot: tyro.conf.Positional[str] = "so101", steps_each: int = 6) -> Non
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    program.start(main)

@@ -13,11 +13,11 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import BESIDE, REACH_OF_ONE, ROBOTS, Arm
-from experiments.parallel import parallel
+from experiments import program
+from experiments.arms import BESIDE, REACH_OF_ONE, ROBOTS, Arm
+from experiments.runner import run_jobs
 from pliant import robots
 from pliant.config import names
 from pliant.sim import Plant
@@ -256,11 +256,8 @@ def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: i
         jobs: Processes.
     """
     todo = rows(robot, poses, disturbed=disturbed)
-    print(table(todo, list(parallel(todo, jobs, "steps"))))
+    print(table(todo, list(run_jobs(todo, jobs, "steps"))))
 
 
 if __name__ == "__main__":
-    # Other processes import this module's jobs by its name, not as `__main__`.
-    from experiments import steps as module  # noqa: PLW0406 -- by name
-
-    tyro.cli(module.main)
+    program.start(main)

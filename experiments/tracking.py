@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments import metrics
-from experiments.conditions import NOMINAL
-from experiments.episode import Trace, run
-from experiments.setups import (
+from experiments.poses import (
     AMPLITUDE,
     AT_REACH,
     AXES,
@@ -20,11 +18,12 @@ from experiments.setups import (
     tilted,
     tool,
 )
+from experiments.simulation import NOMINAL, Trace, run
 from pliant.sim.postures import HORIZONTAL, VERTICAL
 
 if TYPE_CHECKING:
-    from experiments.conditions import Conditions
-    from experiments.hands import Law
+    from experiments.disturbances import Law
+    from experiments.simulation import Conditions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from experiments import campaign_table as table
-from experiments.campaign_arms import AXES, load
-from experiments.campaign_bench import NOMINAL
-from experiments.campaign_jobs import Job as Poses
-from experiments.result import Chapter, Figure, Numbers, Statement, at_least
+from experiments import campaign as table
+from experiments.arms import AXES, load
+from experiments.campaign import UNDISTURBED
+from experiments.campaign import Job as Poses
+from experiments.report import Chapter, Figure, Numbers, Statement, at_least
 from experiments.runner import Job
 from pliant._report.page import Table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from experiments.campaign_bench import Promise
+    from experiments.campaign import Promise
     from experiments.chapters.common import Options
 
 NUMBER = 6
@@ -29,7 +29,7 @@ FIGURES = ("poses", "cases", "refused", "kept", "kept_clear", "stopped", "median
 
 def promises(arm: str, pose: int) -> list[Promise]:
     """Measure every axis, sign and cap in one pose, the other axes free and guided."""
-    return Poses(arm, NOMINAL, pose).run()
+    return Poses(arm, UNDISTURBED, pose).run()
 
 
 def jobs(options: Options) -> list[Job]:
@@ -113,8 +113,8 @@ def chapter(numbers: Numbers) -> Chapter:
 
 def draw(outcomes: Mapping[str, Sequence[Promise]], options: Options) -> None:
     """Draw the distribution by axis and by arm."""
-    from experiments.figures import caps
+    from experiments import campaign
 
     found = _by_arm(outcomes)
     axes = {axis: [p for p in found["arm7"] if p.axis == axis] for axis in AXES}
-    caps.draw({"arm7, by axis": axes, "By arm": found}, options.figures, "6-caps")
+    campaign.draw_errors({"arm7, by axis": axes, "By arm": found}, options.figures, "6-caps")

@@ -7,7 +7,7 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 import pliant.robots
-from experiments.capturing import tried
+from experiments.gravity_capture import tried
 from pliant import identify
 from pliant.sim import Plant
 

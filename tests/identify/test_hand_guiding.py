@@ -7,7 +7,7 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
-from experiments.floating import floated
+from experiments.hand_guiding import floated
 
 
 def afloat(arm, pose, kp):

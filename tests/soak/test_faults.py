@@ -8,10 +8,9 @@ pytest.importorskip("mujoco", reason="the arm behind the servos needs the extra 
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 pytest.importorskip("pydantic", reason="the configurations need the extra config")
 
-from experiments.bus_mishaps import MISHAPS
-from experiments.faults import WHEN, suffer
+from experiments.faults import FAULT_CASES, WHEN, suffer
 
-BY_TITLE = {mishap.title: mishap for mishap in MISHAPS}
+BY_TITLE = {mishap.title: mishap for mishap in FAULT_CASES}
 #: Reply timeout where every servo answers, long enough for a busy computer [s].
 BUSY = 0.3
 #: A row, and the arm's reaction.
@@ -24,8 +23,8 @@ POWERED = {
 
 
 def test_there_are_twenty_and_more():
-    assert len(MISHAPS) >= 20
-    assert len(BY_TITLE) == len(MISHAPS)
+    assert len(FAULT_CASES) >= 20
+    assert len(BY_TITLE) == len(FAULT_CASES)
 
 
 def test_a_run_over_bytes_repeats_to_the_bit():
@@ -66,7 +65,7 @@ def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand(shift):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("title", [m.title for m in MISHAPS if m.state != "no torque"])
+@pytest.mark.parametrize("title", [m.title for m in FAULT_CASES if m.state != "no torque"])
 def test_no_hand_feels_more_than_is_allowed(title):
     found = suffer(BY_TITLE[title], held=True)
     assert found.force <= found.allowed

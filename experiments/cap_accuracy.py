@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.conditions import NOMINAL
-from experiments.episode import run
-from experiments.laws import UNBLURRED
-from experiments.setups import AXES, arm, servos
+from experiments.controllers import UNBLURRED
+from experiments.poses import AXES, arm, servos
+from experiments.simulation import NOMINAL, run
 from pliant import Axis, Settings
 from pliant.sim import Guide
 from pliant.sim.hand import Course, Drag, Twist
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from experiments.conditions import Conditions
+    from experiments.simulation import Conditions
     from pliant.sim import Hand
 
     Array = NDArray[np.float64]

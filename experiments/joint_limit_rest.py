@@ -1,6 +1,6 @@
 """Arms near their stops after a push: rest, oscillation or drift.
 
-``python -m experiments.quiet`` puts one joint of random poses within 0.06 rad of its position
+``python -m experiments.joint_limit_rest`` puts one joint of random poses within 0.06 rad of its position
 limit, moves a soft axis 5 cm away, holds it there, lets go, and observes the joints for one second
 from 2.5 s and from 8 s after that.
 """
@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import AXES, LEAST_SIGMA, load
-from experiments.campaign_grip import OF_CAPACITY, Grip
-from experiments.laws import UNBLURRED
-from experiments.parallel import parallel
+from experiments import program
+from experiments.arms import AXES, LEAST_SIGMA, load
+from experiments.controllers import UNBLURRED
+from experiments.runner import run_jobs
+from experiments.spring_hand import OF_CAPACITY, Grip
 from pliant import robots
 from pliant.sim import Plant
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from experiments.campaign_arms import Arm
+    from experiments.arms import Arm
 
     Array = NDArray[np.float64]
 
@@ -170,35 +170,22 @@ def text(found: Sequence[Rest]) -> str:
     return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Options:
+def main(*, poses: int = POSES, arm: program.Arms = (), jobs: int = 2) -> None:
     """Push arms near their stops, let go, and observe whether they come to rest.
 
-    Attributes:
+    Args:
         poses: Of each arm.
         arm: Arms by name; default those that ship with the package.
         jobs: Number of processes.
     """
-
-    poses: int = POSES
-    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    jobs: int = 2
-
-
-def main(options: Options) -> None:
-    """Run the requested arms, print the table."""
-    names = options.arm or robots.names()
     work = [
         Job(name, pose, ticks, eta)
-        for name in names
+        for name in arm or robots.names()
         for ticks, eta in CASES
-        for pose in range(options.poses)
+        for pose in range(poses)
     ]
-    print(text(list(parallel(work, options.jobs, "quiet"))))
+    print(text(list(run_jobs(work, jobs, "rest at joint limits"))))
 
 
 if __name__ == "__main__":
-    # Other processes import this module's jobs by its name, not as `__main__`.
-    from experiments import quiet  # noqa: PLW0406 -- by name
-
-    quiet.main(tyro.cli(quiet.Options))
+    program.start(main)

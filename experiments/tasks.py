@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.conditions import NOMINAL
-from experiments.episode import Trace, run
-from experiments.setups import displaced, pull, tool
+from experiments.poses import displaced, pull, tool
+from experiments.simulation import NOMINAL, Trace, run
 from pliant.sim import HandoverObject, Socket, Surface, drawer
 from pliant.sim.grasp import RELEASE_DISTANCE
 from pliant.sim.postures import AT_DOOR, VERTICAL
@@ -17,8 +16,8 @@ from pliant.sim.postures import AT_DOOR, VERTICAL
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from experiments.conditions import Conditions
-    from experiments.hands import Law
+    from experiments.disturbances import Law
+    from experiments.simulation import Conditions
     from pliant.sim import Plant
 
     Array = NDArray[np.float64]
