@@ -21,9 +21,8 @@ from pliant.sim import table
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from experiments.poses import Array
 
-    Array = NDArray[np.float64]
 
 #: The rows: name, unknown load at the tool [kg], and True for a table.
 CASES = (

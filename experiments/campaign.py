@@ -27,7 +27,7 @@ from experiments.arms import AXES, ROBOTS, available, load
 from experiments.controllers import UNBLURRED
 from experiments.program import write_results
 from experiments.runner import run_jobs
-from experiments.simulation import NOMINAL, Conditions
+from experiments.simulation import NOMINAL, Conditions, closed_loop
 from experiments.spring_hand import OF_CAPACITY, Grip
 from pliant._report.style import BLUE, CARD, MUTED, SKY, WIDE, canvas, save
 from pliant.sim import Plant
@@ -37,11 +37,9 @@ from pliant.sim.friction import MX64, MX106, STS3215, Friction
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from experiments.arms import Arm
+    from experiments.poses import Array
 
-    Array = NDArray[np.float64]
     #: Arm and disturbance by name.
     Key = tuple[str, str]
     #: Promises by arm and disturbance.
@@ -275,12 +273,12 @@ class Bench:
         end = last if seen.moving else last + REST
         felt, moved, speeds, drift, stiff = [], [], [], 0.0, [r for r in range(3) if r != row]
         stiff = [r for r in stiff if r in self.arm.rows]
-        for tick in range(round(end * plant.rate)):
-            now = tick / plant.rate
+
+        def push(now: float, plant: Plant) -> None:
             grip.move(row, sign * speed if START <= now < last - 1e-9 else 0.0)
-            command = controller.step(plant.read().q, target[:3, 3] if self._flat else target)
-            plant.write(command.goal, command.torque_limit)
-            plant.advance()
+
+        goal = target[:3, 3] if self._flat else target
+        for now, _, _ in closed_loop(plant, controller, goal, end, on_tick=push):
             if now >= end - LOOK:
                 error = pliant.functional.pose_error(plant.tool, target)
                 felt.append(sign * grip.force(row))
@@ -362,13 +360,10 @@ class Bench:
             self.grip.hold([])
             target = self.arm.model.forward_kinematics(q)
             goal = q
-            for _ in range(round(2.0 * self.plant.rate)):
-                command = controller.step(
-                    self.plant.read().q, target[:3, 3] if self._flat else target
-                )
+            if self._flat:
+                target = target[:3, 3]
+            for _, _, command in closed_loop(self.plant, controller, target, 2.0):
                 goal = command.goal
-                self.plant.write(goal, command.torque_limit)
-                self.plant.advance()
             self._captured = (q.tobytes(), np.array(self.plant.read().q), np.array(goal))
         return self._captured[1:]
 
@@ -580,15 +575,17 @@ def _quantile(values: Sequence[float], q: float) -> float:
     return float(np.quantile(values, q)) if values else float("nan")
 
 
+COLUMNS = (
+    *("arm", "disturbance", "poses", "cases", "refused %", "stop announced %"),
+    *("in band % of the rest", "strictly, of all", "free", "guided", "of the announced"),
+    *("as said", "by a limit", "clear of stops", "true friction", "error: median %", "95th %"),
+    *("free: median", "95th", "drift 95th [mm]", "< 5 mm %", "met"),
+)
+
+
 def text(rows: Sequence[Row]) -> str:
     """Return the table, as Markdown."""
-    lines = [
-        "| arm | disturbance | poses | cases | refused % | stop announced % "
-        "| in band % of the rest | strictly, of all | free | guided | of the announced | as said "
-        "| by a limit | clear of stops | true friction | error: median % | 95th % "
-        "| free: median | 95th | drift 95th [mm] | < 5 mm % | met |",
-        "|---" * 22 + "|",
-    ]
+    lines = []
     for r in rows:
         shares = (
             r.refused,
@@ -607,8 +604,8 @@ def text(rows: Sequence[Row]) -> str:
         cells = [r.arm, r.disturbance, str(r.poses), str(r.cases)]
         cells += [f"{100.0 * value:.1f}" for value in (*shares, *errors)]
         cells += [f"{r.drift:.1f}", f"{100.0 * r.drift_kept:.0f}", "yes" if r.met else "NO"]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return program.markdown(COLUMNS, lines)
 
 
 def save_results(folder: Path, rows: Sequence[Row], found: Found, about: Mapping[str, Any]) -> None:
@@ -704,14 +701,7 @@ def gears_text() -> str:
         "assumed × 0.7": Conditions(gears=gears, gears_known=True, believed=0.7),
         "identified, a tick each way": Conditions(gears=gears, gears_known=True, delay=(1, 1)),
     }
-    lines = ["| scene | figure | " + " | ".join(under) + " |", "|---" * (len(under) + 2) + "|"]
-    for scene, measure in measures.items():
-        found = [measure(one) for one in under.values()]
-        lines += [
-            f"| {scene} | {name} | " + " | ".join(f"{one[name]:.3g}" for one in found) + " |"
-            for name in found[0]
-        ]
-    return "\n".join(lines)
+    return goals.comparison(measures, under)
 
 
 def main(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.arms import capacity
 from experiments.controllers import UNBLURRED
 from experiments.poses import AXES, arm, servos
 from experiments.simulation import NOMINAL, run
@@ -18,12 +19,10 @@ from pliant.sim.hand import Course, Drag, Twist
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from experiments.simulation import Conditions
     from pliant.sim import Hand
 
-    Array = NDArray[np.float64]
 
 #: Measured caps: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
 FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
@@ -98,15 +97,6 @@ def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
     return tuple(good[:count])
 
 
-def capacity(q: Array, axis: int, sign: float) -> float:
-    """Return the largest push [N or N·m] along an axis that the servos hold at q (7,)."""
-    model = arm()
-    lever = sign * model.jacobian(q)[axis]
-    felt = np.abs(lever) > 1e-6
-    room = np.asarray(servos().max_torque) + np.sign(lever) * model.gravity(q)
-    return float((room[felt] / np.abs(lever[felt])).min())
-
-
 def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
     """Yield promises for `count` poses: every axis and sign, a random cap that the servos can hold.
 
@@ -123,7 +113,7 @@ def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
         for index, axis in enumerate(AXES):
             for sign in (1.0, -1.0):
                 cap = float(rng.choice(FORCES if index < 3 else TORQUES))
-                if capacity(q, index, sign) >= cap:
+                if capacity(arm(), servos(), q, index, sign) >= cap:
                     yield Case(q=q, axis=axis, sign=sign, cap=cap)
 
 

@@ -15,12 +15,10 @@ from pliant.sim import Course, Drag, Wall
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from experiments.simulation import Conditions
     from pliant.sim import Plant
 
-    Array = NDArray[np.float64]
 
 #: A strong hand that takes 6 s for 0.15 m: quasi-static force against deviation.
 STEADY = Drag(

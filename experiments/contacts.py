@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from experiments.arms import Arm
+    from experiments.poses import Array
     from pliant.sim.ground_truth import GroundTruth
 
-    Array = NDArray[np.float64]
 
 RATE = 100.0
 #: Start of a hand, and its duration [s].
@@ -437,17 +437,18 @@ def _quantiles(values: Sequence[float]) -> tuple[float, float]:
 
 def text(rows: Sequence[Seen]) -> str:
     """Return the table of rules, as Markdown."""
-    lines = [
-        "| case | event | false alarms | in [h] | seen % | strong contacts | missed % "
-        "| after strong [ms]: median | 95th | after the touch: median | 95th | force then [N] |",
-        "|---" * 12 + "|",
-    ]
+    columns = (
+        *("case", "event", "false alarms", "in [h]", "seen %", "strong contacts", "missed %"),
+        *("after strong [ms]: median", "95th", "after the touch: median", "95th"),
+        "force then [N]",
+    )
+    lines = []
     for r in rows:
         cells = [r.case, str(r.rule), str(r.alarms), f"{r.hours:.2g}", f"{100 * r.seen:.1f}"]
         cells += [str(r.strong), f"{100 * r.missed:.1f}"]
         cells += [f"{1e3 * value:.0f}" for value in (*r.late, *r.after)] + [f"{r.force:.1f}"]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append(cells)
+    return program.markdown(columns, lines)
 
 
 def draw(folder: Path, rows: Sequence[Seen]) -> None:

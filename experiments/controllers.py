@@ -31,12 +31,10 @@ from pliant.functional import PaperOptions
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from experiments.simulation import FromModel
 
     Steps = tuple[float, float]
-    Array = NDArray[np.float64]
 
 NONE = float("inf")
 #: No tool speed limit, no stiffening rate.

@@ -32,13 +32,11 @@ from pliant.sim.postures import VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from pliant import Model
     from pliant.config import Config
     from pliant.emulator.servo import Servo
 
-    Array = NDArray[np.float64]
 
 #: Arms of the table.
 ARMS = ("arm7", "so101", "koch", "vx300s")

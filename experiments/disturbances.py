@@ -19,13 +19,11 @@ from pliant.sim.postures import VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     import pliant
+    from experiments.poses import Array
     from experiments.simulation import Conditions, FromModel
     from pliant.sim import Plant
 
-    Array = NDArray[np.float64]
     Law = pliant.Settings | FromModel
 
 #: A 15 N hand that takes 4 s for 0.08 m: the effect of dry friction.
@@ -83,9 +81,6 @@ def drag(
         q: Start (7,) [rad]; the target is the tool's pose there.
         duration: Length of the run [s].
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     plant = conditions.build(hand)
     controller = conditions.controller(law)
@@ -155,9 +150,6 @@ def push(
         axis: Base axis.
         at: Frame that is pushed, `wrist` or `tool`.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     index = AXES.index(axis)
     hand = Push(force_vector=tuple(force * np.eye(3)[index]), at=at)
@@ -284,9 +276,6 @@ def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) 
         law: Settings of a controller, or a baseline.
         push: Sign and axis of the hand, None for no hand.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     silent = conditions.with_plant(silent=(DEATH, np.inf))
     hands = []
@@ -372,9 +361,6 @@ def bump(
         stiffness: Of the wall [N/m].
         cap: Force that the law promises at a large deviation [N].
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     axis, sign = DIRECTIONS[direction]
     index = "xyz".index(axis)

@@ -17,14 +17,11 @@ from pliant.sim.postures import AT_DOOR, AT_DOOR_HORIZONTAL, AT_OVEN, VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
     from experiments.disturbances import Law
+    from experiments.poses import Array
     from experiments.simulation import Commanded, Conditions
     from pliant.sim.doors import Door
     from pliant.sim.grasp import Grip
-
-    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +84,6 @@ def open_door(
         scene: Name of one of `SCENES`.
         grip: `rigid` or `turning`.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     setup = SCENES[scene]
     drive = leaves.Drive(distance=setup.distance) if setup.base else None
@@ -188,9 +182,6 @@ def open_and_close(
         scene: Name of one of `doors.SCENES` whose base stands still.
         grip: `rigid` or `turning`.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     setup = SCENES[scene]
     leaf = setup.leaf(grip=grip, stop=float(np.deg2rad(STOP)))

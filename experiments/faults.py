@@ -28,15 +28,13 @@ from pliant.sim.hand import Course, Drag
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from pliant.arm import Arm
     from pliant.emulator import ArmEmulator
     from pliant.loop import Tick
     from pliant.sim import Plant
     from pliant.sim.ground_truth import GroundTruth
 
-    Array = NDArray[np.float64]
     Class = Literal["runs", "host loss", "no torque"]
 
 #: Id of the elbow's servo, in the middle of the arm.

@@ -388,18 +388,23 @@ def table(only: str = "", creep: float = 1.0) -> list[Row]:
 
 def text(rows: list[Row]) -> str:
     """Return the table for a terminal or a Markdown page."""
-    lines = [
-        "| scenario | preset | figure | goal | reached | goal, uncertain | reached | met |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    columns = (
+        "scenario",
+        "preset",
+        "figure",
+        "goal",
+        "reached",
+        "goal, uncertain",
+        "reached",
+        "met",
+    )
+    lines = []
     for row in rows:
         second = "" if row.goal_uncertain is None else str(row.goal_uncertain)
         value = "" if row.goal_uncertain is None else f"{row.reached_uncertain:.3g}"
-        lines.append(
-            f"| {row.scenario} | `{row.preset}` | {row.figure} | {row.goal} | {row.reached:.3g} "
-            f"| {second} | {value} | {'yes' if row.met else 'NO'} |"
-        )
-    return "\n".join(lines)
+        first = (row.scenario, f"`{row.preset}`", row.figure, row.goal, f"{row.reached:.3g}")
+        lines.append((*first, second, value, "yes" if row.met else "NO"))
+    return program.markdown(columns, lines)
 
 
 # --- Drag and door at every rate, delay and assumption: the basis of the goals' two columns ---
@@ -427,17 +432,17 @@ def rates_text(only: str = "") -> str:
     names = [
         f"{one.rate:g} Hz{', 1+1' if one.delay[0] else ''}, × {one.believed:g}" for one in under
     ]
-    lines = ["| scene | figure | " + " | ".join(names) + " |", "|---" * (len(names) + 2) + "|"]
-    for scene, measure in RATE_SCENES.items():
-        if only in scene:
-            found = [measure(one) for one in under]
-            lines += [
-                f"| {scene} | {figure} | "
-                + " | ".join(f"{one[figure]:.3g}" for one in found)
-                + " |"
-                for figure in found[0]
-            ]
-    return "\n".join(lines)
+    measures = {scene: measure for scene, measure in RATE_SCENES.items() if only in scene}
+    return comparison(measures, dict(zip(names, under, strict=True)))
+
+
+def comparison(measures: Mapping[str, Measure], under: Mapping[str, Conditions]) -> str:
+    """Measure every scene under all conditions, a column each, as a table in Markdown."""
+    rows: list[tuple[str, ...]] = []
+    for scene, measure in measures.items():
+        found = [measure(one) for one in under.values()]
+        rows += [(scene, name, *(f"{one[name]:.3g}" for one in found)) for name in found[0]]
+    return program.markdown(("scene", "figure", *under), rows)
 
 
 def main(only: Annotated[str, tyro.conf.Positional] = "", creep: float = 1.0) -> None:

@@ -15,6 +15,7 @@ import pliant
 from experiments import program
 from experiments.arms import load
 from experiments.runner import Job, run_by_key
+from experiments.simulation import closed_loop
 from pliant import identify
 from pliant.sim import Plant
 
@@ -63,12 +64,9 @@ def tried(
     found = identify.capture_gravity(plant, controller)
     if found.remedy is not None:
         controller.update(found.remedy)
-    place, q = plant.tool[:3, 3], plant.read().q
-    target, later = arm.model.forward_kinematics(q), 0.0
-    for _ in range(round(AFTER * plant.rate)):
-        command = controller.step(plant.read().q, target)
-        plant.write(command.goal, command.torque_limit)
-        plant.advance()
+    place, later = plant.tool[:3, 3], 0.0
+    target = arm.model.forward_kinematics(plant.read().q)
+    for _ in closed_loop(plant, controller, target, AFTER):
         later = max(later, float(np.linalg.norm(plant.tool[:3, 3] - place)))
     return Tried(found.stays, found.remedy is not None, later)
 

@@ -19,9 +19,8 @@ from experiments.runner import Job, run_by_key
 from pliant.sim import Course, Drag, Plant
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from experiments.poses import Array
 
-    Array = NDArray[np.float64]
 
 #: Creep speed of joints held by friction, relative to MuJoCo's default. With the default, 1, joints
 #: slide by up to some mrad/s, and the drift of a small arm is the simulator's.

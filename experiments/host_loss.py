@@ -19,6 +19,7 @@ import pliant
 from experiments import program
 from experiments.arms import AXES, Arm, load
 from experiments.runner import run_jobs
+from experiments.simulation import closed_loop
 from experiments.spring_hand import OF_CAPACITY, Grip
 from pliant import robots
 from pliant.sim import Plant
@@ -26,9 +27,6 @@ from pliant.sim import Plant
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
 
 #: Distance of the hand, as in the report, and its duration [m, rad; s].
 TRAVEL, TAKES = (0.15, 0.4), 6.0
@@ -143,13 +141,14 @@ class Bench:
         soft = AXES.index(self.soft)
         grip.hold([soft] if leans else [])
         target = plant.tool
-        for _ in range(round(death * plant.rate)):
+
+        def work(now: float, plant: Plant) -> None:
             target[:3, 3] += SPEED * plant.period * way / np.linalg.norm(way)
             grip.move(soft, lean / death if leans else 0.0)
-            flat = not any(row > 2 for row in self.arm.rows)
-            command = controller.step(plant.read().q, target[:3, 3] if flat else target)
-            plant.write(command.goal, command.torque_limit)
-            plant.advance()
+
+        goal = target if any(row > 2 for row in self.arm.rows) else target[:3, 3]
+        for _ in closed_loop(plant, controller, goal, death, on_tick=work):
+            pass
         return controller.report()
 
     def drag(self, row: int, way: float) -> tuple[float, float]:
@@ -193,11 +192,8 @@ class Job:
 
 def text(found: Sequence[Met]) -> str:
     """Return figures per arm, translations and rotations apart, as Markdown."""
-    lines = [
-        "| arm | pushes | walled | felt/said: 5th % | median | 95th % | most "
-        "| felt − said: 95th % | most | within the allowance % |",
-        "|---" * 10 + "|",
-    ]
+    columns = ("arm", "pushes", "walled", "felt/said: 5th %", "median", "95th %", "most")
+    rows = []
     for arm in dict.fromkeys(one.arm for one in found):
         for kind, unit in enumerate(("N", "N·m")):
             every = [m for m in found if m.arm == arm and AXES.index(m.axis) // 3 == kind]
@@ -206,13 +202,13 @@ def text(found: Sequence[Met]) -> str:
             seen = [m for m in every if not m.walled]
             low, middle, high = np.quantile([m.ratio for m in seen], (0.05, 0.5, 0.95))
             above, walled = [m.above for m in seen], len(every) - len(seen)
-            lines.append(
-                f"| {arm}, {unit} | {len(every)} | {walled} | {low:.2f} | {middle:.2f} "
-                f"| {high:.2f} | {max(m.ratio for m in seen):.2f} "
-                f"| {np.quantile(above, 0.95):+.2f} | {max(above):+.2f} "
-                f"| {100 * np.mean([m.allowed for m in seen]):.1f} |"
-            )
-    return "\n".join(lines)
+            ratios = (low, middle, high, max(m.ratio for m in seen))
+            beyond = (np.quantile(above, 0.95), max(above))
+            cells = [*(f"{one:.2f}" for one in ratios), *(f"{one:+.2f}" for one in beyond)]
+            allowed = f"{100 * np.mean([m.allowed for m in seen]):.1f}"
+            rows.append((f"{arm}, {unit}", len(every), walled, *cells, allowed))
+    more = ("felt − said: 95th %", "most", "within the allowance %")
+    return program.markdown((*columns, *more), rows)
 
 
 def main(

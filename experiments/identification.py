@@ -22,7 +22,8 @@ from pliant.sim.postures import VERTICAL
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    from experiments.poses import Array
+
 
 #: Start of each arm (n,) [rad], and a payload that it lifts with ease [kg].
 STARTS = {

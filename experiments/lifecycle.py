@@ -26,12 +26,10 @@ from pliant.sim.postures import VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from pliant import Servos
     from pliant.sim import Hand
 
-    Array = NDArray[np.float64]
     Act = Callable[[Tick, "FaultyDrive", Arm, float], Array | None]
 
 #: Time of the fault, its default duration, and the end of the program [s].

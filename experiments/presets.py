@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Literal
 
-    from numpy.typing import NDArray
-
     from experiments.disturbances import Law
+    from experiments.poses import Array
 
-    Array = NDArray[np.float64]
     Profile = Literal["hardening", "constant", "softening"]
 
 #: Soft and firm of the profiles that are drawn [N].

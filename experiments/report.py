@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -82,6 +83,10 @@ class Statement:
         if self.tests and all(test.passed for test in self.tests):
             return Verdict.AGREES
         return Verdict.DIFFERS if self.because else Verdict.DISAGREES
+
+
+#: A statement of the study, whose bands are our tests.
+band = partial(Statement, source="study")
 
 
 @dataclass(frozen=True, kw_only=True)

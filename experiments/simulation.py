@@ -12,14 +12,14 @@ from experiments.poses import arm, servos
 from pliant.sim import Door, Plant
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
+    from experiments.poses import Array
     from pliant.sim import Fixture, Hand, Plant
     from pliant.sim.friction import Friction
 
-    Array = NDArray[np.float64]
     #: Pose (4, 4) of the target at a time [s].
     Target = Callable[[float], Array]
 
@@ -91,6 +91,37 @@ class Trace:
         return int(np.argmin(np.abs(self.t - time)))
 
 
+def closed_loop(
+    plant: Plant,
+    controller: Controlling,
+    target: Array | Target,
+    duration: float,
+    *,
+    on_tick: Callable[[float, Plant], None] | None = None,
+) -> Iterator[tuple[float, Array, Commanded]]:
+    """Close the loop from the present state; yield time, target and command after each tick.
+
+    Args:
+        plant: The simulated arm, with its hands and fixtures.
+        controller: The controller; it receives only what the plant's bus reports.
+        target: Pose (4, 4) of the tool, a function of time, or an array that the caller changes.
+        duration: Length [s].
+        on_tick: Called before each tick with the time and the plant.
+    """
+    listen = getattr(controller, "listen", None)
+    for tick in range(round(duration * plant.rate)):
+        time = tick / plant.rate
+        if on_tick is not None:
+            on_tick(time, plant)
+        if listen is not None:
+            listen(plant.torque)
+        wanted = target(time) if callable(target) else target
+        command = controller.step(plant.read().q, wanted)
+        plant.write(command.goal, command.torque_limit)
+        plant.advance()
+        yield time, wanted, command
+
+
 def run(
     plant: Plant,
     controller: Controlling,
@@ -117,18 +148,8 @@ def run(
     controller.reset(q)
     start = plant.tool
     door = next((fixture for fixture in plant.fixtures if isinstance(fixture, Door)), None)
-    listen = getattr(controller, "listen", None)
     rows: list[tuple[Array, ...]] = []
-    for tick in range(round(duration * plant.rate)):
-        time = tick / plant.rate
-        if on_tick is not None:
-            on_tick(time, plant)
-        wanted = target(time) if callable(target) else target
-        if listen is not None:
-            listen(plant.torque)
-        command = controller.step(plant.read().q, wanted)
-        plant.write(command.goal, command.torque_limit)
-        plant.advance()
+    for _, wanted, command in closed_loop(plant, controller, target, duration, on_tick=on_tick):
         tool = plant.tool
         felt = plant.hands[0] if plant.hands else None
         # Baselines have no diagnostics.

@@ -34,12 +34,12 @@ from pliant.servo import ServoBus
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from experiments.poses import Array
     from pliant.drive import JointReadings
     from pliant.emulator import ArmEmulator, Servo, Transaction, Write
 
-    Array = NDArray[np.float64]
 
 #: Register that bounds each limit register.
 CEILING = {

@@ -14,13 +14,11 @@ from pliant.sim.grasp import RELEASE_DISTANCE
 from pliant.sim.postures import AT_DOOR, VERTICAL
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from experiments.disturbances import Law
+    from experiments.poses import Array
     from experiments.simulation import Conditions
     from pliant.sim import Plant
 
-    Array = NDArray[np.float64]
 
 #: Distance of the target when pulling a drawer of 0.25 m, and when pushing it beyond its closed
 #: position [m].
@@ -70,9 +68,6 @@ def pull_drawer(
         degrees: Angle between the slide and the pull, in the horizontal plane [deg].
         shut: True: push it shut again afterwards.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     angle = np.deg2rad(degrees)
     box = drawer(axis=(-float(np.cos(angle)), float(np.sin(angle)), 0.0))
@@ -129,9 +124,6 @@ def wipe(
         unevenness: Height of its hills, and depth of its valleys [m].
         friction: Coefficient μ between pad and surface.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     surface = Surface(unevenness=unevenness, friction=friction)
     start = tool(VERTICAL)
@@ -182,9 +174,6 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
         law: Settings of a controller, or a baseline.
         mass: Of the object, unknown to the controller [kg].
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     thing = HandoverObject(mass=mass)
     start = tool(VERTICAL)
@@ -240,9 +229,6 @@ def plug_in(
         offset: Offset of the hole from its assumed position, x and y [m].
         tilt: Its rotation about x and y [rad].
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     socket = Socket(offset=(*offset, -0.02), tilt=(*tilt, 0.0))
     start = tool(VERTICAL)

@@ -22,9 +22,6 @@ from pliant.teach import Motion, Replay, teach
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
 
 COUNT = float(np.deg2rad(0.088))
 #: Start of each arm [rad], distance in y and z [m], and cap of a soft axis [N].

@@ -11,7 +11,7 @@ import pliant
 from experiments import controllers
 from experiments.pictures import CANNOT_DRAW, Studio
 from experiments.poses import AXES, arm, tool
-from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most
+from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, band
 from experiments.runner import Job
 from pliant._report.style import BLUE, MUTED, WIDE, canvas, save
 from pliant._report.words import listed
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from experiments.chapters.common import Options
+    from experiments.poses import Array
 
-    Array = NDArray[np.float64]
 
 NUMBER = 1
 TITLE = "Which joint does what"
@@ -217,12 +217,11 @@ def _paper(share: Mapping[str, Array]) -> tuple[Statement, ...]:
 
 
 def _study(worst: float) -> Statement:
-    return Statement(
+    return band(
         claim="An independent implementation gives the same two matrices, to the three digits it "
         "prints.",
         outcome=f"The largest difference of any of the 98 entries is {worst:.1e}.",
         tests=(at_most("largest difference", worst, 1e-3),),
-        source="study",
     )
 
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from experiments.disturbances import Law
     from experiments.simulation import Trace
 
-    Array = NDArray[np.float64]
     Grid = NDArray[np.object_]
 
 #: Deviation below which an axis counts as back at its target: [m], [rad].

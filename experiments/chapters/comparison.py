@@ -23,7 +23,17 @@ from experiments.chapters.common import (
     seconds,
     shade,
 )
-from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, between, mm
+from experiments.report import (
+    Chapter,
+    Figure,
+    Numbers,
+    Statement,
+    at_least,
+    at_most,
+    band,
+    between,
+    mm,
+)
 from experiments.runner import Job
 from experiments.simulation import NOMINAL
 from pliant._report.page import Table
@@ -201,7 +211,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
     literal, uniform, firm = numbers["paper literal"], numbers["uniform 30"], numbers["cap 0"]
     paper = numbers["paper 0.999"]
     return (
-        Statement(
+        band(
             claim="A position-controlled arm needs no torque interface to be moved as easily as "
             "one that has it.",
             outcome=f"Law cap (η 0.999): {ours['force']:.1f} N and {mm(ours['drift'])} of drift; "
@@ -211,9 +221,8 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_most("force over torque impedance", ours["force"] / torque["force"], 1.2),
                 at_most("drift", ours["drift"], 0.005, "m"),
             ),
-            source="study",
         ),
-        Statement(
+        band(
             claim="Limits alone do not select a direction: read literally, the paper's law drags "
             "the stiff axes along about as far as simply turning all limits down does.",
             outcome=f"Drift {mm(literal['drift'])} with the paper's limits only, "
@@ -222,9 +231,8 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_least("drift, limits only", literal["drift"], 0.05, "m"),
                 between("over uniform", literal["drift"] / uniform["drift"], 0.4, 4.0),
             ),
-            source="study",
         ),
-        Statement(
+        band(
             claim="With strong adaptation the paper's law is soft in the chosen axis only, but "
             "gravity moves it once let go.",
             outcome=f"Paper, η 0.999: {paper['force']:.1f} N, drift {mm(paper['drift'])}; moves by "
@@ -234,9 +242,8 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_most("drift", paper["drift"], 0.012, "m"),
                 at_least("moves after release", paper["crept"], 0.02, "m"),
             ),
-            source="study",
         ),
-        Statement(
+        band(
             claim="Law cap keeps its promise: with η = 0 and a cap of 15 N the hand meets 15 N, "
             "and the arm comes back.",
             outcome=f"Held with {firm['held']:.1f} N, drift {mm(firm['drift'])}; back within "
@@ -246,7 +253,6 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_most("drift", firm["drift"], 0.005, "m"),
                 at_most("left", firm["left"], 0.015, "m"),
             ),
-            source="study",
         ),
     )
 
@@ -391,7 +397,7 @@ def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
         return ()
     ours, current, stiff, torque = (numbers[key] for key in needed)
     return (
-        Statement(
+        band(
             claim="When the host stalls for a second the limits of the last tick still protect; "
             "what is soft by its goals alone is stiff then, and is thrown when the host returns.",
             outcome=f"Largest force and joint speed: cap {ours['stall_force']:.1f} N, "
@@ -402,9 +408,8 @@ def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_most("cap over admittance", ours["stall_force"] / current["stall_force"], 0.8),
                 at_most("speed, cap over stiff", ours["stall_speed"] / stiff["stall_speed"], 0.5),
             ),
-            source="study",
         ),
-        Statement(
+        band(
             claim="Gears that resist more than the table says cost force, here as elsewhere; the "
             "stiff axes stay where they are.",
             outcome=f"Tight gears: cap {ours['tight_force']:.1f} N, {mm(ours['tight_drift'])}; "
@@ -414,7 +419,6 @@ def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_least("more force", ours["tight_force"] / ours["force"], 1.0),
                 at_most("drift", ours["tight_drift"], 0.005, "m"),
             ),
-            source="study",
         ),
     )
 

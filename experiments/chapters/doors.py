@@ -15,7 +15,7 @@ from experiments.chapters.common import LAW_COLOURS, Options
 from experiments.doors import PERSISTENCE, SCENES, STOP, THRESHOLD, open_and_close, open_door
 from experiments.pictures import CANNOT_DRAW, Studio
 from experiments.poses import arm, tool
-from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, between
+from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, band, between
 from experiments.runner import Job
 from experiments.simulation import NOMINAL
 from pliant._report.page import Table
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
     from experiments.disturbances import Law
     from experiments.doors import Opened, OpenedAndClosed
+    from experiments.poses import Array
     from experiments.simulation import Trace
 
-    Array = NDArray[np.float64]
 
 NUMBER = 4
 TITLE = "Doors"
@@ -261,11 +261,10 @@ def _against_stiff(opening: Numbers, grips: list[str]) -> Statement:
         f"{opening['door'][grip]['stiff']['force']:.1f} N ({grip} grip)"
         for grip in grips
     ]
-    return Statement(
+    return band(
         claim="Against all axes stiff the force at the handle is at most half.",
         outcome=f"{listed(parts)}.",
         tests=tuple(at_least(f"ratio, {grip}", ratio, 2.0) for grip, ratio in ratios.items()),
-        source="study",
     )
 
 
@@ -321,12 +320,11 @@ def _scene_bands(opening: Numbers) -> tuple[Statement, ...]:
         if grip == "rigid":
             texts.append(f"{NAMES[scene]} {one['angle']:.1f}°, {one['force']:.1f} N")
     return (
-        Statement(
+        band(
             claim="Law cap reaches the angles and forces of the study in every scene and with both "
             "grips.",
             outcome=f"Rigid grip: {'; '.join(texts)}.",
             tests=tuple(tests),
-            source="study",
         ),
     )
 
@@ -359,11 +357,10 @@ def _stiff_ends(both: Numbers) -> tuple[Statement, ...]:
     where = f"{stiff['ends'][0]:.1f}°" if stiff["ends"] else "nowhere"
     first = stiff["ends"][0] if stiff["ends"] else 0.0
     return (
-        Statement(
+        band(
             claim="All stiff and rigidly gripped, the arm takes its own resistance for the end.",
             outcome=f"It believes the door open at {where}.",
             tests=(at_most("angle", first, 20.0, "deg"),),
-            source="study",
         ),
     )
 

@@ -11,12 +11,22 @@ from matplotlib.ticker import MultipleLocator
 
 import pliant
 from experiments import controllers, metrics, poses, simulation
+from experiments.arms import capacity
 from experiments.chapters.activation import heat, posture, show
 from experiments.chapters.common import LAW_COLOURS, shade
 from experiments.controllers import UNBLURRED
 from experiments.demonstration import Subject
 from experiments.poses import AXES
-from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, mm, near
+from experiments.report import (
+    Chapter,
+    Figure,
+    Numbers,
+    at_least,
+    at_most,
+    band,
+    mm,
+    near,
+)
 from experiments.runner import Job
 from pliant import ConfigError, robots
 from pliant._report.page import Table
@@ -42,13 +52,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from experiments.chapters.common import Options
+    from experiments.poses import Array
     from experiments.simulation import Trace
     from pliant.sim import Hand
 
-    Array = NDArray[np.float64]
 
 #: Number of poses searched for a good one, and the inner share of the joint ranges they come from.
 SEARCHED, INNER = 512, 0.6
@@ -215,16 +223,6 @@ def _cached_reach(model: pliant.Model) -> float:
     return _REACH.setdefault(id(model), _reach(model))
 
 
-def capacity(model: pliant.Model, servos: pliant.Servos, q: Array, axis: int, sign: float) -> float:
-    """Return the largest push [N or N·m] along an axis that the servos hold at q (n,)."""
-    lever = sign * np.asarray(model.jacobian(q))[axis]
-    felt = np.abs(lever) > 1e-6
-    if not felt.any():
-        return float("inf")
-    room = np.asarray(servos.max_torque) + np.sign(lever) * model.gravity(q)
-    return float((room[felt] / np.abs(lever[felt])).min())
-
-
 def _find_pose(
     model: pliant.Model, servos: pliant.Servos, axes: tuple[str, ...], soft: str, way: float
 ) -> tuple[Array, float]:
@@ -381,9 +379,6 @@ def drag(source: Source, kind: str, eta: float, sign: int) -> Trace:
         kind: `soft`, or `stiff` for all axes stiff.
         eta: Target adaptation.
         sign: Direction.
-
-    Returns:
-        The run.
     """
     arm = load(source)
     firm = strengths(source).firm
@@ -532,11 +527,10 @@ class Activation:
             caption="Columns sum to one; the column of the null space stands apart and is empty "
             "without redundancy.",
             statements=(
-                Statement(
+                band(
                     claim="The shares of each axis sum to one.",
                     outcome=f"They do within {sums:.0e}. Largest share: {leads}.",
                     tests=(at_most("error of a sum", float(sums), 1e-9),),
-                    source="study",
                 ),
             ),
         )
@@ -587,14 +581,13 @@ class Swinging:
             "0, default strengths.",
             caption="Above: the axis and its target. Below: the other positions of the task.",
             statements=(
-                Statement(
+                band(
                     claim="It follows with an rms error below a tenth of the amplitude.",
                     outcome=f"{numbers['share']:.3f} of the amplitude; other positions within "
                     f"{mm(numbers['others'])}.",
                     tests=(at_most("rms error / amplitude", numbers["share"], 0.10),),
                     because="the softest strength is not far above what friction takes; a firmer "
                     "axis tracks better.",
-                    source="study",
                 ),
             ),
         )
@@ -658,7 +651,7 @@ class Promised:
             caption="On the diagonal the promise is kept exactly; the band is ± 15 % of the cap. "
             "Friction of the joints is allowed for on top in the count.",
             statements=(
-                Statement(
+                band(
                     claim="At least 92 % of the promises are kept within 15 % of the cap and the "
                     "joints' friction.",
                     outcome=f"{numbers['kept']} of {numbers['pushes']} ({share:.0%}); median error "
@@ -667,7 +660,6 @@ class Promised:
                         at_least("share kept", share, 0.92),
                         at_least("pushes", numbers["pushes"], 1.0),
                     ),
-                    source="study",
                 ),
             ),
         )
@@ -784,24 +776,22 @@ class Dragged:
             f"0.999, with η = 0, and with all axes stiff; {arm.where}.",
             caption="Solid: pulled toward +, dashed: toward −.",
             statements=(
-                Statement(
+                band(
                     claim="At rest it stays where it shall, within 5 mm and less.",
                     outcome=f"All stiff: {mm(stiff['before'])} off; soft, η = 0.999: "
                     f"{mm(follow['before'])}.",
                     tests=(at_most("off", max(stiff["before"], follow["before"]), 0.005, "m"),),
                     because="dry friction of the gears hides that much of a small error.",
-                    source="study",
                 ),
-                Statement(
+                band(
                     claim="Soft, it follows a hand for less than half the force a stiff arm needs.",
                     outcome=f"{follow['force']:.2f} N instead of {stiff['force']:.2f} N for "
                     f"{mm(follow['moved'])}.",
                     tests=(at_most("share", follow["force"] / stiff["force"], 0.5),),
                     because="friction that is not fed forward and the arm's inertia are most of "
                     "what the hand feels.",
-                    source="study",
                 ),
-                Statement(
+                band(
                     claim="The stiff positions drift less than 15 % of the way meanwhile, and less "
                     "than on a stiff arm.",
                     outcome=f"{mm(follow['drift'])} of {mm(numbers['way'])}; {mm(stiff['drift'])} "
@@ -814,9 +804,8 @@ class Dragged:
                     ),
                     because=f"a newton on its stiff axes moves them by up to {mm(follow['give'])}: "
                     "no law makes servos stiffer than they are.",
-                    source="study",
                 ),
-                Statement(
+                band(
                     claim="η = 0: held away, it pulls back with the force that was set for that "
                     "deviation, up to 15 % and friction, and returns.",
                     outcome=f"{firm['held']:.2f} N of {firm['promised']:.2f} N; {mm(firm['left'])} "
@@ -832,13 +821,11 @@ class Dragged:
                         ),
                         at_most("left over way", firm["left"] / numbers["way"], 0.15),
                     ),
-                    source="study",
                 ),
-                Statement(
+                band(
                     claim="η = 0.999: let go, it stays.",
                     outcome=f"It moves by {mm(follow['crept'])} in the 4 s after.",
                     tests=(at_most("moves", follow["crept"], 0.015, "m"),),
-                    source="study",
                 ),
             ),
         )

@@ -21,7 +21,17 @@ from experiments.chapters.common import (
     shade,
 )
 from experiments.poses import AXES
-from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, between, mm
+from experiments.report import (
+    Chapter,
+    Figure,
+    Numbers,
+    Statement,
+    at_least,
+    at_most,
+    band,
+    between,
+    mm,
+)
 from experiments.runner import Job
 from pliant._report.page import Table
 from pliant._report.style import (
@@ -46,7 +56,6 @@ if TYPE_CHECKING:
     from experiments.disturbances import Dragged, Law
     from experiments.simulation import Trace
 
-    Array = NDArray[np.float64]
 
 NUMBER = 2
 TITLE = "A hand moves the arm out of its pose"
@@ -314,7 +323,7 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
     full = law["0.999"]
     bands = {"y": (0.23, 7.5, 0.005, 0.015), "yaw": (0.75, 1.1, 0.009, 0.04)}[axis]
     statements = [
-        Statement(
+        band(
             claim=f"Law cap, η = 0.999: follows for at most {bands[1]:g} {_unit(axis)}, other "
             f"positions within {mm(bands[2])}, and stays where it is left.",
             outcome=f"{worst(full, 'force'):.2f} {_unit(axis)}, {mm(worst(full, 'position'))}; "
@@ -325,13 +334,12 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
                 at_most("other positions", worst(full, "position"), bands[2]),
                 at_most("moves after release", worst(full, "crept"), bands[3]),
             ),
-            source="study",
         )
     ]
     if axis == "y":
         some = law["0.9"]
         statements.append(
-            Statement(
+            band(
                 claim="Law cap, η = 0.9: follows beyond 0.2 m for less than 13 N and comes back to "
                 "15 mm.",
                 outcome=f"Moves by {of(least(some, 'moved'))} for {worst(some, 'force'):.1f} N; "
@@ -342,7 +350,6 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
                     at_most("left", worst(some, "left"), 0.015),
                 ),
                 because="it is still on its way at the end of the run.",
-                source="study",
             )
         )
     return tuple(statements)

@@ -11,7 +11,17 @@ from matplotlib.ticker import MultipleLocator
 from experiments import controllers, metrics
 from experiments.chapters.common import LAW_COLOURS, Options, track
 from experiments.poses import AMPLITUDE, AXES
-from experiments.report import Chapter, Figure, Numbers, Statement, at_least, at_most, between, mm
+from experiments.report import (
+    Chapter,
+    Figure,
+    Numbers,
+    Statement,
+    at_least,
+    at_most,
+    band,
+    between,
+    mm,
+)
 from experiments.runner import Job
 from pliant._report.page import Table
 from pliant._report.style import (
@@ -161,14 +171,13 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
     others = max(one["other_positions"] for one in cap.values())
     limit = 0.009 if {"pitch", "yaw"} & set(axes) else 0.007
     statements = [
-        Statement(
+        band(
             claim="Law cap follows within its bands and keeps the other positions.",
             outcome=f"Rms error / amplitude {shares}; other positions within {mm(others)}.",
             tests=(
                 *(at_most(f"{axis}", cap[axis]["share"], CAP_BANDS[axis]) for axis in axes),
                 at_most("other positions", others, limit, "m"),
             ),
-            source="study",
         )
     ]
     if all("paper + gravity" in numbers[axis] for axis in axes):
@@ -176,7 +185,7 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
         worst = max(one["share"] for one in rec.values())
         others = max(one["other_positions"] for one in rec.values())
         statements.append(
-            Statement(
+            band(
                 claim="The paper's law with a gravity model follows within 0.035 and keeps the "
                 "other positions to 5 mm.",
                 outcome=f"At worst {worst:.3f}; other positions within {mm(others)}.",
@@ -184,7 +193,6 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
                     at_most("worst", worst, 0.035),
                     at_most("other positions", others, 0.005, "m"),
                 ),
-                source="study",
             )
         )
     return tuple(statements)
@@ -227,11 +235,10 @@ def _loss(numbers: Numbers) -> Figure:
                     at_most("left over lost", literal["left"] / literal["sunk"], 0.8),
                 ),
             ),
-            Statement(
+            band(
                 claim="With gravity in goals and limits nothing is lost.",
                 outcome=f"Law cap loses {mm(max(better['sunk'], 0.0))} at most.",
                 tests=(at_most("z lost", better["sunk"], 0.007, "m"),),
-                source="study",
             ),
         ),
     )
