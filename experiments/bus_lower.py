@@ -33,7 +33,7 @@ CASES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Brought:
+class LowerResult:
     """Result of one torque-on and descent.
 
     Attributes:
@@ -55,7 +55,7 @@ class Brought:
     seconds: float
 
 
-def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> Brought:
+def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> LowerResult:
     """Enable the arm in q (n,) [rad] and lower it.
 
     Args:
@@ -84,7 +84,7 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
         seconds, force = bus.plant.time - begun, down.force
         bus.advance(AFTER)
         resting = sum(float(np.linalg.norm(felt.force)) for felt in bus.plant.hands)
-    return Brought(
+    return LowerResult(
         sank=on.start - on.lowest,
         left=left,
         lifted=on.speeds[False],
@@ -128,7 +128,7 @@ def main(
         "takes [s]",
     )
     print(program.head(columns))
-    seen: list[Brought] = []
+    seen: list[LowerResult] = []
     for name, load, over_table in CASES:
         seen = [lower(family, q, load=load, over_table=over_table) for q in starts]
         cells = (

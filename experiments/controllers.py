@@ -272,8 +272,7 @@ class Impedance:
     """A Cartesian spring ``τ = Jᵀ K e + g + N k (q_rest - q)``, optionally friction compensated.
 
     As a torque source it is an arm with torque-controlled joints: the goal is far ahead on the
-    right side, so that the limit is the torque. As `servo` it is a goal ``q + τ/k_p`` at full
-    limits.
+    right side, so that the limit is the torque.
     """
 
     def __init__(
@@ -284,7 +283,6 @@ class Impedance:
         soft: str = "y",
         stiffness: tuple[float, float] = STIFFNESS,
         spring: float = 0.0,
-        servo: bool = False,
         compensated: bool = False,
     ) -> None:
         """Take the arm.
@@ -295,13 +293,12 @@ class Impedance:
             soft: Axes with a `spring` of their own [N/m, N·m/rad].
             stiffness: Of the others [N/m, N·m/rad].
             spring: Of the soft axes.
-            servo: True: through the goals of position servos instead of as torques.
             compensated: True: feed forward friction and damping of the servo table, in the same
                 shares as the default law.
         """
         free = [name in soft.split() for name in AXES]
         self._spring = np.where(free, spring, np.repeat(stiffness, 3))
-        self._model, self._servo = model, servo
+        self._model = model
         self._kp = np.asarray(servos(model).kp)
         self._torque = np.asarray(servos(model).max_torque)
         self._joints = Joints(model, period) if compensated else None
@@ -323,8 +320,6 @@ class Impedance:
         if self._joints is not None:
             self._joints.see(q)
             torque = torque + self._joints.resistance(FRICTION_SHARE, DAMPING_SHARE)
-        if self._servo:
-            return Goals(q + torque / self._kp, self._torque)
         return Goals(q + np.copysign(FAR, torque), np.minimum(np.abs(torque), self._torque))
 
 
@@ -349,11 +344,6 @@ def torque_impedance(
     return partial(
         Impedance, soft=soft, stiffness=stiffness, spring=spring, compensated=compensated
     )
-
-
-def servo_impedance(*, soft: str = "y", stiffness: tuple[float, float] = STIFFNESS) -> FromModel:
-    """Return impedance through the goals of position servos."""
-    return partial(Impedance, soft=soft, stiffness=stiffness, servo=True)
 
 
 # --- Admittance control driven by motor current: an alternative method on position servos ---

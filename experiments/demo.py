@@ -64,9 +64,22 @@ def run(
     subject = _subject(robot, urdf, base, tip)
     demonstration.choose(subject.experiments, wanted)
     console = Console()
-    with Bar(console) as bar:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=40),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("experiments", total=None)
         done = demonstration.run(
-            out, subject=subject, only=wanted, quick=quick, jobs=jobs, watcher=bar
+            out,
+            subject=subject,
+            only=wanted,
+            quick=quick,
+            jobs=jobs,
+            on_total=lambda steps: bar.update(task, total=steps),
+            on_step=lambda _: bar.advance(task),
         )
     _close(console, done)
 
@@ -106,38 +119,6 @@ def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -
         if robot == "arm7"
         else generic_arm.subject(generic_arm.Source(name=robot))
     )
-
-
-class Bar:
-    """A progress bar with a growing number of steps."""
-
-    def __init__(self, console: Console) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=40),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-        )
-
-    def __enter__(self) -> Bar:
-        """Show it."""
-        self._progress.start()
-        self._task = self._progress.add_task("experiments", total=None)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Remove it."""
-        self._progress.stop()
-
-    def expect(self, steps: int) -> None:
-        """Add so many steps."""
-        self._progress.update(self._task, total=steps)
-
-    def done(self, step: str) -> None:
-        """Complete one step."""
-        self._progress.update(self._task, advance=1)
 
 
 def missed(chapter: Chapter) -> list[str]:

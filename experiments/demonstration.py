@@ -11,13 +11,12 @@ from experiments import report
 from experiments.chapters import activation, caps, comparison, doors, static, tracking
 from experiments.chapters.common import Options
 from experiments.program import write_results
-from experiments.report import Verdict
 from experiments.runner import Job, draw_off_screen, run_by_key
 from pliant import ConfigError
 from pliant._report import provenance
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from experiments.report import Chapter, Numbers
 
@@ -52,26 +51,6 @@ EXPERIMENTS: Mapping[int, Experiment] = {
 }
 
 
-class Watcher(Protocol):
-    """Receiver of the progress of a demonstration."""
-
-    def expect(self, steps: int) -> None:
-        """Add so many steps."""
-
-    def done(self, step: str) -> None:
-        """Complete one step."""
-
-
-class Silence:
-    """A watcher that ignores all progress."""
-
-    def expect(self, steps: int) -> None:
-        """Ignore it."""
-
-    def done(self, step: str) -> None:
-        """Ignore it."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Demonstration:
     """Results of a demonstration.
@@ -89,10 +68,6 @@ class Demonstration:
     results: Path
     pictures: tuple[Path, ...]
     seconds: float
-
-    def verdicts(self) -> dict[Verdict, int]:
-        """Return the number of the paper's statements per verdict."""
-        return {v: sum(c.count(v, "paper") for c in self.chapters) for v in Verdict}
 
 
 @dataclass(frozen=True)
@@ -129,7 +104,8 @@ def run(
     only: Sequence[int] = (),
     quick: bool = False,
     jobs: int = 2,
-    watcher: Watcher | None = None,
+    on_total: Callable[[int], None] = lambda steps: None,
+    on_step: Callable[[str], None] = lambda step: None,
 ) -> Demonstration:
     """Run experiments and write a report.
 
@@ -139,7 +115,8 @@ def run(
         only: Numbers of the experiments; empty for all.
         quick: True: the fewest runs that exercise everything once.
         jobs: Processes.
-        watcher: Receiver of the progress.
+        on_total: Called with the number of steps before the first.
+        on_step: Called with the name of each completed step.
 
     Returns:
         Paths of all results.
@@ -149,16 +126,15 @@ def run(
     """
     begin = perf_counter()
     draw_off_screen()
-    watcher = watcher or Silence()
     chosen = choose(subject.experiments, only)
     options = Options(quick=quick, figures=out / "figures")
     options.figures.mkdir(parents=True, exist_ok=True)
     planned = {number: module.jobs(options) for number, module in chosen.items()}
-    watcher.expect(sum(len(runs) for runs in planned.values()) + len(chosen) + 1)
+    on_total(sum(len(runs) for runs in planned.values()) + len(chosen) + 1)
     every = [
         replace(job, key=f"{number}:{job.key}") for number, runs in planned.items() for job in runs
     ]
-    outcomes = run_by_key(every, jobs, progress=watcher.done)
+    outcomes = run_by_key(every, jobs, progress=on_step)
     own = {
         number: {job.key: outcomes[f"{number}:{job.key}"] for job in runs}
         for number, runs in planned.items()
@@ -167,7 +143,7 @@ def run(
         Job(f"figures of {number}", module.draw, (own[number], options))
         for number, module in chosen.items()
     ]
-    run_by_key(drawing, jobs, progress=watcher.done)
+    run_by_key(drawing, jobs, progress=on_step)
     chapters = tuple(module.chapter(module.measure(own[n])) for n, module in chosen.items())
     facts = provenance.collect()
     results = _write_results(out, subject, chapters, facts, quick=quick)
@@ -175,7 +151,7 @@ def run(
     page = report.write(
         out / "report.html", subject, chapters, facts, options.figures, seconds=seconds, quick=quick
     )
-    watcher.done("report")
+    on_step("report")
     return Demonstration(
         chapters=chapters,
         report=page,

@@ -31,7 +31,7 @@ SLOW = Drag(distance=0.08, course=Course(start=2.0, rise=4.0, end=6.5))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dragged:
+class DragResult:
     """Result of a hand that drags one axis from 2 to 5 s and then lets go.
 
     Attributes:
@@ -72,7 +72,7 @@ def drag(
     q: Array = VERTICAL,
     duration: float = 9.0,
     conditions: Conditions = NOMINAL,
-) -> Dragged:
+) -> DragResult:
     """Let a hand drag the arm away from a constant target and let go.
 
     Args:
@@ -92,7 +92,7 @@ def drag(
     along = trace.moved[:, axis]
     farthest = metrics.moved(trace, axis)
     positions = metrics.others(axis, "xyz")
-    return Dragged(
+    return DragResult(
         moved=farthest,
         before=metrics.largest(along[trace.between(0.0, metrics.PULLING[0])]),
         force=metrics.largest(felt),
@@ -121,7 +121,7 @@ def _grip(time: float, plant: Plant) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pushed:
+class PushResult:
     """Result of a constant push.
 
     Attributes:
@@ -141,7 +141,7 @@ class Pushed:
 
 def push(
     law: Law, force: float, *, axis: str = "y", at: str = WRIST, conditions: Conditions = NOMINAL
-) -> Pushed:
+) -> PushResult:
     """Push with a constant force [N] along a base axis: up in 2 to 3 s, gone at 5 s.
 
     Args:
@@ -154,7 +154,7 @@ def push(
     index = AXES.index(axis)
     hand = Push(force_vector=tuple(force * np.eye(3)[index]), at=at)
     trace = run(conditions.build(hand), conditions.controller(law), tool(VERTICAL), 7.0, q=VERTICAL)
-    return Pushed(
+    return PushResult(
         moved=metrics.moved(trace, index),
         position=metrics.deviation(trace, metrics.others(index, "xyz")),
         rotation=metrics.deviation(trace, [3, 4, 5]),
@@ -193,7 +193,7 @@ def tapped(law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Idle:
+class IdleResult:
     """Motion of an untouched arm.
 
     Attributes:
@@ -213,11 +213,11 @@ class Idle:
 
 def idle(
     law: Law, duration: float = 4.0, *, q: Array = VERTICAL, conditions: Conditions = NOMINAL
-) -> Idle:
+) -> IdleResult:
     """Hold still for `duration` seconds, at least 3."""
     trace = run(conditions.build(), conditions.controller(law), tool(q), duration, q=q)
     late = trace.between(duration - 2.0, duration)
-    return Idle(
+    return IdleResult(
         error=float(np.linalg.norm(trace.error[-1, :3])),
         angle=float(np.linalg.norm(trace.error[-1, 3:])),
         speed=metrics.speed(trace, duration - 2.0, duration),
@@ -233,7 +233,7 @@ DEATH, RISE = 1.9, 7.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Survived:
+class HostLossResult:
     """Force on a hand that moved an arm after a host loss.
 
     Attributes:
@@ -269,7 +269,7 @@ def static_force(q: Array, limit: Array, direction: Array) -> float:
     return float((room[felt] / np.abs(lever[felt])).min())
 
 
-def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) -> Survived:
+def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) -> HostLossResult:
     """Silence the bus at 1.9 s, then let a strong hand move the tool by 0.15 m within 7.5 s.
 
     Args:
@@ -292,7 +292,7 @@ def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) 
     death = trace.at(DEATH)
     limit = trace.limit[death]
     alone = trace.between(DEATH, 2.0 if push is not None else np.inf)
-    return Survived(
+    return HostLossResult(
         force=float(felt[worst]),
         formula=static_force(trace.q[worst], limit, direction) if push is not None else np.inf,
         moved=metrics.largest(trace.moved[alone, :3] - trace.moved[death, :3]),
@@ -311,7 +311,7 @@ GAP, BEHIND = 0.05, 0.10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bumped:
+class ImpactResult:
     """Forces on the wall.
 
     Attributes:
@@ -351,7 +351,7 @@ def bump(
     stiffness: float = 2e4,
     cap: float = 15.0,
     conditions: Conditions = NOMINAL,
-) -> Bumped:
+) -> ImpactResult:
     """Run into a wall 0.05 m away with a target that continues for another 0.10 m.
 
     Args:
@@ -373,7 +373,7 @@ def bump(
     trace = run(plant, conditions.controller(law(soft=axis, eta=0.0)), target, duration, q=VERTICAL)
     force = np.abs(trace.force[:, index])
     touched = float(trace.t[int(np.argmax(force > 0.0))])
-    return Bumped(
+    return ImpactResult(
         peak=plant.hands[0].peak_force,
         later=float(force[trace.t > touched + 0.3].max()),
         final=float(force[trace.t > duration - 0.5].mean()),

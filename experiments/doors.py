@@ -54,7 +54,7 @@ SCENES: Mapping[str, Scene] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Opened:
+class OpenResult:
     """Result of opening a door.
 
     Attributes:
@@ -76,7 +76,7 @@ def open_door(
     grip: Grip = "rigid",
     *,
     conditions: Conditions = NOMINAL,
-) -> Opened:
+) -> OpenResult:
     """Pull a door open for 9.5 s.
 
     Args:
@@ -92,7 +92,7 @@ def open_door(
     target = start if setup.base else pull(start, setup.distance)
     settings = law(soft=setup.soft, null_space=NullSpace(gain=1.0))
     trace = run(conditions.build(leaf), conditions.controller(settings), target, 9.5, q=setup.start)
-    return Opened(
+    return OpenResult(
         angle=float(np.rad2deg(leaf.widest)),
         force=leaf.peak_force,
         torque=leaf.peak_torque,
@@ -154,7 +154,7 @@ class ByResistance:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OpenedAndClosed:
+class OpenCloseResult:
     """Detected ends, and forces.
 
     Attributes:
@@ -174,7 +174,7 @@ def open_and_close(
     grip: Grip = "rigid",
     *,
     conditions: Conditions = NOMINAL,
-) -> OpenedAndClosed:
+) -> OpenCloseResult:
     """Open a door with a stop at 45 deg until it resists, rest 1 s, close it until it resists.
 
     Args:
@@ -192,7 +192,7 @@ def open_and_close(
     controller = ByResistance(inner, period)
     duration = BEGIN + 2.0 * LONGEST
     trace = run(conditions.build(leaf), controller, tool(setup.start), duration, q=setup.start)
-    return OpenedAndClosed(
+    return OpenCloseResult(
         ends=tuple(float(np.rad2deg(trace.leaf[trace.at(end)])) for end in controller.ends),
         force=leaf.peak_force,
         trace=trace,

@@ -410,7 +410,7 @@ class Watcher:
             self.lowest = min(self.lowest, float(plant.tool[2, 3]))
 
 
-def suffer(
+def run_fault(
     mishap: FaultCase, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
 ) -> Outcome:
     """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and apply a fault.
@@ -572,7 +572,7 @@ def table(only: str = "") -> str:
     rows = []
     for case in FAULT_CASES:
         if only in case.title:
-            rows.append(row(case, suffer(case), suffer(case, held=True)))
+            rows.append(row(case, run_fault(case), run_fault(case, held=True)))
             print(program.row(rows[-1]), file=sys.stderr, flush=True)
     return program.markdown(columns, rows)
 

@@ -66,13 +66,13 @@ def kept(conditions: Conditions) -> Figures:
     """Measure all 200 poses where everything is known, a seeded tenth of them elsewhere."""
     poses = 200 if conditions == NOMINAL else 20
     runs = [
-        cap_accuracy.keep(case, guided=guided, conditions=conditions)
+        (case, cap_accuracy.keep(case, guided=guided, conditions=conditions).kept)
         for case in cap_accuracy.cases(poses)
         for guided in (False, True)
     ]
-    clear = [run.kept for run in runs if run.case.clear]
+    clear = [kept for case, kept in runs if case.clear]
     return {
-        "kept, all poses [%]": 100.0 * float(np.mean([run.kept for run in runs])),
+        "kept, all poses [%]": 100.0 * float(np.mean([kept for _, kept in runs])),
         "kept, joints clear of stops [%]": 100.0 * float(np.mean(clear)),
     }
 

@@ -28,7 +28,7 @@ AFTER = 8.0
 
 
 @dataclass(frozen=True)
-class Tried:
+class CaptureResult:
     """Result of one capture.
 
     Attributes:
@@ -42,9 +42,9 @@ class Tried:
     later: float
 
 
-def tried(
+def try_capture(
     name: str, pose: int, kp_scale: float, *, eta: float = 0.999, creep: float = 1.0
-) -> Tried:
+) -> CaptureResult:
     """Capture in one random pose of an arm, y yielding, and observe.
 
     Args:
@@ -68,7 +68,7 @@ def tried(
     target = arm.model.forward_kinematics(plant.read().q)
     for _ in closed_loop(plant, controller, target, AFTER):
         later = max(later, float(np.linalg.norm(plant.tool[:3, 3] - place)))
-    return Tried(found.stays, found.remedy is not None, later)
+    return CaptureResult(found.stays, found.remedy is not None, later)
 
 
 def main(
@@ -90,7 +90,7 @@ def main(
     """
     cases = [(name, kp) for name in arm or ARMS for kp in SCALES]
     work = [
-        Job(f"{name} {kp} {pose}", tried, (name, pose, kp), {"eta": eta, "creep": creep})
+        Job(f"{name} {kp} {pose}", try_capture, (name, pose, kp), {"eta": eta, "creep": creep})
         for name, kp in cases
         for pose in range(poses)
     ]

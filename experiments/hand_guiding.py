@@ -33,7 +33,7 @@ WAYS = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
 
 
 @dataclass(frozen=True)
-class Floated:
+class GuidingResult:
     """Result of one arm; lengths in m, forces in N.
 
     Attributes:
@@ -51,9 +51,9 @@ class Floated:
     later: float
 
 
-def floated(
+def guide(
     name: str, pose: int, kp_scale: float, *, known: bool = False, creep: float = CREEP
-) -> Floated:
+) -> GuidingResult:
     """Run an arm under hand guiding: untouched for 10 s, then moved along y and released.
 
     Args:
@@ -99,7 +99,7 @@ def floated(
         )
 
     leading = (time > COMES + 0.5) & (time <= THERE)
-    return Floated(
+    return GuidingResult(
         idle=farthest(ready, 10.0, ready),
         force=float(np.median(forces[leading])),
         led=farthest(COMES, GONE - COMES, COMES),
@@ -119,7 +119,7 @@ def main(*, arm: program.Arms = (), poses: int = 20, jobs: int = 2, creep: float
     """
     cases = [(name, kp) for name in arm or tuple(WAYS) for kp in (0.5, 1.0, 2.0)]
     work = [
-        Job(f"{name} {kp} {pose}", floated, (name, pose, kp), {"creep": creep})
+        Job(f"{name} {kp} {pose}", guide, (name, pose, kp), {"creep": creep})
         for name, kp in cases
         for pose in range(poses)
     ]

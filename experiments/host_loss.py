@@ -44,7 +44,7 @@ BEYOND = (3.0, 0.3)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Met:
+class HostLossPush:
     """One push after a host loss.
 
     Attributes:
@@ -107,18 +107,18 @@ class Bench:
         self.settings = settings or pliant.Settings(task=task, axes={self.soft: axis})
         self.controller = pliant.Controller(arm.model, self.settings, arm.servos)
 
-    def pushes(self, pose: int) -> list[Met]:
+    def pushes(self, pose: int) -> list[HostLossPush]:
         """Push along every axis of the task, both ways."""
         return [self.push(pose, axis, sign) for axis in self.arm.axes for sign in (1.0, -1.0)]
 
-    def push(self, pose: int, axis: str, sign: float) -> Met:
+    def push(self, pose: int, axis: str, sign: float) -> HostLossPush:
         """Work, lose the host, and be pushed."""
         leans = bool(pose % 2)
         report = self._work(pose, leans=leans)
         row, kind = AXES.index(axis), AXES.index(axis) // 3
         side = int(sign > 0.0)
         felt, at = self.drag(row, sign * TRAVEL[kind])
-        return Met(
+        return HostLossPush(
             arm=self.arm.name,
             pose=pose,
             axis=axis,
@@ -185,12 +185,12 @@ class Job:
     arm: str
     pose: int
 
-    def run(self) -> list[Met]:
+    def run(self) -> list[HostLossPush]:
         """Run all pushes."""
         return _bench(self.arm).pushes(self.pose)
 
 
-def text(found: Sequence[Met]) -> str:
+def text(found: Sequence[HostLossPush]) -> str:
     """Return figures per arm, translations and rotations apart, as Markdown."""
     columns = ("arm", "pushes", "walled", "felt/said: 5th %", "median", "95th %", "most")
     rows = []

@@ -110,7 +110,7 @@ def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
     return out
 
 
-def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> Outcome:
+def identify_arm(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> Outcome:
     """Let an arm identify itself, and compare with the true values.
 
     Args:
@@ -159,7 +159,7 @@ def believed(model: pliant.Model) -> pliant.Servos:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Believing(Conditions):
+class AssumedTable(Conditions):
     """Conditions in which the controller assumes an identified or a wrong table.
 
     Attributes:
@@ -211,7 +211,7 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     }
     out = []
     for name, (servos, known) in beliefs.items():
-        conditions = Believing(table=servos, known_delay=known, delay=delay, plant=options)
+        conditions = AssumedTable(table=servos, known_delay=known, delay=delay, plant=options)
         figures = {
             f"{scene}: {figure}": value
             for scene, measure in measures.items()
@@ -272,7 +272,7 @@ def main(
         before_and_after: Also measure drag and door before and after.
     """
     work = [
-        Job(f"{name} {case}", identified, (name, case, span))
+        Job(f"{name} {case}", identify_arm, (name, case, span))
         for name in arm or tuple(STARTS)
         for case in CASES
     ]

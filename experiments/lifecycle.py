@@ -85,7 +85,7 @@ class FaultCase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Suffered:
+class FaultResult:
     """Result of a fault.
 
     Attributes:
@@ -107,7 +107,7 @@ class Suffered:
     along: tuple[float, ...]
 
 
-def suffer(mishap: FaultCase, *, held: bool = False) -> Suffered:
+def run_fault(mishap: FaultCase, *, held: bool = False) -> FaultResult:
     """Let `arm7` hold its grasp pose, y soft, at 100 Hz with a tick each way, and apply a fault.
 
     Args:
@@ -152,7 +152,7 @@ def suffer(mishap: FaultCase, *, held: bool = False) -> Suffered:
     except (pliant.PliantError, KeyboardInterrupt) as error:
         reason = str(error) or type(error).__name__
     start, last = heights[0], max(last, 1)
-    return Suffered(
+    return FaultResult(
         outcome="is lowered" if reason else "goes on",
         reason=reason,
         speed=max(speeds[:last]),
@@ -261,7 +261,7 @@ AFTER = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lowered:
+class LowerResult:
     """Result of one descent.
 
     Attributes:
@@ -292,7 +292,7 @@ def lower(
     kp_scale: float = 1.0,
     stiffness_known: bool = True,
     blind: bool = False,
-) -> Lowered:
+) -> LowerResult:
     """Enable an arm in q (n,) [rad], hold it for half a second, and lower it.
 
     Args:
@@ -342,7 +342,7 @@ def lower(
     speeds.clear()
     drive.clock.wait_until(plant.time + AFTER)
     resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
-    return Lowered(
+    return LowerResult(
         speed=speed,
         rise=rise,
         after=max(speeds),
@@ -437,7 +437,7 @@ def fault_table() -> str:
     """Return the second table, as Markdown: every fault alone, and with a hand at the tool."""
     rows = []
     for case in FAULT_CASES:
-        alone, held = suffer(case), suffer(case, held=True)
+        alone, held = run_fault(case), run_fault(case, held=True)
         speeds = f"{alone.speed:.2f}", f"{1e3 * alone.drop:.1f}", f"{alone.descent:.2f}"
         rows.append((case.title, alone.outcome, *speeds, f"{held.force:.1f}"))
     columns = (

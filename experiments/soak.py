@@ -229,7 +229,7 @@ class Recorder(ServoBus):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Soaked:
+class SoakResult:
     """Result of a soak.
 
     Attributes:
@@ -336,7 +336,7 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
 
 def judge(
     family: str, arm: Arm, driven: tuple[Loop, str], ask: Callable[[str], Any], lag: float
-) -> Soaked:
+) -> SoakResult:
     """Compare the host's record with the emulator's."""
     (loop, ended), chain = driven, arm.drive
     assert isinstance(chain, Recorder)
@@ -357,7 +357,7 @@ def judge(
     room = TABLES * asked
     step = np.array([unit[id] for id in ids])
     off = np.maximum(np.abs(asked - wire) - room, 0.0) / step
-    return Soaked(
+    return SoakResult(
         family=family,
         seconds=len(loop.lateness) * loop.period,
         ended=ended,
@@ -389,7 +389,7 @@ def shares(share: float = SHARE) -> dict[str, float]:
     return dict.fromkeys(KINDS, share / len(KINDS))
 
 
-def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
+def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> SoakResult:
     """Soak in emulated time, everything in this process."""
     faults = Faults(seed=seed)
     options = {"rate": rate, "comm_timeout": COMM_TIMEOUT}
@@ -409,7 +409,7 @@ def audited(family: str, seed: int) -> ArmEmulator:
     return bus
 
 
-def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
+def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> SoakResult:
     """Soak in real time, servos and arm in a process of their own."""
     read = configuration(family)
     with EmulatorProcess(audited, family, seed) as bus:
@@ -432,7 +432,7 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
             chain.close()
 
 
-def table(runs: list[Soaked]) -> str:
+def table(runs: list[SoakResult]) -> str:
     """Return the counters as a table in Markdown, one column per run."""
     rows: dict[str, list[str]] = {}
 

@@ -36,7 +36,7 @@ INSIDE = 0.028
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
+class DrawerResult:
     """Result of a drawer.
 
     Attributes:
@@ -60,7 +60,7 @@ class Drawn:
 
 def pull_drawer(
     law: Law, *, degrees: float = 10.0, shut: bool = False, conditions: Conditions = NOMINAL
-) -> Drawn:
+) -> DrawerResult:
     """Pull along -x at 0.05 m/s on a drawer with another slide direction, and beyond its end stop.
 
     Args:
@@ -80,7 +80,7 @@ def pull_drawer(
 
     duration = TURNS + (DRAWN + BACK) / DRAWER_SPEED + 0.5 if shut else TURNS
     trace = run(conditions.build(box), conditions.controller(law), target, duration, q=AT_DOOR)
-    return Drawn(
+    return DrawerResult(
         way=box.widest,
         left=box.opening,
         force=box.peak_force,
@@ -92,7 +92,7 @@ def pull_drawer(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wiped:
+class WipeResult:
     """Result of a pad on a surface.
 
     Attributes:
@@ -115,7 +115,7 @@ def wipe(
     unevenness: float = 0.010,
     friction: float = 0.4,
     conditions: Conditions = NOMINAL,
-) -> Wiped:
+) -> WipeResult:
     """Lower a pad onto an uneven surface and draw a figure of eight on it, for one round.
 
     Args:
@@ -139,7 +139,7 @@ def wipe(
     trace = run(plant, conditions.controller(law), target, DOWN + STROKE_TIME, q=VERTICAL)
     wiping = trace.t > DOWN
     normal = trace.force[wiping, 2]
-    return Wiped(
+    return WipeResult(
         mean=float(normal.mean()),
         least=float(normal.min()),
         most=float(normal.max()),
@@ -149,7 +149,7 @@ def wipe(
 
 
 @dataclass(frozen=True, kw_only=True)
-class HandedOver:
+class HandoverResult:
     """Result of a hand-over.
 
     Attributes:
@@ -167,7 +167,7 @@ class HandedOver:
     trace: Trace
 
 
-def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) -> HandedOver:
+def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) -> HandoverResult:
     """Hold an object of unknown weight until a person moves it 0.05 m away; then let it go.
 
     Args:
@@ -188,7 +188,7 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
     trace = run(plant, controller, start, 6.0, q=VERTICAL, on_tick=open_when_taken)
     steps = np.linalg.norm(np.diff(trace.position, axis=0), axis=1) * conditions.rate
     before = trace.at(thing.course.start)
-    return HandedOver(
+    return HandoverResult(
         effort=thing.peak_effort,
         released=thing.released,
         sag=float(np.linalg.norm(trace.error[before, :3])),
@@ -198,7 +198,7 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plugged:
+class PlugResult:
     """Result of a plug.
 
     Attributes:
@@ -221,7 +221,7 @@ def plug_in(
     offset: tuple[float, float] = (0.0, 0.0),
     tilt: tuple[float, float] = (0.0, 0.0),
     conditions: Conditions = NOMINAL,
-) -> Plugged:
+) -> PlugResult:
     """Push a round plug of 20 mm down into a square hole that is off its assumed pose.
 
     Args:
@@ -241,7 +241,7 @@ def plug_in(
 
     plant = conditions.build(socket)
     trace = run(plant, conditions.controller(law), target, 6.0, q=VERTICAL, on_tick=notice)
-    return Plugged(
+    return PlugResult(
         inside=socket.deepest > INSIDE,
         along=socket.peak_along,
         across=socket.peak_across,

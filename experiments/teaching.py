@@ -59,7 +59,7 @@ def _connect(name: str, q: Iterable[float], kp_scale: float, scene: list[Drag]) 
 
 
 @dataclass(frozen=True)
-class Played:
+class ReplayResult:
     """Result of one replay.
 
     Attributes:
@@ -81,7 +81,7 @@ class Played:
     took: float
 
 
-def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) -> Played:
+def replay(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) -> ReplayResult:
     """Teach, replay and measure; `held`: the motion waits for a hand that holds the tool."""
     block, wait = bool(held), all(held)
     motion, cap = teaching(name, kp_scale), ARMS[name][3]
@@ -120,7 +120,7 @@ def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
     speeds = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(time)
     late = (time > BLOCKS[1] - 1.0) & (time < BLOCKS[1])
     released = time[1:] > BLOCKS[1]
-    return Played(
+    return ReplayResult(
         worst=float(error[playing].max()),
         median=float(np.median(error[playing])),
         end=float(error[-1]),
@@ -150,7 +150,7 @@ def main(jobs: int = 2) -> None:
         for soft in (False, True)
         for wait in (True, False)
     ]
-    found = run_by_key([Job(str(case), played, case) for case in (*free, *blocked)], jobs)
+    found = run_by_key([Job(str(case), replay, case) for case in (*free, *blocked)], jobs)
     rows: list[tuple[str, ...]] = []
     for case in free:
         name, kp, soft, speed = case

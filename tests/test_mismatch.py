@@ -107,11 +107,15 @@ def cases():
         )
         yield f"descent {job.number} {job.over_table}", gap, job.run
     for kp in (0.5, 0.8, 1.25, 2.0):
-        yield f"capture {kp}", plant(kp=kp), lambda kp=kp: gravity_capture.tried("arm7", 0, kp)
+        yield (
+            f"capture {kp}",
+            plant(kp=kp),
+            lambda kp=kp: gravity_capture.try_capture("arm7", 0, kp),
+        )
     for kp in (0.5, 2.0):
-        yield f"float {kp}", plant(kp=kp), lambda kp=kp: hand_guiding.floated("so101", 0, kp)
+        yield f"float {kp}", plant(kp=kp), lambda kp=kp: hand_guiding.guide("so101", 0, kp)
     for arm in teaching.ARMS:
-        yield f"teach {arm}", plant(kp=0.8), lambda arm=arm: teaching.played(arm, 0.8, True, 1.0)
+        yield f"teach {arm}", plant(kp=0.8), lambda arm=arm: teaching.replay(arm, 0.8, True, 1.0)
     for one in (*campaign.DISTURBANCES, *campaign.gears("arm7")):
         if one.wrong or one.payload or (one.gears is not None and not one.gears_known):
             gap = plant(kp=one.kp, payload=one.payload, gears=one.gears)
@@ -158,7 +162,7 @@ def cases():
             )
     wrong = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
     yield "identified, rows", plant(**wrong), identification.rows
-    believing = identification.Believing(
+    believing = identification.AssumedTable(
         table=identification.believed(pliant.robots.arm7()),
         delay=(1, 1),
         plant=identification.WRONG,

@@ -41,12 +41,12 @@ class Options:
     figures: Path
 
 
-def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> disturbances.Dragged:
-    """Run `hands.drag` with a law that is made in the process that uses it."""
+def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> disturbances.DragResult:
+    """Run `disturbances.drag` with a law that is made in the process that uses it."""
     return disturbances.drag(law(), *args, **kwargs)
 
 
-def track(law: Callable[[], Law], *args: Any, **kwargs: Any) -> tracking.Tracked:
+def track(law: Callable[[], Law], *args: Any, **kwargs: Any) -> tracking.TrackResult:
     """Run `tracking.track` with a law that is made in the process that uses it."""
     return tracking.track(law(), *args, **kwargs)
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from experiments.disturbances import Dragged, Law
+    from experiments.disturbances import DragResult, Law
     from experiments.report import Numbers
     from experiments.simulation import Conditions, Trace
 
@@ -132,7 +132,7 @@ def _keys(jobs: list[Job]) -> set[str]:
     return {job.key for job in jobs}
 
 
-def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
+def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
     """Return numbers by method: the worse of the two directions."""
     gathered: dict[str, list[dict[str, float | None]]] = {}
     for name, run in outcomes.items():
@@ -144,7 +144,7 @@ def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
     }
 
 
-def _one(run: Dragged) -> dict[str, float | None]:
+def _one(run: DragResult) -> dict[str, float | None]:
     trace = run.trace
     return {
         "moved": run.moved,
@@ -289,7 +289,7 @@ def _table(numbers: Numbers) -> Table:
     )
 
 
-def draw(outcomes: Mapping[str, Dragged], options: Options) -> None:
+def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
     """Draw force against drift, and y over time."""
     shown = {key: WAYS[key] for key in WAYS if f"{key}/+1" in outcomes}
     numbers = measure(outcomes)
@@ -338,7 +338,7 @@ def _stresses(nominal: Conditions) -> dict[str, Conditions]:
     }
 
 
-def stress_measure(key: str, outcomes: Mapping[str, Dragged]) -> dict[str, float | None]:
+def stress_measure(key: str, outcomes: Mapping[str, DragResult]) -> dict[str, float | None]:
     """Compute the figures of one method; empty for a method that was not run."""
     if f"{key}/stall" not in outcomes:
         return {}

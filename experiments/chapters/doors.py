@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from experiments.disturbances import Law
-    from experiments.doors import Opened, OpenedAndClosed
+    from experiments.doors import OpenCloseResult, OpenResult
     from experiments.poses import Array
     from experiments.simulation import Trace
 
@@ -88,7 +88,7 @@ def measure(outcomes: Mapping[str, Any]) -> Numbers:
     return {"opening": opening, "opening_and_closing": both, "stop": STOP}
 
 
-def _opened(run: Opened) -> dict[str, float]:
+def _opened(run: OpenResult) -> dict[str, float]:
     usable = np.asarray(NOMINAL.servos().max_torque)
     return {
         "angle": run.angle,
@@ -98,7 +98,7 @@ def _opened(run: Opened) -> dict[str, float]:
     }
 
 
-def _both(run: OpenedAndClosed) -> dict[str, Any]:
+def _both(run: OpenCloseResult) -> dict[str, Any]:
     return {
         "ends": list(run.ends),
         "force": run.force,
@@ -421,7 +421,7 @@ LABELS = {
 }
 
 
-def draw_strips(outcomes: Mapping[str, Opened], folder: Path) -> None:
+def draw_strips(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
     """Draw the arm at the door at equal times, soft above, stiff below."""
     laws = ("cap", "stiff")
     with canvas(len(laws), len(INSTANTS), size=(WIDE, 5.0)) as (figure, axes):
@@ -473,7 +473,7 @@ def circle(most: float = 80.0) -> Array:
     return points
 
 
-def draw_force_over_angle(outcomes: Mapping[str, Opened], folder: Path) -> None:
+def draw_force_over_angle(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
     """Draw the largest force so far against the opening, per grip, and the handle's path."""
     grips = [grip for grip in ("rigid", "turning") if f"open/door/{grip}/cap" in outcomes]
     with canvas(1, len(grips) + 1, size=(WIDE, 3.6)) as (figure, axes):
@@ -508,7 +508,7 @@ def draw_force_over_angle(outcomes: Mapping[str, Opened], folder: Path) -> None:
         save(figure, folder, "4-door-force")
 
 
-def _paths(ax: Any, outcomes: Mapping[str, Opened]) -> None:
+def _paths(ax: Any, outcomes: Mapping[str, OpenResult]) -> None:
     """Draw the tool's path seen from above, with the circle of the handle."""
     path = circle()
     hinge = path[0] + np.array([0.0, -0.30, 0.0])
@@ -537,7 +537,7 @@ def _paths(ax: Any, outcomes: Mapping[str, Opened]) -> None:
     ax.set_ylabel("x [mm]")
 
 
-def draw_scenes(outcomes: Mapping[str, Opened], folder: Path) -> None:
+def draw_scenes(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
     """Draw peak force and angle of every scene and grip, all stiff against cap."""
     rows = [
         (scene, grip)

@@ -12,6 +12,7 @@ from matplotlib.ticker import MultipleLocator
 import pliant
 from experiments import controllers, metrics, poses, simulation
 from experiments.arms import capacity
+from experiments.cap_accuracy import END, CapResult, evaluate
 from experiments.chapters.activation import heat, posture, show
 from experiments.chapters.common import LAW_COLOURS, shade
 from experiments.controllers import UNBLURRED
@@ -273,8 +274,6 @@ SPRING, DAMPER, USUAL = 2000.0, 30.0, 15.0
 #: Distance of the hand in the test of the promise, as a share of the soft axis' range; rotations
 #: [rad].
 TURN = 0.3
-#: Time at which the hand holds still, and the end [s].
-STILL, END = 2.5, 3.0
 #: Poses of the promise with a smallest singular value below this share of the median are left out.
 LEAST_SIGMA = 0.65
 #: Promised cap, as a share of the median static capacity, translations and rotations.
@@ -288,31 +287,6 @@ class Strengths:
     soft: float
     firm: float
     hold: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Promise:
-    """One axis pushed at one pose: what was promised and what was felt [N or N·m].
-
-    Attributes:
-        axis, sign: Of the push.
-        cap: Setting.
-        promise: min(cap, stiffness × deviation).
-        measured: Force on the hand.
-        friction: The part that the joints' friction may hide.
-    """
-
-    axis: str
-    sign: float
-    cap: float
-    promise: float
-    measured: float
-    friction: float
-
-    @property
-    def kept(self) -> bool:
-        """True if the force is within 15 % of the cap and the friction of its promise."""
-        return abs(self.measured - self.promise) <= 0.15 * self.cap + self.friction
 
 
 def _loop(
@@ -421,7 +395,7 @@ def caps(source: Source) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def promises(source: Source, pose: int, count: int) -> list[Promise]:
+def promises(source: Source, pose: int, count: int) -> list[CapResult]:
     """Push every axis of one of `count` poses both ways and compare with the promise."""
     arm = load(source)
     chosen = regular_poses(source, count)
@@ -437,7 +411,7 @@ def promises(source: Source, pose: int, count: int) -> list[Promise]:
     ]
 
 
-def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> Promise:
+def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> CapResult:
     name = AXES[row]
     course = Course(start=0.5, rise=1.0, end=np.inf)
     if row < 3:
@@ -467,19 +441,7 @@ def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> Promise:
     )
     target = np.asarray(arm.model.forward_kinematics(q))
     trace = _loop(arm, settings, target, END, felt_by, q=q)
-    still = trace.between(STILL, END)
-    felt = (trace.force if row < 3 else trace.moment)[still, row % 3]
-    jacobian = np.asarray(arm.model.jacobian(trace.q[-1]))
-    compliance = float((jacobian[row] ** 2) @ (1.0 / np.asarray(arm.servos.kp)))
-    inverse = np.linalg.pinv(jacobian[arm.rows])[:, arm.rows.index(row)]
-    return Promise(
-        axis=name,
-        sign=sign,
-        cap=cap,
-        promise=min(cap, abs(float(trace.error[-1, row])) / compliance),
-        measured=sign * float(felt.mean()),
-        friction=float(np.abs(inverse) @ np.asarray(arm.servos.friction)),
-    )
+    return evaluate(trace, arm.model, arm.servos, rows=arm.rows, row=row, sign=sign, cap=cap)
 
 
 # --- Chapters that suit any arm: activation, swinging, promises ---
@@ -489,7 +451,7 @@ POSES = (12, 2)
 
 
 @dataclass(frozen=True)
-class Activation:
+class ActivationChapter:
     """Chapter 1: the activation matrix at the pose."""
 
     source: Source
@@ -548,7 +510,7 @@ class Activation:
 
 
 @dataclass(frozen=True)
-class Swinging:
+class TrackingChapter:
     """Chapter 3: the target swings along the soft axis."""
 
     source: Source
@@ -606,7 +568,7 @@ class Swinging:
 
 
 @dataclass(frozen=True)
-class Promised:
+class CapChapter:
     """Chapter 4: the promised cap against the force on a hand."""
 
     source: Source
@@ -618,7 +580,7 @@ class Promised:
         count = POSES[options.quick]
         return [Job(f"pose {k}", promises, (self.source, k, count)) for k in range(count)]
 
-    def measure(self, outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
+    def measure(self, outcomes: Mapping[str, Sequence[CapResult]]) -> Numbers:
         """Return every push, and the number of kept promises."""
         pushes = [one for several in outcomes.values() for one in several]
         errors = [abs(one.measured - one.promise) / one.cap for one in pushes]
@@ -672,15 +634,15 @@ class Promised:
             headline=(("promises kept", f"{numbers['kept']} of {numbers['pushes']}"),),
         )
 
-    def draw(self, outcomes: Mapping[str, Sequence[Promise]], options: Options) -> None:
+    def draw(self, outcomes: Mapping[str, Sequence[CapResult]], options: Options) -> None:
         """Draw promise against force."""
         draw_promises([one for several in outcomes.values() for one in several], options.figures)
 
 
 def experiments(source: Source) -> dict[int, Any]:
     """Return the chapters by number."""
-    chapters = (Activation(source), Dragged(source), Swinging(source), Promised(source))
-    return {chapter.NUMBER: chapter for chapter in chapters}
+    kinds = (ActivationChapter, DragChapter, TrackingChapter, CapChapter)
+    return {kind.NUMBER: kind(source) for kind in kinds}
 
 
 # --- The chapter in which a hand drags any arm: one axis soft, and all axes stiff ---
@@ -697,7 +659,7 @@ DRAGS = (
 
 
 @dataclass(frozen=True)
-class Dragged:
+class DragChapter:
     """Chapter 2: one axis soft, dragged by a hand; the same all stiff."""
 
     source: Source
@@ -975,7 +937,7 @@ def draw_swing(arm: Arm, trace: Trace, folder: Path) -> None:
         save(figure, folder, "3-swing")
 
 
-def draw_promises(pushes: Sequence[Promise], folder: Path) -> None:
+def draw_promises(pushes: Sequence[CapResult], folder: Path) -> None:
     """Draw force against promise, both in units of the cap."""
     with canvas(1, 1, size=(WIDE * 0.55, 4.8)) as (figure, axes):
         ax = axes[0, 0]

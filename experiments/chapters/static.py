@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from experiments.disturbances import Dragged, Law
+    from experiments.disturbances import DragResult, Law
     from experiments.simulation import Trace
 
 
@@ -97,7 +97,7 @@ def jobs(options: Options) -> list[Job]:
     ]
 
 
-def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
+def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
     """Return numbers by axis, law, η and direction."""
     numbers: dict[str, dict[str, dict[str, dict[str, dict[str, float | None]]]]] = {}
     for name, run in outcomes.items():
@@ -107,7 +107,7 @@ def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
     return numbers
 
 
-def _one(run: Dragged, axis: int) -> dict[str, float | None]:
+def _one(run: DragResult, axis: int) -> dict[str, float | None]:
     trace = run.trace
     letting_go, end = trace.at(RELEASE), trace.t.size - 1
     compliance = trace.compliance[trace.between(*metrics.PULLING), axis]
@@ -150,7 +150,7 @@ def chapter(numbers: Numbers) -> Chapter:
     )
 
 
-def draw(outcomes: Mapping[str, Dragged], options: Options) -> None:
+def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
     """Draw an overview and all deviations per law, for each axis."""
     traces = {name: run.trace for name, run in outcomes.items()}
     for axis in dict.fromkeys(name.split()[0] for name in outcomes):

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     from experiments.disturbances import Law
     from experiments.simulation import Trace
-    from experiments.tracking import Tracked
+    from experiments.tracking import TrackResult
 
 
 NUMBER = 3
@@ -76,7 +76,7 @@ def jobs(options: Options) -> list[Job]:
     return runs
 
 
-def measure(outcomes: Mapping[str, Tracked]) -> Numbers:
+def measure(outcomes: Mapping[str, TrackResult]) -> Numbers:
     """Return numbers by axis and law."""
     numbers: dict[str, dict[str, dict[str, float]]] = {}
     for name, run in outcomes.items():
@@ -85,7 +85,7 @@ def measure(outcomes: Mapping[str, Tracked]) -> Numbers:
     return numbers
 
 
-def _one(run: Tracked, axis: int) -> dict[str, float]:
+def _one(run: TrackResult, axis: int) -> dict[str, float]:
     trace = run.trace
     swing = trace.between(1.0, 17.0)
     error, c = trace.error[swing, axis], trace.compliance[swing, axis]
@@ -261,7 +261,7 @@ def _table(numbers: Numbers, axes: list[str]) -> Table:
     )
 
 
-def draw(outcomes: Mapping[str, Tracked], options: Options) -> None:
+def draw(outcomes: Mapping[str, TrackResult], options: Options) -> None:
     """Draw the swings and the loss of z."""
     traces = {name: run.trace for name, run in outcomes.items()}
     axes = [axis for axis in AXES if f"{axis}/cap" in traces]
