@@ -21,6 +21,7 @@ from experiments import program
 from experiments.arms import load
 from experiments.campaign import REAL_GEARS
 from experiments.runner import run_jobs
+from experiments.simulation import scaled
 from pliant.robots import COUNT_12_BIT
 from pliant.sim import Plant
 
@@ -186,19 +187,13 @@ class Bench:
 
         count = COUNT_12_BIT if case.encoder else 0.0
         table = REAL_GEARS[case.arm].assumed(true) if case.identified else true
-        rubs = off(case.friction)
-        believed = table.replace(
-            friction=rubs * np.asarray(table.friction),
-            load_friction=rubs * np.asarray(table.load_friction),
-            stribeck=rubs * np.asarray(table.stribeck),
-            load_stribeck=rubs * np.asarray(table.load_stribeck),
-            damping=off(case.friction) * np.asarray(table.damping),
-            kp=off(case.kp) * np.asarray(table.kp),
-            encoder_step=count,
+        # Drawn in this order: friction, damping, k_p.
+        assumed = scaled(table, off(case.friction), off(case.friction)).replace(
+            kp=off(case.kp) * np.asarray(table.kp), encoder_step=count
         )
         task, delay = " ".join(self.arm.axes), sum(case.delay) / RATE
         settings = pliant.Settings(task=task, rate=RATE, delay=delay)
-        controller = pliant.Controller(self.arm.model, settings, believed)
+        controller = pliant.Controller(self.arm.model, settings, assumed)
         options: dict[str, Any] = {
             "rate": RATE,
             "delay": case.delay,

@@ -411,24 +411,24 @@ class Watcher:
 
 
 def run_fault(
-    mishap: FaultCase, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
+    case: FaultCase, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
 ) -> Outcome:
     """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and apply a fault.
 
     Args:
-        mishap: The fault.
+        case: The fault.
         held: True: a hand pulls the tool 0.10 m along y from then on; the arm is then not lowered.
         when: Time of the fault after torque on [s].
         patience: Minimum reply timeout, by the wall clock [s]; where no reply is lost, a long one
             makes the result independent of the computer's load.
     """
-    options: dict[str, Any] = {"rate": RATE, "watchdog": mishap.watchdog}
-    with stepped(mishap.family, arm=options, patience=patience) as (bus, arm):
-        watcher = Watcher(bus, FALL if mishap.state == "no torque" else 0.0)
-        reason, torque = _run(mishap, bus, arm, watcher, held=held, when=when)
+    options: dict[str, Any] = {"rate": RATE, "watchdog": case.watchdog}
+    with stepped(case.family, arm=options, patience=patience) as (bus, arm):
+        watcher = Watcher(bus, FALL if case.state == "no torque" else 0.0)
+        reason, torque = _run(case, bus, arm, watcher, held=held, when=when)
     speed, lowered = watcher.speeds[False], watcher.speeds[True]
     ending = "goes on" if not reason else "keeps its last order" if torque else "is lowered"
-    if mishap.state == "no torque" and reason:
+    if case.state == "no torque" and reason:
         ending = "falls, the rest " + ending.removeprefix("keeps its last order, ")
     return Outcome(
         ending=ending,
@@ -444,7 +444,7 @@ def run_fault(
 
 
 def _run(
-    mishap: FaultCase, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
+    case: FaultCase, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
 ) -> tuple[str, bool]:
     """Control until it ends; return the reason, and True if torque is left."""
     arm.enable()
@@ -457,24 +457,24 @@ def _run(
             wanted: Array | None = target
             if bus.plant.time >= when:
                 first = watcher.begun == np.inf
-                if first or mishap.state != "host loss":
-                    watcher.allowed = _allowed(controller, mishap, bus.plant)
+                if first or case.state != "host loss":
+                    watcher.allowed = _allowed(controller, case, bus.plant)
                 if first:
                     watcher.begin()
                     if held:
                         bus.plant.set_hands([Grasp(when + TAKING)])
                 since = bus.plant.time - watcher.begun
-                wanted = mishap.act(Scene(bus, arm, tick, target, since, first))
+                wanted = case.act(Scene(bus, arm, tick, target, since, first))
             if wanted is not None:
                 tick.write(controller.step(tick.q, wanted, dt=tick.dt))
     except HostDiedError:
         reason = "killed"
     except (pliant.PliantError, KeyboardInterrupt) as error:
         reason = str(error) or type(error).__name__
-    if reason == "killed" or mishap.state == "host loss":
+    if reason == "killed" or case.state == "host loss":
         bus.advance(WATCHED)
-    if mishap.after is not None:
-        mishap.after(bus)
+    if case.after is not None:
+        case.after(bus)
         arm.drive.close()
         arm._supervisor.owner, arm._opened = None, False
         arm.enable()
@@ -525,7 +525,7 @@ class Grasp:
         return self._hand.force(ground_truth, t)
 
 
-def _allowed(controller: pliant.Controller, mishap: FaultCase, plant: Plant) -> Allowed:
+def _allowed(controller: pliant.Controller, case: FaultCase, plant: Plant) -> Allowed:
     """Return the bound of the force on a hand along y from now on.
 
     The cap is that of the present deviation. Dry friction of turning joints adds `Σ_i |J⁺_iy|
@@ -535,7 +535,7 @@ def _allowed(controller: pliant.Controller, mishap: FaultCase, plant: Plant) -> 
     """
     report = controller.report()
     y = list(report.axes).index("y")
-    if mishap.state == "host loss":
+    if case.state == "host loss":
         return Allowed(still=max(report.axes["y"].host_loss_force) + MOVING)
     lever = np.abs(
         np.linalg.pinv(controller.model.jacobian(controller.diagnostics.q_predicted))[:, y]

@@ -168,7 +168,7 @@ class Row:
 
     Attributes:
         scenario: The experiment.
-        preset: The settings that reached it, as a call in `laws`.
+        preset: The settings that reached it, as a call in `controllers`.
         figure: The measured figure, with its unit.
         reached, goal: Without delay, everything known.
         reached_uncertain, goal_uncertain: A tick each way, friction known to 30 %; NaN and None

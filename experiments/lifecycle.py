@@ -107,11 +107,11 @@ class FaultResult:
     along: tuple[float, ...]
 
 
-def run_fault(mishap: FaultCase, *, held: bool = False) -> FaultResult:
+def run_fault(case: FaultCase, *, held: bool = False) -> FaultResult:
     """Let `arm7` hold its grasp pose, y soft, at 100 Hz with a tick each way, and apply a fault.
 
     Args:
-        mishap: The fault.
+        case: The fault.
         held: True: a hand (3000 N/m) holds the tool in place from then on.
 
     Returns:
@@ -142,9 +142,9 @@ def run_fault(mishap: FaultCase, *, held: bool = False) -> FaultResult:
         with robot:
             begun[0] = robot.clock.now() + WHEN
             try:
-                for tick in Loop(robot, controller, duration=END, **mishap.loop):
+                for tick in Loop(robot, controller, duration=END, **case.loop):
                     since = tick.began - begun[0]
-                    target = mishap.act(tick, drive, robot, since) if since > -1e-9 else GRASP
+                    target = case.act(tick, drive, robot, since) if since > -1e-9 else GRASP
                     if target is not None:
                         tick.write(controller.step(tick.q, target, dt=tick.dt))
             finally:

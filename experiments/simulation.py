@@ -232,14 +232,8 @@ class Conditions:
         true = servos()
         if self.gears is not None and self.gears_known:
             true = self.gears.assumed(true)
-        return true.replace(
-            friction=self.believed * np.asarray(true.friction),
-            load_friction=self.believed * np.asarray(true.load_friction),
-            stribeck=self.believed * np.asarray(true.stribeck),
-            load_stribeck=self.believed * np.asarray(true.load_stribeck),
-            damping=self.believed * np.asarray(true.damping),
-            kv=self.believed * np.asarray(true.kv),
-            encoder_step=self.count,
+        return scaled(true, self.believed, self.believed).replace(
+            kv=self.believed * np.asarray(true.kv), encoder_step=self.count
         )
 
     def controller(self, law: pliant.Settings | FromModel) -> Controlling:
@@ -249,6 +243,17 @@ class Conditions:
             settings = law.replace(rate=self.rate, delay=delay)
             return pliant.Controller(arm(), settings, self.servos())
         return law(arm(), 1.0 / self.rate)
+
+
+def scaled(table: pliant.Servos, friction: Array | float, damping: Array | float) -> pliant.Servos:
+    """Return a servo table with scaled friction and damping."""
+    return table.replace(
+        friction=friction * np.asarray(table.friction),
+        load_friction=friction * np.asarray(table.load_friction),
+        stribeck=friction * np.asarray(table.stribeck),
+        load_stribeck=friction * np.asarray(table.load_stribeck),
+        damping=damping * np.asarray(table.damping),
+    )
 
 
 #: 100 Hz, no delay, everything known.

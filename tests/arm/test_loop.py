@@ -187,9 +187,9 @@ SHORT = {
     "title", [pytest.param(t, marks=() if t in SHORT else pytest.mark.full) for t in EXPECTED]
 )
 def test_nothing_that_goes_wrong_drops_the_arm(title):
-    mishap = next(m for m in FAULT_CASES if m.title == title)
+    case = next(m for m in FAULT_CASES if m.title == title)
     outcome, meanwhile, descent = EXPECTED[title]
-    got = run_fault(mishap)
+    got = run_fault(case)
     assert got.outcome == outcome, got.reason
     assert got.speed < meanwhile
     assert got.drop < 1e-3

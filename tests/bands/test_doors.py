@@ -23,12 +23,12 @@ RESISTING = ("door", "fridge", "horizontal", "oven")
 
 
 def all_stiff(*, soft, null_space):
-    """Return `laws.all_stiff`, which takes no soft axis."""
+    """Return `controllers.all_stiff`, which takes no soft axis."""
     return controllers.all_stiff(null_space=null_space)
 
 
 def cap_stiff(*, soft, null_space):
-    """Return `laws.cap` without a soft axis."""
+    """Return `controllers.cap` without a soft axis."""
     return controllers.cap(soft="", null_space=null_space)
 
 

@@ -10,7 +10,7 @@ pytest.importorskip("pydantic", reason="the configurations need the extra config
 
 from experiments.faults import FAULT_CASES, WHEN, run_fault
 
-BY_TITLE = {mishap.title: mishap for mishap in FAULT_CASES}
+BY_TITLE = {case.title: case for case in FAULT_CASES}
 #: Reply timeout where every servo answers, long enough for a busy computer [s].
 BUSY = 0.3
 #: A row, and the arm's reaction.
@@ -57,8 +57,8 @@ def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
 # The worst case depends on where within a tick the hand takes hold.
 @pytest.mark.parametrize("shift", [0.0, 0.002, 0.004, 0.006, 0.008])
 def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand(shift):
-    mishap = BY_TITLE["the target jumps by 1 m for 1 s, back"]
-    found = run_fault(mishap, held=True, when=WHEN + shift, patience=BUSY)
+    case = BY_TITLE["the target jumps by 1 m for 1 s, back"]
+    found = run_fault(case, held=True, when=WHEN + shift, patience=BUSY)
     assert found.ending == "goes on"
     assert found.speed < 0.4
     assert 5.0 < found.force <= found.allowed < 13.0
