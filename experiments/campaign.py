@@ -679,7 +679,7 @@ def _strips(ax: Any, groups: Groups) -> None:
     ax.set_xlabel("felt − promised [% of the cap]: middle 95 %, half, median")
 
 
-# --- The cap campaign: every promised cap against the force on a hand ---
+# --- The program ---
 
 
 def gears_text() -> str:

@@ -481,7 +481,7 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
         style.save(figure, folder, "contacts")
 
 
-# --- Contact detection without force sensors: latency, missed contacts, false alarms ---
+# --- The program ---
 
 #: The case of the documented numbers, and the others.
 MAIN = Case("encoder, friction ±30 %")

@@ -204,7 +204,7 @@ def rec_at_edge(torque: float = 8.0, **more: Any) -> Settings:
     return rec(torque, soft="", steps=EDGE_STEPS, **more)
 
 
-# --- Baseline controllers for comparison ---
+# --- Baselines: made for a model and a control period, they step like `pliant.Controller` ---
 
 #: Springs [N/m], [N·m/rad]: stable bounds through position servos at 100 Hz, and with torque
 #: sources at 1 kHz.
@@ -384,7 +384,13 @@ class Virtual:
 
 
 class Admittance:
-    """One soft translation; the other axes are stiff position control at full torque."""
+    """One soft translation; the other axes are stiff position control at full torque.
+
+    The external wrench is estimated from the motors' currents, and a virtual mass and damper turn
+    it into a motion of the target, which stiff position servos follow. The current does not show
+    friction: at rest the motor torque may be anywhere within the friction band around the load. The
+    estimate therefore needs a dead zone, which is the force to start a motion.
+    """
 
     def __init__(
         self,

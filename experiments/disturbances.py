@@ -1,4 +1,4 @@
-"""A hand drags, pushes or taps, or leaves the arm alone."""
+"""Hands that drag, push or tap, the loss of the host, and walls."""
 
 from __future__ import annotations
 

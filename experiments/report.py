@@ -1,4 +1,4 @@
-"""Results of an experiment for the report: numbers, statements judged by them, figures, tables."""
+"""The report of the demo: numbers, statements judged by them, figures and tables, as a page."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def mm(length: float) -> str:
     return f"{1e3 * length:.{digits}f} mm"
 
 
-# --- The report of the demo: experiments, statements and verdicts as a page ---
+# --- The page ---
 
 CHIPS = {Verdict.AGREES: "agrees", Verdict.DIFFERS: "differs", Verdict.DISAGREES: "disagrees"}
 

@@ -1,4 +1,4 @@
-"""One closed loop: plant, controller, target, and a record of the true state."""
+"""One closed loop: plant, controller, target, conditions, and a record of the true state."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def run(
     return Trace(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-# --- Conditions of an experiment: loop, bus, servos, and the controller's assumptions ---
+# --- Conditions: loop, bus, servos, and the controller's assumptions ---
 
 
 @runtime_checkable
