@@ -3,7 +3,7 @@
 This folder is not installed. Its modules run from the root of a clone (extra `experiments`), for
 example `python -m experiments.descent`.
 
-Scenarios (`hands`, `tracking`, `doors`, `resistance`, `promise`, ...) run one thing and return its
+Scenarios (`disturbances`, `tracking`, `doors`, `cap_accuracy`, ...) run one thing and return its
 numbers. `chapters` combine runs, statements and figures. `demonstration.run` runs the chapters and
 writes a report.
 """

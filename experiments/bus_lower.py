@@ -7,24 +7,22 @@ one pose it is the grasp pose.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+import tyro
 
-from experiments.bus_arm import FAMILIES, configuration, stepped
+from experiments import program
+from experiments.emulated_arm import FAMILIES, configuration, stepped
 from experiments.faults import RATE, Watcher
 from experiments.lifecycle import AFTER, LOAD, TABLE, pose_table, postures
 from pliant.sim import table
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from experiments.poses import Array
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
 
 #: The rows: name, unknown load at the tool [kg], and True for a table.
 CASES = (
@@ -35,7 +33,7 @@ CASES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Brought:
+class LowerResult:
     """Result of one torque-on and descent.
 
     Attributes:
@@ -57,7 +55,7 @@ class Brought:
     seconds: float
 
 
-def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> Brought:
+def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> LowerResult:
     """Enable the arm in q (n,) [rad] and lower it.
 
     Args:
@@ -86,7 +84,7 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
         seconds, force = bus.plant.time - begun, down.force
         bus.advance(AFTER)
         resting = sum(float(np.linalg.norm(felt.force)) for felt in bus.plant.hands)
-    return Brought(
+    return LowerResult(
         sank=on.start - on.lowest,
         left=left,
         lifted=on.speeds[False],
@@ -108,36 +106,43 @@ def poses(family: str, count: int) -> list[Array]:
     return [q for q in [VERTICAL, *postures(4 * count)] if fits(family, q)][:count]
 
 
-def _worst(values: Sequence[float], digits: int, scale: float = 1.0) -> str:
-    """Return the largest and the middle value."""
-    scaled = scale * np.asarray(values)
-    return f"{scaled.max():.{digits}f} ({np.median(scaled):.{digits}f})"
+def main(
+    count: Annotated[int, tyro.conf.arg(name="poses"), tyro.conf.Positional] = 10,
+    family: tyro.conf.Positional[str] = "p1",
+) -> None:
+    """Print the tables: worst (median) over the poses, and the table pose by pose.
 
-
-def main() -> None:
-    """Print the tables: worst (median) over the poses, and the table pose by pose."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 10
-    family = sys.argv[2] if len(sys.argv) > 2 else "p1"
+    Args:
+        count: Number of poses.
+        family: Servos: sts, x or p1.
+    """
     starts = poses(family, count)
-    print(
-        f"| {FAMILIES[family].title}, {len(starts)} poses | sinks [mm] | stands lower by [mm] | "
-        "meanwhile [m/s] | lowered at [m/s] | force on the table [N] | of which rests [N] | "
-        "takes [s] |\n|---|---|---|---|---|---|---|---|"
+    columns = (
+        f"{FAMILIES[family].title}, {len(starts)} poses",
+        "sinks [mm]",
+        "stands lower by [mm]",
+        "meanwhile [m/s]",
+        "lowered at [m/s]",
+        "force on the table [N]",
+        "of which rests [N]",
+        "takes [s]",
     )
-    seen: list[Brought] = []
+    print(program.head(columns))
+    seen: list[LowerResult] = []
     for name, load, over_table in CASES:
         seen = [lower(family, q, load=load, over_table=over_table) for q in starts]
-        print(
-            f"| {name} | {_worst([one.sank for one in seen], 0, 1e3)} | "
-            f"{_worst([one.left for one in seen], 0, 1e3)} | "
-            f"{_worst([one.lifted for one in seen], 2)} | {_worst([one.speed for one in seen], 2)} "
-            f"| {_worst([one.force for one in seen], 1) if over_table else ''} | "
-            f"{_worst([one.resting for one in seen], 1) if over_table else ''} | "
-            f"{_worst([one.seconds for one in seen], 0)} |",
-            flush=True,
+        cells = (
+            program.worst((one.sank for one in seen), 0, 1e3),
+            program.worst((one.left for one in seen), 0, 1e3),
+            program.worst((one.lifted for one in seen), 2),
+            program.worst((one.speed for one in seen), 2),
+            program.worst((one.force for one in seen), 1) if over_table else "",
+            program.worst((one.resting for one in seen), 1) if over_table else "",
+            program.worst((one.seconds for one in seen), 0),
         )
-    print("\n".join(["", *pose_table(seen)]))
+        print(program.row((name, *cells)), flush=True)
+    print(f"\n{pose_table(seen)}")
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

@@ -8,15 +8,16 @@ at 100 Hz.
 from __future__ import annotations
 
 import os
-import sys
 import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import tyro
 
 import pliant
-from experiments.bus_arm import FAMILIES, configuration, emulator
+from experiments import program
+from experiments.emulated_arm import FAMILIES, configuration, emulator
 from pliant.arm import Arm
 from pliant.config import factory
 from pliant.emulator import Device, Emulator, EmulatorProcess, Timing
@@ -110,24 +111,30 @@ def share(family: str, seconds: float) -> float:
     return out
 
 
-def main() -> None:
-    """Print the table."""
-    cycles = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    print(
-        "| 7 servos, 1 Mbit/s | wire [Hz] | timed [Hz] | of the wire | 99 % [ms] | untimed [Hz] |"
-        " processor at 100 Hz |\n|---|---|---|---|---|---|---|"
+def main(cycles: tyro.conf.Positional[int] = 1000) -> None:
+    """Print the table.
+
+    Args:
+        cycles: Of a measurement.
+    """
+    columns = (
+        "7 servos, 1 Mbit/s",
+        "wire [Hz]",
+        "timed [Hz]",
+        "of the wire",
+        "99 % [ms]",
+        "untimed [Hz]",
+        "processor at 100 Hz",
     )
+    print(program.head(columns))
     for family in FAMILIES:
         timed = measure(family, cycles, timed=True)
         bare = measure(family, cycles, timed=False)
-        print(
-            f"| {MODELS[family]} | {1.0 / timed.wire:.0f} | {1.0 / timed.median:.0f} | "
-            f"{timed.ratio:.0%} | {1e3 * timed.late:.1f} | {1.0 / bare.median:.0f} | "
-            f"{share(family, CONTROLLED):.0%} |",
-            flush=True,
-        )
+        rates = [f"{1.0 / timed.wire:.0f}", f"{1.0 / timed.median:.0f}", f"{timed.ratio:.0%}"]
+        rates += [f"{1e3 * timed.late:.1f}", f"{1.0 / bare.median:.0f}"]
+        print(program.row((MODELS[family], *rates, f"{share(family, CONTROLLED):.0%}")), flush=True)
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

@@ -9,19 +9,16 @@ import numpy as np
 
 import pliant
 from experiments import metrics
-from experiments.conditions import NOMINAL
-from experiments.episode import Trace, run
-from experiments.setups import AXES, arm, displaced, servos, tool
+from experiments.poses import AXES, arm, displaced, servos, tool
+from experiments.simulation import NOMINAL, Trace, run
 from pliant.sim import Course, Drag, Wall
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from experiments.conditions import Conditions
+    from experiments.poses import Array
+    from experiments.simulation import Conditions
     from pliant.sim import Plant
 
-    Array = NDArray[np.float64]
 
 #: A strong hand that takes 6 s for 0.15 m: quasi-static force against deviation.
 STEADY = Drag(
@@ -39,7 +36,7 @@ GONE = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class ForceCurve:
     """Force against deviation of one axis.
 
     Attributes:
@@ -53,7 +50,7 @@ class Answer:
     trace: Trace
 
 
-def answer(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Answer:
+def answer(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> ForceCurve:
     """Drag the tool along y by 0.15 m at 0.025 m/s.
 
     Args:
@@ -64,7 +61,7 @@ def answer(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Answer:
         conditions.build(STEADY), conditions.controller(law), tool(VERTICAL), 7.0, q=VERTICAL
     )
     pulling = trace.between(STEADY.course.start, STEADY.course.end)
-    return Answer(deviation=trace.moved[pulling, 1], force=trace.force[pulling, 1], trace=trace)
+    return ForceCurve(deviation=trace.moved[pulling, 1], force=trace.force[pulling, 1], trace=trace)
 
 
 def stiffness(axis: str, q: Array = VERTICAL) -> float:
@@ -74,7 +71,7 @@ def stiffness(axis: str, q: Array = VERTICAL) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blocked:
+class BlockResult:
     """Result of a target behind a wall and to the side, before and after the wall is removed.
 
     Attributes:
@@ -96,7 +93,7 @@ class Blocked:
     trace: Trace
 
 
-def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
+def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> BlockResult:
     """Move the target along x and y at once, with a wall across x until 6 s.
 
     Args:
@@ -122,7 +119,7 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
     trace = run(plant, controller, target, 9.0, q=VERTICAL, on_tick=take_away)
     last, free = trace.between(GONE - 1.0, GONE), trace.t > GONE
     speed = np.linalg.norm(np.diff(trace.position[free], axis=0), axis=1) * conditions.rate
-    return Blocked(
+    return BlockResult(
         force=float(-trace.force[last, 0].mean()),
         peak=float(np.abs(trace.force[:, 0]).max()),
         aside=float(trace.moved[last, 1].mean()),
@@ -134,7 +131,7 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Blocked:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arrived:
+class JumpResult:
     """Result of a target that jumped by 0.10 m in x and in y without obstacle.
 
     Attributes:
@@ -150,7 +147,7 @@ class Arrived:
     trace: Trace
 
 
-def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Arrived:
+def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> JumpResult:
     """Let the target jump aside at 1 s and wait until 5 s.
 
     Args:
@@ -162,7 +159,7 @@ def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> Arrived:
     plant, controller = conditions.build(), conditions.controller(law)
     trace = run(plant, controller, lambda t: there if t >= 1.0 else start, 5.0, q=VERTICAL)
     off = np.linalg.norm(trace.error[:, :3], axis=1)
-    return Arrived(
+    return JumpResult(
         after=float(trace.t[np.flatnonzero(off > 3e-3)[-1]]) - 1.0,
         left=float(off[-1]),
         speed=metrics.speed(trace, 4.0, 5.0),

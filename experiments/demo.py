@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from experiments.demonstration import Demonstration, Subject
-    from experiments.result import Chapter, Check
+    from experiments.report import Chapter, Check
 
 #: Beyond this number of processes the longest run decides.
 MOST_JOBS = 16
@@ -64,9 +64,22 @@ def run(
     subject = _subject(robot, urdf, base, tip)
     demonstration.choose(subject.experiments, wanted)
     console = Console()
-    with Bar(console) as bar:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=40),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("experiments", total=None)
         done = demonstration.run(
-            out, subject=subject, only=wanted, quick=quick, jobs=jobs, watcher=bar
+            out,
+            subject=subject,
+            only=wanted,
+            quick=quick,
+            jobs=jobs,
+            on_total=lambda steps: bar.update(task, total=steps),
+            on_step=lambda _: bar.advance(task),
         )
     _close(console, done)
 
@@ -97,50 +110,20 @@ def _load() -> ModuleType:
 
 def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -> Subject:
     from experiments import demonstration
-    from experiments.chapters import anyarm, anyarm_subject
+    from experiments.chapters import generic_arm
 
     if urdf is not None:
-        return anyarm_subject.subject(anyarm.Source(urdf=str(urdf), base=base, tip=tip))
+        return generic_arm.subject(generic_arm.Source(urdf=str(urdf), base=base, tip=tip))
     return (
-        demonstration.ARM7 if robot == "arm7" else anyarm_subject.subject(anyarm.Source(name=robot))
+        demonstration.ARM7
+        if robot == "arm7"
+        else generic_arm.subject(generic_arm.Source(name=robot))
     )
-
-
-class Bar:
-    """A progress bar with a growing number of steps."""
-
-    def __init__(self, console: Console) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=40),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-        )
-
-    def __enter__(self) -> Bar:
-        """Show it."""
-        self._progress.start()
-        self._task = self._progress.add_task("experiments", total=None)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Remove it."""
-        self._progress.stop()
-
-    def expect(self, steps: int) -> None:
-        """Add so many steps."""
-        self._progress.update(self._task, total=steps)
-
-    def done(self, step: str) -> None:
-        """Complete one step."""
-        self._progress.update(self._task, advance=1)
 
 
 def missed(chapter: Chapter) -> list[str]:
     """List our own bands that this run did not keep, a line each, with the number and the cause."""
-    from experiments.result import Verdict
+    from experiments.report import Verdict
 
     lines = []
     for statement in chapter.statements("study"):
@@ -168,7 +151,7 @@ def _band(test: Check) -> str:
 
 def _close(console: Console, done: Demonstration) -> None:
     """Print the results, the path of the report last."""
-    from experiments.result import Verdict
+    from experiments.report import Verdict
 
     paper = any(chapter.statements("paper") for chapter in done.chapters)
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left")

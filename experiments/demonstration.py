@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 from experiments import provenance, report
 from experiments.chapters import activation, caps, comparison, doors, static, tracking
 from experiments.chapters.common import Options
-from experiments.files import write_results
-from experiments.result import Verdict
-from experiments.runner import Job, Workers, draw_off_screen, prefixed
+from experiments.program import write_results
+from experiments.runner import Job, draw_off_screen, run_by_key
 from pliant import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from experiments.result import Chapter, Numbers
+    from experiments.report import Chapter, Numbers
 
 
 class Experiment(Protocol):
@@ -51,26 +50,6 @@ EXPERIMENTS: Mapping[int, Experiment] = {
 }
 
 
-class Watcher(Protocol):
-    """Receiver of the progress of a demonstration."""
-
-    def expect(self, steps: int) -> None:
-        """Add so many steps."""
-
-    def done(self, step: str) -> None:
-        """Complete one step."""
-
-
-class Silence:
-    """A watcher that ignores all progress."""
-
-    def expect(self, steps: int) -> None:
-        """Ignore it."""
-
-    def done(self, step: str) -> None:
-        """Ignore it."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Demonstration:
     """Results of a demonstration.
@@ -88,10 +67,6 @@ class Demonstration:
     results: Path
     pictures: tuple[Path, ...]
     seconds: float
-
-    def verdicts(self) -> dict[Verdict, int]:
-        """Return the number of the paper's statements per verdict."""
-        return {v: sum(c.count(v, "paper") for c in self.chapters) for v in Verdict}
 
 
 @dataclass(frozen=True)
@@ -128,7 +103,8 @@ def run(
     only: Sequence[int] = (),
     quick: bool = False,
     jobs: int = 2,
-    watcher: Watcher | None = None,
+    on_total: Callable[[int], None] = lambda steps: None,
+    on_step: Callable[[str], None] = lambda step: None,
 ) -> Demonstration:
     """Run experiments and write a report.
 
@@ -138,7 +114,8 @@ def run(
         only: Numbers of the experiments; empty for all.
         quick: True: the fewest runs that exercise everything once.
         jobs: Processes.
-        watcher: Receiver of the progress.
+        on_total: Called with the number of steps before the first.
+        on_step: Called with the name of each completed step.
 
     Returns:
         Paths of all results.
@@ -148,24 +125,24 @@ def run(
     """
     begin = perf_counter()
     draw_off_screen()
-    watcher = watcher or Silence()
     chosen = choose(subject.experiments, only)
     options = Options(quick=quick, figures=out / "figures")
     options.figures.mkdir(parents=True, exist_ok=True)
     planned = {number: module.jobs(options) for number, module in chosen.items()}
-    watcher.expect(sum(len(runs) for runs in planned.values()) + len(chosen) + 1)
-    with Workers(jobs) as workers:
-        every = [job for number, runs in planned.items() for job in prefixed(f"{number}:", runs)]
-        outcomes = workers.run(every, watcher.done)
-        own = {
-            number: {job.key: outcomes[f"{number}:{job.key}"] for job in runs}
-            for number, runs in planned.items()
-        }
-        drawing = [
-            Job(f"figures of {number}", module.draw, (own[number], options))
-            for number, module in chosen.items()
-        ]
-        workers.run(drawing, watcher.done)
+    on_total(sum(len(runs) for runs in planned.values()) + len(chosen) + 1)
+    every = [
+        replace(job, key=f"{number}:{job.key}") for number, runs in planned.items() for job in runs
+    ]
+    outcomes = run_by_key(every, jobs, progress=on_step)
+    own = {
+        number: {job.key: outcomes[f"{number}:{job.key}"] for job in runs}
+        for number, runs in planned.items()
+    }
+    drawing = [
+        Job(f"figures of {number}", module.draw, (own[number], options))
+        for number, module in chosen.items()
+    ]
+    run_by_key(drawing, jobs, progress=on_step)
     chapters = tuple(module.chapter(module.measure(own[n])) for n, module in chosen.items())
     facts = provenance.collect()
     results = _write_results(out, subject, chapters, facts, quick=quick)
@@ -173,7 +150,7 @@ def run(
     page = report.write(
         out / "report.html", subject, chapters, facts, options.figures, seconds=seconds, quick=quick
     )
-    watcher.done("report")
+    on_step("report")
     return Demonstration(
         chapters=chapters,
         report=page,

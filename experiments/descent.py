@@ -1,23 +1,24 @@
 """Descents with wrong assumptions about servos, load, friction, encoder and delay.
 
-``python -m experiments.descent [--arms arm7,so101] [--poses 50] [--jobs 2] [--bytes]`` prints, per
-arm, the worst of torque on and of `lower` over random poses, each with its own mix of errors, in
-free air and over a table, the worst poses, and the ready pose. With `--bytes` the servos are
+``python -m experiments.descent [--arm so101] [--poses 50] [--jobs 2] [--bytes]`` prints, per arm,
+the worst of torque on and of `lower` over random poses, each with its own mix of errors, in free
+air and over a table, the worst poses, and the ready pose. With `--bytes` the servos are
 emulated ones on a serial port, in emulated time.
 """
 
 from __future__ import annotations
 
-import argparse
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import tyro
 
-from experiments.campaign_arms import BESIDE, ROBOTS, load
-from experiments.parallel import parallel
+from experiments import program
+from experiments.arms import BESIDE, ROBOTS, load
+from experiments.runner import run_jobs
 from experiments.sheet import POSES
 from pliant import config
 from pliant.arm.arm import Arm
@@ -31,13 +32,11 @@ from pliant.sim.postures import VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from pliant import Model
     from pliant.config import Config
     from pliant.emulator.servo import Servo
 
-    Array = NDArray[np.float64]
 
 #: Arms of the table.
 ARMS = ("arm7", "so101", "koch", "vx300s")
@@ -370,7 +369,7 @@ def truths(model: Model, count: int, *, seed: int = 0) -> list[tuple[Array, Trut
     return found
 
 
-def jobs(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[Job]:
+def descents(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[Job]:
     """Return the runs of one arm: every pose in free air, then over a table; then the ready pose.
 
     The ready pose has the first parameters, without a load.
@@ -424,43 +423,58 @@ def rows(name: str, work: Sequence[Job], seen: Sequence[Outcome]) -> list[str]:
                 f"#{runs[worst][0].number}"
             )
         if cells:
-            lines.append(f"| {name}, {case} | {len(runs)} | {' | '.join(cells)} |")
+            lines.append(program.row((f"{name}, {case}", len(runs), *cells)))
     return lines
 
 
-HEAD = (
-    "| arm | runs | taken over: moved [mm] | speed [m/s] | from rest: moved [mm] | speed [m/s] | "
-    "lowered: rises [mm] | speed [m/s] | after torque off [m/s] | force on the table [N] | of "
-    "which rests [N] | takes [s] |\n" + "|---" * 12 + "|"
+COLUMNS = (
+    "arm",
+    "runs",
+    "taken over: moved [mm]",
+    "speed [m/s]",
+    "from rest: moved [mm]",
+    "speed [m/s]",
+    "lowered: rises [mm]",
+    "speed [m/s]",
+    "after torque off [m/s]",
+    "force on the table [N]",
+    "of which rests [N]",
+    "takes [s]",
 )
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--arms", default=",".join(ARMS))
-    parser.add_argument("--poses", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--each", action="store_true", help="also print every run")
-    parser.add_argument("--bytes", action="store_true", help="emulated servos on a serial port")
-    options = parser.parse_args()
-    print(HEAD, flush=True)
-    for name in options.arms.split(","):
+def main(
+    *,
+    arm: program.Arms = (),
+    poses: int = 50,
+    seed: int = 0,
+    jobs: int = 1,
+    each: bool = False,
+    over_bytes: Annotated[bool, tyro.conf.arg(name="bytes")] = False,
+) -> None:
+    """Lower arms that differ from their assumptions.
+
+    Args:
+        arm: Arms by name; default all of the table.
+        poses: Random poses of each.
+        seed: Random seed of poses and true parameters.
+        jobs: Number of processes.
+        each: Also print every run.
+        over_bytes: Emulated servos on a serial port, in emulated time.
+    """
+    print(program.head(COLUMNS), flush=True)
+    for name in arm or ARMS:
         if not is_here(name):
             print(f"{name}: no description beside the project, skipped")
             continue
-        work = jobs(name, options.poses, seed=options.seed, on_bytes=options.bytes)
+        work = descents(name, poses, seed=seed, on_bytes=over_bytes)
         seen: list[Outcome] = []
-        for job, one in zip(work, parallel(work, options.jobs, f"descent of {name}"), strict=True):
+        for job, one in zip(work, run_jobs(work, jobs, f"descent of {name}"), strict=True):
             seen.append(one)
-            if options.each:
+            if each:
                 print(f"    {job.number}{'t' if job.over_table else ' '} {one}", flush=True)
         print("\n".join(rows(name, work, seen)), flush=True)
 
 
 if __name__ == "__main__":
-    # Other processes import this module's jobs by its name, not as `__main__`.
-    from experiments import descent  # noqa: PLW0406 -- by name
-
-    descent.main()
+    program.start(main)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.conditions import NOMINAL
-from experiments.episode import Trace, run
-from experiments.setups import pull, tool
+import pliant
+from experiments.poses import displaced, pull, tool
+from experiments.simulation import NOMINAL, Trace, run
 from pliant import NullSpace
 from pliant.sim import doors as leaves
 from pliant.sim.postures import AT_DOOR, AT_DOOR_HORIZONTAL, AT_OVEN, VERTICAL
@@ -17,14 +17,11 @@ from pliant.sim.postures import AT_DOOR, AT_DOOR_HORIZONTAL, AT_OVEN, VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
-    from experiments.conditions import Conditions
-    from experiments.hands import Law
+    from experiments.disturbances import Law
+    from experiments.poses import Array
+    from experiments.simulation import Commanded, Conditions
     from pliant.sim.doors import Door
     from pliant.sim.grasp import Grip
-
-    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +54,7 @@ SCENES: Mapping[str, Scene] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Opened:
+class OpenResult:
     """Result of opening a door.
 
     Attributes:
@@ -79,7 +76,7 @@ def open_door(
     grip: Grip = "rigid",
     *,
     conditions: Conditions = NOMINAL,
-) -> Opened:
+) -> OpenResult:
     """Pull a door open for 9.5 s.
 
     Args:
@@ -87,9 +84,6 @@ def open_door(
         scene: Name of one of `SCENES`.
         grip: `rigid` or `turning`.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     setup = SCENES[scene]
     drive = leaves.Drive(distance=setup.distance) if setup.base else None
@@ -98,9 +92,108 @@ def open_door(
     target = start if setup.base else pull(start, setup.distance)
     settings = law(soft=setup.soft, null_space=NullSpace(gain=1.0))
     trace = run(conditions.build(leaf), conditions.controller(settings), target, 9.5, q=setup.start)
-    return Opened(
+    return OpenResult(
         angle=float(np.rad2deg(leaf.widest)),
         force=leaf.peak_force,
         torque=leaf.peak_torque,
+        trace=trace,
+    )
+
+
+# --- Opening and closing a door by resistance: ends are detected from positions alone ---
+
+#: End stop of the leaf [deg].
+STOP = 45.0
+#: Force that indicates the end of a motion [N], and its minimum duration [s].
+THRESHOLD, PERSISTENCE = 15.0, 0.2
+#: Speed of the target [m/s], rest between opening and closing [s], first motion [s].
+SPEED, REST, BEGIN = 0.05, 1.0, 1.0
+#: Longest duration of a motion [s].
+LONGEST = 8.0
+
+
+class ByResistance:
+    """A controller that moves its target: pulls until resistance, rests, pushes until resistance.
+
+    Attributes:
+        ends: Times at which an end was detected [s].
+    """
+
+    def __init__(self, inner: pliant.Controller, period: float) -> None:
+        """Wrap a controller; `period` in s."""
+        self._inner, self._contact, self._period = inner, pliant.ContactEstimator(inner), period
+        self.ends: list[float] = []
+
+    def reset(self, q: Array) -> None:
+        """Start at rest in q (n,) [rad]."""
+        self._inner.reset(q)
+        self._contact.reset()
+        self._way, self._time, self._pressed, self._resting = 0.0, 0.0, 0.0, BEGIN
+        self.ends = []
+
+    @property
+    def compliance(self) -> Array:
+        """Compliance of the inner controller."""
+        return self._inner.diagnostics.compliance
+
+    def step(self, q: Array, target: Array) -> Commanded:
+        """Run one tick; `target` is the pose (4, 4) at the closed door."""
+        force = float(self._contact.update(q).force_base[0])
+        if self._resting > 0.0:
+            self._resting -= self._period
+        elif len(self.ends) < 2:
+            direction = -1.0 if not self.ends else 1.0
+            self._way += direction * SPEED * self._period
+            against = -direction * force > THRESHOLD
+            self._pressed = self._pressed + self._period if against else 0.0
+            if self._pressed >= PERSISTENCE - 1e-9:
+                self.ends.append(self._time)
+                self._pressed, self._resting = 0.0, REST
+        self._time += self._period
+        return self._inner.step(q, displaced(target, "x", self._way))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenCloseResult:
+    """Detected ends, and forces.
+
+    Attributes:
+        ends: Opening of the leaf when each end was detected [deg]; fewer than two: one missed.
+        force: Largest force at the handle [N].
+        trace: The run.
+    """
+
+    ends: tuple[float, ...]
+    force: float
+    trace: Trace
+
+
+def open_and_close(
+    law: Callable[..., Law],
+    scene: str = "door",
+    grip: Grip = "rigid",
+    *,
+    conditions: Conditions = NOMINAL,
+) -> OpenCloseResult:
+    """Open a door with a stop at 45 deg until it resists, rest 1 s, close it until it resists.
+
+    Args:
+        law: Makes the settings from the scene's soft axes, `soft`, and a group `null_space`.
+        scene: Name of one of `doors.SCENES` whose base stands still.
+        grip: `rigid` or `turning`.
+        conditions: Loop, bus and assumptions.
+    """
+    setup = SCENES[scene]
+    leaf = setup.leaf(grip=grip, stop=float(np.deg2rad(STOP)))
+    period = 1.0 / conditions.rate
+    inner = conditions.controller(law(soft=setup.soft, null_space=pliant.NullSpace(gain=1.0)))
+    if not isinstance(inner, pliant.Controller):
+        raise pliant.ConfigError("a door is felt through a controller of pliant's own")
+    controller = ByResistance(inner, period)
+    duration = BEGIN + 2.0 * LONGEST
+    trace = run(conditions.build(leaf), controller, tool(setup.start), duration, q=setup.start)
+    return OpenCloseResult(
+        ends=tuple(float(np.rad2deg(trace.leaf[trace.at(end)])) for end in controller.ends),
+        force=leaf.peak_force,
         trace=trace,
     )

@@ -10,13 +10,17 @@ import sys
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import tyro
 
 import pliant
-from experiments.bus_arm import PATIENCE, stepped
-from experiments.bus_mishaps import MISHAPS, HostDiedError, Mishap, Scene
+from experiments import program
+from experiments.emulated_arm import PATIENCE, stepped
+from experiments.poses import displaced
+from pliant.emulator.faults import KINDS
 from pliant.loop import Loop
 from pliant.sim.ground_truth import TOOL
 from pliant.sim.hand import Course, Drag
@@ -24,14 +28,262 @@ from pliant.sim.hand import Course, Drag
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from pliant.arm import Arm
     from pliant.emulator import ArmEmulator
+    from pliant.loop import Tick
     from pliant.sim import Plant
     from pliant.sim.ground_truth import GroundTruth
 
-    Array = NDArray[np.float64]
+    Class = Literal["runs", "host loss", "no torque"]
+
+#: Id of the elbow's servo, in the middle of the arm.
+ELBOW = 4
+#: Repetitions of a permanent fault.
+ALWAYS = 10**9
+
+
+class HostDiedError(Exception):
+    """The process is killed: none of its code runs any more."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Objects that a fault may act on.
+
+    Attributes:
+        bus: The emulator.
+        arm: The arm.
+        tick: The present tick.
+        target: Pose (4, 4) to hold.
+        since: Time since the fault began [s].
+        first: True in its first tick.
+    """
+
+    bus: ArmEmulator
+    arm: Arm
+    tick: Tick
+    target: Array
+    since: float
+    first: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultCase:
+    """A fault that occurs while the arm holds its pose.
+
+    Attributes:
+        title: Description.
+        act: Called at every tick from then on; returns the target, or None where it has written.
+        family: Affected servos.
+        state: `runs`: servos have power and torque, and a host; `host loss`: no host; `no torque`:
+            a servo has lost power or torque.
+        after: Called when control has ended, before time advances.
+        watchdog: Of the arm [s].
+    """
+
+    title: str
+    act: Callable[[Scene], Array | None]
+    family: str = "p1"
+    state: Class = "runs"
+    after: Callable[[ArmEmulator], None] | None = None
+    watchdog: float = 0.0
+
+
+def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
+    """Act in the first tick, and hold the pose in all."""
+
+    def act(scene: Scene) -> Array | None:
+        if scene.first:
+            do(scene)
+        return scene.target
+
+    return act
+
+
+def _for(
+    seconds: float, begin: Callable[[ArmEmulator], object], end: Callable[[ArmEmulator], object]
+) -> Callable[[Scene], Array | None]:
+    """Start something, and end it after so much emulated time."""
+
+    def act(scene: Scene) -> Array | None:
+        if scene.first:
+            begin(scene.bus)
+            physics, until = scene.bus.world.physics, scene.bus.time + seconds
+            step = physics.step
+
+            def stepping(count: int) -> None:
+                step(count)
+                if scene.bus.time >= until:
+                    end(scene.bus)
+                    physics.step = step  # type: ignore[method-assign]
+
+            physics.step = stepping  # type: ignore[method-assign]
+        return scene.target
+
+    return act
+
+
+def _die(scene: Scene) -> Array:
+    raise HostDiedError
+
+
+def _interrupt(scene: Scene) -> Array:
+    raise KeyboardInterrupt
+
+
+def _stall(scene: Scene) -> Array:
+    if scene.first:
+        scene.arm.clock.wait_until(scene.arm.clock.now() + 1.0)
+    return scene.target
+
+
+def _nan_target(scene: Scene) -> Array:
+    return np.full((4, 4), np.nan)
+
+
+def _nan_command(scene: Scene) -> None:
+    nothing = np.full(scene.tick.q.size, np.nan)
+    scene.tick.write(SimpleNamespace(goal=nothing, torque_limit=nothing))
+
+
+def _jump(axis: str, way: float) -> Callable[[Scene], Array | None]:
+    """Move the target `way` [m] along an axis for a second."""
+
+    def act(scene: Scene) -> Array | None:
+        return displaced(scene.target, axis, way) if scene.since < 1.0 else scene.target
+
+    return act
+
+
+def _off(scene: Scene) -> None:
+    scene.bus.servo(ELBOW).put("torque_enable", 0)
+
+
+def _far(scene: Scene) -> None:
+    scene.bus.servo(ELBOW).put("goal_position", 100)
+
+
+FAULT_CASES: tuple[FaultCase, ...] = (
+    FaultCase(title="no fault", act=lambda scene: scene.target),
+    FaultCase(
+        title="one reply with a wrong checksum",
+        act=_once(lambda s: s.bus.faults.inject("corrupt", ELBOW)),
+    ),
+    FaultCase(
+        title="20 % of all transactions fail for 1 s, in all ways",
+        act=_for(
+            1.0,
+            lambda bus: bus.faults.by_chance(**dict.fromkeys(KINDS, 0.2 / len(KINDS))),
+            lambda bus: bus.faults.by_chance(),
+        ),
+    ),
+    FaultCase(
+        title="replies one request late for 1 s",
+        act=_for(
+            1.0, lambda bus: bus.faults.by_chance(late=1.0), lambda bus: bus.faults.by_chance()
+        ),
+    ),
+    FaultCase(
+        title="the elbow's servo misses 8 requests in a row",
+        act=_once(lambda s: s.bus.faults.inject("deaf", ELBOW, count=8)),
+    ),
+    FaultCase(
+        title="it no longer answers, but has power",
+        act=_once(lambda s: s.bus.faults.inject("lose", ELBOW, count=ALWAYS)),
+    ),
+    FaultCase(
+        title="the line is shorted for 0.3 s",
+        act=_for(0.3, lambda bus: bus.short(), lambda bus: bus.short(False)),
+    ),
+    FaultCase(
+        title="the line is shorted for 1 s",
+        act=_for(1.0, lambda bus: bus.short(), lambda bus: bus.short(False)),
+    ),
+    FaultCase(
+        title="the line is shorted for good", act=_once(lambda s: s.bus.short()), state="host loss"
+    ),
+    FaultCase(
+        title="the adapter is unplugged", act=_once(lambda s: s.bus.pull()), state="host loss"
+    ),
+    FaultCase(
+        title="it is plugged in again, the program started again",
+        act=_once(lambda s: s.bus.pull()),
+        state="host loss",
+        after=lambda bus: bus.put_back(),
+    ),
+    FaultCase(title="SIGKILL", act=_die, state="host loss"),
+    FaultCase(title="SIGKILL, X series", act=_die, state="host loss", family="x"),
+    FaultCase(title="SIGKILL, Bus Watchdog", act=_die, state="host loss", family="x", watchdog=0.2),
+    FaultCase(title="the program stalls for 1 s", act=_stall),
+    FaultCase(title="an exception, Ctrl-C, SIGTERM", act=_interrupt),
+    FaultCase(title="a policy returns NaN for a target", act=_nan_target),
+    FaultCase(title="a policy returns NaN for goals", act=_nan_command),
+    *(
+        FaultCase(title=f"the target jumps by 1 m for 1 s, {where}", act=_jump(axis, way))
+        for where, axis, way in (
+            ("forward (x)", "x", 1.0),
+            ("back", "x", -1.0),
+            ("up (z)", "z", 1.0),
+            ("down", "z", -1.0),
+            ("with the hand (y)", "y", 1.0),
+            ("against it", "y", -1.0),
+        )
+    ),
+    FaultCase(
+        title="the firmware does not take the elbow's limit",
+        act=_once(lambda s: s.bus.stick(ELBOW, "torque_limit", 1000)),
+    ),
+    FaultCase(
+        title="another program writes a far goal to the elbow, once",
+        act=_once(_far),
+    ),
+    FaultCase(
+        title="overload of the elbow, EX-106+",
+        act=_once(lambda s: s.bus.trip(ELBOW, "overload")),
+    ),
+    FaultCase(
+        title="overload of the elbow, XM540",
+        act=_once(lambda s: s.bus.trip(ELBOW, "overload")),
+        state="no torque",
+        family="x",
+    ),
+    FaultCase(
+        title="overload of the elbow, STS3215",
+        act=_once(lambda s: s.bus.trip(ELBOW, "overload")),
+        family="sts",
+    ),
+    FaultCase(
+        title="the elbow overheats",
+        act=_once(lambda s: s.bus.trip(ELBOW, "heat")),
+    ),
+    FaultCase(
+        title="the supply sags to 11.5 V",
+        act=_once(lambda s: s.bus.supply(11.5)),
+    ),
+    FaultCase(
+        title="the supply rises to 17 V, X series: all report it",
+        act=_once(lambda s: s.bus.supply(17.0)),
+        family="x",
+    ),
+    FaultCase(title="the elbow's torque goes off", act=_once(_off), state="no torque"),
+    FaultCase(
+        title="the elbow reboots", act=_once(lambda s: s.bus.reboot(ELBOW)), state="no torque"
+    ),
+    FaultCase(
+        title="brown-out: all servos reboot",
+        act=_once(lambda s: s.bus.brown_out()),
+        state="no torque",
+    ),
+    FaultCase(
+        title="the elbow's plug is pulled",
+        act=_once(lambda s: s.bus.unplug(ELBOW)),
+        state="no torque",
+    ),
+)
+
+
+# --- Effects of faults on a real bus: the table of docs/faults.md ---
 
 #: Time of the fault after torque on, further runtime of the program, and observation time of an arm
 #: without a host [s].
@@ -158,25 +410,25 @@ class Watcher:
             self.lowest = min(self.lowest, float(plant.tool[2, 3]))
 
 
-def suffer(
-    mishap: Mishap, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
+def run_fault(
+    case: FaultCase, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
 ) -> Outcome:
     """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and apply a fault.
 
     Args:
-        mishap: The fault.
+        case: The fault.
         held: True: a hand pulls the tool 0.10 m along y from then on; the arm is then not lowered.
         when: Time of the fault after torque on [s].
         patience: Minimum reply timeout, by the wall clock [s]; where no reply is lost, a long one
             makes the result independent of the computer's load.
     """
-    options: dict[str, Any] = {"rate": RATE, "watchdog": mishap.watchdog}
-    with stepped(mishap.family, arm=options, patience=patience) as (bus, arm):
-        watcher = Watcher(bus, FALL if mishap.state == "no torque" else 0.0)
-        reason, torque = _run(mishap, bus, arm, watcher, held=held, when=when)
+    options: dict[str, Any] = {"rate": RATE, "watchdog": case.watchdog}
+    with stepped(case.family, arm=options, patience=patience) as (bus, arm):
+        watcher = Watcher(bus, FALL if case.state == "no torque" else 0.0)
+        reason, torque = _run(case, bus, arm, watcher, held=held, when=when)
     speed, lowered = watcher.speeds[False], watcher.speeds[True]
     ending = "goes on" if not reason else "keeps its last order" if torque else "is lowered"
-    if mishap.state == "no torque" and reason:
+    if case.state == "no torque" and reason:
         ending = "falls, the rest " + ending.removeprefix("keeps its last order, ")
     return Outcome(
         ending=ending,
@@ -192,7 +444,7 @@ def suffer(
 
 
 def _run(
-    mishap: Mishap, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
+    case: FaultCase, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
 ) -> tuple[str, bool]:
     """Control until it ends; return the reason, and True if torque is left."""
     arm.enable()
@@ -205,24 +457,24 @@ def _run(
             wanted: Array | None = target
             if bus.plant.time >= when:
                 first = watcher.begun == np.inf
-                if first or mishap.state != "host loss":
-                    watcher.allowed = _allowed(controller, mishap, bus.plant)
+                if first or case.state != "host loss":
+                    watcher.allowed = _allowed(controller, case, bus.plant)
                 if first:
                     watcher.begin()
                     if held:
                         bus.plant.set_hands([Grasp(when + TAKING)])
                 since = bus.plant.time - watcher.begun
-                wanted = mishap.act(Scene(bus, arm, tick, target, since, first))
+                wanted = case.act(Scene(bus, arm, tick, target, since, first))
             if wanted is not None:
                 tick.write(controller.step(tick.q, wanted, dt=tick.dt))
     except HostDiedError:
         reason = "killed"
     except (pliant.PliantError, KeyboardInterrupt) as error:
         reason = str(error) or type(error).__name__
-    if reason == "killed" or mishap.state == "host loss":
+    if reason == "killed" or case.state == "host loss":
         bus.advance(WATCHED)
-    if mishap.after is not None:
-        mishap.after(bus)
+    if case.after is not None:
+        case.after(bus)
         arm.drive.close()
         arm._supervisor.owner, arm._opened = None, False
         arm.enable()
@@ -273,7 +525,7 @@ class Grasp:
         return self._hand.force(ground_truth, t)
 
 
-def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> Allowed:
+def _allowed(controller: pliant.Controller, case: FaultCase, plant: Plant) -> Allowed:
     """Return the bound of the force on a hand along y from now on.
 
     The cap is that of the present deviation. Dry friction of turning joints adds `Σ_i |J⁺_iy|
@@ -283,7 +535,7 @@ def _allowed(controller: pliant.Controller, mishap: Mishap, plant: Plant) -> All
     """
     report = controller.report()
     y = list(report.axes).index("y")
-    if mishap.state == "host loss":
+    if case.state == "host loss":
         return Allowed(still=max(report.axes["y"].host_loss_force) + MOVING)
     lever = np.abs(
         np.linalg.pinv(controller.model.jacobian(controller.diagnostics.q_predicted))[:, y]
@@ -305,32 +557,42 @@ def _gears(plant: Plant) -> tuple[Array, Array]:
     return plant.mj_model.dof_frictionloss[dofs], plant.mj_model.dof_damping[dofs] + servos
 
 
-def table(only: str = "") -> list[str]:
-    """Return the table, as lines of Markdown, of faults whose title contains `only`."""
-    lines = [
-        "| what happens | the arm | tool [m/s] | joint [rad/s] | drop [mm] | lowered at [m/s] | "
-        "hand feels [N] | allowed [N] |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for mishap in MISHAPS:
-        if only in mishap.title:
-            lines.append(row(mishap, suffer(mishap), suffer(mishap, held=True)))
-            print(lines[-1], file=sys.stderr, flush=True)
-    return lines
-
-
-def row(mishap: Mishap, alone: Outcome, held: Outcome) -> str:
-    """Return one row."""
-    return (
-        f"| {mishap.title} | {alone.ending} | {alone.speed:.2f} | {alone.joint:.2f} | "
-        f"{1e3 * alone.drop:.1f} | {alone.lowered:.2f} | {held.force:.1f} | {held.allowed:.1f} |"
+def table(only: str = "") -> str:
+    """Return the table, as Markdown, of faults whose title contains `only`."""
+    columns = (
+        "what happens",
+        "the arm",
+        "tool [m/s]",
+        "joint [rad/s]",
+        "drop [mm]",
+        "lowered at [m/s]",
+        "hand feels [N]",
+        "allowed [N]",
     )
+    rows = []
+    for case in FAULT_CASES:
+        if only in case.title:
+            rows.append(row(case, run_fault(case), run_fault(case, held=True)))
+            print(program.row(rows[-1]), file=sys.stderr, flush=True)
+    return program.markdown(columns, rows)
 
 
-def main() -> None:
-    """Print the table."""
-    print("\n".join(table(sys.argv[1] if len(sys.argv) > 1 else "")))
+def row(case: FaultCase, alone: Outcome, held: Outcome) -> tuple[str, ...]:
+    """Return one row."""
+    drop, lowered = f"{1e3 * alone.drop:.1f}", f"{alone.lowered:.2f}"
+    feels, allowed = f"{held.force:.1f}", f"{held.allowed:.1f}"
+    speeds = f"{alone.speed:.2f}", f"{alone.joint:.2f}"
+    return (case.title, alone.ending, *speeds, drop, lowered, feels, allowed)
+
+
+def main(title: tyro.conf.Positional[str] = "") -> None:
+    """Print the table.
+
+    Args:
+        title: Faults whose title contains this.
+    """
+    print(table(title))
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

@@ -6,21 +6,132 @@ with friction and damping known to 30 % (the worst of assuming 0.7, 1 and 1.3 ti
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
 
-from experiments import doors, laws, merits, rates
-from experiments.conditions import NOMINAL, Conditions
+from experiments import cap_accuracy, controllers, disturbances, doors, program, tracking
+from experiments.poses import AXES
+from experiments.simulation import NOMINAL, Conditions
 from pliant import Tracking
 from pliant.functional import PaperOptions
+from pliant.sim import LIGHT, STRONG, YAW
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from experiments.merits import Figures, Measure
+
+Figures = Mapping[str, float]
+Measure = Callable[[Conditions], Figures]
+
+
+def hold(conditions: Conditions) -> Figures:
+    """Hold the grasp pose with every axis stiff."""
+    law = controllers.cap(soft="")
+    return {"error [mm]": 1e3 * disturbances.idle(law, conditions=conditions).error}
+
+
+def strong(law: disturbances.Law) -> Measure:
+    """Move one soft axis with a strong hand."""
+
+    def measure(conditions: Conditions) -> Figures:
+        seen = disturbances.drag(law, STRONG, conditions=conditions)
+        return {"force [N]": seen.force, "drift [mm]": 1e3 * seen.drift}
+
+    return measure
+
+
+def light(law: disturbances.Law) -> Measure:
+    """Move the wrist with a 15 N hand."""
+
+    def measure(conditions: Conditions) -> Figures:
+        seen = disturbances.drag(law, LIGHT, conditions=conditions)
+        return {"force [N]": seen.force, "drift [mm]": 1e3 * seen.drift}
+
+    return measure
+
+
+def capped(conditions: Conditions) -> Figures:
+    """Move an axis with a cap of 15 N by a strong hand."""
+    seen = disturbances.drag(controllers.cap(eta=0.0), STRONG, conditions=conditions)
+    left = 1e3 * seen.end
+    return {"held [N]": abs(seen.held), "drift [mm]": 1e3 * seen.drift, "left after 4 s [mm]": left}
+
+
+def kept(conditions: Conditions) -> Figures:
+    """Measure all 200 poses where everything is known, a seeded tenth of them elsewhere."""
+    poses = 200 if conditions == NOMINAL else 20
+    runs = [
+        (case, cap_accuracy.keep(case, guided=guided, conditions=conditions).kept)
+        for case in cap_accuracy.cases(poses)
+        for guided in (False, True)
+    ]
+    clear = [kept for case, kept in runs if case.clear]
+    return {
+        "kept, all poses [%]": 100.0 * float(np.mean([kept for _, kept in runs])),
+        "kept, joints clear of stops [%]": 100.0 * float(np.mean(clear)),
+    }
+
+
+def yaw(conditions: Conditions) -> Figures:
+    """Turn the tool by a hand."""
+    seen = disturbances.drag(controllers.cap(soft="yaw"), YAW, conditions=conditions)
+    return {
+        "torque [N·m]": seen.force,
+        "position [mm]": 1e3 * seen.position,
+        "leaves its place [rad]": seen.stays,
+    }
+
+
+def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
+    """Swing every axis in turn, compliant meanwhile; return the worst."""
+
+    def measure(conditions: Conditions) -> Figures:
+        seen = [tracking.track(law(soft=a, eta=0.0), a, conditions=conditions) for a in AXES]
+        return {
+            "rms / amplitude": max(one.share for one in seen),
+            "other positions [mm]": 1e3 * max(one.position for one in seen),
+        }
+
+    return measure
+
+
+def door(scene: str, law: Callable[..., disturbances.Law] = controllers.cap) -> Measure:
+    """Open a rigidly gripped door."""
+
+    def measure(conditions: Conditions) -> Figures:
+        seen = doors.open_door(law, scene, "rigid", conditions=conditions)
+        return {"angle [deg]": seen.angle, "force [N]": seen.force}
+
+    return measure
+
+
+def bumps(conditions: Conditions) -> Figures:
+    """Run into walls; return the worst of all 18."""
+    seen = [
+        disturbances.bump(controllers.cap, way, speed=speed, stiffness=k, conditions=conditions)
+        for way in disturbances.DIRECTIONS
+        for k in disturbances.STIFFNESSES
+        for speed in disturbances.SPEEDS
+    ]
+    return {
+        "peak beyond cap + v√(km) [N]": max(one.peak - one.allowed for one in seen),
+        "after 0.3 s [N]": max(one.later for one in seen),
+    }
+
+
+def dead(conditions: Conditions) -> Figures:
+    """Push after a host loss; return the worst of four directions."""
+    pushes = ("+y", "-y", "-x", "-z")
+    law = controllers.cap(eta=0.0)
+    return {"force [N]": max(disturbances.die(law, p, conditions=conditions).force for p in pushes)}
+
+
+# --- Physics goals of the package in one table, each row with the preset that reaches it ---
 
 UNCERTAIN = tuple(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.0, 1.3))
 
@@ -57,7 +168,7 @@ class Row:
 
     Attributes:
         scenario: The experiment.
-        preset: The settings that reached it, as a call in `laws`.
+        preset: The settings that reached it, as a call in `controllers`.
         figure: The measured figure, with its unit.
         reached, goal: Without delay, everything known.
         reached_uncertain, goal_uncertain: A tick each way, friction known to 30 %; NaN and None
@@ -131,31 +242,31 @@ _ENTRIES = (
     _Entry(
         scenario="hold the grasp pose",
         preset='cap(soft="")',
-        measure=merits.hold,
+        measure=hold,
         goals={"error [mm]": _most(0.5, 0.5)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset="cap()",
-        measure=merits.strong(laws.cap()),
+        measure=strong(controllers.cap()),
         goals={"force [N]": _most(4.5, 5.5), "drift [mm]": _most(2.5, 3.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset="cap(tracking.gain=6.0)",
-        measure=merits.strong(laws.cap(tracking=Tracking(gain=6.0))),
+        measure=strong(controllers.cap(tracking=Tracking(gain=6.0))),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset='cap(follow="hold")',
-        measure=merits.strong(laws.cap(paper_options=PaperOptions(follow="hold"))),
+        measure=strong(controllers.cap(paper_options=PaperOptions(follow="hold"))),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap()",
-        measure=merits.light(laws.cap()),
+        measure=light(controllers.cap()),
         goals={"force [N]": _most(5.6, 7.5), "drift [mm]": (Goal(high=2.3), _FREE)},
     ),
     # K_x h = 1.2, the bound with a tick each way: 3.3 instead of 4.04 mm of drift with
@@ -164,7 +275,7 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap(tracking.gain=4.8)",
-        measure=merits.light(laws.cap(tracking=Tracking(gain=4.8))),
+        measure=light(controllers.cap(tracking=Tracking(gain=4.8))),
         goals={
             "force [N]": (_FREE, Goal(high=7.5)),
             "drift [mm]": (_FREE, Goal(high=4.0)),
@@ -173,13 +284,13 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand",
         preset="impedance()",
-        measure=merits.light(laws.impedance()),
+        measure=light(controllers.impedance()),
         goals={"force [N]": (Goal(high=5.6), _FREE), "drift [mm]": (_FREE, _FREE)},
     ),
     _Entry(
         scenario="strong hand, η 0, cap 15 N",
         preset="cap(eta=0.0)",
-        measure=merits.capped,
+        measure=capped,
         goals={
             "held [N]": (Goal(low=14.0, high=16.0), Goal(low=14.0, high=16.0)),
             "drift [mm]": _most(3.0, 3.0),
@@ -189,7 +300,7 @@ _ENTRIES = (
     _Entry(
         scenario="promised cap, random poses",
         preset="Axis(soft=F, firm=F)",
-        measure=merits.kept,
+        measure=kept,
         goals={
             "kept, all poses [%]": (Goal(low=97.0), Goal(low=95.0)),
             "kept, joints clear of stops [%]": (Goal(low=97.0), Goal(low=95.0)),
@@ -198,7 +309,7 @@ _ENTRIES = (
     _Entry(
         scenario="yaw, η 0.999",
         preset='cap(soft="yaw")',
-        measure=merits.yaw,
+        measure=yaw,
         goals={
             "torque [N·m]": _most(0.85, 1.4),
             "position [mm]": _most(6.0),
@@ -208,38 +319,38 @@ _ENTRIES = (
     _Entry(
         scenario="sinusoids, worst axis",
         preset="cap(eta=0.0)",
-        measure=merits.sinusoids(laws.cap),
+        measure=sinusoids(controllers.cap),
         goals={"rms / amplitude": _most(0.045, 0.13), "other positions [mm]": _most(6.5, 8.0)},
     ),
     _Entry(
         scenario="sinusoids, worst axis",
         preset="cap_tracking()",
-        measure=merits.sinusoids(laws.cap_tracking),
+        measure=sinusoids(controllers.cap_tracking),
         goals={"rms / amplitude": _most(0.045, 0.13), "other positions [mm]": _most(6.5, 8.0)},
     ),
     _Entry(
         scenario="sinusoids, worst axis",
         preset="rec(eta=0.0)",
-        measure=merits.sinusoids(laws.rec),
+        measure=sinusoids(controllers.rec),
         goals={"rms / amplitude": _most(0.02), "other positions [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="door, rigid grip",
         preset='cap(soft="y yaw", null_space.gain=1.0)',
-        measure=merits.door("door"),
+        measure=door("door"),
         goals={"angle [deg]": (Goal(low=67.0), Goal(low=66.0)), "force [N]": _most(24.5, 30.0)},
     ),
     _Entry(
         scenario="door, rigid grip",
         preset='impedance(soft="y yaw", null_space.gain=1.0)',
-        measure=merits.door("door", laws.impedance),
+        measure=door("door", controllers.impedance),
         goals={"angle [deg]": (Goal(low=65.0), None), "force [N]": (Goal(high=16.0), _FREE)},
     ),
     *(
         _Entry(
             scenario=f"{scene}, rigid grip",
             preset=f'cap(soft="{doors.SCENES[scene].soft}", null_space.gain=1.0)',
-            measure=merits.door(scene),
+            measure=door(scene),
             goals={"force [N]": (Goal(high=force), _FREE)},
         )
         for scene, force in (
@@ -253,13 +364,13 @@ _ENTRIES = (
     _Entry(
         scenario="running into a wall",
         preset="cap(soft=axis, eta=0.0)",
-        measure=merits.bumps,
+        measure=bumps,
         goals={"peak beyond cap + v√(km) [N]": _most(3.0), "after 0.3 s [N]": _most(20.0)},
     ),
     _Entry(
         scenario="host dead, then a hand",
         preset="cap(eta=0.0)",
-        measure=merits.dead,
+        measure=dead,
         goals={"force [N]": (Goal(high=13.0), _FREE)},
     ),
 )
@@ -277,42 +388,76 @@ def table(only: str = "", creep: float = 1.0) -> list[Row]:
 
 def text(rows: list[Row]) -> str:
     """Return the table for a terminal or a Markdown page."""
-    lines = [
-        "| scenario | preset | figure | goal | reached | goal, uncertain | reached | met |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    columns = (
+        "scenario",
+        "preset",
+        "figure",
+        "goal",
+        "reached",
+        "goal, uncertain",
+        "reached",
+        "met",
+    )
+    lines = []
     for row in rows:
         second = "" if row.goal_uncertain is None else str(row.goal_uncertain)
         value = "" if row.goal_uncertain is None else f"{row.reached_uncertain:.3g}"
-        lines.append(
-            f"| {row.scenario} | `{row.preset}` | {row.figure} | {row.goal} | {row.reached:.3g} "
-            f"| {second} | {value} | {'yes' if row.met else 'NO'} |"
-        )
-    return "\n".join(lines)
+        first = (row.scenario, f"`{row.preset}`", row.figure, row.goal, f"{row.reached:.3g}")
+        lines.append((*first, second, value, "yes" if row.met else "NO"))
+    return program.markdown(columns, lines)
 
 
-@dataclass(frozen=True)
-class Options:
+# --- Drag and door at every rate, delay and assumption: the basis of the goals' two columns ---
+
+#: Control rates [Hz], ticks of delay each way, and assumed over true friction and damping.
+RATES, TICKS, BELIEVED = (100.0, 200.0), (0, 1), (0.7, 1.0, 1.3)
+RATE_SCENES = {
+    "15 N hand, η 0.999": light(controllers.cap()),
+    "door, rigid grip, `cap`": door("door"),
+    "door, rigid grip, `impedance`": door("door", controllers.impedance),
+}
+
+
+def rate_conditions() -> list[Conditions]:
+    """Return all combinations of rate, delay and assumption, in the table's order."""
+    return [
+        Conditions(rate=rate, delay=(ticks, ticks), believed=believed)
+        for rate, ticks, believed in product(RATES, TICKS, BELIEVED)
+    ]
+
+
+def rates_text(only: str = "") -> str:
+    """Measure every scene whose name contains `only`, as a table in Markdown."""
+    under = rate_conditions()
+    names = [
+        f"{one.rate:g} Hz{', 1+1' if one.delay[0] else ''}, × {one.believed:g}" for one in under
+    ]
+    measures = {scene: measure for scene, measure in RATE_SCENES.items() if only in scene}
+    return comparison(measures, dict(zip(names, under, strict=True)))
+
+
+def comparison(measures: Mapping[str, Measure], under: Mapping[str, Conditions]) -> str:
+    """Measure every scene under all conditions, a column each, as a table in Markdown."""
+    rows: list[tuple[str, ...]] = []
+    for scene, measure in measures.items():
+        found = [measure(one) for one in under.values()]
+        rows += [(scene, name, *(f"{one[name]:.3g}" for one in found)) for name in found[0]]
+    return program.markdown(("scene", "figure", *under), rows)
+
+
+def main(only: Annotated[str, tyro.conf.Positional] = "", creep: float = 1.0) -> None:
     """Measure the goals.
 
-    Attributes:
+    Args:
         only: Rows whose scenario contains this.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default; except for 1,
             caps are measured in a tenth of the poses, and rates are left out.
     """
-
-    only: Annotated[str, tyro.conf.Positional] = ""
-    creep: float = 1.0
-
-
-def main() -> None:
-    """Print the tables."""
-    options = tyro.cli(Options)
-    print(text(table(options.only, options.creep)))
-    if options.creep == 1.0:
+    print(text(table(only, creep)))
+    if creep == 1.0:
         print("\nDrag and door by rate, ticks of delay each way, and assumed over true friction:\n")
-        print(rates.text(options.only))
+        print(rates_text(only))
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

@@ -8,28 +8,25 @@ compared with ``report().host_loss_force`` of the last step.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import AXES, Arm, load
-from experiments.campaign_grip import OF_CAPACITY, Grip
-from experiments.parallel import parallel
+from experiments import program
+from experiments.arms import AXES, Arm, load
+from experiments.runner import run_jobs
+from experiments.simulation import closed_loop
+from experiments.spring_hand import OF_CAPACITY, Grip
 from pliant import robots
 from pliant.sim import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
 
 #: Distance of the hand, as in the report, and its duration [m, rad; s].
 TRAVEL, TAKES = (0.15, 0.4), 6.0
@@ -47,7 +44,7 @@ BEYOND = (3.0, 0.3)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Met:
+class HostLossPush:
     """One push after a host loss.
 
     Attributes:
@@ -110,18 +107,18 @@ class Bench:
         self.settings = settings or pliant.Settings(task=task, axes={self.soft: axis})
         self.controller = pliant.Controller(arm.model, self.settings, arm.servos)
 
-    def pushes(self, pose: int) -> list[Met]:
+    def pushes(self, pose: int) -> list[HostLossPush]:
         """Push along every axis of the task, both ways."""
         return [self.push(pose, axis, sign) for axis in self.arm.axes for sign in (1.0, -1.0)]
 
-    def push(self, pose: int, axis: str, sign: float) -> Met:
+    def push(self, pose: int, axis: str, sign: float) -> HostLossPush:
         """Work, lose the host, and be pushed."""
         leans = bool(pose % 2)
         report = self._work(pose, leans=leans)
         row, kind = AXES.index(axis), AXES.index(axis) // 3
         side = int(sign > 0.0)
         felt, at = self.drag(row, sign * TRAVEL[kind])
-        return Met(
+        return HostLossPush(
             arm=self.arm.name,
             pose=pose,
             axis=axis,
@@ -144,13 +141,14 @@ class Bench:
         soft = AXES.index(self.soft)
         grip.hold([soft] if leans else [])
         target = plant.tool
-        for _ in range(round(death * plant.rate)):
+
+        def work(now: float, plant: Plant) -> None:
             target[:3, 3] += SPEED * plant.period * way / np.linalg.norm(way)
             grip.move(soft, lean / death if leans else 0.0)
-            flat = not any(row > 2 for row in self.arm.rows)
-            command = controller.step(plant.read().q, target[:3, 3] if flat else target)
-            plant.write(command.goal, command.torque_limit)
-            plant.advance()
+
+        goal = target if any(row > 2 for row in self.arm.rows) else target[:3, 3]
+        for _ in closed_loop(plant, controller, goal, death, on_tick=work):
+            pass
         return controller.report()
 
     def drag(self, row: int, way: float) -> tuple[float, float]:
@@ -187,18 +185,15 @@ class Job:
     arm: str
     pose: int
 
-    def run(self) -> list[Met]:
+    def run(self) -> list[HostLossPush]:
         """Run all pushes."""
         return _bench(self.arm).pushes(self.pose)
 
 
-def text(found: Sequence[Met]) -> str:
+def text(found: Sequence[HostLossPush]) -> str:
     """Return figures per arm, translations and rotations apart, as Markdown."""
-    lines = [
-        "| arm | pushes | walled | felt/said: 5th % | median | 95th % | most "
-        "| felt − said: 95th % | most | within the allowance % |",
-        "|---" * 10 + "|",
-    ]
+    columns = ("arm", "pushes", "walled", "felt/said: 5th %", "median", "95th %", "most")
+    rows = []
     for arm in dict.fromkeys(one.arm for one in found):
         for kind, unit in enumerate(("N", "N·m")):
             every = [m for m in found if m.arm == arm and AXES.index(m.axis) // 3 == kind]
@@ -207,48 +202,36 @@ def text(found: Sequence[Met]) -> str:
             seen = [m for m in every if not m.walled]
             low, middle, high = np.quantile([m.ratio for m in seen], (0.05, 0.5, 0.95))
             above, walled = [m.above for m in seen], len(every) - len(seen)
-            lines.append(
-                f"| {arm}, {unit} | {len(every)} | {walled} | {low:.2f} | {middle:.2f} "
-                f"| {high:.2f} | {max(m.ratio for m in seen):.2f} "
-                f"| {np.quantile(above, 0.95):+.2f} | {max(above):+.2f} "
-                f"| {100 * np.mean([m.allowed for m in seen]):.1f} |"
-            )
-    return "\n".join(lines)
+            ratios = (low, middle, high, max(m.ratio for m in seen))
+            beyond = (np.quantile(above, 0.95), max(above))
+            cells = [*(f"{one:.2f}" for one in ratios), *(f"{one:+.2f}" for one in beyond)]
+            allowed = f"{100 * np.mean([m.allowed for m in seen]):.1f}"
+            rows.append((f"{arm}, {unit}", len(every), walled, *cells, allowed))
+    more = ("felt − said: 95th %", "most", "within the allowance %")
+    return program.markdown((*columns, *more), rows)
 
 
-@dataclass(frozen=True)
-class Options:
+def main(
+    *, poses: int = POSES, arm: program.Arms = (), jobs: int = 2, out: Path | None = None
+) -> None:
     """Drag arms after a host loss.
 
-    Attributes:
+    Args:
         poses: Poses of arm7; other arms have a third.
         arm: Arms by name; default those that ship with the package.
         jobs: Number of processes.
-        out: File for every push, as JSON; default no file.
+        out: Folder of results.json with every push; default no file.
     """
-
-    poses: int = POSES
-    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    jobs: int = 2
-    out: Path | None = None
-
-
-def main(options: Options) -> None:
-    """Run the requested arms, print the table."""
-    names = options.arm or robots.names()
     work = [
         Job(name, pose)
-        for name in names
-        for pose in range(options.poses if name == "arm7" else -(-options.poses * OTHERS // POSES))
+        for name in arm or robots.names()
+        for pose in range(poses if name == "arm7" else -(-poses * OTHERS // POSES))
     ]
-    found = [met for one in parallel(work, options.jobs, "dead") for met in one]
+    found = [push for one in run_jobs(work, jobs, "host loss") for push in one]
     print(text(found))
-    if options.out is not None:
-        options.out.write_text(json.dumps([asdict(met) for met in found], indent=1) + "\n")
+    if out is not None:
+        program.write_results(out, {"pushes": [asdict(push) for push in found]})
 
 
 if __name__ == "__main__":
-    # Other processes import this module's jobs by its name, not as `__main__`.
-    from experiments import host_loss  # noqa: PLW0406 -- by name
-
-    host_loss.main(tyro.cli(host_loss.Options))
+    program.start(main)

@@ -7,15 +7,14 @@ drag and door of `arm7` with a wrong servo table, with the identified one, and w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments import laws, merits
-from experiments.conditions import Conditions
-from experiments.runner import Job, Workers
+from experiments import controllers, goals, program
+from experiments.runner import Job, run_by_key
+from experiments.simulation import Conditions
 from pliant import identify, robots
 from pliant.sim import MX64, MX106, STS3215, Friction, Plant
 from pliant.sim.postures import VERTICAL
@@ -23,7 +22,8 @@ from pliant.sim.postures import VERTICAL
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    from experiments.poses import Array
+
 
 #: Start of each arm (n,) [rad], and a payload that it lifts with ease [kg].
 STARTS = {
@@ -110,7 +110,7 @@ def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
     return out
 
 
-def identified(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> Outcome:
+def identify_arm(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> Outcome:
     """Let an arm identify itself, and compare with the true values.
 
     Args:
@@ -159,7 +159,7 @@ def believed(model: pliant.Model) -> pliant.Servos:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Believing(Conditions):
+class AssumedTable(Conditions):
     """Conditions in which the controller assumes an identified or a wrong table.
 
     Attributes:
@@ -205,13 +205,13 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
         "known exactly": (true, sum(delay) / 100.0),
     }
     measures = {
-        "15 N hand": merits.light(laws.cap()),
-        "strong hand": merits.strong(laws.cap()),
-        "door": merits.door("door"),
+        "15 N hand": goals.light(controllers.cap()),
+        "strong hand": goals.strong(controllers.cap()),
+        "door": goals.door("door"),
     }
     out = []
     for name, (servos, known) in beliefs.items():
-        conditions = Believing(table=servos, known_delay=known, delay=delay, plant=options)
+        conditions = AssumedTable(table=servos, known_delay=known, delay=delay, plant=options)
         figures = {
             f"{scene}: {figure}": value
             for scene, measure in measures.items()
@@ -221,69 +221,76 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     return out
 
 
-def line(one: Outcome) -> str:
+def line(one: Outcome) -> list[str]:
     """Return one line of the table."""
 
     def percent(values: Array) -> str:
         off = 100.0 * np.abs(values - 1.0)
         return f"{np.median(off):.1f} / {off.max():.1f}"
 
-    kp = percent(one.kp[one.loaded]) if one.loaded.any() else "–"
-    light = percent(one.kp[~one.loaded]) if (~one.loaded).any() else "–"
-    centre = "–" if np.isnan(one.centre) else f"{1e3 * one.centre:.0f}"
-    inside = 100.0 * np.mean(np.abs(one.kp_bars) < 2.0)
-    return (
-        f"| {one.arm} | {one.case} | {kp} | {light} | {percent(one.friction)} | "
-        f"{percent(one.damping)} | {1e3 * one.delay:+.1f} | {1e3 * one.mass:+.0f} | {centre} | "
-        f"{inside:.0f} | {one.spread:.1f} | {one.seconds:.0f} |"
-    )
+    return [
+        one.arm,
+        one.case,
+        percent(one.kp[one.loaded]) if one.loaded.any() else "–",
+        percent(one.kp[~one.loaded]) if (~one.loaded).any() else "–",
+        percent(one.friction),
+        percent(one.damping),
+        f"{1e3 * one.delay:+.1f}",
+        f"{1e3 * one.mass:+.0f}",
+        "–" if np.isnan(one.centre) else f"{1e3 * one.centre:.0f}",
+        f"{100.0 * np.mean(np.abs(one.kp_bars) < 2.0):.0f}",
+        f"{one.spread:.1f}",
+        f"{one.seconds:.0f}",
+    ]
 
 
-HEAD = (
-    "| arm | the arm is | k_p loaded [%] | k_p not loaded [%] | friction [%] | damping [%] | "
-    "delay [ms] | mass [g] | centre [mm] | k_p within 2 σ [%] | spread | time [s] |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|---|"
+COLUMNS = (
+    "arm",
+    "the arm is",
+    "k_p loaded [%]",
+    "k_p not loaded [%]",
+    "friction [%]",
+    "damping [%]",
+    "delay [ms]",
+    "mass [g]",
+    "centre [mm]",
+    "k_p within 2 σ [%]",
+    "spread",
+    "time [s]",
 )
 
 
-@dataclass(frozen=True)
-class Options:
+def main(
+    *, arm: program.Arms = (), span: float = 0.4, jobs: int = 2, before_and_after: bool = True
+) -> None:
     """Identify simulated arms; errors against the true values are median / worst over joints.
 
-    Attributes:
+    Args:
         arm: Arms by name; default all built-in ones.
         span: Largest distance of poses from the start [rad].
         jobs: Number of processes.
-        rows: True: drag and door before and after are included.
+        before_and_after: Also measure drag and door before and after.
     """
-
-    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    span: float = 0.4
-    jobs: int = 2
-    rows: bool = True
-
-
-def main() -> None:
-    """Print the tables."""
-    options = tyro.cli(Options)
-    jobs = [
-        Job(f"{arm} {case}", identified, (arm, case, options.span))
-        for arm in options.arm or tuple(STARTS)
+    work = [
+        Job(f"{name} {case}", identify_arm, (name, case, span))
+        for name in arm or tuple(STARTS)
         for case in CASES
     ]
-    print(HEAD)
-    with Workers(options.jobs) as workers:
-        outcomes = workers.run(jobs)
-    for job in jobs:
-        print(line(outcomes[job.key]))
-    if options.rows:
-        table = rows(options.span)
-        print("\n| figure | " + " | ".join(name for name, _ in table) + " |")
-        print("|---|" + "---|" * len(table))
-        for figure in table[0][1]:
-            values = " | ".join(f"{figures[figure]:.2f}" for _, figures in table)
-            print(f"| {figure} | {values} |")
+    outcomes = run_by_key(work, jobs)
+    print(program.markdown(COLUMNS, (line(outcome) for outcome in outcomes.values())))
+    if before_and_after:
+        table = rows(span)
+        print()
+        print(
+            program.markdown(
+                ("figure", *(name for name, _ in table)),
+                (
+                    (figure, *(f"{figures[figure]:.2f}" for _, figures in table))
+                    for figure in table[0][1]
+                ),
+            )
+        )
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

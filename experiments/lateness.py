@@ -7,7 +7,6 @@ that reads all that the page sends), with the log, with both. It prints the tabl
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import subprocess
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
+from experiments import program
 from pliant import config
 from pliant.loop import LatenessHistogram
 from pliant.view.ipc import Link
@@ -27,7 +27,7 @@ from pliant.view.session import Session
 from pliant.view.source import Configured
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from pliant.view.messages import Message
 
@@ -111,7 +111,7 @@ def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def client(link: Link) -> Iterator[None]:
+def reading(link: Link) -> Iterator[None]:
     """Return a process that reads all that the page sends, as a browser does, without drawing."""
     command = [sys.executable, "-m", "experiments.lateness", "--client", link.address]
     with subprocess.Popen(command) as process:
@@ -139,33 +139,35 @@ def take_all(address: str) -> None:
             pass
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--client", default="")
-    given = parser.parse_args(arguments)
-    if given.client:
-        take_all(given.client)
+def main(*, seconds: float = 10.0, rounds: int = 3, client: str = "") -> None:
+    """Print the table.
+
+    Args:
+        seconds: Duration of a run.
+        rounds: Runs of each combination.
+        client: Address of a page; the program is then its client.
+    """
+    if client:
+        take_all(client)
         return
     ways = [Way(page=page, log=log) for page, log in product((False, True), repeat=2)]
     with tempfile.TemporaryDirectory() as name:
-        for _ in range(given.rounds):
+        for _ in range(rounds):
             for way in ways:
                 if not way.page:
-                    run(way, None, given.seconds, Path(name))
+                    run(way, None, seconds, Path(name))
                     continue
-                with Link() as link, client(link):
-                    run(way, link, given.seconds, Path(name))
-    print("| SO-101, 100 Hz | ticks | late 50 % [ms] | 99 % | 99.9 % | missed | snapshots/s |")
-    print("|---|---|---|---|---|---|---|")
+                with Link() as link, reading(link):
+                    run(way, link, seconds, Path(name))
+    columns = ("SO-101, 100 Hz", "ticks", "late 50 % [ms]", "99 %", "99.9 %", "missed")
+    rows = []
     for way in ways:
         late = [f"{1e3 * way.late.percentile(share):.2f}" for share in (50.0, 99.0, 99.9)]
-        rate = way.sent / way.seconds
-        print(f"| {way.name} | {len(way.late)} | {' | '.join(late)} | {way.missed} | {rate:.0f} |")
+        rate = f"{way.sent / way.seconds:.0f}"
+        rows.append((way.name, len(way.late), *late, way.missed, rate))
+    print(program.markdown((*columns, "snapshots/s"), rows))
     print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

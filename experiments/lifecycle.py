@@ -5,26 +5,252 @@
 
 from __future__ import annotations
 
-import sys
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+import tyro
 
-from experiments.mishaps import MISHAPS, SickDrive, suffer
+import pliant
+from experiments import program
+from experiments.poses import arm, displaced, tool
+from experiments.program import worst
 from pliant import robots
 from pliant.arm.arm import Arm
-from pliant.sim import Plant, table
+from pliant.drive import JointReadings
+from pliant.loop import Loop, Tick
+from pliant.sim import Guide, Plant, SimDrive, table
+from pliant.sim.hand import Course
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
+    from pliant import Servos
     from pliant.sim import Hand
 
-    Array = NDArray[np.float64]
+    Act = Callable[[Tick, "FaultyDrive", Arm, float], Array | None]
+
+#: Time of the fault, its default duration, and the end of the program [s].
+WHEN, LONG, END = 1.0, 1.0, 4.0
+#: The lost joint, in the middle of the arm.
+LOST = "elbow_pitch"
+
+
+class FaultyDrive(SimDrive):
+    """A simulated arm whose bus or servos fail for a while.
+
+    Attributes:
+        silent: Joints that do not answer, by name.
+        powerless: Joints without power: they neither answer nor exert torque.
+        deaf: True if writes are lost.
+    """
+
+    def __init__(self, plant: Plant, servos: Servos | None = None) -> None:
+        """Start without a fault; `servos` is the table that the arm assumes."""
+        super().__init__(plant, servos=servos)
+        self.silent: set[str] = set()
+        self.powerless: set[str] = set()
+        self.deaf = False
+
+    def read(self) -> JointReadings:
+        """Return readings of the joints that answer."""
+        sample = super().read()
+        lost = np.isin(self.names, [*self.silent, *self.powerless])
+        position = np.where(lost, np.nan, sample.position)
+        return JointReadings(position, sample.ok & ~lost, sample.time)
+
+    def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
+        """Send orders to the joints that receive them."""
+        if not self.deaf:
+            limit = np.where(np.isin(self.names, list(self.powerless)), 0.0, limit)
+            super().write(goal, limit, velocity)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultCase:
+    """A fault one second into a loop.
+
+    Attributes:
+        title: Description.
+        act: Called at every tick from then on with tick, drive, arm and the time since [s]; returns
+            a target (4, 4), or None to write no command.
+        loop: More arguments of the loop.
+    """
+
+    title: str
+    act: Act
+    loop: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultResult:
+    """Result of a fault.
+
+    Attributes:
+        outcome: `goes on` or `is lowered`.
+        reason: The error that ended the loop.
+        speed: Highest speed of the tool from the fault to the end of the loop [m/s].
+        descent: Highest speed of the tool during the descent [m/s].
+        drop: Drop of the tool before it went on or was lowered [m].
+        force: Largest mean over a tick of the force on a hand that holds the tool in place [N].
+        along: The same along each axis of the base, x, y, z [N].
+    """
+
+    outcome: str
+    reason: str
+    speed: float
+    descent: float
+    drop: float
+    force: float
+    along: tuple[float, ...]
+
+
+def run_fault(case: FaultCase, *, held: bool = False) -> FaultResult:
+    """Let `arm7` hold its grasp pose, y soft, at 100 Hz with a tick each way, and apply a fault.
+
+    Args:
+        case: The fault.
+        held: True: a hand (3000 N/m) holds the tool in place from then on.
+
+    Returns:
+        The result until the arm was down.
+    """
+    model = arm()
+    hand = Guide(axes="x y z", course=Course(start=WHEN + 0.5, rise=0.0, end=np.inf))
+    plant = Plant(model, delay=(1, 1), scene=[hand] if held else [])
+    plant.reset(VERTICAL)
+    drive = FaultyDrive(plant)
+    robot = Arm(model, drive, signals=False)
+    settings = pliant.Settings.soft("y").replace(delay=0.02)
+    controller = pliant.Controller(model, settings, robot.servos)
+    speeds: list[float] = []
+    heights: list[float] = []
+    forces: list[Array] = [np.zeros(3)]
+    begun = [np.inf]
+
+    def look() -> None:
+        if plant.time > begun[0]:
+            speeds.append(float(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3])))
+            heights.append(float(plant.tool[2, 3]))
+            forces.extend(np.array(felt.force) for felt in plant.hands)
+
+    drive.clock.on_tick = look
+    reason, last = "", 0
+    try:
+        with robot:
+            begun[0] = robot.clock.now() + WHEN
+            try:
+                for tick in Loop(robot, controller, duration=END, **case.loop):
+                    since = tick.began - begun[0]
+                    target = case.act(tick, drive, robot, since) if since > -1e-9 else GRASP
+                    if target is not None:
+                        tick.write(controller.step(tick.q, target, dt=tick.dt))
+            finally:
+                last = len(heights)
+    except (pliant.PliantError, KeyboardInterrupt) as error:
+        reason = str(error) or type(error).__name__
+    start, last = heights[0], max(last, 1)
+    return FaultResult(
+        outcome="is lowered" if reason else "goes on",
+        reason=reason,
+        speed=max(speeds[:last]),
+        descent=max(speeds[last:]),
+        drop=max(0.0, start - min(heights[:last])),
+        force=float(np.linalg.norm(forces, axis=1).max()),
+        along=tuple(float(most) for most in np.abs(forces).max(axis=0)),
+    )
+
+
+GRASP: Array = tool(VERTICAL)
+
+
+def _stall(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
+    """Compute for a second instead of a tick."""
+    if since < 0.005:
+        robot.clock.wait_until(robot.clock.now() + LONG)
+    return GRASP
+
+
+def _nan(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
+    """Return NaN for a target."""
+    return np.full((4, 4), np.nan) if since < LONG else GRASP
+
+
+def _nan_caught(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array | None:
+    """Detect the NaN, and skip the tick."""
+    if since < LONG:
+        tick.skip()
+        return None
+    return GRASP
+
+
+def _nothing(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array | None:
+    """Write nothing."""
+    return None if since < LONG else GRASP
+
+
+def _jump(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
+    """Move the target by one metre for a second."""
+    return displaced(GRASP, "x", 1.0) if since < LONG else GRASP
+
+
+def _silence(seconds: float, *, deaf: bool = False) -> Act:
+    """Silence all joints for a while; `deaf`: they also receive nothing."""
+
+    def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
+        if since < 0.005:
+            drive.silent, drive.deaf = set(drive.names), deaf
+            clock, look = drive.clock, drive.clock.on_tick
+            end = clock.now() + seconds
+
+            def heal() -> None:
+                if look is not None:
+                    look()
+                if clock.now() >= end:
+                    drive.silent, drive.deaf = set(), False
+
+            clock.on_tick = heal
+        return GRASP
+
+    return act
+
+
+def _lost(*, powerless: bool) -> Act:
+    """Lose one joint for good."""
+
+    def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
+        (drive.powerless if powerless else drive.silent).add(LOST)
+        return GRASP
+
+    return act
+
+
+def _interrupt(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
+    """Raise Ctrl-C."""
+    raise KeyboardInterrupt
+
+
+FAULT_CASES: tuple[FaultCase, ...] = (
+    FaultCase(title="no fault", act=lambda tick, drive, robot, since: GRASP),
+    FaultCase(title="Ctrl-C, or any exception", act=_interrupt),
+    FaultCase(title="the program stalls for 1 s", act=_stall),
+    FaultCase(title="the same, `Loop(max_step_time=2.0)`", act=_stall, loop={"max_step_time": 2.0}),
+    FaultCase(title="target NaN, the error not caught", act=_nan),
+    FaultCase(title="target NaN for 1 s, caught: `tick.skip()`", act=_nan_caught),
+    FaultCase(title="no command for 1 s", act=_nothing),
+    FaultCase(title="target jumps by 1 m for 1 s", act=_jump),
+    FaultCase(title="no positions for 0.3 s", act=_silence(0.3)),
+    FaultCase(title="no positions for 1 s", act=_silence(1.0)),
+    FaultCase(title="no more positions", act=_silence(np.inf)),
+    FaultCase(title="bus silent both ways for 1 s", act=_silence(1.0, deaf=True)),
+    FaultCase(title="elbow no longer answers", act=_lost(powerless=False)),
+    FaultCase(title="elbow loses power", act=_lost(powerless=True)),
+)
+
+
+# --- Descents, and reactions of an arm to faults: the tables of docs/lifecycle.md ---
 
 #: Unknown load [kg], and the table below the lower of tool and wrist [m].
 LOAD, TABLE = 0.3, 0.10
@@ -35,7 +261,7 @@ AFTER = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lowered:
+class LowerResult:
     """Result of one descent.
 
     Attributes:
@@ -66,7 +292,7 @@ def lower(
     kp_scale: float = 1.0,
     stiffness_known: bool = True,
     blind: bool = False,
-) -> Lowered:
+) -> LowerResult:
     """Enable an arm in q (n,) [rad], hold it for half a second, and lower it.
 
     Args:
@@ -94,7 +320,7 @@ def lower(
     if over_table:
         scene: Sequence[Hand] = table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE)
         plant.set_hands(scene)
-    drive = SickDrive(plant, plant.table.replace(stiffness_known=stiffness_known))
+    drive = FaultyDrive(plant, plant.table.replace(stiffness_known=stiffness_known))
     arm = Arm(model, drive, rest_q=rest, signals=False)
     speeds: list[float] = []
     heights: list[float] = []
@@ -116,7 +342,7 @@ def lower(
     speeds.clear()
     drive.clock.wait_until(plant.time + AFTER)
     resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
-    return Lowered(
+    return LowerResult(
         speed=speed,
         rise=rise,
         after=max(speeds),
@@ -169,66 +395,72 @@ class Pressed(Protocol):
         """Weight on the table once torque is off [N]."""
 
 
-def lower_table(poses: Iterable[Array]) -> list[str]:
+def lower_table(poses: Iterable[Array]) -> str:
     """Return the first table, as Markdown: worst (median); and over a table pose by pose."""
-    poses, pose_by_pose = list(poses), list[str]()
-    lines = [
-        "| `lower` | tool [m/s] | after torque off [m/s] | force on the table [N] | of which rests "
-        "[N] | takes [s] |",
-        "|---|---|---|---|---|---|",
-    ]
+    poses, rows, pose_by_pose = list(poses), [], ""
     for name, options in CASES:
         runs = [lower(q, **options) for q in poses]  # type: ignore[arg-type]
-        cells = [
-            _worst([run.speed for run in runs], 2),
-            _worst([run.after for run in runs], 2),
-            _worst([run.force for run in runs], 1) if options.get("over_table") else "",
-            _worst([run.resting for run in runs], 1) if options.get("over_table") else "",
-            _worst([run.seconds for run in runs], 0),
-        ]
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-        if options == {"over_table": True}:
-            pose_by_pose = ["", *pose_table(runs)]
-    return lines + pose_by_pose
-
-
-def pose_table(runs: Sequence[Pressed]) -> list[str]:
-    """Return force on the table and final weight on it, a column for each pose."""
-    return [
-        f"| pose | {' | '.join(str(k) for k in range(len(runs)))} |",
-        f"|---|{'---|' * len(runs)}",
-        f"| force | {' | '.join(f'{run.force:.1f}' for run in runs)} |",
-        f"| rests | {' | '.join(f'{run.resting:.1f}' for run in runs)} |",
-    ]
-
-
-def mishap_table() -> list[str]:
-    """Return the second table, as Markdown: every fault alone, and with a hand at the tool."""
-    lines = [
-        "| what happens | the arm | tool meanwhile [m/s] | drop [mm] | tool lowered [m/s] | hand "
-        "feels [N] |",
-        "|---|---|---|---|---|---|",
-    ]
-    for mishap in MISHAPS:
-        alone, held = suffer(mishap), suffer(mishap, held=True)
-        lines.append(
-            f"| {mishap.title} | {alone.outcome} | {alone.speed:.2f} | {1e3 * alone.drop:.1f} | "
-            f"{alone.descent:.2f} | {held.force:.1f} |"
+        pressed = bool(options.get("over_table"))
+        rows.append(
+            (
+                name,
+                worst((run.speed for run in runs), 2),
+                worst((run.after for run in runs), 2),
+                worst((run.force for run in runs), 1) if pressed else "",
+                worst((run.resting for run in runs), 1) if pressed else "",
+                worst((run.seconds for run in runs), 0),
+            )
         )
-    return lines
+        if options == {"over_table": True}:
+            pose_by_pose = f"\n\n{pose_table(runs)}"
+    columns = (
+        "`lower`",
+        "tool [m/s]",
+        "after torque off [m/s]",
+        "force on the table [N]",
+        "of which rests [N]",
+        "takes [s]",
+    )
+    return program.markdown(columns, rows) + pose_by_pose
 
 
-def _worst(values: list[float], digits: int) -> str:
-    return f"{max(values):.{digits}f} ({np.median(values):.{digits}f})"
+def pose_table(runs: Sequence[Pressed]) -> str:
+    """Return force on the table and final weight on it, a column for each pose."""
+    rows = [
+        ("force", *(f"{run.force:.1f}" for run in runs)),
+        ("rests", *(f"{run.resting:.1f}" for run in runs)),
+    ]
+    return program.markdown(("pose", *(str(k) for k in range(len(runs)))), rows)
 
 
-def main() -> None:
-    """Print both tables."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 10
-    print("\n".join(lower_table([VERTICAL, *postures(count)])), flush=True)
+def fault_table() -> str:
+    """Return the second table, as Markdown: every fault alone, and with a hand at the tool."""
+    rows = []
+    for case in FAULT_CASES:
+        alone, held = run_fault(case), run_fault(case, held=True)
+        speeds = f"{alone.speed:.2f}", f"{1e3 * alone.drop:.1f}", f"{alone.descent:.2f}"
+        rows.append((case.title, alone.outcome, *speeds, f"{held.force:.1f}"))
+    columns = (
+        "what happens",
+        "the arm",
+        "tool meanwhile [m/s]",
+        "drop [mm]",
+        "tool lowered [m/s]",
+        "hand feels [N]",
+    )
+    return program.markdown(columns, rows)
+
+
+def main(poses: tyro.conf.Positional[int] = 10) -> None:
+    """Print both tables.
+
+    Args:
+        poses: Random poses.
+    """
+    print(lower_table([VERTICAL, *postures(poses)]), flush=True)
     print()
-    print("\n".join(mishap_table()))
+    print(fault_table())
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

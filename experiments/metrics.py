@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from experiments.poses import Array
+    from experiments.simulation import Trace
 
-    from experiments.episode import Trace
-
-    Array = NDArray[np.float64]
 
 #: Times at which the hands pull, and at which their holding force is taken [s].
 PULLING = (2.0, 5.0)

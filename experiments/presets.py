@@ -6,26 +6,24 @@ also draws force against deviation of the three profiles.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import tyro
 
-from experiments import compliance, hands, skills
-from experiments.conditions import NOMINAL, TICK_EACH_WAY, Conditions
+from experiments import compliance, disturbances, program, tasks
+from experiments.simulation import NOMINAL, TICK_EACH_WAY, Conditions
 from pliant import Axis, Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from typing import Literal
 
-    from numpy.typing import NDArray
+    from experiments.disturbances import Law
+    from experiments.poses import Array
 
-    from experiments.hands import Law
-
-    Array = NDArray[np.float64]
     Profile = Literal["hardening", "constant", "softening"]
 
 #: Soft and firm of the profiles that are drawn [N].
@@ -53,7 +51,7 @@ class Line:
 
 
 def _drawer(law: Law, conditions: Conditions) -> str:
-    seen = skills.pull_drawer(law, conditions=conditions)
+    seen = tasks.pull_drawer(law, conditions=conditions)
     return (
         f"{1e3 * seen.way:.0f} mm open, peak {seen.force:.1f} N, across {seen.across:.1f} N, "
         f"{seen.torque:.1f} N·m"
@@ -61,7 +59,7 @@ def _drawer(law: Law, conditions: Conditions) -> str:
 
 
 def _wipe(law: Law, conditions: Conditions) -> str:
-    seen = skills.wipe(law, conditions=conditions)
+    seen = tasks.wipe(law, conditions=conditions)
     return (
         f"{seen.mean:.1f} N ({seen.least:.1f} to {seen.most:.1f}), "
         f"{1e3 * seen.off:.0f} mm off its path"
@@ -69,7 +67,7 @@ def _wipe(law: Law, conditions: Conditions) -> str:
 
 
 def _hand_over(law: Law, conditions: Conditions) -> str:
-    seen = skills.hand_over(law, conditions=conditions)
+    seen = tasks.hand_over(law, conditions=conditions)
     return (
         f"person {seen.effort:.0f} N, sag {1e3 * seen.sag:.0f} mm, "
         f"tool afterwards {seen.fastest:.2f} m/s"
@@ -78,8 +76,8 @@ def _hand_over(law: Law, conditions: Conditions) -> str:
 
 def _plug(law: Law, conditions: Conditions) -> str:
     seen = [
-        skills.plug_in(law, offset=offset, tilt=tilt, conditions=conditions)
-        for offset, tilt in skills.MISPLACED
+        tasks.plug_in(law, offset=offset, tilt=tilt, conditions=conditions)
+        for offset, tilt in tasks.MISPLACED
     ]
     along, across = max(each.along for each in seen), max(each.across for each in seen)
     return (
@@ -89,7 +87,7 @@ def _plug(law: Law, conditions: Conditions) -> str:
 
 
 def _guide(law: Law, conditions: Conditions) -> str:
-    seen = hands.drag(law, conditions=conditions)
+    seen = disturbances.drag(law, conditions=conditions)
     return (
         f"{seen.force:.1f} N for {1e3 * seen.moved:.0f} mm, then at most {seen.fastest:.1f} rad/s"
     )
@@ -141,15 +139,19 @@ def draw(path: Path) -> None:
         figure.savefig(path, dpi=style.PIXELS_PER_INCH, metadata={"Software": None})
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the tables; draw the profiles if a path is given."""
+def main(picture: tyro.conf.Positional[Path | None] = None) -> None:
+    """Print the tables.
+
+    Args:
+        picture: File for force against deviation of the profiles; default no picture.
+    """
     for name, conditions in UNDER.items():
         print(f"\n{name}")
         for line in table(conditions):
             print(f"  {line.name:<18} {line.figures}")
-    for path in sys.argv[1:] if arguments is None else arguments:
-        draw(Path(path))
+    if picture is not None:
+        draw(picture)
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

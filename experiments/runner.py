@@ -1,18 +1,28 @@
-"""Independent runs over a few processes, in a fixed order."""
+"""Independent jobs in one process or several, by joblib: results in order, and a progress line."""
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Mapping
 from ctypes.util import find_library
 from dataclasses import dataclass, field
-from typing import Any
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-#: Called with the name of a completed job.
-Progress = Callable[[str], None]
+from pliant._extras import missing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+R_co = TypeVar("R_co", covariant=True)
+
+
+class Runnable(Protocol[R_co]):
+    """An independent, picklable job."""
+
+    def run(self) -> R_co:
+        """Run the job."""
 
 
 @dataclass(frozen=True)
@@ -35,58 +45,82 @@ class Job:
         return self.call(*self.args, **self.kwargs)
 
 
-class Workers:
-    """A few processes that live across batches; with one job at a time everything runs here.
+def run_jobs(
+    work: Sequence[Runnable[R_co]], processes: int, what: str | None = None
+) -> Iterator[R_co]:
+    """Run jobs, in parallel if joblib is installed.
 
-    Processes are spawned, not forked: MuJoCo's and EGL's threads do not survive a fork.
+    joblib's processes are spawned, not forked: MuJoCo's and EGL's threads do not survive a fork.
 
     Args:
-        count: Processes; 1: only this one.
+        work: The jobs.
+        processes: Number of processes.
+        what: Name of the experiment, for the progress line on standard error; None: no line.
+
+    Yields:
+        The results in the order of the jobs, as they complete.
     """
-
-    def __init__(self, count: int) -> None:
-        self.count = max(1, count)
-        self._pool: ProcessPoolExecutor | None = None
-
-    def __enter__(self) -> Workers:
-        """Start the processes if there is more than one."""
-        if self.count > 1:
+    done: Iterable[R_co] = (job.run() for job in work)
+    if processes > 1:
+        try:
+            from joblib import Parallel, delayed
+            from joblib.parallel import get_active_backend
+        except ImportError:
+            print(f"{what or 'jobs'}: one process only; {missing('more', 'experiments')}")
+        else:
             # One thread each: the processes already share the cores.
             os.environ.setdefault("OMP_NUM_THREADS", "1")
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self.count, mp_context=context)
-        return self
+            backend, _ = get_active_backend()
+            # Ray's backend returns a list only.
+            streams = getattr(backend, "supports_return_generator", False)
+            started = Parallel(n_jobs=processes, return_as="generator" if streams else "list")
+            done = started(delayed(_run)(job) for job in work)
+    # A terminal gets one line that changes, a file one line every half minute.
+    live = sys.stderr.isatty()
+    begin = last = monotonic()
+    for count, result in enumerate(done, 1):
+        yield result
+        now, over = monotonic(), count == len(work)
+        if what is not None and (over or now - last > (1.0 if live else 30.0)):
+            left, last = (now - begin) * (len(work) - count) / count, now
+            said = f"{what}: {count} of {len(work)}, {left:.0f} s left "
+            print(
+                f"\r{said}" if live else said, end="\n" if over or not live else "", file=sys.stderr
+            )
 
-    def __exit__(self, *_: object) -> None:
-        """End the processes; jobs that have not begun are dropped."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def run(self, jobs: Sequence[Job], progress: Progress = lambda key: None) -> dict[str, Any]:
-        """Run jobs and return their outcomes by key, in the order of the jobs.
+def _run(job: Runnable[R_co]) -> R_co:
+    return job.run()
 
-        Args:
-            jobs: With unique keys.
-            progress: Called as they end, in any order.
 
-        Raises:
-            ValueError: Two jobs have one key.
-            Exception: The first error of a job.
-        """
-        keys = [job.key for job in jobs]
-        if len(set(keys)) != len(keys):
-            twice = sorted({key for key in keys if keys.count(key) > 1})
-            raise ValueError(f"jobs need keys of their own, these appear twice: {', '.join(twice)}")
-        if self._pool is None:
-            outcomes = {}
-            for job in jobs:
-                outcomes[job.key] = job.run()
-                progress(job.key)
-            return outcomes
-        futures: dict[Future[Any], str] = {self._pool.submit(job.run): job.key for job in jobs}
-        _wait(futures, progress)
-        done = {key: future.result() for future, key in futures.items()}
-        return {key: done[key] for key in keys}
+def run_by_key(
+    jobs: Sequence[Job],
+    processes: int,
+    what: str | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Run jobs and return their outcomes by key, in the order of the jobs.
+
+    Args:
+        jobs: With unique keys.
+        processes: Number of processes.
+        what: As for `run_jobs`.
+        progress: Called with the key of each completed job, in order.
+
+    Raises:
+        ValueError: Two jobs have one key.
+        Exception: The first error of a job.
+    """
+    keys = [job.key for job in jobs]
+    if len(set(keys)) != len(keys):
+        twice = sorted({key for key in keys if keys.count(key) > 1})
+        raise ValueError(f"jobs need keys of their own, these appear twice: {', '.join(twice)}")
+    outcomes = {}
+    for key, outcome in zip(keys, run_jobs(jobs, processes, what), strict=True):
+        outcomes[key] = outcome
+        if progress is not None:
+            progress(key)
+    return outcomes
 
 
 def draw_off_screen() -> None:
@@ -97,20 +131,3 @@ def draw_off_screen() -> None:
     """
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "disable")
-
-
-def _wait(futures: Mapping[Future[Any], str], progress: Progress) -> None:
-    """Wait for all, or for the first that fails, and cancel the rest then."""
-    try:
-        for future in as_completed(futures):
-            future.result()
-            progress(futures[future])
-    except BaseException:
-        for future in futures:
-            future.cancel()
-        raise
-
-
-def prefixed(prefix: str, jobs: Iterable[Job]) -> list[Job]:
-    """Return the same jobs with a prefix before their keys."""
-    return [Job(f"{prefix}{job.key}", job.call, job.args, job.kwargs) for job in jobs]

@@ -12,15 +12,14 @@ import numpy as np
 import tyro
 
 import pliant
-from experiments import steps
+from experiments import program, steps
+from experiments.simulation import closed_loop
 from pliant.sim import Drag, Plant, Push
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from pliant.sim.hand import Hand
 
-    Array = NDArray[np.float64]
 
 #: A pose in front of the arm, where known [rad].
 POSES = {
@@ -41,10 +40,7 @@ def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tu
     )
     plant.reset(POSES[name])
     target, places, forces = plant.tool, [], []
-    for _ in range(round(seconds * steps.RATE)):
-        command = controller.step(plant.read().q, target)
-        plant.write(command.goal, command.torque_limit)
-        plant.advance()
+    for _ in closed_loop(plant, controller, target, seconds):
         places.append(plant.tool[:3, 3])
         forces.append(plant.hands[0].force)
     return np.array(places), np.array(forces)
@@ -117,10 +113,8 @@ def main(robot: tyro.conf.Positional[str] = "so101", steps_each: int = 6) -> Non
     """
     if robot not in POSES:
         raise SystemExit(f"no pose for {robot!r}; there are {', '.join(POSES)}")
-    print("| what | how much |\n|---|---|")
-    for what, much in rows(robot, steps_each):
-        print(f"| {what} | {much} |")
+    print(program.markdown(("what", "how much"), rows(robot, steps_each)))
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    program.start(main)

@@ -7,23 +7,26 @@ time, as fast as the computer allows.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
+from array import array
+from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 import pliant
-from experiments.bus_arm import FAMILIES, configuration, emulator, stepped
-from experiments.bus_audit import Audit
-from experiments.setups import displaced
+from experiments import program
+from experiments.emulated_arm import FAMILIES, configuration, emulator, stepped
+from experiments.poses import displaced
 from pliant.arm import Arm
 from pliant.config import factory
 from pliant.emulator import Faults
 from pliant.emulator.faults import KINDS
+from pliant.emulator.log import GOALS, LIMITS, SWITCH
+from pliant.emulator.packets import Framer
 from pliant.emulator.process import EmulatorProcess
 from pliant.loop import Loop
 from pliant.servo import ServoBus
@@ -31,12 +34,144 @@ from pliant.servo import ServoBus
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from experiments.poses import Array
     from pliant.drive import JointReadings
-    from pliant.emulator import ArmEmulator
+    from pliant.emulator import ArmEmulator, Servo, Transaction, Write
 
-    Array = NDArray[np.float64]
+
+#: Register that bounds each limit register.
+CEILING = {
+    "torque_limit": ("max_torque", "max_torque_limit"),
+    "goal_current": ("current_limit",),
+    "goal_pwm": ("pwm_limit",),
+}
+
+
+class Audit:
+    """Checks every transaction of an emulated arm: `emulator.log.watch = Audit(emulator)`.
+
+    Args:
+        bus: The emulator.
+        machine: True: times are the machine's instead of the emulator's.
+
+    Attributes:
+        broken: Number of violations of each rule, by its name.
+        faults: Number of faults of each kind.
+        transactions: Number of transactions.
+    """
+
+    def __init__(self, bus: ArmEmulator, *, machine: bool) -> None:
+        self._bus, self._machine = bus, machine
+        self._servos = {servo.id: servo for servo in bus.servos}
+        self._phase: dict[int, str] = dict.fromkeys(self._servos, "off")
+        self._pending: set[int] = set()
+        self._truth = array("d")
+        self._limits: dict[int, array[int]] = {id: array("i") for id in self._servos}
+        self.broken: Counter[str] = Counter()
+        self.faults: Counter[str] = Counter()
+        self.transactions = 0
+
+    def __call__(self, seen: Transaction) -> None:
+        """Process one transaction."""
+        self.transactions += 1
+        for fault in seen.faults:
+            self.faults[fault.partition(" ")[0]] += 1
+        if "read" in seen.instruction:
+            now = time.perf_counter() if self._machine else seen.time
+            self._truth.extend((now, *self._bus.plant.q))
+        if seen.instruction == "sync_write":
+            self._sent(seen.request)
+        for write in seen.writes:
+            self._written(write)
+
+    def report(self) -> dict[str, dict[str, int]]:
+        """Return violations, faults and transactions so far."""
+        broken = Counter(self.broken)
+        broken["goal without torque on after it"] += len(self._pending)
+        return {
+            "broken": {rule: count for rule, count in broken.items() if count},
+            "faults": dict(self.faults),
+            "log": {"transactions": self.transactions},
+        }
+
+    def truth(self) -> Array:
+        """Return the true joint angles at every read: rows (time [s], q (n,) [rad])."""
+        return np.array(self._truth).reshape(-1, 1 + self._bus.plant.n)
+
+    def limits(self) -> dict[int, list[float]]:
+        """Return the torque [N·m] of every limit in a sync write, by id, lost ones included."""
+        return {id: [self.torque(id, v) for v in sent] for id, sent in self._limits.items()}
+
+    def units(self) -> dict[int, float]:
+        """Return the torque of one count of each servo's limit register [N·m], by id."""
+        return {id: self.torque(id, 1) for id in self._servos}
+
+    def torque(self, id: int, register: int) -> float:
+        """Return the torque at standstill of a limit register [N·m], by the emulator's tables."""
+        servo = self._servos[id]
+        if "goal_current" in servo.table:
+            return register * servo.model.unit * servo.model.motor.torque_per_amp
+        full = {"dxl1": 1023, "sts": 1000, "x": 885}[servo.model.family]
+        return servo.stall * register / full
+
+    def _sent(self, request: bytes) -> None:
+        """Read limits and ceilings from a sync write, also if servos did not receive it."""
+        for frame in Framer().feed(request):
+            wide = 2 if frame.protocol == 2 else 1
+            start = int.from_bytes(frame.params[:wide], "little")
+            size = int.from_bytes(frame.params[wide : 2 * wide], "little")
+            rest = frame.params[2 * wide :]
+            for at in range(0, len(rest), 1 + size):
+                servo = self._servos[rest[at]]
+                data = rest[at + 1 : at + 1 + size]
+                name = limit_of(servo)
+                register = servo.table[name]
+                offset = register.address - start
+                if offset >= 0 and offset + register.size <= size:
+                    value = register.decode(data[offset : offset + register.size])
+                    self._limits[servo.id].append(value)
+                    self._below(servo, name, value)
+
+    def _below(self, servo: Servo, name: str, value: int) -> None:
+        ceiling = next(servo.get(top) for top in CEILING[name] if top in servo.table)
+        self.broken["limit above the ceiling"] += value > ceiling or value < 0
+
+    def _written(self, write: Write) -> None:
+        """Check the order: limit, goal, torque; no EEPROM; no goal while torque is off."""
+        self.broken["EEPROM written"] += write.eeprom
+        self.broken["write refused"] += bool(write.error)
+        values = write.values
+        if not write.enabled and self._phase[write.id] == "on":
+            self._phase[write.id] = "off"
+        if LIMITS & values.keys() and self._phase[write.id] == "off":
+            self._phase[write.id] = "limit"
+        if GOALS & values.keys():
+            if self._phase[write.id] == "off":
+                self.broken["goal before limit"] += 1
+            if not write.enabled:
+                self._pending.add(write.id)
+            if self._phase[write.id] == "limit":
+                self._phase[write.id] = "goal"
+        if SWITCH in values:
+            self._switched(write, values[SWITCH])
+
+    def _switched(self, write: Write, value: int) -> None:
+        if value == 0:
+            self._phase[write.id] = "off"
+            return
+        self.broken["torque before goal"] += self._phase[write.id] not in {"goal", "on"}
+        self._phase[write.id] = "on"
+        self._pending.discard(write.id)
+
+
+def limit_of(servo: Servo) -> str:
+    """Return the register that limits the torque of a servo."""
+    return next(n for n in ("torque_limit", "goal_current", "goal_pwm") if n in servo.table)
+
+
+# --- Minutes of control over real bytes while 1 % of all transactions fail ---
 
 #: Share of transactions with a fault, all kinds alike.
 SHARE = 0.01
@@ -94,7 +229,7 @@ class Recorder(ServoBus):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Soaked:
+class SoakResult:
     """Result of a soak.
 
     Attributes:
@@ -201,7 +336,7 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
 
 def judge(
     family: str, arm: Arm, driven: tuple[Loop, str], ask: Callable[[str], Any], lag: float
-) -> Soaked:
+) -> SoakResult:
     """Compare the host's record with the emulator's."""
     (loop, ended), chain = driven, arm.drive
     assert isinstance(chain, Recorder)
@@ -222,7 +357,7 @@ def judge(
     room = TABLES * asked
     step = np.array([unit[id] for id in ids])
     off = np.maximum(np.abs(asked - wire) - room, 0.0) / step
-    return Soaked(
+    return SoakResult(
         family=family,
         seconds=len(loop.lateness) * loop.period,
         ended=ended,
@@ -254,7 +389,7 @@ def shares(share: float = SHARE) -> dict[str, float]:
     return dict.fromkeys(KINDS, share / len(KINDS))
 
 
-def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
+def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> SoakResult:
     """Soak in emulated time, everything in this process."""
     faults = Faults(seed=seed)
     options = {"rate": rate, "comm_timeout": COMM_TIMEOUT}
@@ -274,7 +409,7 @@ def audited(family: str, seed: int) -> ArmEmulator:
     return bus
 
 
-def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> Soaked:
+def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> SoakResult:
     """Soak in real time, servos and arm in a process of their own."""
     read = configuration(family)
     with EmulatorProcess(audited, family, seed) as bus:
@@ -299,7 +434,7 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
             chain.close()
 
 
-def table(runs: list[Soaked]) -> str:
+def table(runs: list[SoakResult]) -> str:
     """Return the counters as a table in Markdown, one column per run."""
     rows: dict[str, list[str]] = {}
 
@@ -328,30 +463,34 @@ def table(runs: list[Soaked]) -> str:
     row("above the requested one", [run.above for run in runs])
     row("rules broken", [run.broken or "none" for run in runs])
     row("ended early by", [run.ended or "none" for run in runs])
-    lines = ["| | " + " | ".join(FAMILIES[run.family].title for run in runs) + " |"]
-    lines.append("|---" * (1 + len(runs)) + "|")
-    lines += [f"| {name} | {' | '.join(values)} |" for name, values in rows.items()]
-    return "\n".join(lines)
+    titles = ("", *(FAMILIES[run.family].title for run in runs))
+    return program.markdown(titles, ((name, *values) for name, values in rows.items()))
 
 
-def main() -> None:
-    """Run, print the counters, and fail if a rule was broken."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.soak")
-    parser.add_argument("--family", choices=FAMILIES, help="default: one after the other")
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--rate", type=float, default=100.0, help="[Hz]")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--stepped", action="store_true", help="in the emulator's time")
-    given = parser.parse_args()
-    run = soak_stepped if given.stepped else soak
-    runs = [
-        run(family, 60.0 * given.minutes, rate=given.rate, seed=given.seed)
-        for family in ([given.family] if given.family else FAMILIES)
-    ]
+def main(
+    *,
+    family: Literal["sts", "x", "p1"] | None = None,
+    minutes: float = 10.0,
+    rate: float = 100.0,
+    seed: int = 1,
+    stepped: bool = False,
+) -> None:
+    """Run, print the counters, and fail if a rule was broken.
+
+    Args:
+        family: Servos; default one after the other.
+        minutes: Duration.
+        rate: Control rate [Hz].
+        seed: Random seed of the faults.
+        stepped: In the emulator's time.
+    """
+    run = soak_stepped if stepped else soak
+    families = [family] if family else list(FAMILIES)
+    runs = [run(name, 60.0 * minutes, rate=rate, seed=seed) for name in families]
     print(table(runs))
     if not all(one.good for one in runs):
         sys.exit("a rule was broken: see the table")
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

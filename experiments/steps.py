@@ -13,11 +13,12 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import BESIDE, REACH_OF_ONE, ROBOTS, Arm
-from experiments.parallel import parallel
+from experiments import program
+from experiments.arms import BESIDE, REACH_OF_ONE, ROBOTS, Arm
+from experiments.runner import run_jobs
+from experiments.simulation import closed_loop
 from pliant import robots
 from pliant.config import names
 from pliant.sim import Plant
@@ -25,9 +26,8 @@ from pliant.sim import Plant
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from experiments.poses import Array
 
-    Array = NDArray[np.float64]
 
 Law = Literal["cap", "impedance", "paper"]
 LAWS: tuple[Law, ...] = ("cap", "impedance", "paper")
@@ -173,14 +173,10 @@ def run(
         controller.set_delay(sum(options["delay"]) / RATE)
     simulated.reset(step.q)
     start, target = simulated.tool, simulated.tool
-    rest, places = round(BEFORE * RATE), []
-    for tick in range(rest + round(AFTER * RATE)):
-        if tick == rest:
-            target[:3, 3] += step.way
-        command = controller.step(simulated.read().q, target)
-        simulated.write(command.goal, command.torque_limit)
-        simulated.advance()
-        places.append(simulated.tool[:3, 3])
+    rest = round(BEFORE * RATE)
+    places = [simulated.tool[:3, 3] for _ in closed_loop(simulated, controller, target, BEFORE)]
+    target[:3, 3] += step.way
+    places += [simulated.tool[:3, 3] for _ in closed_loop(simulated, controller, target, AFTER)]
     path = np.array(places)[rest - 1 :]
     window = round(WINDOW * RATE)
     speeds = np.linalg.norm(path[window:] - path[:-window], axis=1) / WINDOW
@@ -222,28 +218,25 @@ def rows(robot: str, count: int, *, disturbed: bool = False) -> list[Job]:
 
 def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[Outcome]]) -> str:
     """Return Markdown: worst and, in brackets, median of each row."""
-    lines = [
-        "| arm | plant | law | set [m/s] | fastest [m/s] | allowed | overshoot [mm] | left [mm] | "
-        "within 10 mm after [s] | kept |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    columns = ("arm", "plant", "law", "set [m/s]", "fastest [m/s]", "allowed", "overshoot [mm]")
+    rows = []
     for job, found in zip(jobs, outcomes, strict=True):
-        cells = []
-        for field, unit, digits in (
-            ("fastest", 1.0, 2),
-            ("overshoot", 1e3, 1),
-            ("left", 1e3, 1),
-            ("seconds", 1.0, 1),
-        ):
-            values = unit * np.array([getattr(one, field) for one in found])
-            cells.append(f"{values.max():.{digits}f} ({np.median(values):.{digits}f})")
         kept = sum(one.kept(job.speed) for one in found)
-        most = FACTOR * job.speed + MORE
-        lines.append(
-            f"| {job.robot} | {job.case[0]} | `{job.law}` | {job.speed:g} | {cells[0]} | "
-            f"{most:.2f} | {cells[1]} | {cells[2]} | {cells[3]} | {kept} of {len(found)} |"
+        rows.append(
+            (
+                job.robot,
+                job.case[0],
+                f"`{job.law}`",
+                f"{job.speed:g}",
+                program.worst((one.fastest for one in found), 2),
+                f"{FACTOR * job.speed + MORE:.2f}",
+                program.worst((one.overshoot for one in found), 1, 1e3),
+                program.worst((one.left for one in found), 1, 1e3),
+                program.worst((one.seconds for one in found), 1),
+                f"{kept} of {len(found)}",
+            )
         )
-    return "\n".join(lines)
+    return program.markdown((*columns, "left [mm]", "within 10 mm after [s]", "kept"), rows)
 
 
 def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: int = 1) -> None:
@@ -256,11 +249,8 @@ def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: i
         jobs: Processes.
     """
     todo = rows(robot, poses, disturbed=disturbed)
-    print(table(todo, list(parallel(todo, jobs, "steps"))))
+    print(table(todo, list(run_jobs(todo, jobs, "steps"))))
 
 
 if __name__ == "__main__":
-    # Other processes import this module's jobs by its name, not as `__main__`.
-    from experiments import steps as module  # noqa: PLW0406 -- by name
-
-    tyro.cli(module.main)
+    program.start(main)

@@ -11,20 +11,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import load
-from experiments.runner import Job, Workers
+from experiments import program
+from experiments.arms import load
+from experiments.runner import Job, run_by_key
 from pliant.sim import Course, Drag, Plant, SimDrive
 from pliant.teach import Motion, Replay, teach
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
 
 COUNT = float(np.deg2rad(0.088))
 #: Start of each arm [rad], distance in y and z [m], and cap of a soft axis [N].
@@ -62,7 +59,7 @@ def _connect(name: str, q: Iterable[float], kp_scale: float, scene: list[Drag]) 
 
 
 @dataclass(frozen=True)
-class Played:
+class ReplayResult:
     """Result of one replay.
 
     Attributes:
@@ -84,7 +81,7 @@ class Played:
     took: float
 
 
-def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) -> Played:
+def replay(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) -> ReplayResult:
     """Teach, replay and measure; `held`: the motion waits for a hand that holds the tool."""
     block, wait = bool(held), all(held)
     motion, cap = teaching(name, kp_scale), ARMS[name][3]
@@ -123,7 +120,7 @@ def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
     speeds = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(time)
     late = (time > BLOCKS[1] - 1.0) & (time < BLOCKS[1])
     released = time[1:] > BLOCKS[1]
-    return Played(
+    return ReplayResult(
         worst=float(error[playing].max()),
         median=float(np.median(error[playing])),
         end=float(error[-1]),
@@ -135,20 +132,12 @@ def played(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
     )
 
 
-@dataclass(frozen=True)
-class Options:
+def main(jobs: int = 2) -> None:
     """Measure teaching and replaying.
 
-    Attributes:
+    Args:
         jobs: Number of processes.
     """
-
-    jobs: int = 2
-
-
-def main() -> None:
-    """Print both tables."""
-    options = tyro.cli(Options)
     free = [
         (name, kp, soft, speed)
         for name in ARMS
@@ -161,30 +150,31 @@ def main() -> None:
         for soft in (False, True)
         for wait in (True, False)
     ]
-    jobs = [Job(str(case), played, case) for case in (*free, *blocked)]
-    with Workers(options.jobs) as workers:
-        found = workers.run(jobs)
-    print("| arm | k_p × | y | speed | off the clock, worst (median) [mm] | off the path [mm] |")
-    print("|---|---|---|---|---|---|")
+    found = run_by_key([Job(str(case), replay, case) for case in (*free, *blocked)], jobs)
+    rows: list[tuple[str, ...]] = []
     for case in free:
         name, kp, soft, speed = case
         run = found[str(case)]
-        kind = f"{ARMS[name][3]:g} N" if soft else "stiff"
-        print(
-            f"| {name} | {kp:g} | {kind} | {speed:g} | {1e3 * run.worst:.1f} "
-            f"({1e3 * run.median:.1f}) | {1e3 * run.path:.1f} |"
-        )
-    print("\n| arm | y | the motion | force held [N] | peak [N] | tool after [m/s] | end [mm] |")
-    print("|---|---|---|---|---|---|---|")
+        off = f"{1e3 * run.worst:.1f} ({1e3 * run.median:.1f})"
+        path = f"{1e3 * run.path:.1f}"
+        rows.append((name, f"{kp:g}", _stiffness(name, soft), f"{speed:g}", off, path))
+    columns = ["arm", "k_p ×", "y", "speed", "off the clock, worst (median) [mm]"]
+    print(program.markdown([*columns, "off the path [mm]"], rows))
+    rows = []
     for held in blocked:
         name, _, soft, _, wait = held
         run = found[str(held)]
-        kind = f"{ARMS[name][3]:g} N" if soft else "stiff"
-        print(
-            f"| {name} | {kind} | {'waits' if wait else 'runs on'} | {run.force:.1f} | "
-            f"{run.peak:.1f} | {run.after:.2f} | {1e3 * run.end:.1f} |"
-        )
+        force, peak, end = f"{run.force:.1f}", f"{run.peak:.1f}", f"{1e3 * run.end:.1f}"
+        motion = "waits" if wait else "runs on"
+        rows.append((name, _stiffness(name, soft), motion, force, peak, f"{run.after:.2f}", end))
+    columns = ["arm", "y", "the motion", "force held [N]", "peak [N]", "tool after [m/s]"]
+    print()
+    print(program.markdown([*columns, "end [mm]"], rows))
+
+
+def _stiffness(name: str, soft: bool) -> str:
+    return f"{ARMS[name][3]:g} N" if soft else "stiff"
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

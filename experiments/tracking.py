@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments import metrics
-from experiments.conditions import NOMINAL
-from experiments.episode import Trace, run
-from experiments.setups import (
+from experiments.poses import (
     AMPLITUDE,
     AT_REACH,
     AXES,
@@ -20,15 +18,16 @@ from experiments.setups import (
     tilted,
     tool,
 )
+from experiments.simulation import NOMINAL, Trace, run
 from pliant.sim.postures import HORIZONTAL, VERTICAL
 
 if TYPE_CHECKING:
-    from experiments.conditions import Conditions
-    from experiments.hands import Law
+    from experiments.disturbances import Law
+    from experiments.simulation import Conditions
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tracked:
+class TrackResult:
     """Tracking of a sinusoid by a compliant axis.
 
     Attributes:
@@ -48,7 +47,7 @@ class Tracked:
     trace: Trace
 
 
-def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> Tracked:
+def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> TrackResult:
     """Move the target sinusoidally along or about one axis from 1 to 17 s, two periods."""
     start = tool(VERTICAL)
     index = AXES.index(axis)
@@ -61,7 +60,7 @@ def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> Tracked:
     sunk = trace.position[:, 2] - start[2, 3]
     far = trace.position[:, 0] > 0.40
     back = trace.at(1.0 + 4.5)
-    return Tracked(
+    return TrackResult(
         share=metrics.rms(wish - trace.moved[swing, index]) / AMPLITUDE[axis],
         position=metrics.largest(error[:, metrics.others(index, "xyz")]),
         rotation=metrics.largest(error[:, metrics.others(index, "rpy")]),
@@ -72,7 +71,7 @@ def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> Tracked:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tilted:
+class TiltResult:
     """Response to a step of the tool's orientation.
 
     Attributes:
@@ -86,11 +85,11 @@ class Tilted:
     trace: Trace
 
 
-def tilt(law: Law, *, conditions: Conditions = NOMINAL) -> Tilted:
+def tilt(law: Law, *, conditions: Conditions = NOMINAL) -> TiltResult:
     """Turn the target of the horizontal grasp at once, by 0.44 rad about an oblique axis."""
     target = tilted(tool(HORIZONTAL))
     trace = run(conditions.build(), conditions.controller(law), target, 6.0, q=HORIZONTAL)
-    return Tilted(
+    return TiltResult(
         angle=float(np.linalg.norm(trace.error[-1, 3:])),
         position=float(np.linalg.norm(trace.error[:, :3], axis=1).max()),
         trace=trace,
@@ -98,7 +97,7 @@ def tilt(law: Law, *, conditions: Conditions = NOMINAL) -> Tilted:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reached:
+class ReachResult:
     """Result of a target that left the arm's reach and returned.
 
     Attributes:
@@ -116,10 +115,10 @@ class Reached:
     trace: Trace
 
 
-def leave_reach(law: Law, *, conditions: Conditions = NOMINAL) -> Reached:
+def leave_reach(law: Law, *, conditions: Conditions = NOMINAL) -> ReachResult:
     """Move the target to x = 0.80 m, where the arm ends at 0.71 m from its shoulder, and back."""
     trace = run(conditions.build(), conditions.controller(law), beyond_reach, 15.0, q=AT_REACH)
-    return Reached(
+    return ReachResult(
         farthest=float(trace.position[:, 0].max()),
         speed=metrics.speed(trace, 7.0, 8.0),
         fastest=metrics.largest(trace.dq),

@@ -26,7 +26,7 @@ from pliant.sim import Plant
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from experiments.conditions import Conditions
+    from experiments.simulation import Conditions
     from pliant.sim.friction import Friction
 
 #: Random value: it only has to differ from the other side.

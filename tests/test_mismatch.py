@@ -16,34 +16,30 @@ from mismatch import DRAWN, Mismatch, Parameters, under
 
 import pliant
 from experiments import (
-    campaign_bench,
-    campaign_jobs,
-    capturing,
+    campaign,
     contacts,
-    contacts_bench,
+    controllers,
     descent,
+    disturbances,
     doors,
-    floating,
     goals,
-    hands,
+    gravity_capture,
+    hand_guiding,
     identification,
-    laws,
     lifecycle,
-    merits,
     presets,
-    rates,
     steps,
     teaching,
 )
-from experiments.campaign_arms import load
-from experiments.chapters import comparison_stress
-from experiments.conditions import NOMINAL, Conditions
+from experiments.arms import load
+from experiments.chapters import comparison
+from experiments.simulation import NOMINAL, Conditions
 from pliant.arm import Arm
 from pliant.sim import LIGHT, Plant, SimDrive
 from pliant.sim.postures import VERTICAL
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-GEARS = campaign_jobs.REAL_GEARS["arm7"]
+GEARS = campaign.REAL_GEARS["arm7"]
 
 
 class Built(Exception):
@@ -67,14 +63,14 @@ def plant(**differs):
 def promise(disturbance):
     """Run one promise of the campaign."""
     arm = load("arm7")
-    bench = campaign_bench.Bench(arm, disturbance)
+    bench = campaign.Bench(arm, disturbance)
     return bench.keep(0, arm.poses(1)[0], "y", 1.0, 5.0, guided=False)
 
 
 def contact_gap(case):
-    gears = campaign_jobs.REAL_GEARS[case.arm] if case.gears else None
+    gears = campaign.REAL_GEARS[case.arm] if case.gears else None
     drawn = {"friction": DRAWN, "damping": DRAWN, **({"kp": DRAWN} if case.kp else {})}
-    late = sum(case.delay) / contacts_bench.RATE
+    late = sum(case.delay) / contacts.RATE
     return Mismatch(
         plant=Parameters(gears=gears, delay=late),
         assumed=Parameters(gears=gears if case.identified else None, delay=late, **drawn),
@@ -101,7 +97,7 @@ def cases():
                 plant(**differs),
                 lambda o=options: lifecycle.lower(VERTICAL, **o),
             )
-    for job in descent.jobs("arm7", 6):
+    for job in descent.descents("arm7", 6):
         known = job.truth
         gap = plant(
             kp=known.stiffness,
@@ -111,18 +107,22 @@ def cases():
         )
         yield f"descent {job.number} {job.over_table}", gap, job.run
     for kp in (0.5, 0.8, 1.25, 2.0):
-        yield f"capture {kp}", plant(kp=kp), lambda kp=kp: capturing.tried("arm7", 0, kp)
+        yield (
+            f"capture {kp}",
+            plant(kp=kp),
+            lambda kp=kp: gravity_capture.try_capture("arm7", 0, kp),
+        )
     for kp in (0.5, 2.0):
-        yield f"float {kp}", plant(kp=kp), lambda kp=kp: floating.floated("so101", 0, kp)
+        yield f"float {kp}", plant(kp=kp), lambda kp=kp: hand_guiding.guide("so101", 0, kp)
     for arm in teaching.ARMS:
-        yield f"teach {arm}", plant(kp=0.8), lambda arm=arm: teaching.played(arm, 0.8, True, 1.0)
-    for one in (*campaign_bench.DISTURBANCES, *campaign_jobs.gears("arm7")):
+        yield f"teach {arm}", plant(kp=0.8), lambda arm=arm: teaching.replay(arm, 0.8, True, 1.0)
+    for one in (*campaign.DISTURBANCES, *campaign.gears("arm7")):
         if one.wrong or one.payload or (one.gears is not None and not one.gears_known):
             gap = plant(kp=one.kp, payload=one.payload, gears=one.gears)
             yield f"campaign {one.name}", gap, lambda one=one: promise(one)
     for case in (contacts.MAIN, *contacts.OTHERS):
         if case.friction or case.kp:
-            gap, bench = contact_gap(case), contacts_bench.Bench(case)
+            gap, bench = contact_gap(case), contacts.Bench(case)
             yield f"contact {case.name}", gap, lambda bench=bench: bench.contact(0)
     for name, one in presets.UNDER.items():
         if "assumed" not in name:
@@ -133,22 +133,22 @@ def cases():
         tried = any(second is not None for _, second in entry.goals.values())
         for one in (goals.UNCERTAIN[0], goals.UNCERTAIN[2]) if tried else ():
             yield f"goals {entry.scenario}", under(one), lambda e=entry, o=one: e.measure(o)
-    for one in rates.conditions():
+    for one in goals.rate_conditions():
         if one.believed == 1.0:
             continue
         yield (
             f"rates {one}",
             under(one),
-            lambda one=one: hands.drag(laws.cap(), LIGHT, conditions=one),
+            lambda one=one: disturbances.drag(controllers.cap(), LIGHT, conditions=one),
         )
     for one in (Conditions(gears=GEARS), Conditions(gears=GEARS, gears_known=True, believed=0.7)):
-        yield f"gears {one.believed}", under(one), lambda one=one: merits.door("door")(one)
-    for name, one in comparison_stress._stresses(NOMINAL).items():
+        yield f"gears {one.believed}", under(one), lambda one=one: goals.door("door")(one)
+    for name, one in comparison._stresses(NOMINAL).items():
         if name != "stall":
             yield (
                 f"gears {name}",
                 stress_gap(one),
-                lambda o=one: hands.drag(laws.cap(), conditions=o),
+                lambda o=one: disturbances.drag(controllers.cap(), conditions=o),
             )
     for name, kp, friction, _ in steps.DISTURBED:
         if (kp, friction) != (1.0, 1.0):
@@ -162,12 +162,16 @@ def cases():
             )
     wrong = {"kp": 1.25, "friction": 1.4, "damping": 1.3, "delay": 0.02}
     yield "identified, rows", plant(**wrong), identification.rows
-    believing = identification.Believing(
+    believing = identification.AssumedTable(
         table=identification.believed(pliant.robots.arm7()),
         delay=(1, 1),
         plant=identification.WRONG,
     )
-    yield "a wrong table", plant(**wrong), lambda: doors.open_door(laws.cap, conditions=believing)
+    yield (
+        "a wrong table",
+        plant(**wrong),
+        lambda: doors.open_door(controllers.cap, conditions=believing),
+    )
     for example, differs in {
         "06_capture_gravity": {"kp": 0.8},
         "17_identify": {"kp": 0.8, "friction": 1.4, "payload": 0.2, "delay": 0.01},

@@ -144,7 +144,7 @@ class Film:
         import numpy as np
         from PIL import Image
 
-        from experiments.figures.pictures import Studio
+        from experiments.pictures import Studio
 
         centre, size = self.scene()
         with Studio(self.plant, size=(330, 280), look_at=centre, distance=1.45 * size) as studio:
@@ -178,7 +178,7 @@ class Film:
         import mujoco
         import numpy as np
 
-        from experiments.figures.pictures import furnish
+        from experiments.pictures import furnish
 
         spec = self.plant.spec.copy()
         furnish(spec, self.plant, handle=False)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from experiments import campaign_table as table
-from experiments.campaign_arms import AXES, load
-from experiments.campaign_bench import NOMINAL
-from experiments.campaign_jobs import Job as Poses
-from experiments.result import Chapter, Figure, Numbers, Statement, at_least
+from experiments import campaign as table
+from experiments.arms import AXES, load
+from experiments.campaign import UNDISTURBED
+from experiments.campaign import Job as Poses
+from experiments.report import Chapter, Figure, Numbers, at_least, band
 from experiments.runner import Job
 from pliant._report.page import Table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from experiments.campaign_bench import Promise
+    from experiments.campaign import Promise
     from experiments.chapters.common import Options
 
 NUMBER = 6
@@ -29,7 +29,7 @@ FIGURES = ("poses", "cases", "refused", "kept", "kept_clear", "stopped", "median
 
 def promises(arm: str, pose: int) -> list[Promise]:
     """Measure every axis, sign and cap in one pose, the other axes free and guided."""
-    return Poses(arm, NOMINAL, pose).run()
+    return Poses(arm, UNDISTURBED, pose).run()
 
 
 def jobs(options: Options) -> list[Job]:
@@ -60,15 +60,14 @@ def measure(outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
 def chapter(numbers: Numbers) -> Chapter:
     """Judge the caps of our arms."""
     arm7 = numbers["arm7"]
-    clear = Statement(
+    clear = band(
         claim="With no joint near its stop the push-back is the cap, within 15 % and what the "
         "joints' friction hides, in 97 of 100 cases.",
         outcome=f"{100.0 * arm7['kept_clear']:.1f} % of the cases on arm7; median error of all "
         f"{100.0 * arm7['median']:.1f} % of the cap.",
         tests=(at_least("in band, clear of stops", 100.0 * arm7["kept_clear"], 97.0, "%"),),
-        source="study",
     )
-    limits = Statement(
+    limits = band(
         claim="What is missed elsewhere is taken by position limits: counted with the stop's own "
         "force and the friction of the joints that are left, it is in band.",
         outcome=f"{100.0 * arm7['kept']:.1f} % of all cases on arm7 are in band, "
@@ -76,7 +75,6 @@ def chapter(numbers: Numbers) -> Chapter:
         tests=(
             at_least("in band or stopped", 100.0 * (arm7["kept"] + arm7["stopped"]), 95.0, "%"),
         ),
-        source="study",
     )
     figure = Figure(
         file="6-caps",
@@ -113,8 +111,8 @@ def chapter(numbers: Numbers) -> Chapter:
 
 def draw(outcomes: Mapping[str, Sequence[Promise]], options: Options) -> None:
     """Draw the distribution by axis and by arm."""
-    from experiments.figures import caps
+    from experiments import campaign
 
     found = _by_arm(outcomes)
     axes = {axis: [p for p in found["arm7"] if p.axis == axis] for axis in AXES}
-    caps.draw({"arm7, by axis": axes, "By arm": found}, options.figures, "6-caps")
+    campaign.draw_errors({"arm7, by axis": axes, "By arm": found}, options.figures, "6-caps")

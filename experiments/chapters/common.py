@@ -7,18 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments import hands, tracking
+from experiments import disturbances, tracking
+from pliant._report.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, RED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from experiments.episode import Trace
-    from experiments.hands import Law
+    from experiments.disturbances import Law
+    from experiments.simulation import Trace
 
-    Array = NDArray[np.float64]
+    Grid = NDArray[np.object_]
 
 #: Deviation below which an axis counts as back at its target: [m], [rad].
 BACK = (0.015, 0.06)
@@ -39,12 +41,12 @@ class Options:
     figures: Path
 
 
-def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> hands.Dragged:
-    """Run `hands.drag` with a law that is made in the process that uses it."""
-    return hands.drag(law(), *args, **kwargs)
+def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> disturbances.DragResult:
+    """Run `disturbances.drag` with a law that is made in the process that uses it."""
+    return disturbances.drag(law(), *args, **kwargs)
 
 
-def track(law: Callable[[], Law], *args: Any, **kwargs: Any) -> tracking.Tracked:
+def track(law: Callable[[], Law], *args: Any, **kwargs: Any) -> tracking.TrackResult:
     """Run `tracking.track` with a law that is made in the process that uses it."""
     return tracking.track(law(), *args, **kwargs)
 
@@ -80,3 +82,95 @@ def return_speed(trace: Trace, axis: int, *, release: float = RELEASE) -> float:
 def seconds(time: float | None) -> str:
     """Format a time, or state that the axis stays."""
     return "stays" if time is None else f"{time:.1f} s"
+
+
+# --- Style of the experiments' figures: colours of the laws, labels beside points, marked spans ---
+
+#: Colours of controllers in all figures.
+LAW_COLOURS = {
+    "paper": RED,
+    "paper + gravity": ORANGE,
+    "cap": BLUE,
+    "stiff": MUTED,
+    "impedance": GREEN,
+    "uniform": PURPLE,
+    "admittance": "#8a6d1d",
+}
+
+
+#: Offsets of a name from its point [pt], best first.
+PLACES = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side in (1, -1))
+
+
+def label_points(
+    ax: Axes, points: Sequence[tuple[float, float, str, str]], *, size: float = 7.5
+) -> None:
+    """Write names beside points, each at the first free place.
+
+    Args:
+        ax: Axes whose limits are final.
+        points: x, y in data units, text, colour.
+        size: Of the type [pt].
+    """
+    figure = ax.get_figure(root=True)
+    if figure is None:
+        return
+    figure.draw_without_rendering()
+    scale = 72.0 / figure.dpi
+    spots = [scale * ax.transData.transform((x, y)) for x, y, _, _ in points]
+    taken = [(px - 5, py - 5, px + 5, py + 5) for px, py in spots]
+    frame = scale * np.asarray(ax.get_window_extent().extents)
+    for (x, y, text, colour), (px, py) in zip(points, spots, strict=True):
+        wide, high = 0.58 * size * len(text), 1.1 * size
+        for dx, dy in PLACES:
+            left = px + dx if dx > 0 else px + dx - wide
+            box = (left, py + dy - high / 2, left + wide, py + dy + high / 2)
+            inside = frame[0] <= box[0] and box[2] <= frame[2]
+            if inside and not any(_overlap(box, other) for other in taken):
+                break
+        else:
+            dx, dy, box = 8, 0, (px + 8, py - high / 2, px + 8 + wide, py + high / 2)
+        taken.append(box)
+        far = abs(dy) > 0
+        ax.annotate(
+            text,
+            (x, y),
+            xytext=(dx, dy),
+            textcoords="offset points",
+            va="center",
+            ha="left" if dx > 0 else "right",
+            fontsize=size,
+            color=colour,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkB": 4}
+            if far
+            else None,
+        )
+
+
+def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def room(row: Grid, share: float) -> None:
+    """Leave a share of the height free around the curves of axes that share their scale."""
+    limits = [value for ax in row for value in ax.dataLim.intervaly if np.isfinite(value)]
+    low, high = min(limits), max(limits)
+    free = share * (high - low)
+    row[0].set_ylim(low - free, high + free)
+
+
+def shade(ax: Axes, start: float, end: float, text: str = "") -> None:
+    """Mark a span of time, e.g. the contact of a hand."""
+    ax.axvspan(start, end, color=MUTED, alpha=0.10, linewidth=0)
+    if text:
+        ax.annotate(
+            text,
+            ((start + end) / 2, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, -3),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            fontsize=7.5,
+            color=MUTED,
+        )

@@ -4,29 +4,50 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from string import ascii_uppercase
 from typing import TYPE_CHECKING
 
-from experiments import admittance, baselines, laws
-from experiments.chapters import comparison_stress as stress
+import numpy as np
+from matplotlib.lines import Line2D
+
+from experiments import controllers
 from experiments.chapters.common import (
     BACK,
+    LAW_COLOURS,
     RELEASE,
     Options,
     drag,
+    label_points,
     return_speed,
     returned,
     seconds,
+    shade,
 )
-from experiments.conditions import NOMINAL
-from experiments.result import Chapter, Figure, Numbers, Statement, at_least, at_most, between, mm
+from experiments.report import (
+    Chapter,
+    Figure,
+    Numbers,
+    Statement,
+    at_least,
+    at_most,
+    band,
+    between,
+    mm,
+)
 from experiments.runner import Job
+from experiments.simulation import NOMINAL
 from pliant._report.page import Table
+from pliant._report.style import WIDE, canvas, label_end, save, thin
 from pliant.sim.hand import STRONG
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
 
-    from experiments.hands import Dragged, Law
+    from experiments.disturbances import DragResult, Law
+    from experiments.report import Numbers
+    from experiments.simulation import Conditions, Trace
+
 
 NUMBER = 5
 TITLE = "Against other ways"
@@ -55,35 +76,37 @@ class Way:
 SPRING = 100.0
 
 WAYS: Mapping[str, Way] = {
-    "stiff": Way("stiff position control", baselines.stiff_joints, "stiff"),
-    "uniform 50": Way("all limits at 50 %", partial(baselines.uniform_limit, 0.5), "uniform"),
-    "uniform 30": Way("all limits at 30 %", partial(baselines.uniform_limit, 0.3), "uniform"),
-    "paper literal": Way("paper, limits only, η 0", partial(laws.limits_only, 10.0), "paper"),
-    "paper 0": Way("paper, η 0", partial(laws.paper, 10.0, eta=0.0), "paper"),
-    "paper 0.9": Way("paper, η 0.9", partial(laws.paper, 10.0, eta=0.9), "paper"),
-    "paper 0.999": Way("paper, η 0.999", partial(laws.paper, 10.0, eta=0.999), "paper"),
-    "gravity 0.999": Way("paper + gravity, η 0.999", laws.rec, "paper + gravity"),
-    "cap 0": Way("cap, η 0", partial(laws.cap, eta=0.0), "cap"),
-    "cap 0.9": Way("cap, η 0.9", partial(laws.cap, eta=0.9), "cap"),
-    "cap 0.999": Way("cap, η 0.999", laws.cap, "cap"),
-    "cap delayed": Way("cap, η 0.999, delayed", laws.cap, "cap", delay=(1, 1)),
-    "springs": Way("law impedance", laws.impedance, "impedance"),
-    "impedance": Way("torque impedance, 1 kHz", baselines.torque_impedance, "impedance", 1000.0),
+    "stiff": Way("stiff position control", controllers.stiff_joints, "stiff"),
+    "uniform 50": Way("all limits at 50 %", partial(controllers.uniform_limit, 0.5), "uniform"),
+    "uniform 30": Way("all limits at 30 %", partial(controllers.uniform_limit, 0.3), "uniform"),
+    "paper literal": Way(
+        "paper, limits only, η 0", partial(controllers.limits_only, 10.0), "paper"
+    ),
+    "paper 0": Way("paper, η 0", partial(controllers.paper, 10.0, eta=0.0), "paper"),
+    "paper 0.9": Way("paper, η 0.9", partial(controllers.paper, 10.0, eta=0.9), "paper"),
+    "paper 0.999": Way("paper, η 0.999", partial(controllers.paper, 10.0, eta=0.999), "paper"),
+    "gravity 0.999": Way("paper + gravity, η 0.999", controllers.rec, "paper + gravity"),
+    "cap 0": Way("cap, η 0", partial(controllers.cap, eta=0.0), "cap"),
+    "cap 0.9": Way("cap, η 0.9", partial(controllers.cap, eta=0.9), "cap"),
+    "cap 0.999": Way("cap, η 0.999", controllers.cap, "cap"),
+    "cap delayed": Way("cap, η 0.999, delayed", controllers.cap, "cap", delay=(1, 1)),
+    "springs": Way("law impedance", controllers.impedance, "impedance"),
+    "impedance": Way("torque impedance, 1 kHz", controllers.torque_impedance, "impedance", 1000.0),
     "impedance compensated": Way(
         "the same, friction compensated",
-        partial(baselines.torque_impedance, compensated=True),
+        partial(controllers.torque_impedance, compensated=True),
         "impedance",
         1000.0,
     ),
     "impedance spring": Way(
         "the same, 100 N/m in y",
-        partial(baselines.torque_impedance, compensated=True, spring=SPRING),
+        partial(controllers.torque_impedance, compensated=True, spring=SPRING),
         "impedance",
         1000.0,
     ),
-    "admittance": Way("admittance by current", admittance.by_current, "admittance"),
+    "admittance": Way("admittance by current", controllers.by_current, "admittance"),
     "admittance spring": Way(
-        "admittance, 100 N/m in y", partial(admittance.by_current, spring=SPRING), "admittance"
+        "admittance, 100 N/m in y", partial(controllers.by_current, spring=SPRING), "admittance"
     ),
 }
 QUICK = ("stiff", "uniform 30", "paper literal", "paper 0.999", "cap 0", "cap 0.999", "impedance")
@@ -102,14 +125,14 @@ def jobs(options: Options) -> list[Job]:
         for key in (QUICK if options.quick else WAYS)
         for sign in signs
     ]
-    return plain + stress.jobs({key: WAYS[key] for key in WAYS if f"{key}/+1" in _keys(plain)})
+    return plain + stress_jobs({key: WAYS[key] for key in WAYS if f"{key}/+1" in _keys(plain)})
 
 
 def _keys(jobs: list[Job]) -> set[str]:
     return {job.key for job in jobs}
 
 
-def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
+def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
     """Return numbers by method: the worse of the two directions."""
     gathered: dict[str, list[dict[str, float | None]]] = {}
     for name, run in outcomes.items():
@@ -117,11 +140,11 @@ def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
         if what in {"+1", "-1"}:
             gathered.setdefault(key, []).append(_one(run))
     return {
-        key: {**_worse(ones), **stress.measure(key, outcomes)} for key, ones in gathered.items()
+        key: {**_worse(ones), **stress_measure(key, outcomes)} for key, ones in gathered.items()
     }
 
 
-def _one(run: Dragged) -> dict[str, float | None]:
+def _one(run: DragResult) -> dict[str, float | None]:
     trace = run.trace
     return {
         "moved": run.moved,
@@ -161,7 +184,7 @@ def chapter(numbers: Numbers) -> Chapter:
         paper="The paper compares with no other method.",
         caption="Left: the worse of both directions, logarithmic; the lower left corner is where "
         "one wants to be. Right: y over time for one of each family, pushed toward +.",
-        statements=(*_statements(numbers), *stress.statements(numbers)),
+        statements=(*_statements(numbers), *stress_statements(numbers)),
     )
     ours, stiff = numbers["cap 0.999"], numbers["stiff"]
     return Chapter(
@@ -171,7 +194,7 @@ def chapter(numbers: Numbers) -> Chapter:
         "limits turned down, the paper's law, the default law, springs on the same servos, an arm "
         "that can command torques, and one that reads forces from its motors' currents.",
         figures=(figure,),
-        tables=(_table(numbers), stress.table(numbers, {key: WAYS[key].name for key in numbers})),
+        tables=(_table(numbers), stress_table(numbers, {key: WAYS[key].name for key in numbers})),
         numbers=numbers,
         headline=(
             (
@@ -188,7 +211,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
     literal, uniform, firm = numbers["paper literal"], numbers["uniform 30"], numbers["cap 0"]
     paper = numbers["paper 0.999"]
     return (
-        Statement(
+        band(
             claim="A position-controlled arm needs no torque interface to be moved as easily as "
             "one that has it.",
             outcome=f"Law cap (η 0.999): {ours['force']:.1f} N and {mm(ours['drift'])} of drift; "
@@ -198,9 +221,8 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_most("force over torque impedance", ours["force"] / torque["force"], 1.2),
                 at_most("drift", ours["drift"], 0.005, "m"),
             ),
-            source="study",
         ),
-        Statement(
+        band(
             claim="Limits alone do not select a direction: read literally, the paper's law drags "
             "the stiff axes along about as far as simply turning all limits down does.",
             outcome=f"Drift {mm(literal['drift'])} with the paper's limits only, "
@@ -209,9 +231,8 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_least("drift, limits only", literal["drift"], 0.05, "m"),
                 between("over uniform", literal["drift"] / uniform["drift"], 0.4, 4.0),
             ),
-            source="study",
         ),
-        Statement(
+        band(
             claim="With strong adaptation the paper's law is soft in the chosen axis only, but "
             "gravity moves it once let go.",
             outcome=f"Paper, η 0.999: {paper['force']:.1f} N, drift {mm(paper['drift'])}; moves by "
@@ -221,9 +242,8 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_most("drift", paper["drift"], 0.012, "m"),
                 at_least("moves after release", paper["crept"], 0.02, "m"),
             ),
-            source="study",
         ),
-        Statement(
+        band(
             claim="Law cap keeps its promise: with η = 0 and a cap of 15 N the hand meets 15 N, "
             "and the arm comes back.",
             outcome=f"Held with {firm['held']:.1f} N, drift {mm(firm['drift'])}; back within "
@@ -233,7 +253,6 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
                 at_most("drift", firm["drift"], 0.005, "m"),
                 at_most("left", firm["left"], 0.015, "m"),
             ),
-            source="study",
         ),
     )
 
@@ -270,11 +289,205 @@ def _table(numbers: Numbers) -> Table:
     )
 
 
-def draw(outcomes: Mapping[str, Dragged], options: Options) -> None:
+def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
     """Draw force against drift, and y over time."""
-    from experiments.figures import comparison
-
     shown = {key: WAYS[key] for key in WAYS if f"{key}/+1" in outcomes}
     numbers = measure(outcomes)
     traces = {key: outcomes[f"{key}/+1"].trace for key in shown}
-    comparison.draw(numbers, traces, shown, options.figures)
+    draw_comparison(numbers, traces, shown, options.figures)
+
+
+# --- The same hand under a fault: a host that stalls, gears unlike their table ---
+
+#: Time at which the host is silent, while the hand moves [s].
+STALL = (2.6, 3.6)
+#: Friction and damping of the gears over the table's.
+TIGHT, LOOSE = 1.0 / 0.7, 1.0 / 1.3
+#: Methods that are run: one of each kind.
+WHO = (
+    "stiff",
+    "uniform 30",
+    "paper 0.999",
+    "cap 0.999",
+    "springs",
+    "impedance",
+    "impedance compensated",
+    "admittance",
+)
+
+
+def stress_jobs(ways: Mapping[str, Way]) -> list[Job]:
+    """Return three runs for each available method of `WHO`."""
+    out = []
+    for key in WHO:
+        if key not in ways:
+            continue
+        nominal = replace(NOMINAL, rate=ways[key].rate)
+        for what, conditions in _stresses(nominal).items():
+            out.append(
+                Job(f"{key}/{what}", drag, (ways[key].make, STRONG), {"conditions": conditions})
+            )
+    return out
+
+
+def _stresses(nominal: Conditions) -> dict[str, Conditions]:
+    return {
+        "stall": nominal.with_plant(silent=STALL),
+        "tight": nominal.with_plant(friction_scale=TIGHT, damping_scale=TIGHT),
+        "loose": nominal.with_plant(friction_scale=LOOSE, damping_scale=LOOSE),
+    }
+
+
+def stress_measure(key: str, outcomes: Mapping[str, DragResult]) -> dict[str, float | None]:
+    """Compute the figures of one method; empty for a method that was not run."""
+    if f"{key}/stall" not in outcomes:
+        return {}
+    stall, tight, loose = (outcomes[f"{key}/{what}"] for what in ("stall", "tight", "loose"))
+    after = stall.trace.t > STALL[0]
+    return {
+        "stall_force": stall.peak,
+        "stall_drift": stall.drift,
+        "stall_speed": float(np.abs(stall.trace.dq[after]).max()),
+        "tight_force": tight.peak,
+        "tight_drift": tight.drift,
+        "loose_force": loose.peak,
+        "loose_walks": loose.stays,
+    }
+
+
+def stress_table(numbers: Numbers, names: Mapping[str, str]) -> Table:
+    """Return the table of all methods."""
+    rows = [
+        (
+            names[key],
+            f"{one['stall_force']:.1f} N",
+            mm(one["stall_drift"]),
+            f"{one['stall_speed']:.1f} rad/s",
+            f"{one['tight_force']:.1f} N",
+            mm(one["tight_drift"]),
+            f"{one['loose_force']:.1f} N",
+            mm(one["loose_walks"]),
+        )
+        for key, one in numbers.items()
+        if "stall_force" in one
+    ]
+    return Table(
+        caption="The same hand toward +y. Stall: from 2.6 to 3.6 s, in the middle of its way, the "
+        "host sends nothing and reads nothing; largest force, drift of x and z, largest joint "
+        "speed from then on. Tight, loose: friction and damping of the gears are 1.43 and 0.77 "
+        "times what the controllers believe; walks: how far y still goes after the release.",
+        columns=(
+            "way",
+            "stall: force",
+            "drift",
+            "speed",
+            "tight: force",
+            "drift",
+            "loose: force",
+            "walks",
+        ),
+        rows=tuple(rows),
+    )
+
+
+def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
+    """Return the statements on the runs, if they were made."""
+    needed = ("cap 0.999", "admittance", "stiff", "impedance")
+    if not all("stall_force" in numbers.get(key, {}) for key in needed):
+        return ()
+    ours, current, stiff, torque = (numbers[key] for key in needed)
+    return (
+        band(
+            claim="When the host stalls for a second the limits of the last tick still protect; "
+            "what is soft by its goals alone is stiff then, and is thrown when the host returns.",
+            outcome=f"Largest force and joint speed: cap {ours['stall_force']:.1f} N, "
+            f"{ours['stall_speed']:.1f} rad/s; admittance {current['stall_force']:.1f} N, "
+            f"{current['stall_speed']:.1f} rad/s; stiff {stiff['stall_force']:.1f} N; torque "
+            f"impedance {torque['stall_force']:.1f} N.",
+            tests=(
+                at_most("cap over admittance", ours["stall_force"] / current["stall_force"], 0.8),
+                at_most("speed, cap over stiff", ours["stall_speed"] / stiff["stall_speed"], 0.5),
+            ),
+        ),
+        band(
+            claim="Gears that resist more than the table says cost force, here as elsewhere; the "
+            "stiff axes stay where they are.",
+            outcome=f"Tight gears: cap {ours['tight_force']:.1f} N, {mm(ours['tight_drift'])}; "
+            f"admittance {current['tight_force']:.1f} N, {mm(current['tight_drift'])}; torque "
+            f"impedance {torque['tight_force']:.1f} N, {mm(torque['tight_drift'])}.",
+            tests=(
+                at_least("more force", ours["tight_force"] / ours["force"], 1.0),
+                at_most("drift", ours["tight_drift"], 0.005, "m"),
+            ),
+        ),
+    )
+
+
+# --- Force to move the arm against the drift of its stiff axes, and the return ---
+
+#: Curves shown over time: one of each family.
+OVER_TIME = ("stiff", "uniform 30", "paper 0.999", "cap 0", "cap 0.999", "impedance")
+
+
+def draw_comparison(
+    numbers: Numbers, traces: Mapping[str, Trace], ways: Mapping[str, Way], folder: Path
+) -> None:
+    """Draw `5-comparison`."""
+    with canvas(1, 2, size=(WIDE, 5.6), width_ratios=[1.15, 1.0]) as (figure, axes):
+        ax, over = axes[0]
+        names: list[tuple[float, float, str, str]] = []
+        key_of_letters = []
+        for letter, (key, way) in zip(ascii_uppercase, ways.items(), strict=False):
+            force, drift = numbers[key]["force"], 1e3 * numbers[key]["drift"]
+            stays = numbers[key]["returned"] is None
+            colour = LAW_COLOURS[way.family]
+            ax.plot(
+                force,
+                drift,
+                "o",
+                markersize=8,
+                markeredgewidth=1.6,
+                color=colour,
+                markerfacecolor="none" if stays else colour,
+            )
+            names.append((force, drift, letter, colour))
+            key_of_letters.append(Line2D([], [], linestyle="", label=f"{letter}  {way.name}"))
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        ax.set_xlim(2.0, 110.0)
+        ax.set_ylim(0.6, 300.0)
+        ax.set_xticks([3, 5, 10, 20, 50, 100], ["3", "5", "10", "20", "50", "100"])
+        ax.set_yticks([1, 3, 10, 30, 100], ["1", "3", "10", "30", "100"])
+        ax.minorticks_off()
+        ax.set_xlabel("force to move it by 0.15 m [N]")
+        ax.set_ylabel("drift of the stiff positions [mm]")
+        ax.set_title("filled: comes back; open: does not")
+        marks = []
+        for key in OVER_TIME:
+            if key in traces:
+                trace, colour = traces[key], LAW_COLOURS[ways[key].family]
+                step = thin(trace.t)
+                dashed = key == "cap 0"
+                over.plot(
+                    trace.t[step],
+                    -1e3 * trace.error[step, 1],
+                    color=colour,
+                    linestyle=(0, (4, 2)) if dashed else "-",
+                )
+                marks.append((-1e3 * float(trace.error[-1, 1]), ways[key].name, colour))
+        over.set_ylim(-40.0, 260.0)
+        shade(over, 2.0, 5.0, "hand")
+        over.set_xlim(0.0, 9.0)
+        over.set_xlabel("time [s]")
+        over.set_ylabel("y, from its target [mm]")
+        over.set_title("pulled toward +y, let go at 5 s")
+        label_end(over, 9.0, marks, size=7.5)
+        label_points(ax, sorted(names, key=lambda name: -name[1]), size=8.5)
+        figure.legend(
+            handles=key_of_letters,
+            loc="outside lower left",
+            ncols=4,
+            handlelength=0.0,
+            labelcolor=[LAW_COLOURS[way.family] for way in ways.values()],
+        )
+        save(figure, folder, "5-comparison")

@@ -8,23 +8,62 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments import laws, metrics
-from experiments.chapters import static_text
-from experiments.chapters.common import BACK, RELEASE, Options, drag, return_speed, returned
-from experiments.result import Chapter, Numbers
+from experiments import controllers, metrics
+from experiments.chapters.common import (
+    BACK,
+    LAW_COLOURS,
+    RELEASE,
+    Options,
+    drag,
+    return_speed,
+    returned,
+    room,
+    shade,
+)
+from experiments.poses import AXES
+from experiments.report import (
+    Chapter,
+    Figure,
+    Numbers,
+    Statement,
+    at_least,
+    at_most,
+    band,
+    between,
+    mm,
+)
 from experiments.runner import Job
-from experiments.setups import AXES
+from pliant._report.page import Table
+from pliant._report.style import (
+    AXIS_COLOURS,
+    INK,
+    MUTED,
+    WIDE,
+    canvas,
+    label_end,
+    names,
+    save,
+    thin,
+)
 from pliant.sim.hand import LIGHT, YAW, Drag, Twist
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
 
-    from experiments.hands import Dragged, Law
+    from numpy.typing import NDArray
+
+    from experiments.disturbances import DragResult, Law
+    from experiments.simulation import Trace
+
 
 NUMBER = 2
 TITLE = "A hand moves the arm out of its pose"
 ETAS = (0.0, 0.9, 0.999)
-LAWS: Mapping[str, Callable[..., Law]] = {"paper": partial(laws.paper, 10.0), "cap": laws.cap}
+LAWS: Mapping[str, Callable[..., Law]] = {
+    "paper": partial(controllers.paper, 10.0),
+    "cap": controllers.cap,
+}
 #: Length of a run [s]: long enough for the slowest return.
 DURATION = 12.0
 
@@ -58,7 +97,7 @@ def jobs(options: Options) -> list[Job]:
     ]
 
 
-def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
+def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
     """Return numbers by axis, law, η and direction."""
     numbers: dict[str, dict[str, dict[str, dict[str, dict[str, float | None]]]]] = {}
     for name, run in outcomes.items():
@@ -68,7 +107,7 @@ def measure(outcomes: Mapping[str, Dragged]) -> Numbers:
     return numbers
 
 
-def _one(run: Dragged, axis: int) -> dict[str, float | None]:
+def _one(run: DragResult, axis: int) -> dict[str, float | None]:
     trace = run.trace
     letting_go, end = trace.at(RELEASE), trace.t.size - 1
     compliance = trace.compliance[trace.between(*metrics.PULLING), axis]
@@ -93,11 +132,11 @@ def _one(run: Dragged, axis: int) -> dict[str, float | None]:
 
 def chapter(numbers: Numbers) -> Chapter:
     """Judge the statements about Figs 4 and 5."""
-    figures = [figure for axis in numbers for figure in static_text.figures(axis, numbers[axis])]
+    figures = [figure for axis in numbers for figure in axis_figures(axis, numbers[axis])]
     headline = []
     for axis in numbers:
         for eta in numbers[axis]["cap"]:
-            times = static_text.times(axis, numbers[axis]["cap"][eta])
+            times = return_times(axis, numbers[axis]["cap"][eta])
             headline.append((f"cap, {axis} compliant, η {eta}, return", times))
     return Chapter(
         number=NUMBER,
@@ -105,18 +144,379 @@ def chapter(numbers: Numbers) -> Chapter:
         lead="One axis is made compliant, the target stands still, and a hand pulls the arm away "
         "and lets go. How far does it follow, what do the other axes do, and does it come back?",
         figures=tuple(figures),
-        tables=tuple(static_text.table(axis, numbers[axis]) for axis in numbers),
+        tables=tuple(return_table(axis, numbers[axis]) for axis in numbers),
         numbers={"back_below": {"m": BACK[0], "rad": BACK[1]}, **numbers},
         headline=tuple(headline),
     )
 
 
-def draw(outcomes: Mapping[str, Dragged], options: Options) -> None:
+def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
     """Draw an overview and all deviations per law, for each axis."""
-    from experiments.figures import static
-
     traces = {name: run.trace for name, run in outcomes.items()}
     for axis in dict.fromkeys(name.split()[0] for name in outcomes):
-        static.overview(traces, axis, options.figures)
+        draw_overview(traces, axis, options.figures)
         for law in LAWS:
-            static.deviations(traces, axis, law, options.figures)
+            draw_deviations(traces, axis, law, options.figures)
+
+
+# --- The paper's statements on Figs 4 and 5, and the results of a run ---
+
+#: Deviations at which compliance begins to fade and is gone: d⁻ and d⁺ [m], [rad].
+RANGE = {"y": (0.01, 0.10), "yaw": (0.04, 0.40)}
+#: Bound of a slow return [m/s], [rad/s].
+SLOW = {"y": 0.2, "yaw": 0.8}
+#: Distance of the hand [m], [rad].
+WAY = {"y": 0.25, "yaw": 0.8}
+NUMBER_OF_FIGURE = {"y": "Fig. 4", "yaw": "Fig. 5"}
+
+
+def amount(axis: str) -> Callable[[float], str]:
+    """Format a deviation of an axis."""
+    return (lambda value: f"{value:.2f} rad") if axis == "yaw" else mm
+
+
+def worst(runs: Numbers, name: str) -> float:
+    """Return the largest number of all push directions."""
+    return float(max(one[name] for one in runs.values()))
+
+
+def least(runs: Numbers, name: str) -> float:
+    """Return the smallest number of all push directions."""
+    return float(min(one[name] for one in runs.values()))
+
+
+def axis_figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
+    """Return the overview, and all six deviations under each law."""
+    of, push = (
+        amount(axis),
+        "at most 3 N·m at the tool" if axis == "yaw" else "at most 15 N at the wrist",
+    )
+    title = NUMBER_OF_FIGURE[axis]
+    common = (
+        f"{axis} is compliant, d⁻ = {of(RANGE[axis][0])}, d⁺ = {of(RANGE[axis][1])}. A hand of "
+        f"{push} pulls by {of(WAY[axis])} within 2 to 3.5 s, holds on until 5 s and lets go; the "
+        "grey band marks it."
+    )
+    overview = Figure(
+        file=f"2-static-{axis}",
+        title=f"Pushed in {axis}: the paper's law and the default law side by side ({title})",
+        done=f"{common} Once with the paper's law as printed, without a gravity model and with a "
+        "budget of 10 N·m on every axis, once with the default law cap, which promises forces. "
+        "Both directions, three rates η of target adaptation.",
+        caption="Solid: pushed toward +, dashed: toward −. Middle: the farthest of the other "
+        "positions. Below: what the hand feels.",
+        paper="Without adaptation the arm gives way a little and then resists, and other axes are "
+        "dragged along; with strong adaptation it follows the hand and the other axes keep to "
+        "their targets. Let go, it moves back slowly, or, at η = 0.999, to where gravity and "
+        "servos balance.",
+        statements=(*_paper(axis, numbers["paper"]), *_study(axis, numbers["cap"])),
+    )
+    details = tuple(
+        Figure(
+            file=f"2-static-{axis}-{law}",
+            title=f"All deviations and the compliance c, {name} ({title})",
+            done=f"The runs of the overview, as {title} prints them: deviation of all six axes "
+            "from the target and compliance c, for η = 0 (left), 0.9 and 0.999 (right). Two runs "
+            "in a row: pushed toward +, then toward −.",
+            caption=f"Grey: the hand, and where it pulls. c is of {axis}, from the adapted "
+            "deviation.",
+        )
+        for law, name in (("paper", "the paper's law without gravity model"), ("cap", "law cap"))
+        if law in numbers
+    )
+    return (overview, *details)
+
+
+def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
+    of = amount(axis)
+    none, some, full = (law[eta] for eta in ("0", "0.9", "0.999"))
+    fade, gone = RANGE[axis]
+    ratio = [worst(runs, "drift") / max(least(runs, "moved"), 1e-9) for runs in (none, full)]
+    return (
+        Statement(
+            claim="η = 0: the tool gives way only by a fraction of d⁺.",
+            outcome=f"It moves by {span(of, none, 'moved')}, with d⁺ = {of(gone)}.",
+            tests=(between("moved", worst(none, "moved"), fade / 2, gone),),
+        ),
+        Statement(
+            claim="η = 0: compliance falls with the deviation, the limits rise, and the arm "
+            "resists.",
+            outcome=f"c falls to {span('{:.2f}'.format, none, 'least_c')} while the hand pulls "
+            f"with up to {worst(none, 'force'):.1f} {_unit(axis)}.",
+            tests=(at_most("smallest c", worst(none, "least_c"), 0.95),),
+        ),
+        Statement(
+            claim="η = 0: other axes deviate too; with strong adaptation they stay near their "
+            "targets.",
+            outcome=f"The hand drags other positions by {mm(worst(none, 'drift'))} at η = 0 for "
+            f"{of(least(none, 'moved'))} of {axis}, and by {mm(worst(full, 'drift'))} at η = 0.999 "
+            f"for {of(least(full, 'moved'))}; the servos' own sag under gravity is not counted.",
+            tests=(
+                at_least(
+                    "deviation per motion, η 0 over η 0.999", ratio[0] / max(ratio[1], 1e-9), 1.5
+                ),
+            ),
+        ),
+        Statement(
+            claim="η = 0.999: the tool follows the hand all the way.",
+            outcome=f"It moves by {of(least(full, 'moved'))} of {of(WAY[axis])}, against at most "
+            f"{worst(full, 'force'):.1f} {_unit(axis)}; at η = 0.9 by {of(least(some, 'moved'))}.",
+            tests=(at_least("moved", least(full, "moved"), 0.9 * WAY[axis]),),
+        ),
+        Statement(
+            claim="Let go, the tool moves back to its target slowly (η = 0 and 0.9).",
+            outcome=f"Time until it is back within {of(BACK[axis == 'yaw'])}: "
+            f"{return_times(axis, none)} (η = 0) and {return_times(axis, some)} (η = 0.9), "
+            f"{of(worst(some, 'left'))} being left; the fastest return goes at "
+            f"{max(worst(none, 'return_speed'), worst(some, 'return_speed')):.2f} "
+            f"{_unit(axis, 'speed')}.",
+            tests=(
+                at_most(
+                    "deviation left",
+                    max(worst(none, "left"), worst(some, "left")),
+                    BACK[axis == "yaw"],
+                ),
+                at_most(
+                    "speed",
+                    max(worst(none, "return_speed"), worst(some, "return_speed")),
+                    SLOW[axis],
+                ),
+            ),
+            because=_why_not_slowly(axis, none, some),
+        ),
+        Statement(
+            claim="η = 0.999: let go, the arm moves on to a pose where gravity is in balance.",
+            outcome=f"Within the rest of the run it moves by another {of(worst(full, 'crept'))} "
+            f"and ends {of(worst(full, 'left'))} from its target, moving at "
+            f"{1e3 * worst(full, 'still_moving'):.1f} m{_unit(axis, 'speed')}; before the push it "
+            f"had already drifted by {of(worst(full, 'before'))}.",
+            tests=(
+                at_least("motion after release", worst(full, "crept"), BACK[axis == "yaw"]),
+                at_most(
+                    "speed at the end", worst(full, "still_moving"), 0.005 if axis == "y" else 0.02
+                ),
+            ),
+            because="it creeps on: with a target that follows, nothing but friction is left to "
+            "balance what the missing gravity model leaves over.",
+        ),
+    )
+
+
+def _why_not_slowly(axis: str, none: Numbers, some: Numbers) -> str:
+    """Explain a remaining deviation at η = 0.9, and a fast return."""
+    reasons = []
+    if worst(some, "left") > BACK[axis == "yaw"]:
+        reasons.append(
+            "gravity, of which this law knows nothing, keeps it "
+            f"{amount(axis)(worst(some, 'left'))} off at η = 0.9"
+        )
+    if max(worst(none, "return_speed"), worst(some, "return_speed")) > SLOW[axis]:
+        reasons.append(
+            "stretched servos of this stiffness throw the arm back; the servos' own speed limit, "
+            "which Cosero had, is not used here"
+        )
+    return f"{'; '.join(reasons)}." if reasons else ""
+
+
+def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
+    of = amount(axis)
+    full = law["0.999"]
+    bands = {"y": (0.23, 7.5, 0.005, 0.015), "yaw": (0.75, 1.1, 0.009, 0.04)}[axis]
+    statements = [
+        band(
+            claim=f"Law cap, η = 0.999: follows for at most {bands[1]:g} {_unit(axis)}, other "
+            f"positions within {mm(bands[2])}, and stays where it is left.",
+            outcome=f"{worst(full, 'force'):.2f} {_unit(axis)}, {mm(worst(full, 'position'))}; "
+            f"moves by {of(worst(full, 'crept'))} after the hand has gone.",
+            tests=(
+                at_least("moved", least(full, "moved"), bands[0]),
+                at_most("force", worst(full, "force"), bands[1]),
+                at_most("other positions", worst(full, "position"), bands[2]),
+                at_most("moves after release", worst(full, "crept"), bands[3]),
+            ),
+        )
+    ]
+    if axis == "y":
+        some = law["0.9"]
+        statements.append(
+            band(
+                claim="Law cap, η = 0.9: follows beyond 0.2 m for less than 13 N and comes back to "
+                "15 mm.",
+                outcome=f"Moves by {of(least(some, 'moved'))} for {worst(some, 'force'):.1f} N; "
+                f"after the release back within 15 mm after {return_times(axis, some)}.",
+                tests=(
+                    at_least("moved", least(some, "moved"), 0.2),
+                    at_most("force", worst(some, "force"), 13.0),
+                    at_most("left", worst(some, "left"), 0.015),
+                ),
+                because="it is still on its way at the end of the run.",
+            )
+        )
+    return tuple(statements)
+
+
+def comes_back(axis: str, one: Numbers) -> str:
+    """Describe the return time of a run, or that the arm stays or does not come close enough."""
+    if one["returned"] is not None:
+        return f"{one['returned']:.1f} s"
+    return "stays" if one["crept"] <= BACK[axis == "yaw"] else "not back"
+
+
+def return_times(axis: str, runs: Numbers) -> str:
+    """Describe the return times of both directions."""
+    each = dict.fromkeys(comes_back(axis, one) for one in runs.values())
+    return " and ".join(each)
+
+
+def span(of: Callable[[float], str], runs: Numbers, name: str) -> str:
+    """Return the range of a number over the push directions."""
+    low, high = of(least(runs, name)), of(worst(runs, name))
+    return low if low == high else f"{low} to {high}"
+
+
+def _unit(axis: str, what: str = "force") -> str:
+    return {"force": ("N", "N·m"), "speed": ("m/s", "rad/s")}[what][axis == "yaw"]
+
+
+def return_table(axis: str, numbers: Numbers) -> Table:
+    """Return the return time per η, and the force to move the arm."""
+    of = amount(axis)
+    rows = []
+    for law, etas in numbers.items():
+        for eta, runs in etas.items():
+            for direction, one in runs.items():
+                rows.append(
+                    (
+                        law,
+                        eta,
+                        direction,
+                        of(one["moved"]),
+                        f"{one['force']:.2f} {_unit(axis)}",
+                        mm(one["position"]),
+                        f"{1e3 * one['rotation']:.0f} mrad",
+                        comes_back(axis, one),
+                        of(one["left"]),
+                    )
+                )
+    limit = "0.06 rad" if axis == "yaw" else "15 mm"
+    return Table(
+        caption=f"Compliant in {axis}: return time per η. Returned: time from the release until "
+        f"the deviation stays below {limit}; left: deviation at the end of the run.",
+        columns=(
+            "law",
+            "η",
+            "pushed",
+            "moved",
+            "force",
+            "other positions",
+            "other rotations",
+            "returned",
+            "left",
+        ),
+        rows=tuple(rows),
+    )
+
+
+# --- Figs 4 and 5: an overview of both laws, and all deviations of each ---
+
+ETA_NAMES = ("0", "0.9", "0.999")
+SIGNS = ("+1", "-1")
+#: Time at which the hand comes [s].
+GRIPPED = 2.0
+#: Time between two runs drawn in a row [s].
+PAUSE = 0.6
+
+
+def draw_overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
+    """Draw the dragged axis, the farthest other position and the hand, one law over the other."""
+    index = AXES.index(axis)
+    turning = index > 2
+    others = [i for i in range(3) if i != index]
+    scale, unit = (1.0, "rad") if turning else (1e3, "mm")
+    with canvas(3, 3, size=(WIDE, 6.4), sharex=True, sharey="row") as (figure, axes):
+        for column, eta in enumerate(ETA_NAMES):
+            for law in ("paper", "cap"):
+                for sign in SIGNS:
+                    trace = traces.get(f"{axis} {law} {eta} {sign}")
+                    if trace is None:
+                        continue
+                    step = thin(trace.t)
+                    line = {
+                        "color": LAW_COLOURS[law],
+                        "linestyle": "-" if sign == "+1" else (0, (3.5, 2.0)),
+                        "linewidth": 1.6 if law == "cap" else 1.3,
+                    }
+                    t = trace.t[step]
+                    effort = (trace.moment if turning else trace.force)[step, index % 3]
+                    farthest = np.abs(trace.error[step][:, others]).max(axis=1)
+                    axes[0, column].plot(t, -scale * trace.error[step, index], **line)
+                    axes[1, column].plot(t, 1e3 * farthest, **line)
+                    axes[2, column].plot(t, effort, **line)
+            axes[0, column].set_title(f"η = {eta}")
+            for row in range(3):
+                shade(axes[row, column], GRIPPED, RELEASE, "hand" if row == 0 else "")
+            axes[0, column].axhline(0.0, color=MUTED, linewidth=0.7)
+            axes[2, column].set_xlabel("time [s]")
+        axes[0, 0].set_ylabel(f"{axis}, from its target [{unit}]")
+        axes[1, 0].set_ylabel("farthest other position [mm]")
+        room(axes[0], 0.14)
+        room(axes[1], 0.14)
+        axes[1, 0].set_ylim(bottom=0.0)
+        axes[2, 0].set_ylabel(f"hand [{'N·m' if turning else 'N'}]")
+        names(
+            axes[0, 0],
+            [("paper, no gravity model", LAW_COLOURS["paper"]), ("cap", LAW_COLOURS["cap"])],
+        )
+        save(figure, folder, f"2-static-{axis}")
+
+
+def draw_deviations(traces: Mapping[str, Trace], axis: str, law: str, folder: Path) -> None:
+    """Draw all six deviations and c of one law, the runs of both directions in a row."""
+    index = AXES.index(axis)
+    with canvas(
+        3, 3, size=(WIDE, 6.2), sharex=True, sharey="row", height_ratios=[1.0, 1.0, 0.62]
+    ) as (figure, axes):
+        ends: list[float] = []
+        for column, eta in enumerate(ETA_NAMES):
+            start = 0.0
+            for sign in SIGNS:
+                trace = traces.get(f"{axis} {law} {eta} {sign}")
+                if trace is None:
+                    continue
+                step = thin(trace.t)
+                t = start + trace.t[step]
+                for k, name in enumerate(AXES):
+                    row, scale = (0, 1e3) if k < 3 else (1, 1.0)
+                    axes[row, column].plot(
+                        t, -scale * trace.error[step, k], color=AXIS_COLOURS[name]
+                    )
+                axes[2, column].plot(t, trace.compliance[step, index], color=INK)
+                for row in range(3):
+                    text = f"{'+' if sign == '+1' else '−'}{axis}" if row == 0 else ""
+                    shade(axes[row, column], start + GRIPPED, start + RELEASE, text)
+                start = float(t[-1]) + PAUSE
+            ends.append(start - PAUSE)
+            axes[0, column].set_title(f"η = {eta}", pad=14)
+            axes[2, column].set_xlabel("time [s]")
+            axes[2, column].set_ylim(-0.05, 1.08)
+        room(axes[0], 0.14)
+        axes[0, 0].set_ylabel("positions, from target [mm]")
+        axes[1, 0].set_ylabel("rotations, from target [rad]")
+        axes[2, 0].set_ylabel("compliance c")
+        _end_names(axes, traces, axis, law, max(ends))
+        save(figure, folder, f"2-static-{axis}-{law}")
+
+
+def _end_names(
+    axes: NDArray[np.object_], traces: Mapping[str, Trace], axis: str, law: str, end: float
+) -> None:
+    """Name the lines at the right edge, where the last run ends."""
+    present = [s for s in SIGNS if f"{axis} {law} {ETA_NAMES[2]} {s}" in traces]
+    trace = traces[f"{axis} {law} {ETA_NAMES[2]} {present[-1]}"]
+    for row, group in ((0, AXES[:3]), (1, AXES[3:])):
+        scale = 1e3 if row == 0 else 1.0
+        ends = [
+            (-scale * float(trace.error[-1, AXES.index(name)]), name, AXIS_COLOURS[name])
+            for name in group
+        ]
+        label_end(axes[row, 2], end, ends)

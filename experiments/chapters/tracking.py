@@ -6,30 +6,57 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import MultipleLocator
 
-from experiments import laws, metrics
-from experiments.chapters.common import Options, track
-from experiments.result import Chapter, Figure, Numbers, Statement, at_least, at_most, between, mm
+from experiments import controllers, metrics
+from experiments.chapters.common import LAW_COLOURS, Options, track
+from experiments.poses import AMPLITUDE, AXES
+from experiments.report import (
+    Chapter,
+    Figure,
+    Numbers,
+    Statement,
+    at_least,
+    at_most,
+    band,
+    between,
+    mm,
+)
 from experiments.runner import Job
-from experiments.setups import AMPLITUDE, AXES
 from pliant._report.page import Table
+from pliant._report.style import (
+    BLUE,
+    INK,
+    MUTED,
+    ORANGE,
+    RED,
+    WIDE,
+    canvas,
+    label_end,
+    names,
+    save,
+    thin,
+)
 from pliant._report.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
-    from experiments.hands import Law
-    from experiments.tracking import Tracked
+    from experiments.disturbances import Law
+    from experiments.simulation import Trace
+    from experiments.tracking import TrackResult
+
 
 NUMBER = 3
 TITLE = "A compliant axis still tracks"
 LAWS: Mapping[str, Callable[..., Law]] = {
-    "paper": partial(laws.paper, 10.0),
-    "paper + gravity": laws.rec,
-    "cap": laws.cap,
+    "paper": partial(controllers.paper, 10.0),
+    "paper + gravity": controllers.rec,
+    "cap": controllers.cap,
 }
 #: The literal reading, for the loss of z: also without step limits.
-LITERAL: Callable[..., Law] = partial(laws.limits_only, 10.0)
+LITERAL: Callable[..., Law] = partial(controllers.limits_only, 10.0)
 #: Bound of "tracking very well": rms error over amplitude.
 WELL = 0.10
 #: Bands of law cap: rms error over amplitude.
@@ -49,7 +76,7 @@ def jobs(options: Options) -> list[Job]:
     return runs
 
 
-def measure(outcomes: Mapping[str, Tracked]) -> Numbers:
+def measure(outcomes: Mapping[str, TrackResult]) -> Numbers:
     """Return numbers by axis and law."""
     numbers: dict[str, dict[str, dict[str, float]]] = {}
     for name, run in outcomes.items():
@@ -58,7 +85,7 @@ def measure(outcomes: Mapping[str, Tracked]) -> Numbers:
     return numbers
 
 
-def _one(run: Tracked, axis: int) -> dict[str, float]:
+def _one(run: TrackResult, axis: int) -> dict[str, float]:
     trace = run.trace
     swing = trace.between(1.0, 17.0)
     error, c = trace.error[swing, axis], trace.compliance[swing, axis]
@@ -144,14 +171,13 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
     others = max(one["other_positions"] for one in cap.values())
     limit = 0.009 if {"pitch", "yaw"} & set(axes) else 0.007
     statements = [
-        Statement(
+        band(
             claim="Law cap follows within its bands and keeps the other positions.",
             outcome=f"Rms error / amplitude {shares}; other positions within {mm(others)}.",
             tests=(
                 *(at_most(f"{axis}", cap[axis]["share"], CAP_BANDS[axis]) for axis in axes),
                 at_most("other positions", others, limit, "m"),
             ),
-            source="study",
         )
     ]
     if all("paper + gravity" in numbers[axis] for axis in axes):
@@ -159,7 +185,7 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
         worst = max(one["share"] for one in rec.values())
         others = max(one["other_positions"] for one in rec.values())
         statements.append(
-            Statement(
+            band(
                 claim="The paper's law with a gravity model follows within 0.035 and keeps the "
                 "other positions to 5 mm.",
                 outcome=f"At worst {worst:.3f}; other positions within {mm(others)}.",
@@ -167,7 +193,6 @@ def _bands(numbers: Numbers, axes: list[str]) -> tuple[Statement, ...]:
                     at_most("worst", worst, 0.035),
                     at_most("other positions", others, 0.005, "m"),
                 ),
-                source="study",
             )
         )
     return tuple(statements)
@@ -210,11 +235,10 @@ def _loss(numbers: Numbers) -> Figure:
                     at_most("left over lost", literal["left"] / literal["sunk"], 0.8),
                 ),
             ),
-            Statement(
+            band(
                 claim="With gravity in goals and limits nothing is lost.",
                 outcome=f"Law cap loses {mm(max(better['sunk'], 0.0))} at most.",
                 tests=(at_most("z lost", better["sunk"], 0.007, "m"),),
-                source="study",
             ),
         ),
     )
@@ -237,13 +261,108 @@ def _table(numbers: Numbers, axes: list[str]) -> Table:
     )
 
 
-def draw(outcomes: Mapping[str, Tracked], options: Options) -> None:
+def draw(outcomes: Mapping[str, TrackResult], options: Options) -> None:
     """Draw the swings and the loss of z."""
-    from experiments.figures import tracking
-
     traces = {name: run.trace for name, run in outcomes.items()}
     axes = [axis for axis in AXES if f"{axis}/cap" in traces]
     for file, group in (("3-tracking-positions", axes[:3]), ("3-tracking-rotations", axes[3:])):
         if group:
-            tracking.swings(traces, [a for a in group if a in axes], file, options.figures)
-    tracking.loss(traces, options.figures)
+            draw_swings(traces, [a for a in group if a in axes], file, options.figures)
+    draw_loss(traces, options.figures)
+
+
+# --- Figs 6 and 7: sinusoids, and the loss of height while the arm swings in x ---
+
+ORDER = ("paper", "paper + gravity", "cap")
+
+
+def draw_swings(
+    traces: Mapping[str, Trace], axes_names: Sequence[str], file: str, folder: Path
+) -> None:
+    """Draw the swinging axis with its target above, the farthest other position below."""
+    count = len(axes_names)
+    with canvas(
+        2,
+        count,
+        size=(WIDE, 4.6),
+        sharex=True,
+        sharey="row" if count > 1 else False,
+        height_ratios=[1.2, 1.0],
+    ) as (figure, axes):
+        for column, axis in enumerate(axes_names):
+            index = AXES.index(axis)
+            others = [i for i in range(3) if i != index]
+            scale, unit = (1e3, "mm") if index < 3 else (1.0, "rad")
+            top, low = axes[:, column]
+            drawn = [law for law in ORDER if f"{axis}/{law}" in traces]
+            for law in drawn:
+                trace = traces[f"{axis}/{law}"]
+                step = thin(trace.t)
+                t = trace.t[step]
+                colour = LAW_COLOURS[law]
+                top.plot(t, scale * trace.moved[step, index], color=colour, linewidth=1.4)
+                away = np.abs(trace.error[step][:, others]).max(axis=1)
+                low.plot(t, 1e3 * away, color=colour, linewidth=1.4)
+            trace = traces[f"{axis}/{drawn[0]}"]
+            step = thin(trace.t)
+            wanted = trace.moved[step, index] + trace.error[step, index]
+            top.plot(trace.t[step], scale * wanted, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+            top.set_title(f"{axis} compliant")
+            low.set_xlabel("time [s]")
+            low.xaxis.set_major_locator(MultipleLocator(4.0))
+            if column == 0:
+                top.set_ylabel(f"along the axis [{unit}]")
+                low.set_ylabel("other positions [mm]")
+        axes[1, 0].set_ylim(bottom=0.0)
+        entries = [("target", INK), *((law, LAW_COLOURS[law]) for law in drawn)]
+        names(axes[0, 0], entries, right=False, top=False)
+        save(figure, folder, file)
+
+
+def draw_loss(traces: Mapping[str, Trace], folder: Path) -> None:
+    """Draw x, z, c and the shoulder's torque of the x swing."""
+    shown = (
+        ("x/literal", "paper, no step limits", RED),
+        ("x/paper", "paper, step limits", ORANGE),
+        ("x/cap", "cap", BLUE),
+    )
+    with canvas(4, 1, size=(WIDE * 0.82, 7.4), sharex=True, height_ratios=[1, 1, 0.7, 1]) as (
+        figure,
+        axes,
+    ):
+        x, z, c, torque = axes[:, 0]
+        end = 0.0
+        marks: list[tuple[float, str, str]] = []
+        for key, name, colour in shown:
+            trace = traces[key]
+            step = thin(trace.t)
+            t = trace.t[step]
+            end = float(trace.t[-1])
+            x.plot(t, trace.position[step, 0], color=colour)
+            drop = 1e3 * (trace.position[step, 2] - (trace.position[0, 2]))
+            z.plot(t, drop, color=colour)
+            c.plot(t, trace.compliance[step, 0], color=colour)
+            marks.append((float(trace.position[-1, 0]), name, colour))
+        literal = traces["x/literal"]
+        step = thin(literal.t)
+        t = literal.t[step]
+        wanted = literal.position[step, 0] + literal.error[step, 0]
+        x.plot(t, wanted, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        limit = literal.limit[step, 0]
+        torque.fill_between(t, -limit, limit, color=MUTED, alpha=0.16, linewidth=0)
+        torque.plot(t, literal.torque[step, 0], color=RED)
+        x.set_ylabel("x [m]")
+        z.set_ylabel("z, from start [mm]")
+        c.set_ylabel("c of x")
+        c.set_ylim(-0.05, 1.08)
+        torque.set_ylabel("shoulder pitch [N·m]")
+        torque.set_xlabel("time [s]")
+        z.axhline(0.0, color=MUTED, linewidth=0.7)
+        x.set_xlim(0.0, end)
+        label_end(x, end, [*marks, (float(wanted[-1]), "target", INK)])
+        label_end(
+            torque,
+            end,
+            [(float(limit[-1]), "± limit", MUTED), (float(literal.torque[-1, 0]), "torque", RED)],
+        )
+        save(figure, folder, "3-loss-of-z")

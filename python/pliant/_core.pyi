@@ -13,8 +13,8 @@ __version__: Final[str]
 __all__ = [
     "SUPPORT",
     "ArmPoints",
-    "AxisReport",
     "Axis",
+    "AxisReport",
     "BatchState",
     "Command",
     "Compensation",

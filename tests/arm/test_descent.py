@@ -6,8 +6,8 @@ pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from experiments import descent
 
-#: Runs of `descent.jobs` that always take place, by arm; odd ones over a table. Without a bound on
-#: the press by its force, `so101` 7 pressed with 11.4 N where 5 rest, 11 with 12.1.
+#: Runs of `descent.descents` that always take place, by arm; odd ones over a table. Without a
+#: bound on the press by its force, `so101` 7 pressed with 11.4 N where 5 rest, 11 with 12.1.
 RUNS = {"arm7": (0, 1, 3), "so101": (0, 1, 2, 5, 7, 11), "koch": (0, 3, 4)}
 #: Largest force of an arm on the table [N].
 FORCE = {"so101": 10.0, "koch": 10.0}
@@ -33,7 +33,7 @@ def check(job, run):
 def job_of(arm, number, over):
     (found,) = (
         job
-        for job in descent.jobs(arm, number + 1)
+        for job in descent.descents(arm, number + 1)
         if job.number == number and job.over_table == over
     )
     return found

@@ -8,7 +8,7 @@ import pytest
 from bare_arm import bare_arm
 
 import pliant
-from experiments.mishaps import MISHAPS, suffer
+from experiments.lifecycle import FAULT_CASES, run_fault
 from pliant.loop import LatenessHistogram
 
 
@@ -187,9 +187,9 @@ SHORT = {
     "title", [pytest.param(t, marks=() if t in SHORT else pytest.mark.full) for t in EXPECTED]
 )
 def test_nothing_that_goes_wrong_drops_the_arm(title):
-    mishap = next(m for m in MISHAPS if m.title == title)
+    case = next(m for m in FAULT_CASES if m.title == title)
     outcome, meanwhile, descent = EXPECTED[title]
-    got = suffer(mishap)
+    got = run_fault(case)
     assert got.outcome == outcome, got.reason
     assert got.speed < meanwhile
     assert got.drop < 1e-3
@@ -202,7 +202,7 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
     controller.step(grasp, model.forward_kinematics(grasp))
     lever = np.linalg.pinv(model.jacobian(grasp))[:, :3]
     gears = np.abs(lever).T @ np.asarray(model.servos.friction)
-    got = suffer(next(m for m in MISHAPS if m.title.startswith("target jumps")), held=True)
+    got = run_fault(next(m for m in FAULT_CASES if m.title.startswith("target jumps")), held=True)
     # x and z are stiff and push with their `hold`, y is soft; all within the band of a cap.
     most = 1.15 * np.asarray(controller.diagnostics.axis_strength[:3]) + gears
     assert got.along[0] > 0.9 * controller.diagnostics.axis_strength[0]

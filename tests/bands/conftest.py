@@ -1,7 +1,7 @@
 """Bands: results of a correct implementation on the simulated arm, one seed, nothing loosened.
 
-Each test names the preset in `experiments.laws` that reaches its band. Brackets hold the value when
-the band was set. Marked `full`: the long form of a test that always runs in part.
+Each test names the preset in `experiments.controllers` that reaches its band. Brackets hold the
+value when the band was set. Marked `full`: the long form of a test that always runs in part.
 """
 
 import pytest

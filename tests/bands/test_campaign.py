@@ -5,10 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from experiments import campaign_table as table
-from experiments.campaign_arms import load
-from experiments.campaign_bench import DISTURBANCES, NOMINAL, Bench
-from experiments.campaign_jobs import jobs, run
+from experiments import campaign as table
+from experiments.arms import load
+from experiments.campaign import DISTURBANCES, UNDISTURBED, Bench, campaign_jobs, run_campaign
 
 #: Seeded poses of `arm7`: one (1) has a joint at its stop, one (2) is clear of all of them.
 POSES = range(1, 3)
@@ -26,7 +25,7 @@ def ran(promises):
 
 @pytest.fixture(scope="module")
 def nominal():
-    return tried("arm7", NOMINAL, POSES)
+    return tried("arm7", UNDISTURBED, POSES)
 
 
 def test_caps_of_arm7_are_those_of_the_protocol():
@@ -78,16 +77,16 @@ def test_caps_hold_under_what_the_controller_knows_or_can_bear(disturbance):
 
 @pytest.mark.parametrize("arm", ["so101", "koch"])
 def test_small_arms_keep_their_caps(arm):
-    clear = [one for one in ran(tried(arm, NOMINAL, range(1))) if one.room >= table.CLEAR]
+    clear = [one for one in ran(tried(arm, UNDISTURBED, range(1))) if one.room >= table.CLEAR]
     assert np.mean([one.kept for one in clear]) >= 0.90
 
 
 def test_campaign_is_one_table_one_file_one_picture(tmp_path):
-    found = dict(run(jobs(["koch"], 1), 1))
+    found = dict(run_campaign(campaign_jobs(["koch"], 1), 1))
     rows = [table.summary(*key, promises) for key, promises in found.items()]
     lines = table.text(rows).splitlines()
     assert lines[0].count("|") == lines[1].count("|") == lines[2].count("|")
-    table.save(tmp_path, rows, found, {"poses": 1})
+    table.save_results(tmp_path, rows, found, {"poses": 1})
     assert json.loads((tmp_path / "results.json").read_text())["rows"][0]["arm"] == "koch"
     pytest.importorskip("matplotlib", reason="pictures need the extra plot")
     table.draw(tmp_path, rows, found)
@@ -103,7 +102,7 @@ def test_a_promise_repeats():
 
 @pytest.mark.full
 def test_nominal_campaign_in_full():
-    promises = tried("arm7", NOMINAL, range(200))
+    promises = tried("arm7", UNDISTURBED, range(200))
     row = table.summary("arm7", "nominal", promises)
     assert row.kept_rest >= 0.99  # (.997)
     assert row.announced < 0.06  # (.040)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from mismatch import under
 
-from experiments import compliance, hands
-from experiments.conditions import NOMINAL, Conditions
+from experiments import compliance, disturbances
+from experiments.simulation import NOMINAL, Conditions
 from pliant import Axis, Settings
 
 SOFT, FIRM = 4.0, 15.0  # [N]
@@ -58,8 +58,10 @@ def test_profiles_differ_where_they_should():
 def test_a_stiff_axis_follows_a_strong_hand_beyond_its_limit(conditions):
     limit = 0.02  # [m]
     with nullcontext() if conditions is NOMINAL else under(conditions):
-        free = hands.drag(Settings.firm(), conditions=conditions)
-        seen = hands.drag(Settings(axes={"y": Axis(deviation_limit=limit)}), conditions=conditions)
+        free = disturbances.drag(Settings.firm(), conditions=conditions)
+        seen = disturbances.drag(
+            Settings(axes={"y": Axis(deviation_limit=limit)}), conditions=conditions
+        )
     promised = limit * compliance.stiffness("y")  # [N] (11.0)
     assert seen.moved > 0.14  # [m], of 0.15
     assert seen.held == pytest.approx(promised, abs=2.5)  # [N] (10.8)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments import doors, laws, resistance
+from experiments import controllers, doors
 
 #: Scene and grip: least angle [deg], largest force [N], set around the figures in brackets.
 CAP = {
@@ -23,19 +23,19 @@ RESISTING = ("door", "fridge", "horizontal", "oven")
 
 
 def all_stiff(*, soft, null_space):
-    """Return `laws.all_stiff`, which takes no soft axis."""
-    return laws.all_stiff(null_space=null_space)
+    """Return `controllers.all_stiff`, which takes no soft axis."""
+    return controllers.all_stiff(null_space=null_space)
 
 
 def cap_stiff(*, soft, null_space):
-    """Return `laws.cap` without a soft axis."""
-    return laws.cap(soft="", null_space=null_space)
+    """Return `controllers.cap` without a soft axis."""
+    return controllers.cap(soft="", null_space=null_space)
 
 
 @pytest.mark.parametrize(("scene", "grip"), CAP, ids=" ".join)
 def test_cap_opens(scene, grip):
     least, most = CAP[scene, grip]
-    seen = doors.open_door(laws.cap, scene, grip)
+    seen = doors.open_door(controllers.cap, scene, grip)
     assert seen.angle > least
     assert seen.force < most
     if (scene, grip) == ("door", "rigid"):
@@ -43,17 +43,17 @@ def test_cap_opens(scene, grip):
 
 
 def test_rows_free_opens_a_rigidly_gripped_door():
-    seen = doors.open_door(laws.rows_free)
+    seen = doors.open_door(controllers.rows_free)
     assert seen.angle > 60.0  # [deg] (66)
     assert seen.force < 60.0  # [N] (42)
     assert seen.torque < 6.0  # [N·m] (4.0)
 
 
 def test_rec_jams_on_a_rigidly_gripped_door():
-    assert 42.0 <= doors.open_door(laws.rec).angle <= 66.0  # [deg] (55)
+    assert 42.0 <= doors.open_door(controllers.rec).angle <= 66.0  # [deg] (55)
 
 
-@pytest.mark.parametrize("law", [laws.rec, laws.rows_free], ids=["rec", "rows_free"])
+@pytest.mark.parametrize("law", [controllers.rec, controllers.rows_free], ids=["rec", "rows_free"])
 def test_jacobian_forms_open_a_door_whose_handle_turns(law):
     seen = doors.open_door(law, "door", "turning")
     assert seen.angle > 60.0  # [deg] (69)
@@ -63,19 +63,19 @@ def test_jacobian_forms_open_a_door_whose_handle_turns(law):
 def test_all_stiff_jams_and_pulls_hard():
     rigid = doors.open_door(all_stiff)
     assert rigid.angle < 35.0  # [deg] (22)
-    assert rigid.force >= 2.0 * doors.open_door(laws.cap).force
+    assert rigid.force >= 2.0 * doors.open_door(controllers.cap).force
     turning = doors.open_door(all_stiff, "door", "turning")
-    assert turning.force >= 2.0 * doors.open_door(laws.rec, "door", "turning").force  # (4.0)
+    assert turning.force >= 2.0 * doors.open_door(controllers.rec, "door", "turning").force  # (4.0)
 
 
 def test_cap_without_a_soft_axis_pulls_twice_as_hard():
-    assert doors.open_door(cap_stiff).force >= 2.0 * doors.open_door(laws.cap).force
+    assert doors.open_door(cap_stiff).force >= 2.0 * doors.open_door(controllers.cap).force
 
 
 @pytest.mark.parametrize("grip", ["rigid", "turning"])
 @pytest.mark.parametrize("scene", RESISTING)
 def test_cap_opens_and_closes_by_resistance(scene, grip):
-    seen = resistance.open_and_close(laws.cap, scene, grip)
+    seen = doors.open_and_close(controllers.cap, scene, grip)
     assert len(seen.ends) == 2
     opened, closed = seen.ends
     assert opened == pytest.approx(45.0, abs=1.0)  # [deg] (45.1)

@@ -4,31 +4,31 @@ import numpy as np
 import pytest
 from mismatch import under
 
-from experiments import hands, laws, merits
-from experiments.campaign_jobs import REAL_GEARS
-from experiments.conditions import Conditions
+from experiments import controllers, disturbances, goals
+from experiments.campaign import REAL_GEARS
+from experiments.simulation import Conditions
 
 UNKNOWN = Conditions(gears=REAL_GEARS["arm7"])
 KNOWN = Conditions(gears=REAL_GEARS["arm7"], gears_known=True)
 
 
 def test_a_known_load_is_fed_forward():
-    drag = merits.light(laws.cap())
+    drag = goals.light(controllers.cap())
     with under(UNKNOWN):
         assert drag(UNKNOWN)["force [N]"] > 14.0  # (15.0): the hand's largest force
     assert drag(KNOWN)["force [N]"] < 8.5  # (7.6)
 
 
 def test_the_rigid_door_opens_as_with_light_gears():
-    door = merits.door("door")(KNOWN)
+    door = goals.door("door")(KNOWN)
     assert door["force [N]"] < 26.0  # (22.9; 57 unknown)
     assert door["angle [deg]"] > 66.0  # (67.1; 64 unknown)
 
 
 @pytest.mark.parametrize("delay", [(0, 0), (1, 1)])
 def test_the_arm_stays_at_rest(delay):
-    idle = hands.idle(
-        laws.cap(), conditions=Conditions(gears=KNOWN.gears, gears_known=True, delay=delay)
+    idle = disturbances.idle(
+        controllers.cap(), conditions=Conditions(gears=KNOWN.gears, gears_known=True, delay=delay)
     )
     assert idle.error < 2e-3  # (6e-4)
     assert np.abs(idle.speed) < 0.02  # (.008)

@@ -6,7 +6,7 @@ import numpy as np
 from mismatch import under
 
 import pliant
-from experiments import goals, laws, merits, rates
+from experiments import controllers, goals
 
 #: The preset under test.
 GAIN = {"tracking": pliant.Tracking(gain=4.8)}
@@ -32,17 +32,18 @@ def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
     (too_high,) = (one for one in goals.UNCERTAIN if one.believed > 1.0)
     with under(too_high):
         stiffer, default = (
-            merits.light(laws.cap(**options))(too_high)["drift [mm]"] for options in (GAIN, {})
+            goals.light(controllers.cap(**options))(too_high)["drift [mm]"]
+            for options in (GAIN, {})
         )
     assert stiffer == rows[1].reached_uncertain
     assert default > 4.0
 
 
 def test_drag_and_door_run_at_every_rate_delay_and_assumption():
-    under = rates.conditions()
+    under = goals.rate_conditions()
     assert len(under) == 12
     assert len({(one.rate, one.delay, one.believed) for one in under}) == 12
-    lines = rates.text("nothing of this name").splitlines()
+    lines = goals.rates_text("nothing of this name").splitlines()
     assert len(lines) == 2
     assert lines[0].count("|") == lines[1].count("|")
 
@@ -58,5 +59,5 @@ def test_goals_print_as_people_write_them():
 
 
 def test_presets_are_those_of_the_module():
-    assert laws.cap_tracking(soft="pitch") != laws.cap(soft="pitch", eta=0.0)
-    assert laws.cap_tracking(soft="y") == laws.cap(soft="y", eta=0.0)
+    assert controllers.cap_tracking(soft="pitch") != controllers.cap(soft="pitch", eta=0.0)
+    assert controllers.cap_tracking(soft="y") == controllers.cap(soft="y", eta=0.0)

@@ -2,13 +2,13 @@
 
 import pytest
 
-from experiments import hands, laws
+from experiments import controllers, disturbances
 from pliant.sim import LIGHT, STRONG
 from pliant.sim.postures import HORIZONTAL
 
 
 def test_rec_follows_a_15_newton_hand():
-    seen = hands.drag(laws.rec(), LIGHT)
+    seen = disturbances.drag(controllers.rec(), LIGHT)
     assert seen.moved > 0.23  # [m] (.25)
     assert seen.force < 9.0  # [N] (5.6)
     assert seen.position < 0.008  # [m] (.0026)
@@ -17,7 +17,7 @@ def test_rec_follows_a_15_newton_hand():
 
 
 def test_cap_follows_a_15_newton_hand():
-    seen = hands.drag(laws.cap(), LIGHT)
+    seen = disturbances.drag(controllers.cap(), LIGHT)
     assert seen.moved > 0.23
     assert seen.force < 7.5  # [N] (5.6)
     assert seen.position < 0.005  # [m] (.0023)
@@ -26,34 +26,34 @@ def test_cap_follows_a_15_newton_hand():
 
 
 def test_cap_follows_a_strong_hand():
-    seen = hands.drag(laws.cap(), STRONG)
+    seen = disturbances.drag(controllers.cap(), STRONG)
     assert seen.force < 6.0  # [N] (4.0)
     assert seen.position < 0.005  # [m] (.0025)
 
 
 def test_rec_comes_back_with_eta_below_one():
-    seen = hands.drag(laws.rec(eta=0.9), LIGHT)
+    seen = disturbances.drag(controllers.rec(eta=0.9), LIGHT)
     assert seen.moved > 0.15  # [m] (.24)
     assert seen.position < 0.012  # [m] (.0069)
     assert seen.back < 0.015  # [m] after 1 s (.001)
 
 
 def test_cap_comes_back_with_eta_below_one():
-    seen = hands.drag(laws.cap(eta=0.9), LIGHT, duration=12.0)
+    seen = disturbances.drag(controllers.cap(eta=0.9), LIGHT, duration=12.0)
     assert seen.moved > 0.2  # [m] (.24)
     assert seen.force < 13.0  # [N] (9.4)
     assert seen.end < 0.015  # [m] after 7 s (.002)
 
 
 def test_paper_without_gravity_model_drifts_before_the_hand_comes():
-    seen = hands.drag(laws.paper(10), LIGHT)
+    seen = disturbances.drag(controllers.paper(10), LIGHT)
     assert 0.040 <= seen.before <= 0.130  # [m] (.079)
     assert seen.moved > 0.2  # [m] (.24)
     assert seen.drift < 0.012  # [m] (.0055)
 
 
 def test_paper_without_gravity_model_comes_back_with_eta_below_one():
-    seen = hands.drag(laws.paper(10, eta=0.9), LIGHT)
+    seen = disturbances.drag(controllers.paper(10, eta=0.9), LIGHT)
     assert 0.09 <= seen.moved <= 0.24  # [m] (.13)
     assert seen.drift < 0.012  # [m] (.0048)
     resting = seen.trace.moved[seen.trace.at(2.0), 1]
@@ -62,7 +62,7 @@ def test_paper_without_gravity_model_comes_back_with_eta_below_one():
 
 
 def test_rec_without_adaptation():
-    seen = hands.drag(laws.rec(eta=0.0), STRONG)
+    seen = disturbances.drag(controllers.rec(eta=0.0), STRONG)
     assert 4.0 <= seen.held <= 10.0  # [N] (6.5)
     assert seen.drift < 0.008  # [m] (.0046)
     assert seen.back < 0.005  # [m]
@@ -70,31 +70,31 @@ def test_rec_without_adaptation():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["+y", "-y"])
 def test_cap_keeps_its_promise(sign):
-    hand = STRONG if sign > 0.0 else hands.opposite(STRONG)
-    seen = hands.drag(laws.cap(eta=0.0), hand)
+    hand = STRONG if sign > 0.0 else disturbances.opposite(STRONG)
+    seen = disturbances.drag(controllers.cap(eta=0.0), hand)
     assert 11.5 <= sign * seen.held <= 18.5  # [N] (14.3, 14.8)
     assert seen.position < 0.005  # [m] (.0023)
     assert seen.back < 0.015  # [m] (.0015)
 
 
 def test_cap_yields_to_one_side_only():
-    law = laws.cap(eta=0.0, axis={"yields": "-"})
-    assert hands.push(law, 20.0, at="tool").moved < 0.040  # [m] (.035)
-    assert hands.push(law, -20.0, at="tool").moved > 0.060  # [m] (.385)
+    law = controllers.cap(eta=0.0, axis={"yields": "-"})
+    assert disturbances.push(law, 20.0, at="tool").moved < 0.040  # [m] (.035)
+    assert disturbances.push(law, -20.0, at="tool").moved > 0.060  # [m] (.385)
 
 
 def test_limits_only_lets_the_stiff_axes_go():
-    gentle = hands.push(laws.limits_only(6), 5.0)
+    gentle = disturbances.push(controllers.limits_only(6), 5.0)
     assert 0.008 <= gentle.moved <= 0.035  # [m] (.018)
-    hard = hands.push(laws.limits_only(6), 15.0)
+    hard = disturbances.push(controllers.limits_only(6), 15.0)
     assert 0.070 <= hard.moved <= 0.170  # [m] (.117)
     assert hard.position > 0.020  # [m] (.045)
     assert max(gentle.back, hard.back) < 0.005  # [m]
-    assert hands.push(laws.limits_only(20), 15.0).moved < 0.030  # [m] (.017)
+    assert disturbances.push(controllers.limits_only(20), 15.0).moved < 0.030  # [m] (.017)
 
 
 def test_rec_in_the_horizontal_grasp():
-    seen = hands.drag(laws.rec(), STRONG, q=HORIZONTAL)
+    seen = disturbances.drag(controllers.rec(), STRONG, q=HORIZONTAL)
     assert seen.moved > 0.14  # [m] (.15)
     assert seen.force < 9.0  # [N] (4.0)
     assert seen.position < 0.008  # [m] (.0013)
@@ -102,6 +102,6 @@ def test_rec_in_the_horizontal_grasp():
 
 
 def test_cap_in_the_horizontal_grasp():
-    seen = hands.drag(laws.cap(), STRONG, q=HORIZONTAL)
+    seen = disturbances.drag(controllers.cap(), STRONG, q=HORIZONTAL)
     assert seen.force < 6.0  # [N] (3.9)
     assert seen.position < 0.005  # [m] (.0022)

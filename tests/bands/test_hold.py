@@ -2,31 +2,33 @@
 
 import pytest
 
-from experiments import hands, laws
-from experiments.conditions import Conditions
+from experiments import controllers, disturbances
+from experiments.simulation import Conditions
 
 
 def test_paper_without_gravity_model_sags_at_10_newton_metres():
-    assert 0.012 <= hands.idle(laws.paper(10, soft="")).error <= 0.028  # [m] (.020)
+    assert 0.012 <= disturbances.idle(controllers.paper(10, soft="")).error <= 0.028  # [m] (.020)
 
 
 def test_paper_without_gravity_model_sinks_at_3_newton_metres():
-    assert 0.080 <= hands.idle(laws.paper(3, soft=""), 3.0).error <= 0.400  # [m] (.155)
+    assert (
+        0.080 <= disturbances.idle(controllers.paper(3, soft=""), 3.0).error <= 0.400
+    )  # [m] (.155)
 
 
 def test_rec_holds_with_a_budget_of_3_newton_metres():
-    assert hands.idle(laws.rec(3)).error < 0.001  # [m] (.0000)
+    assert disturbances.idle(controllers.rec(3)).error < 0.001  # [m] (.0000)
 
 
 @pytest.mark.parametrize("delay", [(0, 0), (1, 1)], ids=["at once", "tick each way"])
 def test_cap_holds(delay):
-    law = laws.cap(soft="")
-    assert hands.idle(law, conditions=Conditions(delay=delay)).error < 0.0005  # [m] (.0000)
+    law = controllers.cap(soft="")
+    assert disturbances.idle(law, conditions=Conditions(delay=delay)).error < 0.0005  # [m] (.0000)
 
 
 def test_cap_holds_while_an_axis_follows():
     # The start leaves 0.14 mm in y: goals take three ticks to carry the arm.
-    assert hands.idle(laws.cap()).error < 0.0005  # [m]
+    assert disturbances.idle(controllers.cap()).error < 0.0005  # [m]
 
 
 @pytest.mark.parametrize(
@@ -41,4 +43,4 @@ def test_cap_holds_while_an_axis_follows():
     ],
 )
 def test_cap_stiff_axes_have_the_servos_own_stiffness(axis, size, most):
-    assert 0.0 < hands.push_stiff(laws.cap(), axis, size) < most
+    assert 0.0 < disturbances.push_stiff(controllers.cap(), axis, size) < most

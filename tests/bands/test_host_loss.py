@@ -3,7 +3,7 @@
 import pytest
 
 import pliant
-from experiments.campaign_arms import load
+from experiments.arms import load
 from experiments.host_loss import Bench
 
 #: Largest shortfall below the report, as a share.

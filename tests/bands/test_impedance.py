@@ -6,14 +6,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from experiments import doors, hands, laws
-from experiments.conditions import Conditions
+from experiments import controllers, disturbances, doors
+from experiments.simulation import Conditions
 from pliant import Axis, ConfigError, Controller, Settings, robots
 from pliant.sim import LIGHT, Plant
 from pliant.sim.postures import VERTICAL
 
 #: Springs without derating at any delay, as in the study of the figures in brackets.
-asked = partial(laws.impedance, accept_high_stiffness=True)
+asked = partial(controllers.impedance, accept_high_stiffness=True)
 
 NOMINAL = Conditions()
 DELAYED = Conditions(delay=(1, 1))
@@ -22,10 +22,17 @@ SLOW = Conditions(rate=50.0, delay=(1, 1))
 
 #: Loop, law: least angle of the door [deg], its largest force [N]; 15 N hand: force [N], drift [m].
 LOOPS = {
-    "100 Hz": (NOMINAL, laws.impedance, 65.0, 16.0, 5.8, 0.0040),  # 65.6, 15.1, 5.3, .0034
-    "100 Hz, 1+1": (DELAYED, laws.impedance, 62.0, 16.0, 7.0, 0.0085),  # 63.3, 12.5, 6.2, .0074
+    "100 Hz": (NOMINAL, controllers.impedance, 65.0, 16.0, 5.8, 0.0040),  # 65.6, 15.1, 5.3, .0034
+    "100 Hz, 1+1": (
+        DELAYED,
+        controllers.impedance,
+        62.0,
+        16.0,
+        7.0,
+        0.0085,
+    ),  # 63.3, 12.5, 6.2, .0074
     "100 Hz, 1+1, as asked": (DELAYED, asked, 65.0, 18.0, 7.0, 0.0055),  # 65.8, 16.4, 6.3, .0047
-    "200 Hz, 1+1": (FAST, laws.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
+    "200 Hz, 1+1": (FAST, controllers.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
     "200 Hz, 1+1, as asked": (FAST, asked, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
 }
 #: Factor on 800 N/m and 20 N·m/rad at which loops ring: ρ T_e .11, .07, .14, .14 s.
@@ -48,7 +55,7 @@ def test_opens_a_rigidly_gripped_door_with_the_least_force(loop):
 
 
 def test_opens_a_door_whose_handle_turns():
-    seen = doors.open_door(laws.impedance, "door", "turning")
+    seen = doors.open_door(controllers.impedance, "door", "turning")
     assert seen.angle > 65.0  # [deg] (67.8)
     assert seen.force < 10.0  # [N] (7.5)
 
@@ -56,7 +63,7 @@ def test_opens_a_door_whose_handle_turns():
 @pytest.mark.parametrize("loop", LOOPS)
 def test_follows_a_15_newton_hand(loop):
     conditions, law, _, _, force, drift = LOOPS[loop]
-    seen = hands.drag(law(), LIGHT, conditions=conditions)
+    seen = disturbances.drag(law(), LIGHT, conditions=conditions)
     assert seen.force < force
     assert seen.position < drift
 
@@ -64,42 +71,42 @@ def test_follows_a_15_newton_hand(loop):
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 @pytest.mark.parametrize("loop", CONDITIONS)
 def test_taps_die_within_the_bound(loop, axis):
-    law = laws.impedance()
-    assert hands.tapped(law, axis, conditions=CONDITIONS[loop]) < 0.002  # [rad/s] (.0009)
+    law = controllers.impedance()
+    assert disturbances.tapped(law, axis, conditions=CONDITIONS[loop]) < 0.002  # [rad/s] (.0009)
 
 
 @pytest.mark.parametrize("loop", RINGING)
 def test_taps_ring_beyond_the_bound(loop):
     stiffness = (800.0 * RINGING[loop], 20.0 * RINGING[loop])
     law = asked(soft="", stiffness=stiffness)
-    assert hands.tapped(law, "z", conditions=CONDITIONS[loop]) > 0.1  # [rad/s] (.45-.74)
+    assert disturbances.tapped(law, "z", conditions=CONDITIONS[loop]) > 0.1  # [rad/s] (.45-.74)
 
 
 def test_a_slow_loop_with_a_tick_each_way_is_stable():
-    seen = hands.idle(laws.impedance(), conditions=SLOW)
+    seen = disturbances.idle(controllers.impedance(), conditions=SLOW)
     assert seen.speed < 0.002  # [rad/s] (.0005; with the full springs .48)
-    dragged = hands.drag(laws.impedance(), LIGHT, conditions=SLOW)
+    dragged = disturbances.drag(controllers.impedance(), LIGHT, conditions=SLOW)
     assert dragged.moved > 0.2  # [m]
     assert dragged.position < 0.015  # [m]
 
 
 def test_a_spring_answers_in_proportion():
-    soft = laws.impedance(soft="", stiffness=(300.0, 20.0))
-    given = hands.push_stiff(soft, "y", 6.0)
+    soft = controllers.impedance(soft="", stiffness=(300.0, 20.0))
+    given = disturbances.push_stiff(soft, "y", 6.0)
     assert given == pytest.approx(6.0 / 300.0, abs=0.006)  # [m] plus friction of the gears
 
 
 def test_the_cap_bounds_a_spring():
     axes = {"y": Axis(hold=10.0)}
-    law = laws.impedance(soft="", axes=axes)
-    seen = hands.drag(law)
+    law = controllers.impedance(soft="", axes=axes)
+    seen = disturbances.drag(law)
     assert 8.0 <= seen.held <= 12.0  # [N]
 
 
 def test_a_damper_is_quiet():
-    law = laws.impedance(damping=(40.0, 1.5))
+    law = controllers.impedance(damping=(40.0, 1.5))
     for axis in ("x", "z"):
-        assert hands.tapped(law, axis, conditions=DELAYED) < 0.002  # [rad/s] (.0007)
+        assert disturbances.tapped(law, axis, conditions=DELAYED) < 0.002  # [rad/s] (.0007)
 
 
 def test_well_damped_servos_bear_more_than_their_own_stiffness():
@@ -112,7 +119,7 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
         law="impedance",
         axes={"xyz": Axis(stiffness=2.2 / give)},
         delay=0.02,
-        **laws.UNBLURRED,
+        **controllers.UNBLURRED,
     )
     controller, plant = Controller(arm, settings), Plant(arm, delay=(1, 1))
     plant.reset(q)

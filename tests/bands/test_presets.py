@@ -5,8 +5,8 @@ from contextlib import nullcontext
 import pytest
 from mismatch import under
 
-from experiments import doors, hands, skills
-from experiments.conditions import NOMINAL, Conditions
+from experiments import disturbances, doors, tasks
+from experiments.simulation import NOMINAL, Conditions
 from pliant import Settings
 
 #: A tick of delay each way, friction and damping assumed 30 % too low and too high.
@@ -23,24 +23,24 @@ conditions = pytest.mark.parametrize(
 @pytest.mark.parametrize("degrees", [0.0, pytest.param(10.0), 20.0])
 def test_drawer(degrees, conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
-        seen = skills.pull_drawer(Settings.drawer(), degrees=degrees, conditions=conditions)
+        seen = tasks.pull_drawer(Settings.drawer(), degrees=degrees, conditions=conditions)
     assert seen.way > 0.249  # [m], of 0.25
     assert seen.force < 17.5  # [N] (15.4); the promise is the arm's `firm`, 15 N
     assert seen.across < 10.5  # [N] (8.4)
     assert seen.torque < 1.5  # [N·m] (1.1)
-    stiff = skills.pull_drawer(STIFF, degrees=degrees, conditions=conditions)
+    stiff = tasks.pull_drawer(STIFF, degrees=degrees, conditions=conditions)
     assert stiff.force > 3.0 * seen.force  # (3.5-5.4)
     assert stiff.across > 3.0 * seen.across  # (4.6-16)
 
 
 @pytest.mark.parametrize("pull", [8.0, 20.0])
 def test_a_drawer_is_pulled_with_the_force_that_is_asked_for(pull):
-    seen = skills.pull_drawer(Settings.drawer(pull=pull), degrees=0.0)
+    seen = tasks.pull_drawer(Settings.drawer(pull=pull), degrees=0.0)
     assert seen.held == pytest.approx(pull, abs=1.0)  # [N], at the end stop
 
 
 def test_a_drawer_is_pushed_shut_again():
-    seen = skills.pull_drawer(Settings.drawer(), degrees=10.0, shut=True)
+    seen = tasks.pull_drawer(Settings.drawer(), degrees=10.0, shut=True)
     assert seen.way > 0.249  # [m]
     assert seen.left < 0.002  # [m]
     assert seen.force < 17.5  # [N]
@@ -57,8 +57,8 @@ def test_door(grip):
 
 
 def test_soft():
-    seen = hands.drag(Settings.soft("y"))
-    stiff = hands.drag(STIFF)
+    seen = disturbances.drag(Settings.soft("y"))
+    stiff = disturbances.drag(STIFF)
     assert seen.moved > 0.14  # [m], of 0.15
     assert seen.force < 12.0  # [N]
     assert seen.drift < 0.008  # [m]
@@ -69,12 +69,12 @@ def test_soft():
 @conditions
 def test_wipe(conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
-        seen = skills.wipe(Settings.wipe(press=5.0), conditions=conditions)
+        seen = tasks.wipe(Settings.wipe(press=5.0), conditions=conditions)
     assert seen.mean == pytest.approx(5.0, abs=0.5)  # (4.9-5.0)
     assert seen.least > 0.5  # [N] (2.7, assumed 0.7: 0.9): it never leaves the surface
     assert seen.most < 9.0  # [N] (6.8, 8.4)
     assert seen.off < 0.016  # [m] (0.010, 0.013)
-    stiff = skills.wipe(STIFF, conditions=conditions)
+    stiff = tasks.wipe(STIFF, conditions=conditions)
     assert stiff.most > 1.7 * seen.most  # (2.4)
     assert stiff.most - stiff.least > 1.2 * (seen.most - seen.least)  # (2.3)
 
@@ -82,33 +82,33 @@ def test_wipe(conditions):
 @conditions
 def test_hand_over(conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
-        seen = skills.hand_over(Settings.hand_over(), conditions=conditions)
+        seen = tasks.hand_over(Settings.hand_over(), conditions=conditions)
     assert seen.released is not None
     assert seen.effort < 25.0  # [N] (19.7, 22)
     assert 0.003 < seen.sag < 0.010  # [m] (0.007; 0.0001 with the payload of 0.3 kg known)
     assert seen.fastest < 0.5  # [m/s] (0.36)
-    stiff = skills.hand_over(STIFF, conditions=conditions)
+    stiff = tasks.hand_over(STIFF, conditions=conditions)
     assert stiff.effort > 2.0 * seen.effort  # (2.8)
     assert stiff.fastest > 1.5 * seen.fastest  # (2.9)
 
 
 def test_an_object_is_not_dropped_by_its_own_weight():
     """With `soft`, the unknown weight alone looks like a hand that takes the object."""
-    assert skills.hand_over(Settings.soft("xyz")).sag > 3.0 * 0.010  # [m] (0.052)
+    assert tasks.hand_over(Settings.soft("xyz")).sag > 3.0 * 0.010  # [m] (0.052)
 
 
-SOME = skills.MISPLACED[1::6]
+SOME = tasks.MISPLACED[1::6]
 
 
 def plugged(law, holes, conditions):
     return [
-        skills.plug_in(law, offset=offset, tilt=tilt, conditions=conditions)
+        tasks.plug_in(law, offset=offset, tilt=tilt, conditions=conditions)
         for offset, tilt in holes
     ]
 
 
 @pytest.mark.parametrize(
-    "holes", [SOME, pytest.param(skills.MISPLACED, marks=pytest.mark.full)], ids=["some", "all"]
+    "holes", [SOME, pytest.param(tasks.MISPLACED, marks=pytest.mark.full)], ids=["some", "all"]
 )
 @conditions
 def test_plug(holes, conditions):
@@ -125,8 +125,8 @@ def test_plug(holes, conditions):
 
 def test_a_blocked_plug_pushes_with_its_cap():
     beside = (0.015, 0.0)
-    seen = skills.plug_in(Settings.plug(push=6.0), offset=beside)
-    stiff = skills.plug_in(STIFF, offset=beside)
+    seen = tasks.plug_in(Settings.plug(push=6.0), offset=beside)
+    stiff = tasks.plug_in(STIFF, offset=beside)
     assert not seen.inside
     assert not stiff.inside
     assert seen.along == pytest.approx(6.0, abs=1.5)
@@ -137,9 +137,9 @@ def test_a_blocked_plug_pushes_with_its_cap():
 @conditions
 def test_hand_guiding(conditions):
     with nullcontext() if conditions is NOMINAL else under(conditions):
-        seen = hands.drag(Settings.hand_guiding(), conditions=conditions)
+        seen = disturbances.drag(Settings.hand_guiding(), conditions=conditions)
     assert seen.moved > 0.14  # [m], of 0.15
     assert seen.force < 11.0  # [N] (6.1)
     assert seen.fastest < 1.0  # [rad/s] (0.56)
-    stiff = hands.drag(STIFF, conditions=conditions)
+    stiff = disturbances.drag(STIFF, conditions=conditions)
     assert stiff.force > 3.0 * seen.force  # (6.0)

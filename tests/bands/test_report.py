@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 import pliant
-from experiments import host, laws, promise
-from experiments.conditions import NOMINAL
-from experiments.episode import run
-from experiments.setups import AXES, arm, tool
+from experiments import cap_accuracy, controllers, disturbances
+from experiments.poses import AXES, arm, tool
+from experiments.simulation import NOMINAL, run
 from pliant.sim.hand import Course, Push
 from pliant.sim.postures import AT_DOOR, HORIZONTAL, VERTICAL
 
-RANDOM = promise.poses(4, promise.CLEAR)
+RANDOM = cap_accuracy.poses(4, cap_accuracy.CLEAR)
 #: Axis, side and cap [N, N·m].
 PUSHES = (("y", 1.0, 8.0), ("y", -1.0, 5.0), ("z", 1.0, 8.0), ("x", -1.0, 8.0), ("yaw", 1.0, 1.0))
 #: Beyond promise and friction: the push grows while the arm begins to move, as a share of the cap.
@@ -23,7 +22,9 @@ DEAD = {"+y": 0.1, "-y": 0.1, "-x": 0.1, "-z": 0.1, "+x": 0.25, "+z": 0.4}
 def gives_way(q, axis, sign, cap):
     """Return the force [N, N·m] at which a growing push moves the axis, and the reported one."""
     index = AXES.index(axis)
-    settings = pliant.Settings(axes={axis: pliant.Axis(soft=cap, firm=cap)}, **laws.UNBLURRED)
+    settings = pliant.Settings(
+        axes={axis: pliant.Axis(soft=cap, firm=cap)}, **controllers.UNBLURRED
+    )
     controller = NOMINAL.controller(settings)
     assert isinstance(controller, pliant.Controller)
     report = controller.report(q).axes[axis]
@@ -36,7 +37,7 @@ def gives_way(q, axis, sign, cap):
         else Push(torque_vector=vector, course=course)
     )
     trace = run(NOMINAL.build(hand), controller, tool(q), 5.0, q=q)
-    bound = 1.25 * cap * promise._compliance(q, index) + (0.005, 0.03)[index // 3]
+    bound = 1.25 * cap * cap_accuracy._compliance(q, index) + (0.005, 0.03)[index // 3]
     away = sign * trace.moved[:, index] > bound
     assert away.any(), "it never gave way"
     felt = (trace.force if index < 3 else trace.moment)[int(np.argmax(away)), index % 3]
@@ -54,8 +55,8 @@ def test_a_growing_push_moves_the_arm_where_the_report_says(pose):
 
 @pytest.mark.parametrize("push", DEAD)
 def test_the_report_foretells_what_a_dead_host_leaves(push):
-    settings = laws.cap(eta=0.0)
+    settings = controllers.cap(eta=0.0)
     report = pliant.Controller(arm(), settings).report(VERTICAL)
     said = report.axes[push[1:]].host_loss_force[int(push[0] == "+")]
-    felt = host.die(settings, push).force
+    felt = disturbances.die(settings, push).force
     assert abs(said / felt - 1.0) < DEAD[push]

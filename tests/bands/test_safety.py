@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments import host, laws, promise
+from experiments import cap_accuracy, controllers, disturbances
 
 #: Sign and axis of the hand: largest force [N].
 DEAD = {"+y": 11.0, "-y": 17.0, "-x": 14.0, "-z": 11.0}  # (7.9, 12.4, 9.7, 6.9)
@@ -12,23 +12,23 @@ LEAST_KEPT = 0.92  # (.98)
 
 @pytest.mark.parametrize("push", DEAD)
 def test_cap_leaves_little_force_when_the_host_dies(push):
-    seen = host.die(laws.cap(eta=0.0), push)
+    seen = disturbances.die(controllers.cap(eta=0.0), push)
     assert seen.force < DEAD[push]
     assert abs(seen.force - seen.formula) < 2.5  # [N] (1.7)
 
 
 def test_cap_stands_still_when_the_host_dies():
-    assert host.die(laws.cap(eta=0.0), None).moved < 0.001  # [m]
+    assert disturbances.die(controllers.cap(eta=0.0), None).moved < 0.001  # [m]
 
 
 def kept(count, margin):
-    cases = list(promise.cases(count, margin))
-    runs = [promise.keep(case, guided=guided) for case in cases for guided in (False, True)]
+    cases = list(cap_accuracy.cases(count, margin))
+    runs = [cap_accuracy.keep(case, guided=guided) for case in cases for guided in (False, True)]
     return [run.kept for run in runs]
 
 
 def test_cap_is_kept_in_some_random_poses():
-    assert np.mean(kept(4, promise.CLEAR)) >= LEAST_KEPT
+    assert np.mean(kept(4, cap_accuracy.CLEAR)) >= LEAST_KEPT
 
 
 @pytest.mark.full

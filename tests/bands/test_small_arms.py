@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments import steps
-from experiments.campaign_arms import BESIDE, ROBOTS
+from experiments.arms import BESIDE, ROBOTS
 
 COUNT = 3
 #: Reported case: 0.38 m/s with a bound of 0.25, and 28 mm past the target.

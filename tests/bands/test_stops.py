@@ -5,8 +5,8 @@ import pytest
 from mismatch import DRAWN, Mismatch, Parameters
 
 import pliant
-from experiments import quiet
-from experiments.laws import UNBLURRED
+from experiments import joint_limit_rest
+from experiments.controllers import UNBLURRED
 from pliant import robots
 from pliant.sim import Plant
 from pliant.sim.postures import VERTICAL
@@ -91,6 +91,6 @@ def test_gravity_is_carried_at_a_limit():
 @pytest.mark.parametrize(("name", "pose"), [("arm7", 0), ("arm7", 2), ("so101", 3), ("koch", 2)])
 def test_an_arm_beside_its_stops_comes_to_rest_after_a_push(name, pose, ticks):
     """No ringing with the joint whose posture fades, and no drift."""
-    rest = quiet.Job(name, pose, ticks).run()
+    rest = joint_limit_rest.Job(name, pose, ticks).run()
     assert rest.moves[1] < 4e-3  # within a second, 8 s after release
     assert rest.turns[1] == 0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from mismatch import Mismatch, Parameters
 
-from experiments import doors, hands, laws, metrics
-from experiments.conditions import Conditions
+from experiments import controllers, disturbances, doors, metrics
+from experiments.simulation import Conditions
 from pliant.sim import LIGHT, ROBUST
 
 ROUGH = {"noise": np.deg2rad(0.05), "read_loss": 0.05, "write_loss": 0.05}
@@ -38,7 +38,7 @@ COUNTS = {
 
 @pytest.mark.parametrize("bus", BUSES)
 def test_rec_at_other_rates_and_delays(bus):
-    seen = hands.drag(laws.rec(), ROBUST, conditions=BUSES[bus])
+    seen = disturbances.drag(controllers.rec(), ROBUST, conditions=BUSES[bus])
     assert seen.moved > 0.19  # [m]
     assert seen.position < 0.010  # [m] (.0029, .0042, .0040, .0016, .0029)
     assert metrics.speed(seen.trace, 1.0, 2.0) < 0.03  # [rad/s] at rest before
@@ -48,22 +48,24 @@ def test_rec_at_other_rates_and_delays(bus):
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_rec_does_not_ring_at_50_hz(axis):
     conditions = BUSES["50 Hz, 1+1"]
-    assert hands.tapped(laws.rec(), axis, conditions=conditions) < 0.01  # [rad/s]
+    assert disturbances.tapped(controllers.rec(), axis, conditions=conditions) < 0.01  # [rad/s]
 
 
 @pytest.mark.parametrize("loop", DELAYED)
 def test_cap_predicts_over_the_delay(loop):
     conditions, force, drift = DELAYED[loop]
-    seen = hands.drag(laws.cap(), LIGHT, conditions=conditions)
+    seen = disturbances.drag(controllers.cap(), LIGHT, conditions=conditions)
     assert seen.force < force
     assert seen.position < drift
-    assert doors.open_door(laws.cap, conditions=conditions).force < 28.0  # [N] (21)
+    assert doors.open_door(controllers.cap, conditions=conditions).force < 28.0  # [N] (21)
 
 
 @pytest.mark.parametrize("loop", DELAYED)
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_cap_does_not_ring_with_a_delay(loop, axis):
-    assert hands.tapped(laws.cap(), axis, conditions=DELAYED[loop][0]) < 0.01  # [rad/s]
+    assert (
+        disturbances.tapped(controllers.cap(), axis, conditions=DELAYED[loop][0]) < 0.01
+    )  # [rad/s]
 
 
 @pytest.mark.parametrize("believed", [0.7, 1.3])
@@ -73,8 +75,8 @@ def test_cap_with_friction_known_to_30_percent(loop, believed):
     late = sum(conditions.delay) / conditions.rate
     assumed = Parameters(friction=believed, damping=believed, delay=late)
     with Mismatch(plant=Parameters(delay=late), assumed=assumed):
-        seen = hands.drag(laws.cap(), LIGHT, conditions=conditions)
-        door = doors.open_door(laws.cap, conditions=conditions)
+        seen = disturbances.drag(controllers.cap(), LIGHT, conditions=conditions)
+        door = doors.open_door(controllers.cap, conditions=conditions)
     assert seen.force < 9.0  # [N] (5.3-7.3)
     assert seen.position < 0.006  # [m] (.0024-.0040)
     assert door.force < 40.0  # [N] (14-31)
@@ -85,10 +87,12 @@ def test_cap_with_friction_known_to_30_percent(loop, believed):
 def test_cap_with_a_flickering_encoder(count, rate):
     idle, force, walk = COUNTS[count]
     conditions = Conditions(rate=rate, count=np.deg2rad(count), flicker=1)
-    still = hands.idle(laws.cap(), 6.0, conditions=conditions)
+    still = disturbances.idle(controllers.cap(), 6.0, conditions=conditions)
     assert still.speed < idle
     assert still.walk < walk
-    slow = hands.drag(laws.cap(), hands.SLOW, duration=7.0, conditions=conditions)
+    slow = disturbances.drag(
+        controllers.cap(), disturbances.SLOW, duration=7.0, conditions=conditions
+    )
     assert slow.force < force
-    light = hands.drag(laws.cap(), LIGHT, duration=5.5, conditions=conditions)
+    light = disturbances.drag(controllers.cap(), LIGHT, duration=5.5, conditions=conditions)
     assert light.force < 9.0  # [N]

@@ -2,9 +2,9 @@
 
 import pytest
 
-from experiments import laws, tracking
-from experiments.conditions import Conditions
-from experiments.setups import AXES
+from experiments import controllers, tracking
+from experiments.poses import AXES
+from experiments.simulation import Conditions
 from pliant import NullSpace
 
 #: Rms error over amplitude (.013 .021 .041 .013 .034 .016), other positions [m] (.0044, .0061).
@@ -14,20 +14,20 @@ CAP_OTHERS = {"x": 0.007, "y": 0.007, "z": 0.007, "roll": 0.007, "pitch": 0.009,
 
 @pytest.mark.parametrize("axis", AXES)
 def test_rec_tracks_a_sinusoid(axis):
-    seen = tracking.track(laws.rec(soft=axis, eta=0.0), axis)
+    seen = tracking.track(controllers.rec(soft=axis, eta=0.0), axis)
     assert seen.share < 0.035  # (.017-.020)
     assert seen.position < 0.005  # [m] (.0018)
 
 
 @pytest.mark.parametrize("axis", AXES)
 def test_cap_tracks_a_sinusoid(axis):
-    seen = tracking.track(laws.cap(soft=axis, eta=0.0), axis)
+    seen = tracking.track(controllers.cap(soft=axis, eta=0.0), axis)
     assert seen.share < CAP_SHARE[axis]
     assert seen.position < CAP_OTHERS[axis]
 
 
 def test_limits_only_loses_height_when_the_arm_is_stretched():
-    seen = tracking.track(laws.limits_only(10, soft="x"), "x")
+    seen = tracking.track(controllers.limits_only(10, soft="x"), "x")
     assert 0.035 <= seen.sunk <= 0.140  # [m] (.075)
     assert seen.left < 0.040  # [m]
 
@@ -35,9 +35,9 @@ def test_limits_only_loses_height_when_the_arm_is_stretched():
 @pytest.mark.parametrize(
     ("law", "delay"),
     [
-        (laws.rec_at_edge(null_space=NullSpace(gain=1.0)), (0, 0)),
-        (laws.cap_at_edge(null_space=NullSpace(gain=1.0)), (0, 0)),
-        (laws.cap_at_edge(null_space=NullSpace(gain=1.0)), (1, 1)),
+        (controllers.rec_at_edge(null_space=NullSpace(gain=1.0)), (0, 0)),
+        (controllers.cap_at_edge(null_space=NullSpace(gain=1.0)), (0, 0)),
+        (controllers.cap_at_edge(null_space=NullSpace(gain=1.0)), (1, 1)),
     ],
     ids=["rec_at_edge", "cap_at_edge", "cap_at_edge, tick each way"],
 )

@@ -2,14 +2,14 @@
 
 import pytest
 
-from experiments import laws, walls
+from experiments import controllers, disturbances
 
 
-@pytest.mark.parametrize("speed", walls.SPEEDS)
-@pytest.mark.parametrize("stiffness", walls.STIFFNESSES)
-@pytest.mark.parametrize("direction", walls.DIRECTIONS)
+@pytest.mark.parametrize("speed", disturbances.SPEEDS)
+@pytest.mark.parametrize("stiffness", disturbances.STIFFNESSES)
+@pytest.mark.parametrize("direction", disturbances.DIRECTIONS)
 def test_cap_bounds_the_bump(direction, stiffness, speed):
-    seen = walls.bump(laws.cap, direction, speed=speed, stiffness=stiffness)
+    seen = disturbances.bump(controllers.cap, direction, speed=speed, stiffness=stiffness)
     assert seen.mass == pytest.approx({"+x": 1.72, "+y": 0.54, "-z": 0.48}[direction], rel=0.01)
     assert seen.peak <= seen.allowed  # [N] (2.8 less)
     assert seen.later < 23.0  # [N] (18.9)

@@ -7,10 +7,9 @@ from mismatch import DRAWN, Mismatch, Parameters
 pytest.importorskip("mujoco", reason="contacts are felt in the simulator: extra sim")
 
 import pliant
-from experiments import contacts_table as table
-from experiments.contacts import MAIN, Job, measure
-from experiments.contacts_bench import Bench, Case
-from experiments.setups import arm
+from experiments import contacts as table
+from experiments.contacts import MAIN, Bench, Case, Job, measure
+from experiments.poses import arm
 from pliant.sim import Course, Plant, Push
 from pliant.sim.postures import VERTICAL
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pliant
-from experiments.setups import arm
+from experiments.poses import arm
 from pliant import reactions as rx
 from pliant.sim.postures import VERTICAL
 

@@ -12,9 +12,9 @@ import pytest
 pytest.importorskip("mujoco")
 
 from experiments import demonstration
-from experiments.chapters import anyarm
+from experiments.chapters import generic_arm
 from experiments.chapters.common import Options
-from experiments.result import Verdict
+from experiments.report import Verdict
 from pliant import ConfigError
 from pliant.sim.postures import task_axes
 
@@ -133,7 +133,7 @@ def test_task_axes_follow_the_number_of_joints(joints, axes):
 
 
 def test_the_pose_of_an_arm_is_inside_its_limits_and_can_hold_itself():
-    arm = anyarm.load(anyarm.Source(name="so101"))
+    arm = generic_arm.load(generic_arm.Source(name="so101"))
     assert np.all(arm.pose > arm.model.lower)
     assert np.all(arm.pose < arm.model.upper)
     assert np.all(np.abs(arm.model.gravity(arm.pose)) < arm.servos.max_torque)

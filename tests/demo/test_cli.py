@@ -104,7 +104,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(capsys, tmp_path):
 def test_bands_that_are_missed_are_said_with_number_and_reason():
     pytest.importorskip("mujoco")
     from experiments.demo import missed
-    from experiments.result import Chapter, Check, Figure, Statement
+    from experiments.report import Chapter, Check, Figure, Statement
 
     kept = Check(name="force", value=3.0, high=4.0, unit="N")
     tests = (kept, Check(name="drift", value=0.0123, low=0.001, high=0.01, unit="m"))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from experiments.chapters import common
-from experiments.result import Check, Statement, Verdict, at_least, at_most, between, mm, near
-from experiments.runner import Job, Workers, prefixed
+from experiments.report import Check, Statement, Verdict, at_least, at_most, between, mm, near
+from experiments.runner import Job, run_by_key
 from pliant._report.words import listed
 
 
@@ -51,23 +51,21 @@ def test_lists_read_well():
 def test_outcomes_keep_the_order_of_the_jobs(count):
     seen = []
     jobs = [Job(str(k), pow, (k, 2)) for k in range(6)]
-    with Workers(count) as workers:
-        outcomes = workers.run(jobs, seen.append)
+    outcomes = run_by_key(jobs, count, progress=seen.append)
     assert list(outcomes.items()) == [(str(k), k * k) for k in range(6)]
     assert sorted(seen) == sorted(outcomes)
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_the_error_of_a_job_is_raised(count):
-    with Workers(count) as workers, pytest.raises(ZeroDivisionError):
-        workers.run([Job("good", pow, (2, 2)), Job("bad", divmod, (1, 0))])
+    with pytest.raises(ZeroDivisionError):
+        run_by_key([Job("good", pow, (2, 2)), Job("bad", divmod, (1, 0))], count)
 
 
 def test_two_jobs_with_one_name_are_refused():
     twice = [Job("a", pow, (2, 2)), Job("a", pow, (2, 3))]
-    with Workers(1) as workers, pytest.raises(ValueError, match="twice: a"):
-        workers.run(twice)
-    assert [job.key for job in prefixed("3:", twice)] == ["3:a", "3:a"]
+    with pytest.raises(ValueError, match="twice: a"):
+        run_by_key(twice, 1)
 
 
 def trace(along):

@@ -7,7 +7,7 @@ from mismatch import Mismatch, Parameters
 
 import pliant
 import pliant.robots
-from experiments.capturing import tried
+from experiments.gravity_capture import try_capture
 from pliant import identify
 from pliant.sim import Plant
 
@@ -103,6 +103,6 @@ def test_numbers_out_of_range_are_refused(arm):
 @pytest.mark.parametrize("kp", [0.8, 2.0])
 def test_the_check_predicts_the_motion_afterwards(kp):
     with Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
-        seen = tried("arm7", 0, kp)
+        seen = try_capture("arm7", 0, kp)
     assert seen.stays or seen.remedied
     assert seen.later < 5e-3

@@ -7,14 +7,14 @@ import pytest
 from mismatch import Mismatch, Parameters
 
 import pliant
-from experiments.floating import floated
+from experiments.hand_guiding import guide
 
 
 def afloat(arm, pose, kp):
     """Run hand guiding with servos of this share of the assumed stiffness."""
     known = kp == 1.0
     with nullcontext() if known else Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
-        return floated(arm, pose, kp)
+        return guide(arm, pose, kp)
 
 
 @pytest.mark.parametrize(

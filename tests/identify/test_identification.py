@@ -35,13 +35,13 @@ AS_ASSUMED = {"as the table", "dead band 0.06°"}
 def identified(arm, case):
     """Let an arm identify itself; check that plant and assumptions are those of the case."""
     if case in AS_ASSUMED:
-        return experiment.identified(arm, case)
+        return experiment.identify_arm(arm, case)
     side = dict(SIDES[case])
     if "gears" in side:
         side["gears"] = experiment.GEARS[arm]
     side["payload"] = side.pop("lift", 0.0) * experiment.LIFTS[arm]
     with Mismatch(plant=Parameters(**side), assumed=Parameters()):
-        return experiment.identified(arm, case)
+        return experiment.identify_arm(arm, case)
 
 
 def test_every_case_is_stated():

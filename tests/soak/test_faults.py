@@ -8,10 +8,9 @@ pytest.importorskip("mujoco", reason="the arm behind the servos needs the extra 
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 pytest.importorskip("pydantic", reason="the configurations need the extra config")
 
-from experiments.bus_mishaps import MISHAPS
-from experiments.faults import WHEN, suffer
+from experiments.faults import FAULT_CASES, WHEN, run_fault
 
-BY_TITLE = {mishap.title: mishap for mishap in MISHAPS}
+BY_TITLE = {case.title: case for case in FAULT_CASES}
 #: Reply timeout where every servo answers, long enough for a busy computer [s].
 BUSY = 0.3
 #: A row, and the arm's reaction.
@@ -24,18 +23,18 @@ POWERED = {
 
 
 def test_there_are_twenty_and_more():
-    assert len(MISHAPS) >= 20
-    assert len(BY_TITLE) == len(MISHAPS)
+    assert len(FAULT_CASES) >= 20
+    assert len(BY_TITLE) == len(FAULT_CASES)
 
 
 def test_a_run_over_bytes_repeats_to_the_bit():
-    runs = [suffer(BY_TITLE["no fault"], held=True, patience=BUSY) for _ in range(2)]
+    runs = [run_fault(BY_TITLE["no fault"], held=True, patience=BUSY) for _ in range(2)]
     assert runs[0] == runs[1]
 
 
 @pytest.mark.parametrize("title", POWERED)
 def test_an_arm_with_power_and_host_stays_up(title):
-    found = suffer(BY_TITLE[title])
+    found = run_fault(BY_TITLE[title])
     assert found.ending == POWERED[title]
     assert found.drop < 0.002
     assert found.speed < 0.02
@@ -43,13 +42,13 @@ def test_an_arm_with_power_and_host_stays_up(title):
 
 
 def test_without_a_host_a_hand_meets_no_more_than_the_report_says():
-    found = suffer(BY_TITLE["SIGKILL"], held=True)
+    found = run_fault(BY_TITLE["SIGKILL"], held=True)
     assert found.ending == "keeps its last order"
     assert 5.0 < found.force <= found.allowed
 
 
 def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
-    found = suffer(BY_TITLE["brown-out: all servos reboot"])
+    found = run_fault(BY_TITLE["brown-out: all servos reboot"])
     assert "torque went off" in found.reason
     assert not found.torque
     assert found.drop > 0.1
@@ -58,15 +57,15 @@ def test_an_arm_whose_servos_restarted_does_not_get_up_by_itself():
 # The worst case depends on where within a tick the hand takes hold.
 @pytest.mark.parametrize("shift", [0.0, 0.002, 0.004, 0.006, 0.008])
 def test_a_target_that_jumps_throws_neither_the_arm_nor_a_hand(shift):
-    mishap = BY_TITLE["the target jumps by 1 m for 1 s, back"]
-    found = suffer(mishap, held=True, when=WHEN + shift, patience=BUSY)
+    case = BY_TITLE["the target jumps by 1 m for 1 s, back"]
+    found = run_fault(case, held=True, when=WHEN + shift, patience=BUSY)
     assert found.ending == "goes on"
     assert found.speed < 0.4
     assert 5.0 < found.force <= found.allowed < 13.0
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("title", [m.title for m in MISHAPS if m.state != "no torque"])
+@pytest.mark.parametrize("title", [m.title for m in FAULT_CASES if m.state != "no torque"])
 def test_no_hand_feels_more_than_is_allowed(title):
-    found = suffer(BY_TITLE[title], held=True)
+    found = run_fault(BY_TITLE[title], held=True)
     assert found.force <= found.allowed

@@ -10,8 +10,8 @@ pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 pytest.importorskip("pydantic", reason="the configurations need the extra config")
 
 from experiments import soak
-from experiments.bus_arm import FAMILIES, stepped
-from experiments.bus_audit import Audit
+from experiments.emulated_arm import FAMILIES, stepped
+from experiments.soak import Audit
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -7,21 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.conditions import NOMINAL
-from experiments.episode import Trace, run
-from experiments.setups import displaced, pull, tool
+from experiments.poses import displaced, pull, tool
+from experiments.simulation import NOMINAL, Trace, run
 from pliant.sim import HandoverObject, Socket, Surface, drawer
 from pliant.sim.grasp import RELEASE_DISTANCE
 from pliant.sim.postures import AT_DOOR, VERTICAL
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from experiments.conditions import Conditions
-    from experiments.hands import Law
+    from experiments.disturbances import Law
+    from experiments.poses import Array
+    from experiments.simulation import Conditions
     from pliant.sim import Plant
 
-    Array = NDArray[np.float64]
 
 #: Distance of the target when pulling a drawer of 0.25 m, and when pushing it beyond its closed
 #: position [m].
@@ -39,7 +36,7 @@ INSIDE = 0.028
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
+class DrawerResult:
     """Result of a drawer.
 
     Attributes:
@@ -63,7 +60,7 @@ class Drawn:
 
 def pull_drawer(
     law: Law, *, degrees: float = 10.0, shut: bool = False, conditions: Conditions = NOMINAL
-) -> Drawn:
+) -> DrawerResult:
     """Pull along -x at 0.05 m/s on a drawer with another slide direction, and beyond its end stop.
 
     Args:
@@ -71,9 +68,6 @@ def pull_drawer(
         degrees: Angle between the slide and the pull, in the horizontal plane [deg].
         shut: True: push it shut again afterwards.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     angle = np.deg2rad(degrees)
     box = drawer(axis=(-float(np.cos(angle)), float(np.sin(angle)), 0.0))
@@ -86,7 +80,7 @@ def pull_drawer(
 
     duration = TURNS + (DRAWN + BACK) / DRAWER_SPEED + 0.5 if shut else TURNS
     trace = run(conditions.build(box), conditions.controller(law), target, duration, q=AT_DOOR)
-    return Drawn(
+    return DrawerResult(
         way=box.widest,
         left=box.opening,
         force=box.peak_force,
@@ -98,7 +92,7 @@ def pull_drawer(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wiped:
+class WipeResult:
     """Result of a pad on a surface.
 
     Attributes:
@@ -121,7 +115,7 @@ def wipe(
     unevenness: float = 0.010,
     friction: float = 0.4,
     conditions: Conditions = NOMINAL,
-) -> Wiped:
+) -> WipeResult:
     """Lower a pad onto an uneven surface and draw a figure of eight on it, for one round.
 
     Args:
@@ -130,9 +124,6 @@ def wipe(
         unevenness: Height of its hills, and depth of its valleys [m].
         friction: Coefficient μ between pad and surface.
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     surface = Surface(unevenness=unevenness, friction=friction)
     start = tool(VERTICAL)
@@ -148,7 +139,7 @@ def wipe(
     trace = run(plant, conditions.controller(law), target, DOWN + STROKE_TIME, q=VERTICAL)
     wiping = trace.t > DOWN
     normal = trace.force[wiping, 2]
-    return Wiped(
+    return WipeResult(
         mean=float(normal.mean()),
         least=float(normal.min()),
         most=float(normal.max()),
@@ -158,7 +149,7 @@ def wipe(
 
 
 @dataclass(frozen=True, kw_only=True)
-class HandedOver:
+class HandoverResult:
     """Result of a hand-over.
 
     Attributes:
@@ -176,16 +167,13 @@ class HandedOver:
     trace: Trace
 
 
-def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) -> HandedOver:
+def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) -> HandoverResult:
     """Hold an object of unknown weight until a person moves it 0.05 m away; then let it go.
 
     Args:
         law: Settings of a controller, or a baseline.
         mass: Of the object, unknown to the controller [kg].
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     thing = HandoverObject(mass=mass)
     start = tool(VERTICAL)
@@ -200,7 +188,7 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
     trace = run(plant, controller, start, 6.0, q=VERTICAL, on_tick=open_when_taken)
     steps = np.linalg.norm(np.diff(trace.position, axis=0), axis=1) * conditions.rate
     before = trace.at(thing.course.start)
-    return HandedOver(
+    return HandoverResult(
         effort=thing.peak_effort,
         released=thing.released,
         sag=float(np.linalg.norm(trace.error[before, :3])),
@@ -210,7 +198,7 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plugged:
+class PlugResult:
     """Result of a plug.
 
     Attributes:
@@ -233,7 +221,7 @@ def plug_in(
     offset: tuple[float, float] = (0.0, 0.0),
     tilt: tuple[float, float] = (0.0, 0.0),
     conditions: Conditions = NOMINAL,
-) -> Plugged:
+) -> PlugResult:
     """Push a round plug of 20 mm down into a square hole that is off its assumed pose.
 
     Args:
@@ -241,9 +229,6 @@ def plug_in(
         offset: Offset of the hole from its assumed position, x and y [m].
         tilt: Its rotation about x and y [rad].
         conditions: Loop, bus and assumptions.
-
-    Returns:
-        The figures and the run.
     """
     socket = Socket(offset=(*offset, -0.02), tilt=(*tilt, 0.0))
     start = tool(VERTICAL)
@@ -256,7 +241,7 @@ def plug_in(
 
     plant = conditions.build(socket)
     trace = run(plant, conditions.controller(law), target, 6.0, q=VERTICAL, on_tick=notice)
-    return Plugged(
+    return PlugResult(
         inside=socket.deepest > INSIDE,
         along=socket.peak_along,
         across=socket.peak_across,

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    from experiments.poses import Array
+
     Pixels = NDArray[np.uint8]
 
 #: Exceptions raised where no off-screen drawing is possible.

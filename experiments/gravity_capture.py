@@ -1,4 +1,4 @@
-"""Gravity capture measured: ``python -m experiments.capturing``.
+"""Gravity capture measured: ``python -m experiments.gravity_capture``.
 
 Random poses of every arm, k_p of the servos half to twice the assumed one, encoder of 0.088°, y
 yields: the share of poses in which the check finds that the tool stays, the share of the others in
@@ -8,14 +8,14 @@ which less feed-forward helps, and the motion in the 8 s after it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import load
-from experiments.runner import Job, Workers
+from experiments import program
+from experiments.arms import load
+from experiments.runner import Job, run_by_key
+from experiments.simulation import closed_loop
 from pliant import identify
 from pliant.sim import Plant
 
@@ -28,7 +28,7 @@ AFTER = 8.0
 
 
 @dataclass(frozen=True)
-class Tried:
+class CaptureResult:
     """Result of one capture.
 
     Attributes:
@@ -42,9 +42,9 @@ class Tried:
     later: float
 
 
-def tried(
+def try_capture(
     name: str, pose: int, kp_scale: float, *, eta: float = 0.999, creep: float = 1.0
-) -> Tried:
+) -> CaptureResult:
     """Capture in one random pose of an arm, y yielding, and observe.
 
     Args:
@@ -64,57 +64,55 @@ def tried(
     found = identify.capture_gravity(plant, controller)
     if found.remedy is not None:
         controller.update(found.remedy)
-    place, q = plant.tool[:3, 3], plant.read().q
-    target, later = arm.model.forward_kinematics(q), 0.0
-    for _ in range(round(AFTER * plant.rate)):
-        command = controller.step(plant.read().q, target)
-        plant.write(command.goal, command.torque_limit)
-        plant.advance()
+    place, later = plant.tool[:3, 3], 0.0
+    target = arm.model.forward_kinematics(plant.read().q)
+    for _ in closed_loop(plant, controller, target, AFTER):
         later = max(later, float(np.linalg.norm(plant.tool[:3, 3] - place)))
-    return Tried(found.stays, found.remedy is not None, later)
+    return CaptureResult(found.stays, found.remedy is not None, later)
 
 
-@dataclass(frozen=True)
-class Options:
+def main(
+    *,
+    arm: program.Arms = (),
+    poses: int = 20,
+    eta: float = 0.999,
+    creep: float = 1.0,
+    jobs: int = 2,
+) -> None:
     """Capture in random poses.
 
-    Attributes:
+    Args:
         arm: Arms by name; default all built-in ones.
         poses: Random poses of each.
         eta: Of the axis that yields.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
         jobs: Number of processes.
     """
-
-    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    poses: int = 20
-    eta: float = 0.999
-    creep: float = 1.0
-    jobs: int = 2
-
-
-def main() -> None:
-    """Print the table."""
-    options = tyro.cli(Options)
-    cases = [(name, kp) for name in options.arm or ARMS for kp in SCALES]
-    more = {"eta": options.eta, "creep": options.creep}
-    jobs = [
-        Job(f"{name} {kp} {pose}", tried, (name, pose, kp), more)
+    cases = [(name, kp) for name in arm or ARMS for kp in SCALES]
+    work = [
+        Job(f"{name} {kp} {pose}", try_capture, (name, pose, kp), {"eta": eta, "creep": creep})
         for name, kp in cases
-        for pose in range(options.poses)
+        for pose in range(poses)
     ]
-    with Workers(options.jobs) as workers:
-        outcomes = workers.run(jobs)
-    print("| arm | k_p × | stays [%] | with the remedy [%] | neither [%] | ", end="")
-    print("of those that stay, below 5 mm for 8 s more [%] |\n|---|---|---|---|---|---|")
+    outcomes = run_by_key(work, jobs)
+    rows = []
     for name, kp in cases:
-        runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(options.poses)]
+        runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(poses)]
         stay, remedied = (float(np.mean([getattr(run, key) for run in runs])) for key in KINDS)
         true = [run.later < 5e-3 for run in runs if run.stays or run.remedied]
         neither = max(1.0 - stay - remedied, 0.0)
         shares = (stay, remedied, neither, float(np.mean(true)) if true else np.nan)
-        print(f"| {name} | {kp:g} | " + " | ".join(f"{100.0 * x:.0f}" for x in shares) + " |")
+        rows.append((name, f"{kp:g}", *(f"{100.0 * x:.0f}" for x in shares)))
+    columns = (
+        "arm",
+        "k_p ×",
+        "stays [%]",
+        "with the remedy [%]",
+        "neither [%]",
+        "of those that stay, below 5 mm for 8 s more [%]",
+    )
+    print(program.markdown(columns, rows))
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

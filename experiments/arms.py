@@ -15,9 +15,8 @@ from pliant import robots
 from pliant.sim._parameters import tabulate
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from experiments.poses import Array
 
-    Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 #: Number of drawn poses, and the share of the median σ below which one is left out.
@@ -100,19 +99,9 @@ class Arm:
         return good[:count]
 
     def capacity(self, q: Array, row: int, sign: float, payload: float = 0.0) -> float:
-        """Return the largest push [N or N·m] along an axis that the limits hold at q (n,).
-
-        ``min_i (usable_i + sign(a_i) g_i) / |a_i|`` with ``a = sign J_row``; negative: the arm
-        cannot hold itself. `payload` [kg] is at the tool.
-        """
-        jacobian = self.model.jacobian(q)
-        gravity = self.model.gravity(q) - payload * self.model.gravity_vector @ jacobian[:3]
-        lever = sign * jacobian[row]
-        felt = np.abs(lever) > 1e-6
-        if not felt.any():
-            return 0.0
-        room = np.asarray(self.servos.max_torque) + np.sign(lever) * gravity
-        return float((room[felt] / np.abs(lever[felt])).min())
+        """Return `capacity` of this arm; 0 for an axis that no joint moves."""
+        size = capacity(self.model, self.servos, q, row, sign, payload=payload)
+        return 0.0 if np.isinf(size) else size
 
     @cached_property
     def median_capacity(self) -> tuple[float, float]:
@@ -129,6 +118,28 @@ class Arm:
         """Return the caps of an axis to one digit; `arm7`: 5, 10, 20 N and 0.5, 1 N·m."""
         kind = row // 3
         return tuple(float(f"{s * self.median_capacity[kind]:.0e}") for s in SHARES[kind])
+
+
+def capacity(
+    model: pliant.Model,
+    servos: pliant.Servos,
+    q: Array,
+    row: int,
+    sign: float,
+    *,
+    payload: float = 0.0,
+) -> float:
+    """Return the largest push [N or N·m] along an axis that the torque limits hold at q (n,).
+
+    ``min_i (usable_i + sign(a_i) g_i) / |a_i|`` with ``a = sign J_row``; negative: the arm cannot
+    hold itself; infinite: no joint moves the axis. `payload` [kg] is at the tool.
+    """
+    jacobian = model.jacobian(q)
+    gravity = model.gravity(q) - payload * model.gravity_vector @ jacobian[:3]
+    lever = sign * jacobian[row]
+    moved = np.abs(lever) > 1e-6
+    room = np.asarray(servos.max_torque) + np.sign(lever) * gravity
+    return float((room[moved] / np.abs(lever[moved])).min(initial=np.inf))
 
 
 @cache

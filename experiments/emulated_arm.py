@@ -17,13 +17,10 @@ from pliant.sim.postures import VERTICAL
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from experiments.poses import Array
     from pliant.config import Config
     from pliant.emulator import ArmEmulator
 
-    Array = NDArray[np.float64]
 
 #: Minimum reply timeout [s]; emulated time stands still meanwhile. On a computer that is busy for
 #: longer a reply counts as lost.

@@ -8,23 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.conditions import NOMINAL
-from experiments.episode import run
-from experiments.laws import UNBLURRED
-from experiments.setups import AXES, arm, servos
+from experiments.arms import capacity
+from experiments.controllers import UNBLURRED
+from experiments.poses import AXES, arm, servos
+from experiments.simulation import NOMINAL, run
 from pliant import Axis, Settings
 from pliant.sim import Guide
 from pliant.sim.hand import Course, Drag, Twist
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
-    from experiments.conditions import Conditions
+    from experiments.poses import Array
+    from experiments.simulation import Conditions, Trace
+    from pliant import Model, Servos
     from pliant.sim import Hand
 
-    Array = NDArray[np.float64]
 
 #: Measured caps: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
 FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
@@ -57,17 +56,20 @@ class Case:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kept:
-    """Result of one promise.
+class CapResult:
+    """One axis pushed in one pose: the promise and the force on the hand [N or N·m].
 
     Attributes:
-        case: Pose, axis, side and cap.
-        promise: min(F, K_x h (1 - η)|e| / C_jj) at the measured deviation [N or N·m].
-        measured: Force on the hand [N or N·m].
-        friction: Σ_i |J⁺_ij| τ_f,i, the part that the joints' friction may hide [N or N·m].
+        axis, sign: Of the push.
+        cap: Setting.
+        promise: min(F, K_x h (1 - η)|e| / C_jj) at the measured deviation.
+        measured: Force on the hand.
+        friction: Σ_i |J⁺_ij| τ_f,i, the part that the joints' friction may hide.
     """
 
-    case: Case
+    axis: str
+    sign: float
+    cap: float
     promise: float
     measured: float
     friction: float
@@ -75,7 +77,43 @@ class Kept:
     @property
     def kept(self) -> bool:
         """True if the force is within 15 % of the cap and the friction of its promise."""
-        return abs(self.measured - self.promise) <= 0.15 * self.case.cap + self.friction
+        return abs(self.measured - self.promise) <= 0.15 * self.cap + self.friction
+
+
+def evaluate(
+    trace: Trace,
+    model: Model,
+    table: Servos,
+    *,
+    rows: Sequence[int],
+    row: int,
+    sign: float,
+    cap: float,
+) -> CapResult:
+    """Compare the force on the hand from 2.5 to 3 s of a push with the promise of a cap.
+
+    Args:
+        trace: The push.
+        model: The arm.
+        table: Its servos.
+        rows: Task axes.
+        row: The pushed one.
+        sign: Direction.
+        cap: Setting [N or N·m].
+    """
+    still = trace.between(SETTLED, END)
+    felt = (trace.force if row < 3 else trace.moment)[still, row % 3]
+    jacobian = np.asarray(model.jacobian(trace.q[-1]))
+    compliance = float(jacobian[row] ** 2 @ (1.0 / np.asarray(table.kp)))
+    inverse = np.linalg.pinv(jacobian[list(rows)])[:, rows.index(row)]
+    return CapResult(
+        axis=AXES[row],
+        sign=sign,
+        cap=cap,
+        promise=min(cap, abs(float(trace.error[-1, row])) / compliance),
+        measured=sign * float(felt.mean()),
+        friction=float(np.abs(inverse) @ np.asarray(table.friction)),
+    )
 
 
 def _sigma(q: Array) -> float:
@@ -99,15 +137,6 @@ def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
     return tuple(good[:count])
 
 
-def capacity(q: Array, axis: int, sign: float) -> float:
-    """Return the largest push [N or N·m] along an axis that the servos hold at q (7,)."""
-    model = arm()
-    lever = sign * model.jacobian(q)[axis]
-    felt = np.abs(lever) > 1e-6
-    room = np.asarray(servos().max_torque) + np.sign(lever) * model.gravity(q)
-    return float((room[felt] / np.abs(lever[felt])).min())
-
-
 def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
     """Yield promises for `count` poses: every axis and sign, a random cap that the servos can hold.
 
@@ -124,11 +153,11 @@ def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
         for index, axis in enumerate(AXES):
             for sign in (1.0, -1.0):
                 cap = float(rng.choice(FORCES if index < 3 else TORQUES))
-                if capacity(q, index, sign) >= cap:
+                if capacity(arm(), servos(), q, index, sign) >= cap:
                     yield Case(q=q, axis=axis, sign=sign, cap=cap)
 
 
-def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) -> Kept:
+def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) -> CapResult:
     """Drag one axis away from its target, hold it still, and compare the force with the promise.
 
     Args:
@@ -156,13 +185,4 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     settings = Settings(axes={case.axis: soft}, **UNBLURRED)
     target = arm().forward_kinematics(case.q)
     trace = run(conditions.build(*scene), conditions.controller(settings), target, END, q=case.q)
-    still = trace.between(SETTLED, END)
-    felt = (trace.force if index < 3 else trace.moment)[still, index % 3]
-    lead = abs(float(trace.error[-1, index]))
-    inverse = np.linalg.pinv(arm().jacobian(trace.q[-1]))
-    return Kept(
-        case=case,
-        promise=min(case.cap, lead / _compliance(trace.q[-1], index)),
-        measured=case.sign * float(felt.mean()),
-        friction=float(np.abs(inverse[:, index]) @ np.asarray(servos().friction)),
-    )
+    return evaluate(trace, arm(), servos(), rows=range(6), row=index, sign=case.sign, cap=case.cap)

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.campaign_arms import AXES
+from experiments.arms import AXES
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
     from pliant.sim import Plant
     from pliant.sim._model_builder import Build
+
 
 #: Springs of hand and guide on `arm7` [N/m, N·m/rad], their damping, and the capacity of `arm7`
 #: [N], with which they scale on other arms.

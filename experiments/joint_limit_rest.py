@@ -1,35 +1,34 @@
 """Arms near their stops after a push: rest, oscillation or drift.
 
-``python -m experiments.quiet`` puts one joint of random poses within 0.06 rad of its position
-limit, moves a soft axis 5 cm away, holds it there, lets go, and observes the joints for one second
-from 2.5 s and from 8 s after that.
+``python -m experiments.joint_limit_rest`` puts one joint of random poses within 0.06 rad of its
+position limit, moves a soft axis 5 cm away, holds it there, lets go, and observes the joints for
+one second from 2.5 s and from 8 s after that.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import AXES, LEAST_SIGMA, load
-from experiments.campaign_grip import OF_CAPACITY, Grip
-from experiments.laws import UNBLURRED
-from experiments.parallel import parallel
+from experiments import program
+from experiments.arms import AXES, LEAST_SIGMA, load
+from experiments.controllers import UNBLURRED
+from experiments.runner import run_jobs
+from experiments.simulation import closed_loop
+from experiments.spring_hand import OF_CAPACITY, Grip
 from pliant import robots
 from pliant.sim import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from experiments.arms import Arm
+    from experiments.poses import Array
 
-    from experiments.campaign_arms import Arm
-
-    Array = NDArray[np.float64]
 
 #: Largest distance of the joint from its limit [rad].
 ROOM = 0.06
@@ -116,17 +115,15 @@ class Job:
         grip.place(plant)
         grip.hold([row])
         target = plant.tool if any(row > 2 for row in arm.rows) else plant.tool[:3, 3]
-        seen = []
-        for tick in range(round((LEAVES + LOOKS[-1] + FOR) * plant.rate)):
-            now = tick / plant.rate
+
+        def push(now: float, plant: Plant) -> None:
             grip.move(row, sign * SPEED if COMES <= now < COMES + GOES else 0.0)
             if now >= LEAVES:
                 grip.hold([])
-            command = controller.step(plant.read().q, target)
-            plant.write(command.goal, command.torque_limit)
-            plant.advance()
-            seen.append(plant.q)
-        angles = np.array(seen)
+
+        end = LEAVES + LOOKS[-1] + FOR
+        loop = closed_loop(plant, controller, target, end, on_tick=push)
+        angles = np.array([plant.q for _ in loop])
         held = angles[round(LEAVES * plant.rate) - 1]
         room = np.minimum(held - arm.model.lower, np.asarray(arm.model.upper) - held).min()
         windows = [
@@ -153,11 +150,12 @@ def _turns(angles: Array) -> int:
 
 def text(found: Sequence[Rest]) -> str:
     """Return figures per arm and case, as Markdown."""
-    lines = [
-        "| arm | ticks each way | η | pushes | at a stop meanwhile | 2.5 s after, in 1 s: median "
-        "| most [mrad] | turns | 8 s after: median | most [mrad] | turns |",
-        "|---" * 11 + "|",
-    ]
+    columns = (
+        *("arm", "ticks each way", "η", "pushes", "at a stop meanwhile"),
+        *("2.5 s after, in 1 s: median", "most [mrad]", "turns"),
+        *("8 s after: median", "most [mrad]", "turns"),
+    )
+    rows = []
     for key in dict.fromkeys((one.arm, one.ticks, one.eta) for one in found):
         mine = [one for one in found if (one.arm, one.ticks, one.eta) == key]
         cells = [key[0], str(key[1]), f"{key[2]:g}", str(len(mine))]
@@ -166,39 +164,26 @@ def text(found: Sequence[Rest]) -> str:
             moves = [1e3 * one.moves[i] for one in mine]
             cells += [f"{np.median(moves):.1f}", f"{max(moves):.1f}"]
             cells += [str(max(one.turns[i] for one in mine))]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append(cells)
+    return program.markdown(columns, rows)
 
 
-@dataclass(frozen=True)
-class Options:
+def main(*, poses: int = POSES, arm: program.Arms = (), jobs: int = 2) -> None:
     """Push arms near their stops, let go, and observe whether they come to rest.
 
-    Attributes:
+    Args:
         poses: Of each arm.
         arm: Arms by name; default those that ship with the package.
         jobs: Number of processes.
     """
-
-    poses: int = POSES
-    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    jobs: int = 2
-
-
-def main(options: Options) -> None:
-    """Run the requested arms, print the table."""
-    names = options.arm or robots.names()
     work = [
         Job(name, pose, ticks, eta)
-        for name in names
+        for name in arm or robots.names()
         for ticks, eta in CASES
-        for pose in range(options.poses)
+        for pose in range(poses)
     ]
-    print(text(list(parallel(work, options.jobs, "quiet"))))
+    print(text(list(run_jobs(work, jobs, "rest at joint limits"))))
 
 
 if __name__ == "__main__":
-    # Other processes import this module's jobs by its name, not as `__main__`.
-    from experiments import quiet  # noqa: PLW0406 -- by name
-
-    quiet.main(tyro.cli(quiet.Options))
+    program.start(main)

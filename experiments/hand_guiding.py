@@ -1,4 +1,4 @@
-"""Hand guiding measured: ``python -m experiments.floating``.
+"""Hand guiding measured: ``python -m experiments.hand_guiding``.
 
 Random poses of every arm, k_p of the servos half, one and two times the assumed one, encoder of
 0.088° and dead band of 0.06°: drift of an untouched arm in 10 s, force to guide it, and motion
@@ -8,20 +8,19 @@ after the hand has let go.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
 import pliant
-from experiments.campaign_arms import load
-from experiments.runner import Job, Workers
+from experiments import program
+from experiments.arms import load
+from experiments.runner import Job, run_by_key
 from pliant.sim import Course, Drag, Plant
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from experiments.poses import Array
 
-    Array = NDArray[np.float64]
 
 #: Creep speed of joints held by friction, relative to MuJoCo's default. With the default, 1, joints
 #: slide by up to some mrad/s, and the drift of a small arm is the simulator's.
@@ -34,7 +33,7 @@ WAYS = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
 
 
 @dataclass(frozen=True)
-class Floated:
+class GuidingResult:
     """Result of one arm; lengths in m, forces in N.
 
     Attributes:
@@ -52,9 +51,9 @@ class Floated:
     later: float
 
 
-def floated(
+def guide(
     name: str, pose: int, kp_scale: float, *, known: bool = False, creep: float = CREEP
-) -> Floated:
+) -> GuidingResult:
     """Run an arm under hand guiding: untouched for 10 s, then moved along y and released.
 
     Args:
@@ -100,7 +99,7 @@ def floated(
         )
 
     leading = (time > COMES + 0.5) & (time <= THERE)
-    return Floated(
+    return GuidingResult(
         idle=farthest(ready, 10.0, ready),
         force=float(np.median(forces[leading])),
         led=farthest(COMES, GONE - COMES, COMES),
@@ -109,51 +108,47 @@ def floated(
     )
 
 
-@dataclass(frozen=True)
-class Options:
+def main(*, arm: program.Arms = (), poses: int = 20, jobs: int = 2, creep: float = CREEP) -> None:
     """Measure hand guiding; figures are median / 95th percentile / worst over the poses.
 
-    Attributes:
+    Args:
         arm: Arms by name; default all built-in ones.
         poses: Random poses of each.
         jobs: Number of processes.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
     """
-
-    arm: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    poses: int = 20
-    jobs: int = 2
-    creep: float = CREEP
-
-
-def main() -> None:
-    """Print the table."""
-    options = tyro.cli(Options)
-    cases = [(name, kp) for name in options.arm or tuple(WAYS) for kp in (0.5, 1.0, 2.0)]
-    jobs = [
-        Job(f"{name} {kp} {pose}", floated, (name, pose, kp), {"creep": options.creep})
+    cases = [(name, kp) for name in arm or tuple(WAYS) for kp in (0.5, 1.0, 2.0)]
+    work = [
+        Job(f"{name} {kp} {pose}", guide, (name, pose, kp), {"creep": creep})
         for name, kp in cases
-        for pose in range(options.poses)
+        for pose in range(poses)
     ]
-    with Workers(options.jobs) as workers:
-        outcomes = workers.run(jobs)
-    print("| arm | k_p × | untouched 10 s [mm] | below 2 mm [%] | force to lead [N] | ", end="")
-    print("after release [mm] | from 1 s on [mm] |\n|---|---|---|---|---|---|---|")
+    outcomes = run_by_key(work, jobs)
+    columns = (
+        "arm",
+        "k_p ×",
+        "untouched 10 s [mm]",
+        "below 2 mm [%]",
+        "force to lead [N]",
+        "after release [mm]",
+        "from 1 s on [mm]",
+    )
+    rows = []
     for name, kp in cases:
-        runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(options.poses)]
-        idle = np.array([1e3 * run.idle for run in runs])
-        columns = [
-            " / ".join(f"{x:.1f}" for x in np.percentile(values, (50, 95, 100)))
-            for values in (
-                idle,
-                [run.force for run in runs],
-                [1e3 * run.sag for run in runs],
-                [1e3 * run.later for run in runs],
-            )
-        ]
-        share = 100.0 * float(np.mean(idle < 2.0))
-        print(f"| {name} | {kp:g} | {columns[0]} | {share:.0f} | " + " | ".join(columns[1:]) + " |")
+        runs = [outcomes[f"{name} {kp} {pose}"] for pose in range(poses)]
+        idle, force, sag, later = (
+            scale * np.array([getattr(run, figure) for run in runs])
+            for figure, scale in (("idle", 1e3), ("force", 1.0), ("sag", 1e3), ("later", 1e3))
+        )
+        share = f"{100.0 * float(np.mean(idle < 2.0)):.0f}"
+        rows.append((name, f"{kp:g}", _spread(idle), share, *map(_spread, (force, sag, later))))
+    print(program.markdown(columns, rows))
+
+
+def _spread(values: Array) -> str:
+    """Return median, 95th percentile and worst."""
+    return " / ".join(f"{x:.1f}" for x in np.percentile(values, (50, 95, 100)))
 
 
 if __name__ == "__main__":
-    main()
+    program.start(main)

@@ -1,0 +1,967 @@
+"""Any arm: its servos, pose and task axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from matplotlib.ticker import MultipleLocator
+
+import pliant
+from experiments import controllers, metrics, poses, simulation
+from experiments.arms import capacity
+from experiments.cap_accuracy import END, CapResult, evaluate
+from experiments.chapters.activation import heat, posture, show
+from experiments.chapters.common import LAW_COLOURS, shade
+from experiments.controllers import UNBLURRED
+from experiments.demonstration import Subject
+from experiments.poses import AXES
+from experiments.report import (
+    Chapter,
+    Figure,
+    Numbers,
+    at_least,
+    at_most,
+    band,
+    mm,
+    near,
+)
+from experiments.runner import Job
+from pliant import ConfigError, robots
+from pliant._report.page import Table
+from pliant._report.style import (
+    AXIS_COLOURS,
+    BLUE,
+    INK,
+    MUTED,
+    SKY,
+    WIDE,
+    canvas,
+    label_end,
+    names,
+    save,
+    thin,
+)
+from pliant.sim import Plant
+from pliant.sim._parameters import ARMATURE_SHARE, DAMPING_SHARE, FRICTION_SHARE, FULL_EFFORT_ERROR
+from pliant.sim.hand import Course, Drag, Twist
+from pliant.sim.postures import task_axes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from experiments.chapters.common import Options
+    from experiments.poses import Array
+    from experiments.simulation import Trace
+    from pliant.sim import Hand
+
+
+#: Number of poses searched for a good one, and the inner share of the joint ranges they come from.
+SEARCHED, INNER = 512, 0.6
+#: Assumed effort where none is known: this multiple of the largest torque that holds the arm, at
+#: least [N·m].
+STRONG_ENOUGH, LEAST_EFFORT = 4.0, 0.5
+#: Distance of the soft axis, as a share of the reach, within [m].
+WAY_SHARE, WAY_RANGE = 0.2, (0.03, 0.15)
+#: Steps in which a motion is checked beforehand.
+STEPS = 12
+#: Share of the usable torque that gravity may take in a chosen pose.
+GRAVITY_SHARE = 0.6
+
+
+@dataclass(frozen=True)
+class Source:
+    """Source of an arm: a built-in one by name, or a URDF with base and tip."""
+
+    name: str = ""
+    urdf: str = ""
+    base: str | None = None
+    tip: str | None = None
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm ready for the experiments.
+
+    Attributes:
+        model: The arm.
+        servos: Its servos, known or guessed.
+        axes: Task axes that its joints can control.
+        soft: The compliant axis.
+        pose: Joint positions (n,) [rad] of the experiments.
+        way: Distance that the soft axis can move from there, both ways [m].
+        notes: Assumptions that were made.
+    """
+
+    model: pliant.Model
+    servos: pliant.Servos
+    axes: tuple[str, ...]
+    soft: str
+    pose: Array
+    way: float
+    notes: tuple[str, ...]
+
+    @property
+    def rows(self) -> list[int]:
+        """Indices of the task axes in a 6-vector."""
+        return [AXES.index(name) for name in self.axes]
+
+    @property
+    def where(self) -> str:
+        """The pose as text."""
+        angles = ", ".join(f"{angle:.2f}" for angle in self.pose)
+        return (
+            f"pose ({angles}) rad, the best conditioned of {SEARCHED} random ones that hold "
+            "themselves easily and let the soft axis move"
+        )
+
+    def law(self, *, soft: str | None = None, eta: float = 0.0, **more: Any) -> pliant.Settings:
+        """Law cap with the defaults of this arm."""
+        task = pliant.Task(axes=" ".join(self.axes))
+        return controllers.cap(soft=self.soft if soft is None else soft, eta=eta, task=task, **more)
+
+
+@cache
+def load(source: Source) -> Arm:
+    """Load an arm, guess unknown servo parameters, and find a pose.
+
+    Args:
+        source: Source of the arm.
+
+    Returns:
+        The arm.
+
+    Raises:
+        PliantError: The URDF is rejected, or no pose lets the soft axis move.
+    """
+    model, servos, notes = _built_in(source.name) if source.name else _from_urdf(source)
+    if model.n < 2:
+        raise ConfigError(f"the chain has {model.n} joint; the experiments need at least 2")
+    axes = task_axes(model.n)
+    soft = "y" if "y" in axes else "x"
+    way = float(np.clip(WAY_SHARE * _reach(model), *WAY_RANGE))
+    pose, way = _find_pose(model, servos, axes, soft, way)
+    return Arm(model, servos, axes, soft, pose, way, tuple(notes))
+
+
+def _built_in(name: str) -> tuple[pliant.Model, pliant.Servos, list[str]]:
+    model = robots.load(name)
+    if model.servos is None:
+        raise ConfigError(f"the built-in arm {name!r} has no servos")
+    return model, model.servos, []
+
+
+def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
+    """Load the user's arm and guess its servos from its efforts."""
+    model = pliant.Model.from_urdf(source.urdf, base=source.base, tip=source.tip)
+    effort = np.array(model.effort_limit, dtype=np.float64)
+    unknown = ~(effort > 0.0)
+    notes = [
+        "No servo data: stiffness, friction, damping and rotor inertia are guessed from the effort "
+        f"limits of the URDF (k_p = effort / {FULL_EFFORT_ERROR} rad, friction "
+        f"{FRICTION_SHARE:.0%}, damping {DAMPING_SHARE:.0%} s/rad of the effort). The numbers show "
+        "what the law does with such servos, not what this arm does."
+    ]
+    if unknown.any():
+        effort[unknown] = np.maximum(STRONG_ENOUGH * _holding(model)[unknown], LEAST_EFFORT)
+        names = ", ".join(name for name, odd in zip(model.joint_names, unknown, strict=True) if odd)
+        notes.append(
+            f"No effort limit either for {names}: {STRONG_ENOUGH:g} times the largest torque that "
+            "holds the arm was taken."
+        )
+    kp = effort / FULL_EFFORT_ERROR
+    servos = pliant.Servos(
+        kp=kp,
+        max_torque=effort,
+        friction=FRICTION_SHARE * effort,
+        damping=DAMPING_SHARE * effort,
+        armature=ARMATURE_SHARE * kp,
+        stiffness_known=True,
+    )
+    return model, servos, notes
+
+
+def ranges(model: pliant.Model) -> tuple[Array, Array]:
+    """Return joint limits (n,), ±π for joints without."""
+    lower, upper = np.asarray(model.lower), np.asarray(model.upper)
+    return np.where(np.isfinite(lower), lower, -np.pi), np.where(np.isfinite(upper), upper, np.pi)
+
+
+def sample(
+    model: pliant.Model, count: int = SEARCHED, *, inner: float = 1.0, seed: int = 0
+) -> Array:
+    """Return random poses (count, n) from the inner share of the joint ranges."""
+    lower, upper = ranges(model)
+    middle, half = (lower + upper) / 2, inner * (upper - lower) / 2
+    return np.random.default_rng(seed).uniform(middle - half, middle + half, (count, model.n))
+
+
+def _holding(model: pliant.Model) -> Array:
+    torques: Array = np.abs([model.gravity(q) for q in sample(model)]).max(axis=0)
+    return torques
+
+
+def _reach(model: pliant.Model) -> float:
+    """Return the largest distance of the tool from the origin of the base in random poses [m]."""
+    places = [model.forward_kinematics(q)[:3, 3] for q in sample(model, 128)]
+    return float(np.ptp(np.array(places), axis=0).max() / 2)
+
+
+def sigma(model: pliant.Model, q: Array, axes: tuple[str, ...]) -> float:
+    """Return the smallest singular value of the task rows, translations divided by the reach."""
+    rows = np.asarray(model.jacobian(q))[[AXES.index(name) for name in axes]].copy()
+    rows[[AXES.index(name) < 3 for name in axes]] /= _cached_reach(model)
+    return float(np.linalg.svd(rows, compute_uv=False).min())
+
+
+_REACH: dict[int, float] = {}
+
+
+def _cached_reach(model: pliant.Model) -> float:
+    return _REACH.setdefault(id(model), _reach(model))
+
+
+def _find_pose(
+    model: pliant.Model, servos: pliant.Servos, axes: tuple[str, ...], soft: str, way: float
+) -> tuple[Array, float]:
+    """Return the best conditioned pose that lets the soft axis move both ways."""
+    usable = np.asarray(servos.max_torque)
+    light = [
+        q
+        for q in sample(model, inner=INNER)
+        if np.all(np.abs(model.gravity(q)) <= GRAVITY_SHARE * usable)
+    ]
+    ranked = sorted(light, key=lambda q: -sigma(model, q, axes))
+    for share in (1.0, 0.6, 0.35):
+        for q in ranked[:100]:
+            if all(_can_move(model, q, axes, soft, side * share * way) for side in (1.0, -1.0)):
+                return q, share * way
+    raise ConfigError(
+        f"among {SEARCHED} poses none lets {soft} move by {0.35 * way:.3f} m within the joint "
+        "limits and torques"
+    )
+
+
+def _can_move(model: pliant.Model, q: Array, axes: tuple[str, ...], soft: str, way: float) -> bool:
+    """Return True if the soft axis can move that far within limits, away from singular poses."""
+    lower, upper = ranges(model)
+    rows = [AXES.index(name) for name in axes]
+    least = 0.4 * sigma(model, q, axes)
+    motion = np.zeros(len(rows))
+    motion[axes.index(soft)] = way / STEPS
+    margin = 0.02 * (upper - lower)
+    at = q.copy()
+    for _ in range(STEPS):
+        at = at + np.linalg.pinv(np.asarray(model.jacobian(at))[rows]) @ motion
+        if (
+            np.any(at < lower + margin)
+            or np.any(at > upper - margin)
+            or sigma(model, at, axes) < least
+        ):
+            return False
+    return True
+
+
+# --- Runs with any arm, each a picklable call ---
+
+RATE = 100.0
+#: A hand's spring and damper for an arm with caps around 15 N [N/m, N·s/m]; they scale with the
+#: caps.
+SPRING, DAMPER, USUAL = 2000.0, 30.0, 15.0
+#: Distance of the hand in the test of the promise, as a share of the soft axis' range; rotations
+#: [rad].
+TURN = 0.3
+#: Poses of the promise with a smallest singular value below this share of the median are left out.
+LEAST_SIGMA = 0.65
+#: Promised cap, as a share of the median static capacity, translations and rotations.
+CAP_SHARE = (0.30, 0.14)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strengths:
+    """Default strengths of law cap [N]: soft axis at small and large deviation, and when stiff."""
+
+    soft: float
+    firm: float
+    hold: float
+
+
+def _loop(
+    arm: Arm,
+    settings: pliant.Settings,
+    target: Array | simulation.Target,
+    duration: float,
+    *scene: Hand,
+    q: Array,
+) -> Trace:
+    plant = Plant(arm.model, arm.servos, rate=RATE, count=arm.servos.encoder_step, scene=scene)
+    controller = pliant.Controller(arm.model, settings.replace(rate=RATE), arm.servos)
+    return simulation.run(plant, controller, target, duration, q=q)
+
+
+def activation(source: Source) -> Array:
+    """Return the activation matrix (n, k + 1) at the pose."""
+    arm = load(source)
+    controller = pliant.Controller(
+        arm.model, arm.law(soft="", tracking=pliant.Tracking(damping=0.0)), arm.servos
+    )
+    controller.reset(arm.pose)
+    controller.step(arm.pose, arm.model.forward_kinematics(arm.pose))
+    return np.asarray(controller.diagnostics.activation)
+
+
+def strengths(source: Source) -> Strengths:
+    """Read the default strengths from the controller: near its target, far from it, stiff."""
+    arm = load(source)
+    start = np.asarray(arm.model.forward_kinematics(arm.pose))
+    row = arm.axes.index(arm.soft)
+
+    def strength(soft: str, away: float) -> float:
+        controller = pliant.Controller(arm.model, arm.law(soft=soft), arm.servos)
+        controller.reset(arm.pose)
+        controller.step(arm.pose, poses.displaced(start, arm.soft, away))
+        return float(controller.diagnostics.axis_strength[row])
+
+    # Far from the target, but within the range allowed for a target.
+    far = min(1.0, float(arm.model.reach))
+    return Strengths(
+        soft=strength(arm.soft, 0.0), firm=strength(arm.soft, far), hold=strength("", 0.0)
+    )
+
+
+def hand(arm: Arm, distance: float, strongest: float) -> Drag:
+    """Return a hand that is stiff and strong enough for this arm, at the tool."""
+    scale = max(strongest / USUAL, 0.05)
+    return Drag(
+        axis=arm.soft,
+        distance=distance,
+        stiffness=SPRING * scale,
+        damping=DAMPER * scale,
+        limit=8.0 * strongest,
+        at="tool",
+    )
+
+
+def drag(source: Source, kind: str, eta: float, sign: int) -> Trace:
+    """Drag the soft axis from 2 to 5 s and let go; 9 s.
+
+    Args:
+        source: The arm.
+        kind: `soft`, or `stiff` for all axes stiff.
+        eta: Target adaptation.
+        sign: Direction.
+    """
+    arm = load(source)
+    firm = strengths(source).firm
+    settings = arm.law(soft="" if kind == "stiff" else arm.soft, eta=eta)
+    target = np.asarray(arm.model.forward_kinematics(arm.pose))
+    return _loop(arm, settings, target, 9.0, hand(arm, sign * arm.way, firm), q=arm.pose)
+
+
+def swing(source: Source) -> Trace:
+    """Let the target swing twice along the soft axis, η = 0; 17 s."""
+    arm = load(source)
+    start = np.asarray(arm.model.forward_kinematics(arm.pose))
+    target = poses.sinusoid(start, arm.soft, arm.way)
+    return _loop(arm, arm.law(), target, 17.0, q=arm.pose)
+
+
+def regular_poses(source: Source, count: int) -> list[Array]:
+    """Return well conditioned random poses that hold themselves."""
+    arm = load(source)
+    sampled = sample(arm.model, inner=0.8, seed=1)
+    sigmas = np.array([sigma(arm.model, q, arm.axes) for q in sampled])
+    good = sampled[sigmas > LEAST_SIGMA * np.median(sigmas)]
+    return list(good[:count])
+
+
+def caps(source: Source) -> tuple[float, float]:
+    """Return the promised caps [N], [N·m]: shares of the median capacity."""
+    arm = load(source)
+    found = []
+    for group, share in enumerate(CAP_SHARE):
+        rows = [row for row in arm.rows if row // 3 == group]
+        values = [
+            capacity(arm.model, arm.servos, q, row, sign)
+            for q in sample(arm.model, 128)
+            for row in rows
+            for sign in (1.0, -1.0)
+        ]
+        finite = [v for v in values if np.isfinite(v) and v > 0.0]
+        found.append(share * float(np.median(finite)) if finite else 0.0)
+    return found[0], found[1]
+
+
+def promises(source: Source, pose: int, count: int) -> list[CapResult]:
+    """Push every axis of one of `count` poses both ways and compare with the promise."""
+    arm = load(source)
+    chosen = regular_poses(source, count)
+    if pose >= len(chosen):
+        return []
+    q = chosen[pose]
+    limits = caps(source)
+    return [
+        _promise(arm, q, row, sign, limits[row // 3])
+        for row in arm.rows
+        for sign in (1.0, -1.0)
+        if capacity(arm.model, arm.servos, q, row, sign) >= limits[row // 3]
+    ]
+
+
+def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> CapResult:
+    name = AXES[row]
+    course = Course(start=0.5, rise=1.0, end=np.inf)
+    if row < 3:
+        scale = max(cap / USUAL, 0.05)
+        felt_by: Hand = Drag(
+            axis=name,
+            distance=sign * min(arm.way, 0.08),
+            stiffness=SPRING * scale,
+            damping=DAMPER * scale,
+            limit=8.0 * cap,
+            at="tool",
+            course=course,
+        )
+    else:
+        felt_by = Twist(
+            axis=name,
+            angle=sign * TURN,
+            stiffness=60.0 * cap,
+            damping=cap,
+            limit=8.0 * cap,
+            course=course,
+        )
+    settings = pliant.Settings(
+        task=pliant.Task(axes=" ".join(arm.axes)),
+        axes={name: pliant.Axis(soft=cap, firm=cap)},
+        **UNBLURRED,
+    )
+    target = np.asarray(arm.model.forward_kinematics(q))
+    trace = _loop(arm, settings, target, END, felt_by, q=q)
+    return evaluate(trace, arm.model, arm.servos, rows=arm.rows, row=row, sign=sign, cap=cap)
+
+
+# --- Chapters that suit any arm: activation, swinging, promises ---
+
+#: Poses of the promise, in a full and in a quick run.
+POSES = (12, 2)
+
+
+@dataclass(frozen=True)
+class ActivationChapter:
+    """Chapter 1: the activation matrix at the pose."""
+
+    source: Source
+    NUMBER: ClassVar[int] = 1
+    TITLE: ClassVar[str] = "Which joint does what"
+
+    def jobs(self, options: Options) -> list[Job]:
+        """Return one job."""
+        return [Job("matrix", activation, (self.source,))]
+
+    def measure(self, outcomes: Mapping[str, Array]) -> Numbers:
+        """Return the matrix."""
+        arm = load(self.source)
+        return {
+            "joints": list(arm.model.joint_names),
+            "columns": [*arm.axes, "null"],
+            "pose": arm.pose.tolist(),
+            "activation": outcomes["matrix"].tolist(),
+        }
+
+    def chapter(self, numbers: Numbers) -> Chapter:
+        """State the leading joint of each axis."""
+        arm = load(self.source)
+        share = np.array(numbers["activation"])[:, : len(arm.axes)]
+        sums = np.abs(share.sum(axis=0) - 1.0).max()
+        leads = "; ".join(
+            f"{axis}: {arm.model.joint_names[int(share[:, k].argmax())]} {share[:, k].max():.2f}"
+            for k, axis in enumerate(arm.axes)
+        )
+        figure = Figure(
+            file="1-activation",
+            title="Activation matrix",
+            done=f"Task axes {' '.join(arm.axes)} for {arm.model.n} joints; {arm.where}. Each "
+            "column tells how a torque budget for one axis is shared among the joints.",
+            caption="Columns sum to one; the column of the null space stands apart and is empty "
+            "without redundancy.",
+            statements=(
+                band(
+                    claim="The shares of each axis sum to one.",
+                    outcome=f"They do within {sums:.0e}. Largest share: {leads}.",
+                    tests=(at_most("error of a sum", float(sums), 1e-9),),
+                ),
+            ),
+        )
+        return Chapter(
+            number=self.NUMBER,
+            title=self.TITLE,
+            lead="How the joints share the work of each direction in space.",
+            figures=(figure,),
+            numbers=numbers,
+        )
+
+    def draw(self, outcomes: Mapping[str, Array], options: Options) -> None:
+        """Draw matrix and posture."""
+        draw_activation(load(self.source), outcomes["matrix"], options.figures)
+
+
+@dataclass(frozen=True)
+class TrackingChapter:
+    """Chapter 3: the target swings along the soft axis."""
+
+    source: Source
+    NUMBER: ClassVar[int] = 3
+    TITLE: ClassVar[str] = "A compliant axis still tracks"
+
+    def jobs(self, options: Options) -> list[Job]:
+        """Return one job."""
+        return [Job("swing", swing, (self.source,))]
+
+    def measure(self, outcomes: Mapping[str, Trace]) -> Numbers:
+        """Return the rms error over amplitude, and the other positions."""
+        arm, trace = load(self.source), outcomes["swing"]
+        axis = AXES.index(arm.soft)
+        swing = trace.between(1.0, 17.0)
+        others = [row for row in arm.rows if row < 3 and row != axis]
+        return {
+            "amplitude": arm.way,
+            "share": metrics.rms(trace.error[swing, axis]) / arm.way,
+            "others": metrics.largest(trace.error[swing][:, others]),
+        }
+
+    def chapter(self, numbers: Numbers) -> Chapter:
+        """Judge the tracking."""
+        arm = load(self.source)
+        figure = Figure(
+            file="3-swing",
+            title=f"A sinusoid in {arm.soft} while {arm.soft} is compliant",
+            done=f"The target swings twice by {mm(numbers['amplitude'])} with a period of 8 s, η = "
+            "0, default strengths.",
+            caption="Above: the axis and its target. Below: the other positions of the task.",
+            statements=(
+                band(
+                    claim="It follows with an rms error below a tenth of the amplitude.",
+                    outcome=f"{numbers['share']:.3f} of the amplitude; other positions within "
+                    f"{mm(numbers['others'])}.",
+                    tests=(at_most("rms error / amplitude", numbers["share"], 0.10),),
+                    because="the softest strength is not far above what friction takes; a firmer "
+                    "axis tracks better.",
+                ),
+            ),
+        )
+        return Chapter(
+            number=self.NUMBER,
+            title=self.TITLE,
+            lead="Being soft must not mean being late.",
+            figures=(figure,),
+            numbers=numbers,
+            headline=(("rms error / amplitude", f"{numbers['share']:.3f}"),),
+        )
+
+    def draw(self, outcomes: Mapping[str, Trace], options: Options) -> None:
+        """Draw the swing."""
+        draw_swing(load(self.source), outcomes["swing"], options.figures)
+
+
+@dataclass(frozen=True)
+class CapChapter:
+    """Chapter 4: the promised cap against the force on a hand."""
+
+    source: Source
+    NUMBER: ClassVar[int] = 4
+    TITLE: ClassVar[str] = "Promised and felt"
+
+    def jobs(self, options: Options) -> list[Job]:
+        """Return a job per pose: every axis, both ways."""
+        count = POSES[options.quick]
+        return [Job(f"pose {k}", promises, (self.source, k, count)) for k in range(count)]
+
+    def measure(self, outcomes: Mapping[str, Sequence[CapResult]]) -> Numbers:
+        """Return every push, and the number of kept promises."""
+        pushes = [one for several in outcomes.values() for one in several]
+        errors = [abs(one.measured - one.promise) / one.cap for one in pushes]
+        return {
+            "pushes": len(pushes),
+            "kept": sum(one.kept for one in pushes),
+            "median_error": float(np.median(errors)) if errors else float("nan"),
+            "each": [
+                {
+                    "axis": p.axis,
+                    "sign": p.sign,
+                    "cap": p.cap,
+                    "promise": p.promise,
+                    "measured": p.measured,
+                }
+                for p in pushes
+            ],
+        }
+
+    def chapter(self, numbers: Numbers) -> Chapter:
+        """Judge the share of promises that were kept."""
+        share = numbers["kept"] / max(numbers["pushes"], 1)
+        figure = Figure(
+            file="4-promise",
+            title="Promised cap against measured push-back",
+            done="At well conditioned random poses each task axis in turn is made soft with one "
+            "cap, 30 % of this arm's median static capacity (rotations 14 %), the tool is dragged "
+            "away, and the force is read when it is still. Poses where the servos cannot give the "
+            "cap are left out.",
+            caption="On the diagonal the promise is kept exactly; the band is ± 15 % of the cap. "
+            "Friction of the joints is allowed for on top in the count.",
+            statements=(
+                band(
+                    claim="At least 92 % of the promises are kept within 15 % of the cap and the "
+                    "joints' friction.",
+                    outcome=f"{numbers['kept']} of {numbers['pushes']} ({share:.0%}); median error "
+                    f"{numbers['median_error']:.1%} of the cap.",
+                    tests=(
+                        at_least("share kept", share, 0.92),
+                        at_least("pushes", numbers["pushes"], 1.0),
+                    ),
+                ),
+            ),
+        )
+        return Chapter(
+            number=self.NUMBER,
+            title=self.TITLE,
+            lead="Law cap is set in newtons. This is the check that newtons come out.",
+            figures=(figure,),
+            numbers=numbers,
+            headline=(("promises kept", f"{numbers['kept']} of {numbers['pushes']}"),),
+        )
+
+    def draw(self, outcomes: Mapping[str, Sequence[CapResult]], options: Options) -> None:
+        """Draw promise against force."""
+        draw_promises([one for several in outcomes.values() for one in several], options.figures)
+
+
+def experiments(source: Source) -> dict[int, Any]:
+    """Return the chapters by number."""
+    kinds = (ActivationChapter, DragChapter, TrackingChapter, CapChapter)
+    return {kind.NUMBER: kind(source) for kind in kinds}
+
+
+# --- The chapter in which a hand drags any arm: one axis soft, and all axes stiff ---
+
+#: Kinds of the drag: stiffness, η, direction.
+DRAGS = (
+    ("soft", 0.999, 1),
+    ("soft", 0.999, -1),
+    ("soft", 0.0, 1),
+    ("soft", 0.0, -1),
+    ("stiff", 0.0, 1),
+    ("stiff", 0.0, -1),
+)
+
+
+@dataclass(frozen=True)
+class DragChapter:
+    """Chapter 2: one axis soft, dragged by a hand; the same all stiff."""
+
+    source: Source
+    NUMBER: ClassVar[int] = 2
+    TITLE: ClassVar[str] = "Held, dragged, let go"
+
+    def jobs(self, options: Options) -> list[Job]:
+        """Return the runs: soft with and without adaptation, and stiff, both ways."""
+        runs = [d for d in DRAGS if d[2] == 1] if options.quick else DRAGS
+        return [
+            Job("strengths", strengths, (self.source,)),
+            *(
+                Job(f"{k} {eta:g} {sign:+d}", drag, (self.source, k, eta, sign))
+                for k, eta, sign in runs
+            ),
+        ]
+
+    def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
+        """Return numbers by kind: the worse of both directions."""
+        arm, given = load(self.source), outcomes["strengths"]
+        kinds: dict[str, dict[str, float]] = {}
+        for name, trace in outcomes.items():
+            if name == "strengths":
+                continue
+            kind = name.rsplit(" ", maxsplit=1)[0]
+            one = self._one(arm, trace, given)
+            had = kinds.get(kind, one)
+            kinds[kind] = {k: (min if k == "moved" else max)(v, had[k]) for k, v in one.items()}
+        return {
+            "soft_axis": arm.soft,
+            "way": arm.way,
+            "strengths": {"soft": given.soft, "firm": given.firm, "hold": given.hold},
+            **kinds,
+        }
+
+    def _one(self, arm: Arm, trace: Trace, given: Strengths) -> dict[str, float]:
+        axis = AXES.index(arm.soft)
+        others = [row for row in arm.rows if row < 3 and row != axis]
+        still = trace.between(*metrics.HELD)
+        felt = trace.force[:, axis]
+        c = float(np.nanmean(trace.compliance[still, arm.axes.index(arm.soft)]))
+        jacobian = np.asarray(arm.model.jacobian(trace.q[trace.at(metrics.HELD[1])]))
+        inverse = np.linalg.pinv(jacobian[arm.rows])[:, arm.rows.index(axis)]
+        before = trace.at(metrics.PULLING[0])
+        return {
+            "before": metrics.largest(
+                trace.error[before, arm.rows][: len([r for r in arm.rows if r < 3])]
+            ),
+            "moved": metrics.moved(trace, axis),
+            "force": metrics.largest(felt),
+            "held": abs(float(felt[still].mean())),
+            "promised": c * given.soft + (1.0 - c) * given.firm,
+            "friction": float(np.abs(inverse) @ np.asarray(arm.servos.friction)),
+            "give": max(
+                (float(jacobian[row] ** 2 @ (1.0 / np.asarray(arm.servos.kp))) for row in others),
+                default=0.0,
+            ),
+            "drift": metrics.drift(trace, others) if others else 0.0,
+            "left": abs(float(trace.error[-1, axis])),
+            "crept": abs(
+                float(trace.moved[-1, axis] - trace.moved[trace.at(metrics.PULLING[1]), axis])
+            ),
+        }
+
+    def chapter(self, numbers: Numbers) -> Chapter:
+        """Judge against the promises and against the stiff arm."""
+        arm = load(self.source)
+        follow, firm, stiff = numbers["soft 0.999"], numbers["soft 0"], numbers["stiff 0"]
+        given, soft = numbers["strengths"], numbers["soft_axis"]
+        figure = Figure(
+            file="2-dragged",
+            title=f"A hand drags the tool by {mm(numbers['way'])} in {soft}",
+            done=f"Law cap with this arm's default strengths in {soft}: {given['soft']:g} N at "
+            f"small, {given['firm']:g} N at large deviation, {given['hold']:g} N where it is "
+            "stiff. The hand pulls within 2 to 3.5 s, holds on until 5 s, and lets go. With η = "
+            f"0.999, with η = 0, and with all axes stiff; {arm.where}.",
+            caption="Solid: pulled toward +, dashed: toward −.",
+            statements=(
+                band(
+                    claim="At rest it stays where it shall, within 5 mm and less.",
+                    outcome=f"All stiff: {mm(stiff['before'])} off; soft, η = 0.999: "
+                    f"{mm(follow['before'])}.",
+                    tests=(at_most("off", max(stiff["before"], follow["before"]), 0.005, "m"),),
+                    because="dry friction of the gears hides that much of a small error.",
+                ),
+                band(
+                    claim="Soft, it follows a hand for less than half the force a stiff arm needs.",
+                    outcome=f"{follow['force']:.2f} N instead of {stiff['force']:.2f} N for "
+                    f"{mm(follow['moved'])}.",
+                    tests=(at_most("share", follow["force"] / stiff["force"], 0.5),),
+                    because="friction that is not fed forward and the arm's inertia are most of "
+                    "what the hand feels.",
+                ),
+                band(
+                    claim="The stiff positions drift less than 15 % of the way meanwhile, and less "
+                    "than on a stiff arm.",
+                    outcome=f"{mm(follow['drift'])} of {mm(numbers['way'])}; {mm(stiff['drift'])} "
+                    "when all is stiff.",
+                    tests=(
+                        at_most("drift over way", follow["drift"] / numbers["way"], 0.15),
+                        at_most(
+                            "drift over stiff", follow["drift"] / max(stiff["drift"], 1e-6), 1.0
+                        ),
+                    ),
+                    because=f"a newton on its stiff axes moves them by up to {mm(follow['give'])}: "
+                    "no law makes servos stiffer than they are.",
+                ),
+                band(
+                    claim="η = 0: held away, it pulls back with the force that was set for that "
+                    "deviation, up to 15 % and friction, and returns.",
+                    outcome=f"{firm['held']:.2f} N of {firm['promised']:.2f} N; {mm(firm['left'])} "
+                    "are left 4 s after.",
+                    tests=(
+                        near(
+                            "held",
+                            firm["held"],
+                            firm["promised"],
+                            rel=0.15,
+                            plus=firm["friction"],
+                            unit="N",
+                        ),
+                        at_most("left over way", firm["left"] / numbers["way"], 0.15),
+                    ),
+                ),
+                band(
+                    claim="η = 0.999: let go, it stays.",
+                    outcome=f"It moves by {mm(follow['crept'])} in the 4 s after.",
+                    tests=(at_most("moves", follow["crept"], 0.015, "m"),),
+                ),
+            ),
+        )
+        return Chapter(
+            number=self.NUMBER,
+            title=self.TITLE,
+            lead="One axis yields, the others hold. What does a hand need to move the arm, what do "
+            "the other axes do, does it come back?",
+            figures=(figure,),
+            tables=(_drag_table(numbers),),
+            numbers=numbers,
+            headline=(
+                (
+                    f"dragged in {soft}, soft",
+                    f"{follow['force']:.2f} N, {mm(follow['drift'])} drift",
+                ),
+                (
+                    f"dragged in {soft}, all stiff",
+                    f"{stiff['force']:.2f} N, {mm(stiff['drift'])} drift",
+                ),
+            ),
+        )
+
+    def draw(self, outcomes: Mapping[str, Any], options: Options) -> None:
+        """Draw place, drift and force."""
+        traces = {name: one for name, one in outcomes.items() if name != "strengths"}
+        draw_dragged(load(self.source), traces, options.figures)
+
+
+def _drag_table(numbers: Numbers) -> Table:
+    rows = [
+        (
+            name,
+            mm(one["moved"]),
+            f"{one['force']:.2f} N",
+            f"{one['held']:.2f} N",
+            mm(one["drift"]),
+            mm(one["left"]),
+        )
+        for name, one in ((k, numbers[k]) for k in ("soft 0.999", "soft 0", "stiff 0"))
+    ]
+    return Table(
+        caption="The worse of both directions. Held: mean force while the hand holds still; left: "
+        "4 s after the release.",
+        columns=("axis and η", "moved", "force", "held", "drift of the others", "left"),
+        rows=tuple(rows),
+    )
+
+
+# --- Any arm as the subject of a demonstration ---
+
+
+def subject(source: Source) -> Subject:
+    """Load an arm and select the experiments that suit it.
+
+    Raises:
+        PliantError: The arm is rejected.
+    """
+    arm = load(source)
+    name = source.name or arm.model.name
+    return Subject(
+        name,
+        experiments(source),
+        f"Compliant control of {name} ({arm.model.n} joints, task axes {' '.join(arm.axes)}) on "
+        "simulated position servos with torque limits: what the default law does with this arm, in "
+        "numbers of this run.",
+        arm.notes,
+    )
+
+
+# --- Figures of the chapters that suit any arm ---
+
+KINDS = (
+    ("stiff 0", "all stiff", LAW_COLOURS["stiff"]),
+    ("soft 0", "soft, η 0", SKY),
+    ("soft 0.999", "soft, η 0.999", BLUE),
+)
+
+
+def draw_activation(arm: Arm, matrix: Array, folder: Path) -> None:
+    """Draw the matrix beside the posture."""
+    with canvas(1, 2, size=(WIDE, 1.1 + 0.42 * matrix.shape[0]), width_ratios=[1.0, 1.75]) as (
+        figure,
+        axes,
+    ):
+        show(axes[0, 0], posture(arm.model, arm.pose, servos=arm.servos), "")
+        heat(axes[0, 1], matrix, arm.model.joint_names, [*arm.axes, "null"])
+        save(figure, folder, "1-activation")
+
+
+def draw_dragged(arm: Arm, traces: Mapping[str, Trace], folder: Path) -> None:
+    """Draw the dragged axis, the farthest other position and the hand's force."""
+    axis = AXES.index(arm.soft)
+    others = [row for row in arm.rows if row < 3 and row != axis]
+    with canvas(1, 3, size=(WIDE, 3.6)) as (figure, axes):
+        place, away, force = axes[0]
+        for kind, _, colour in KINDS:
+            for sign, style in (("+1", "-"), ("-1", (0, (3.5, 2.0)))):
+                trace = traces.get(f"{kind} {sign}")
+                if trace is None:
+                    continue
+                step = thin(trace.t)
+                t = trace.t[step]
+                place.plot(t, -1e3 * trace.error[step, axis], color=colour, linestyle=style)
+                if others:
+                    far = np.abs(trace.error[step][:, others]).max(axis=1)
+                    away.plot(t, 1e3 * far, color=colour, linestyle=style)
+                force.plot(t, trace.force[step, axis], color=colour, linestyle=style)
+        for ax in axes[0]:
+            ax.margins(y=0.12)
+            shade(ax, 2.0, 5.0, "hand")
+            ax.set_xlabel("time [s]")
+            ax.set_xlim(0.0, 9.0)
+        away.set_ylim(bottom=0.0)
+        place.set_ylabel(f"{arm.soft}, from its target [mm]")
+        away.set_ylabel("farthest other position [mm]")
+        force.set_ylabel("hand [N]")
+        names(force, [(name, colour) for _, name, colour in KINDS])
+        save(figure, folder, "2-dragged")
+
+
+def draw_swing(arm: Arm, trace: Trace, folder: Path) -> None:
+    """Draw the axis with its target, and the other positions."""
+    axis = AXES.index(arm.soft)
+    step = thin(trace.t)
+    t = trace.t[step]
+    with canvas(2, 1, size=(WIDE * 0.8, 4.4), sharex=True, height_ratios=[1.2, 1.0]) as (
+        figure,
+        axes,
+    ):
+        top, low = axes[:, 0]
+        top.plot(t, 1e3 * trace.moved[step, axis], color=BLUE)
+        wanted = trace.moved[step, axis] + trace.error[step, axis]
+        top.plot(t, 1e3 * wanted, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        ends = []
+        for row in arm.rows:
+            if row < 3 and row != axis:
+                name = AXES[row]
+                low.plot(t, -1e3 * trace.error[step, row], color=AXIS_COLOURS[name])
+                ends.append((-1e3 * float(trace.error[-1, row]), name, AXIS_COLOURS[name]))
+        top.set_ylabel(f"{arm.soft} [mm]")
+        low.set_ylabel("others, from target [mm]")
+        low.set_xlabel("time [s]")
+        low.xaxis.set_major_locator(MultipleLocator(4.0))
+        label_end(top, float(t[-1]), [(1e3 * float(wanted[-1]), "target (dashed)", INK)])
+        label_end(low, float(t[-1]), ends)
+        save(figure, folder, "3-swing")
+
+
+def draw_promises(pushes: Sequence[CapResult], folder: Path) -> None:
+    """Draw force against promise, both in units of the cap."""
+    with canvas(1, 1, size=(WIDE * 0.55, 4.8)) as (figure, axes):
+        ax = axes[0, 0]
+        line = np.array([0.0, 1.3])
+        ax.fill_between(line, line - 0.15, line + 0.15, color=MUTED, alpha=0.12, linewidth=0)
+        ax.plot(line, line, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
+        for name in AXES:
+            mine = [p for p in pushes if p.axis == name]
+            if mine:
+                turning = AXES.index(name) > 2
+                ax.plot(
+                    [p.promise / p.cap for p in mine],
+                    [p.measured / p.cap for p in mine],
+                    "^" if turning else "o",
+                    markersize=5,
+                    markerfacecolor="none" if turning else AXIS_COLOURS[name],
+                    color=AXIS_COLOURS[name],
+                    label=name,
+                    linestyle="none",
+                )
+        ax.set_xlim(0.0, 1.3)
+        ax.set_ylim(0.0, 1.5)
+        ax.set_aspect("equal")
+        ax.set_xlabel("promised / cap")
+        ax.set_ylabel("felt by the hand / cap")
+        ax.legend(loc="upper left", ncols=2)
+        save(figure, folder, "4-promise")
