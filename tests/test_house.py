@@ -102,14 +102,6 @@ def test_rust_in_documents_is_the_program_that_is_tested(document):
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
-# PLIANT_SHORT=1 requests the shortest run that still does everything once.
-@pytest.mark.slow
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(example, tmp_path):
-    done = run_program(example, tmp_path, PLIANT_SHORT="1")
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_gallery_is_of_this_example(example):
     number, kept = example.stem[:2], ROOT / "docs" / "gallery" / f"{example.stem}.txt"
@@ -122,6 +114,21 @@ def test_gallery_is_of_this_example(example):
 
 #: Run again as for the gallery: a second or two each, output independent of the machine.
 AGAIN = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "13", "14", "15", "16")
+SHORT = [
+    pytest.param(path, id=path.stem, marks=pytest.mark.full if path.stem[:2] in AGAIN else ())
+    for path in EXAMPLES
+]
+
+
+# PLIANT_SHORT=1 requests the shortest run that still does everything once; those of AGAIN always
+# run in full.
+@pytest.mark.slow
+@pytest.mark.parametrize("example", SHORT)
+def test_example_runs(example, tmp_path):
+    done = run_program(example, tmp_path, PLIANT_SHORT="1")
+    assert done.returncode == 0, done.stderr
+
+
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import programs
 import pytest
 from programs import Program
+from teach.test_teach import was_led
 
 pytest.importorskip("mujoco", reason="these commands drive an emulated arm: extra sim")
 pytest.importorskip("rustypot")
@@ -94,6 +95,9 @@ def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
     code, loaded, done = command(name, *flags[name])
     assert code == 0, done.stderr
     assert not loaded
+    if name == "teach":
+        assert "pliant replay" in done.stdout
+        was_led(flags[name][0])
 
 
 def test_a_recording_outlives_ctrl_c(command, tmp_path):

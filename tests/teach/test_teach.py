@@ -295,21 +295,25 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     assert main(["replay", str(arm), str(log), "--backend", backend, "--stop", "0.01"]) == 2
 
 
-@pytest.mark.parametrize("backend", ["sim", "emulator"])
-def test_the_command_teaches_with_a_scripted_hand(tmp_path, backend, capsys, monkeypatch):
-    pytest.importorskip("rustypot")
-    monkeypatch.setattr("sys.stdin", io.StringIO())
-    file, arm = tmp_path / "m.json", tmp_path / "arm.toml"
-    life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
-    arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
-    assert main(["teach", str(arm), str(file), "--backend", backend, "--hand"]) == 0
-    assert "pliant replay" in capsys.readouterr().out
+def was_led(file):
+    """Check that a taught motion is the one of the scripted hand."""
     motion = Motion.load(file)
     model = pliant.robots.so101()
     tool = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
     moved = tool[-1] - tool[0]
     assert moved[1] == pytest.approx(lead.ASIDE * model.reach, abs=0.02)
     assert moved[2] > 0.005
+
+
+# On the emulator: tests/cli/test_between_ticks.py.
+def test_the_command_teaches_with_a_scripted_hand(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    file, arm = tmp_path / "m.json", tmp_path / "arm.toml"
+    life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
+    arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
+    assert main(["teach", str(arm), str(file), "--backend", "sim", "--hand"]) == 0
+    assert "pliant replay" in capsys.readouterr().out
+    was_led(file)
 
 
 def test_no_scripted_hand_leads_a_real_arm(tmp_path, capsys):
