@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+ROOT = Path(__file__).resolve().parents[1]
 #: Folders whose tests simulate an arm, emulate a bus, draw pages or start processes.
 SLOW = {
     "arm",
@@ -30,29 +31,32 @@ SLOW_FILES = {
     "test_latency.py",
     "test_mismatch.py",
 }
-#: Files of slow tests that share a run: all of a unit go to one worker, which makes the run once.
-UNITS = {
-    "tests/bands/test_campaign.py": "campaign",
-    "tests/demo/test_chapters.py": "quick demo",
-    "tests/demo/test_report.py::test_processes_do_not_change_a_digit": "quick demo",
-    "tests/demo/test_report.py::test_quick_demo_leaves_a_report_that_needs_nothing": "quick demo",
-    "tests/emulator/test_process.py": "process",
-    "tests/log/test_damage.py": "damage",
-    "tests/log/test_hostile.py": "hostile",
-    "tests/log/test_log.py": "log",
-    "tests/log/test_report.py": "report",
-    "tests/view/test_page.py": "page",
-    "tests/view/test_browser.py": "browser",
-}
+#: Tests, or files, of slow tests that share a run: each line goes to one worker, which makes the
+#: run once.
+SHARED = (
+    (
+        "tests/demo/test_chapters.py",
+        "tests/demo/test_report.py::test_processes_do_not_change_a_digit",
+        "tests/demo/test_report.py::test_quick_demo_leaves_a_report_that_needs_nothing",
+    ),
+    ("tests/bands/test_campaign.py",),
+    ("tests/emulator/test_process.py",),
+    *((f"tests/log/test_{name}.py",) for name in ("damage", "hostile", "log", "report")),
+    *((f"tests/view/test_{name}.py",) for name in ("browser", "page")),
+)
+UNITS = {name: line[0] for line in SHARED for name in line}
 #: Files of other tests of which each starts a program.
 PROGRAMS = {"tests/test_house.py"}
-#: More workers than cores: many tests wait for an emulated bus or another process.
-WAITING = 2
+#: Workers beyond the number of cores: many tests wait for an emulated bus or another process. With
+#: more of them, arms in real time miss their replies.
+WAITING = 1
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """Return the number of workers for `--numprocesses=auto`."""
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Return the number of workers for `--numprocesses=auto`; None leaves it to xdist."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
     return (os.cpu_count() or 1) + WAITING
 
 
@@ -73,14 +77,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
 def is_slow(file: str) -> bool:
     """Return True if `make check` leaves out the tests of a file, named from the root."""
-    path = Path(file).relative_to("tests")
-    return path.parts[0] in SLOW or path.as_posix() in SLOW_FILES
+    name = file.removeprefix("tests/")
+    return name.partition("/")[0] in SLOW or name in SLOW_FILES
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that `make check` leaves out."""
-    here = Path(__file__).parent
     for item in items:
-        path = item.path.relative_to(here)
-        if path.parts[0] in SLOW or path.as_posix() in SLOW_FILES:
+        if is_slow(item.path.relative_to(ROOT).as_posix()):
             item.add_marker("slow")

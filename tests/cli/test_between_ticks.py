@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import programs
 import pytest
+from bare_arm import left_enabled
 from programs import Program
 from teach.test_teach import was_led
 
@@ -58,12 +59,10 @@ def run_alone(*words):
 @pytest.fixture
 def command(tmp_path):
     """Run a command over an emulated SO-101 that stays enabled."""
-    arm = tmp_path / "arm.toml"
-    life = '[loop]\npatience = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
-    arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
+    arm = left_enabled(tmp_path)
 
     def run(name, *flags, each="pass", backend="emulator"):
-        words = (name, str(arm), *flags, "--backend", backend)
+        words = (name, arm, *flags, "--backend", backend)
         # What a module loads between two ticks is seen only where it is not loaded already.
         start = run_alone if backend == "emulator" else programs.run
         done = start("-c", PROGRAM.replace("{each}", each), *words)

@@ -14,12 +14,11 @@ from experiments.bus_arm import FAMILIES, stepped
 from experiments.bus_audit import Audit
 
 
-# In 7 s of fewer transactions, as on `sts`, not every kind of fault occurs.
 @pytest.mark.parametrize(
     ("family", "seconds"),
     [
-        *(("sts", 20.0), ("x", 7.0), ("p1", 7.0)),
-        *(pytest.param(family, 20.0, marks=pytest.mark.full) for family in ("x", "p1")),
+        *((family, 7.0) for family in FAMILIES),
+        *(pytest.param(family, 20.0, marks=pytest.mark.full) for family in FAMILIES),
     ],
 )
 def test_faults_break_no_rule(family, seconds):
@@ -31,7 +30,9 @@ def test_faults_break_no_rule(family, seconds):
     assert run.off <= 1.0
     # It was a soak: ticks ran, faults of every kind occurred, and the comparison is sensitive.
     assert run.loop["ticks"] >= 97.5 * seconds
-    assert set(run.struck) == set(soak.KINDS)
+    # `sts` has fewer transactions: in 7 s no reply is lost.
+    absent = {"lose"} if (family, seconds) == ("sts", 7.0) else set()
+    assert set(run.struck) >= set(soak.KINDS) - absent
     assert run.bus["retries"] > 0
     # A limit reads back wrong only where a packet was lost on purpose.
     assert run.bus["mismatches"] <= run.struck["deaf"]
