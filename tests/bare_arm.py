@@ -1,5 +1,6 @@
-"""An arm on the simulator without a configuration file: no table, no rest pose."""
+"""Arms of tests: without a configuration file, or with one that leaves the arm enabled."""
 
+from pathlib import Path
 from typing import Any
 
 import pliant
@@ -7,10 +8,21 @@ from pliant.config.factory import ARM_OPTIONS
 from pliant.sim import Plant, SimDrive
 
 
+def left_enabled(folder: Path) -> str:
+    """Write the ready file of an SO-101 that stays enabled, and return its path.
+
+    An emulated arm descends as slowly as a real one. On a busy machine replies may come late.
+    """
+    life = '[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
+    file = folder / "arm.toml"
+    file.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
+    return str(file)
+
+
 def bare_arm(
     robot: str = "arm7", *, q: Any = None, real_time: bool = False, **options: Any
 ) -> pliant.Arm:
-    """Return a built-in model on the simulator.
+    """Return a built-in model on the simulator: no table, no rest pose.
 
     Args:
         robot: Name of the built-in model.

@@ -1,9 +1,11 @@
-"""Tiers of tests; CONTRIBUTING.md says which command runs which."""
+"""Tiers of tests, and their distribution; CONTRIBUTING.md says which command runs which."""
 
+import os
 from pathlib import Path
 
 import pytest
 
+ROOT = Path(__file__).resolve().parents[1]
 #: Folders whose tests simulate an arm, emulate a bus, draw pages or start processes.
 SLOW = {
     "arm",
@@ -29,12 +31,58 @@ SLOW_FILES = {
     "test_latency.py",
     "test_mismatch.py",
 }
+#: Tests, or files, of slow tests that share a run: each line goes to one worker, which makes the
+#: run once.
+SHARED = (
+    (
+        "tests/demo/test_chapters.py",
+        "tests/demo/test_report.py::test_processes_do_not_change_a_digit",
+        "tests/demo/test_report.py::test_quick_demo_leaves_a_report_that_needs_nothing",
+    ),
+    ("tests/bands/test_campaign.py",),
+    ("tests/emulator/test_process.py",),
+    *((f"tests/log/test_{name}.py",) for name in ("damage", "hostile", "log", "report")),
+    *((f"tests/view/test_{name}.py",) for name in ("browser", "page")),
+)
+UNITS = {name: line[0] for line in SHARED for name in line}
+#: Files of other tests of which each starts a program.
+PROGRAMS = {"tests/test_house.py"}
+#: Workers beyond the number of cores: many tests wait for an emulated bus or another process. With
+#: more of them, arms in real time miss their replies.
+WAITING = 1
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Return the number of workers for `--numprocesses=auto`; None leaves it to xdist."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    return (os.cpu_count() or 1) + WAITING
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Distribute slow tests one by one, the others by files, and shared runs together."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Units(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file, _, name = nodeid.partition("::")
+            test = f"{file}::{name.partition('[')[0]}"
+            alone = is_slow(file) or file in PROGRAMS
+            return UNITS.get(test) or UNITS.get(file) or (nodeid if alone else file)
+
+    return Units(config, log)
+
+
+def is_slow(file: str) -> bool:
+    """Return True if `make check` leaves out the tests of a file, named from the root."""
+    name = file.removeprefix("tests/")
+    return name.partition("/")[0] in SLOW or name in SLOW_FILES
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that `make check` leaves out."""
-    here = Path(__file__).parent
     for item in items:
-        path = item.path.relative_to(here)
-        if path.parts[0] in SLOW or path.as_posix() in SLOW_FILES:
+        if is_slow(item.path.relative_to(ROOT).as_posix()):
             item.add_marker("slow")

@@ -4,13 +4,13 @@ import contextlib
 import logging
 import os
 import signal
-import subprocess
 import sys
 import textwrap
 import time
 
 import numpy as np
 import pytest
+from programs import PIPE, Program
 
 pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extra sim")
 
@@ -29,9 +29,11 @@ for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):
     default = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
     signal.signal(getattr(signal, name), default)
 
+NEAR = [0.0, 1.5, 0.0, 0.0, 0.0]  # 3 cm above the end of its descent
+
 def connect(**options):
     global arm, start
-    options |= {"table": False, "rest_q": None, "q": [0.0, 1.2, 0.0, 0.0, 0.0]}
+    options = {"table": False, "rest_q": None, "q": [0.0, 1.2, 0.0, 0.0, 0.0]} | options
     arm = pliant.connect("koch", backend="sim", **options)
     start = arm.drive.plant.tool[2, 3]
     return arm
@@ -57,21 +59,16 @@ def once(action, turns=20):
 
 
 @contextlib.contextmanager
-def begin(program, stderr=subprocess.PIPE):
-    process = subprocess.Popen(
-        [sys.executable, "-c", BEGIN + textwrap.dedent(program)],
-        stdout=subprocess.PIPE,
-        stderr=stderr,
-        text=True,
-    )
+def begin(program, stderr=PIPE):
+    process = Program("-c", BEGIN + textwrap.dedent(program), stderr=stderr)
     try:
         yield process
     finally:
         process.kill()  # some of these tests examine whether it ends
-        process.communicate()
+        process.wait()
 
 
-def run(program, stderr=subprocess.PIPE):
+def run(program, stderr=PIPE):
     with begin(program, stderr) as process:
         said, complained = process.communicate(timeout=100)
     return said.split(), complained, process.returncode
@@ -135,7 +132,7 @@ def test_a_stalled_program_is_lowered_whatever_became_of_the_reader(kind):
                     time.sleep(0.01)
                 report()
                 os._exit(0)
-            with connect(real_time=True, comm_timeout=0.1, dt=0.005):
+            with connect(real_time=True, comm_timeout=0.1, dt=0.005, q=NEAR):
                 for tick in pliant.Loop(arm):
                     tick.skip()
                     if tick.index == 5:
@@ -148,7 +145,7 @@ def test_a_stalled_program_is_lowered_whatever_became_of_the_reader(kind):
 
 def test_a_program_that_blocks_after_ctrl_c_is_lowered():
     said, complained, _ = run("""
-        with connect(real_time=True, comm_timeout=0.1, dt=0.005):
+        with connect(real_time=True, comm_timeout=0.1, dt=0.005, q=NEAR):
             def look():
                 while arm.enabled:
                     time.sleep(0.01)

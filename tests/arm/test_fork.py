@@ -2,10 +2,9 @@
 
 import os
 import signal
-import subprocess
-import sys
 import textwrap
 
+import programs
 import pytest
 
 pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extra sim")
@@ -46,9 +45,8 @@ print(arm.enabled, arm.drive.enabled.any(), flush=True)
 
 
 def run(action):
-    program = PROGRAM.replace("{action}", textwrap.indent(action, 16 * " ").lstrip())
-    return subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=100, check=False
+    return programs.run(
+        "-c", PROGRAM.replace("{action}", textwrap.indent(action, 16 * " ").lstrip())
     )
 
 

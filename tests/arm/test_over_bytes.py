@@ -116,10 +116,17 @@ def test_enabled_in_order_controlled_and_held(family):
         assert np.linalg.norm(bus.plant.tool[:3, 3] - start) < 0.01
 
 
-@pytest.mark.parametrize("family", [pytest.param("sts", marks=pytest.mark.full), "x"])
-def test_lowered_after_the_program_stalled(family):
+#: Poses 32 and 3 cm above the end of their descents [rad].
+HIGH, LOW = [0.0, 0.2, 0.0, 0.2, 0.0], [0.0, 1.5, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("family", "q"),
+    [("x", LOW), *(pytest.param(name, HIGH, marks=pytest.mark.full) for name in FAMILIES)],
+)
+def test_lowered_after_the_program_stalled(family, q):
     speeds = []
-    with arm_over_bytes(family, [0.0, 0.2, 0.0, 0.2, 0.0], watchdog=0.2) as (bus, arm):
+    with arm_over_bytes(family, q, watchdog=0.2) as (bus, arm):
         arm.enable()
         arm.clock.wait_until(arm.clock.now() + 1.0)  # longer than any watchdog
         stalled = bus.time
@@ -202,7 +209,7 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkey
         # As if the watchdog could not be cleared.
         monkeypatch.setattr("pliant.servo._port.Port.clear_watchdogs", lambda *_: None)
         monkeypatch.setattr("pliant.servo._port.Port.set_watchdog", lambda *_: [])
-    with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], watchdog=0.1) as (bus, arm):
+    with arm_over_bytes("x", LOW, watchdog=0.1) as (bus, arm):
         arm.enable()
         if not cleared:
             for servo in bus.servos:
@@ -231,7 +238,7 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkey
 
 @pytest.mark.full
 def test_lowered_in_place_of_a_program_that_never_returns():
-    with arm_over_bytes("x", [0.0, 0.2, 0.0, 0.2, 0.0], clock="real", comm_timeout=0.3) as (
+    with arm_over_bytes("x", HIGH, clock="real", comm_timeout=0.3) as (
         bus,
         arm,
     ):

@@ -1,11 +1,10 @@
 """Signals and the end of the interpreter: each in a process of its own, on the simulator."""
 
 import signal
-import subprocess
-import sys
 import textwrap
 import threading
 
+import programs
 import pytest
 
 pytest.importorskip("mujoco", reason="these programs drive a simulated arm: extra sim")
@@ -26,13 +25,7 @@ start = arm.drive.plant.tool[2, 3]
 
 
 def run(program):
-    return subprocess.run(
-        [sys.executable, "-c", BEGIN + textwrap.dedent(program)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    return programs.run("-c", BEGIN + textwrap.dedent(program))
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

@@ -28,25 +28,18 @@ def wanted(profile, deviation):
     return min(strength, compliance.stiffness("y") * deviation)
 
 
-@pytest.mark.parametrize("profile", ["hardening", "constant", "softening"])
-def test_a_profile_is_felt_as_promised(profile):
-    seen = compliance.answer(Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)}))
-    for place in PLACES:
-        near = np.abs(seen.deviation - place) < 0.003
-        felt = float(seen.force[near].mean())
-        assert felt == pytest.approx(wanted(profile, place), abs=FRICTION), place
-
-
-def test_profiles_differ_where_they_should():
+def test_profiles_are_felt_as_promised_and_differ_where_they_should():
     """At 0.02 m softening is the firmest, at 0.13 m hardening is."""
     felt = {}
     for profile in ("hardening", "constant", "softening"):
         seen = compliance.answer(Settings(axes={"y": Axis(soft=SOFT, firm=FIRM, profile=profile)}))
-        felt[profile] = [
-            float(seen.force[np.abs(seen.deviation - place) < 0.003].mean())
-            for place in (0.02, 0.13)
-        ]
-    near, far = ({name: pair[i] for name, pair in felt.items()} for i in (0, 1))
+        felt[profile] = {
+            place: float(seen.force[np.abs(seen.deviation - place) < 0.003].mean())
+            for place in PLACES
+        }
+        for place, force in felt[profile].items():
+            assert force == pytest.approx(wanted(profile, place), abs=FRICTION), (profile, place)
+    near, far = ({name: at[place] for name, at in felt.items()} for place in (0.02, 0.13))
     assert near["softening"] > near["hardening"] + 4.0 > near["constant"] + 4.0
     assert far["hardening"] > far["softening"] + 8.0
     assert far["softening"] == pytest.approx(far["constant"], abs=0.5)

@@ -7,7 +7,11 @@ import subprocess
 import sys
 
 import numpy as np
+import programs
 import pytest
+from bare_arm import left_enabled
+from programs import Program
+from teach.test_teach import was_led
 
 pytest.importorskip("mujoco", reason="these commands drive an emulated arm: extra sim")
 pytest.importorskip("rustypot")
@@ -46,27 +50,22 @@ print(json.dumps([code, sorted(loaded)]))
 """
 
 
+def run_alone(*words):
+    return subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
 @pytest.fixture
 def command(tmp_path):
     """Run a command over an emulated SO-101 that stays enabled."""
-    arm = tmp_path / "arm.toml"
-    loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
-    life = f'{loop}[life]\non_exit = "leave_enabled"\n'
-    arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
+    arm = left_enabled(tmp_path)
 
     def run(name, *flags, each="pass", backend="emulator"):
-        done = subprocess.run(
-            [
-                sys.executable,
-                "-c",
-                PROGRAM.replace("{each}", each),
-                *(name, str(arm), *flags, "--backend", backend),
-            ],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
+        words = (name, arm, *flags, "--backend", backend)
+        # What a module loads between two ticks is seen only where it is not loaded already.
+        start = run_alone if backend == "emulator" else programs.run
+        done = start("-c", PROGRAM.replace("{each}", each), *words)
         assert done.stdout, done.stderr
         code, loaded = json.loads(done.stdout.splitlines()[-1])
         return code, loaded, done
@@ -95,6 +94,9 @@ def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
     code, loaded, done = command(name, *flags[name])
     assert code == 0, done.stderr
     assert not loaded
+    if name == "teach":
+        assert "pliant replay" in done.stdout
+        was_led(flags[name][0])
 
 
 def test_a_recording_outlives_ctrl_c(command, tmp_path):
@@ -123,11 +125,7 @@ def test_a_run_that_a_signal_ends_has_its_summary_and_code(command, name, code):
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 @pytest.mark.parametrize("name", ["SIGHUP", pytest.param("SIGTERM", marks=pytest.mark.full)])
 def test_an_emulator_takes_its_folder_with_it(name):
-    with subprocess.Popen(
-        [sys.executable, "-m", "pliant.cli", "servos", "emulate", "so101"],
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
+    with Program("-m", "pliant.cli", "servos", "emulate", "so101") as process:
         path = process.stdout.readline().partition(": ")[2].strip()
         assert os.path.exists(path)
         process.send_signal(getattr(signal, name))

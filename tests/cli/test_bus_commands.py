@@ -185,24 +185,29 @@ MENDABLE = [
 ]
 
 
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+
+
+def write_arm(file, bus, model):
+    """Write the file of an SO-101 with servos of a model; return their name in the table."""
+    table = {"STS3215": "STS3215-7.4V"}.get(model, model)
+    lines = [f'{name} = {{ model = "{table}", id = {i} }}' for i, name in enumerate(JOINTS, 1)]
+    head = ['robot.builtin = "so101"', "[[port]]", f'path = "{bus.port}"', "[servo]"]
+    file.write_text("\n".join(head + lines))
+    return table
+
+
 @pytest.mark.parametrize(("model", "registers"), MENDABLE)
 def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, tmp_path, capsys):
     from pliant import ServoError
     from pliant.servo import ServoBus, ServoSpec
 
-    table = {"STS3215": "STS3215-7.4V"}.get(model, model)
     file, backup = tmp_path / "arm.toml", tmp_path / "old.json"
     with Emulator([Device(model, id=i, **registers) for i in range(1, 6)]) as bus:
-        joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-        servos = "".join(
-            f'{name} = {{ model = "{table}", id = {i} }}\n' for i, name in enumerate(joints, 1)
-        )
-        file.write_text(
-            f'robot.builtin = "so101"\n[[port]]\npath = "{bus.port}"\n[servo]\n{servos}'
-        )
+        table = write_arm(file, bus, model)
         before = [bytes(servo.stored) for servo in bus.servos]
         chain = ServoBus(
-            [ServoSpec(name=n, model=table, id=i, port=bus.port) for i, n in enumerate(joints, 1)]
+            [ServoSpec(name=n, model=table, id=i, port=bus.port) for i, n in enumerate(JOINTS, 1)]
         )
         with pytest.raises(ServoError, match="`pliant servos setup`"):
             chain.open()
@@ -215,16 +220,9 @@ def test_what_opening_names_setup_for_setup_mends_and_undoes(model, registers, t
 
 @pytest.mark.parametrize("model", ["STS3215", "XL430-W250", "MX-64"])
 def test_a_servo_gets_an_id_of_its_own(model, tmp_path, capsys, monkeypatch):
-    table = {"STS3215": "STS3215-7.4V"}.get(model, model)
     file = tmp_path / "arm.toml"
     with Emulator([Device(model, id=1), Device(model, id=2)]) as bus:
-        joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-        servos = "".join(
-            f'{name} = {{ model = "{table}", id = {i} }}\n' for i, name in enumerate(joints, 1)
-        )
-        file.write_text(
-            f'robot.builtin = "so101"\n[[port]]\npath = "{bus.port}"\n[servo]\n{servos}'
-        )
+        write_arm(file, bus, model)
         setup = ["servos", "setup", str(file), "--set-id"]
         for pair, said in [
             ("1", "OLD:NEW"),

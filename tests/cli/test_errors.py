@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 
 import pytest
+from programs import Program
 
 import pliant
 from pliant.cli import main
@@ -155,13 +154,11 @@ def test_an_emulator_without_a_duration_that_can_be_is_refused(duration, capsys)
 
 
 def test_an_emulator_that_is_ended_leaves_nothing(tmp_path):
-    words = [sys.executable, "-m", "pliant.cli", "servos", "emulate", "so101"]
     place = {**os.environ, "TMPDIR": str(tmp_path)}
-    with subprocess.Popen(words, env=place, stdout=subprocess.PIPE, text=True) as running:
-        assert running.stdout is not None
+    with Program("-m", "pliant.cli", "servos", "emulate", "so101", env=place) as running:
         assert "tty-main" in running.stdout.readline()
         assert list(tmp_path.iterdir())
-        running.terminate()
+        running.send_signal(signal.SIGTERM)
         assert running.wait(timeout=30) == 128 + signal.SIGTERM
     assert not list(tmp_path.iterdir())
 

@@ -4,12 +4,13 @@ import os
 import re
 import socket
 import subprocess
-import sys
 import threading
 import time
 
 import numpy as np
+import programs
 import pytest
+from programs import PIPE, Program
 
 import pliant
 from pliant.cli import main
@@ -158,14 +159,7 @@ def complaints(text):
 def test_a_flood_on_standard_input_does_not_hold_the_loop():
     words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "2"]
     with subprocess.Popen(["yes", GOOD.decode().strip()], stdout=subprocess.PIPE) as flood:
-        done = subprocess.run(
-            [sys.executable, "-m", "pliant.cli", *words],
-            stdin=flood.stdout,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        done = programs.run("-m", "pliant.cli", *words, stdin=flood.stdout)
         flood.terminate()
     assert done.returncode == 0, done.stderr
     assert "200 ticks" in done.stdout
@@ -174,9 +168,7 @@ def test_a_flood_on_standard_input_does_not_hold_the_loop():
 
 def test_a_run_ends_while_standard_input_is_open():
     words = ["run", "so101", "--backend", "sim", "--quiet", "--targets", "-", "--duration", "0.5"]
-    command = [sys.executable, "-m", "pliant.cli", *words]
-    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, **piped) as running:
+    with Program("-m", "pliant.cli", *words, stdin=PIPE) as running:
         assert running.wait(timeout=60) == 0
         assert not complaints(running.stderr.read())
 

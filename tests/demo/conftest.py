@@ -1,5 +1,6 @@
 """Shared code of the demonstration's tests."""
 
+import json
 import os
 import subprocess
 import sys
@@ -10,17 +11,35 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def search_path():
+    """Return PYTHONPATH with the project's root, for processes that run in other folders."""
+    return os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+
+
 @pytest.fixture
 def demo_command(tmp_path):
     """Run the demo in a process of its own, in an empty folder and without a display."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return runner(tmp_path, "experiments.demo", PYTHONPATH=path)
+    return runner(tmp_path, "experiments.demo", PYTHONPATH=search_path())
 
 
 @pytest.fixture
 def pliant_command(tmp_path):
     """Run the command in a process of its own, away from the sources and without a display."""
     return runner(tmp_path, "pliant.cli")
+
+
+@pytest.fixture(scope="session")
+def quick_demo(tmp_path_factory):
+    """Run the quick demo once; return its folder, the ended process, and the saved results.
+
+    `UNITS` in tests/conftest.py keeps the tests that use it on one worker.
+    """
+    folder = tmp_path_factory.mktemp("demo")
+    demo = runner(folder, "experiments.demo", PYTHONPATH=search_path())
+    done = demo("--quick", "--out", "here")
+    assert done.returncode == 0, done.stderr
+    out = folder / "here"
+    return out, done, json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
 def runner(folder, module, **always):

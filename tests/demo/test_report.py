@@ -87,9 +87,8 @@ def check_folder(folder, done):
     return content, text
 
 
-def test_quick_demo_leaves_a_report_that_needs_nothing(demo_command, tmp_path):
-    done = demo_command("--quick", "--out", "here")
-    content, text = check_folder(tmp_path / "here", done)
+def test_quick_demo_leaves_a_report_that_needs_nothing(quick_demo):
+    content, text = check_folder(*quick_demo[:2])
     assert sorted(content["experiments"]) == ["1", "2", "3", "4", "5", "6"]
     for experiment in content["experiments"].values():
         for statement in experiment["statements"]:
@@ -100,14 +99,18 @@ def test_quick_demo_leaves_a_report_that_needs_nothing(demo_command, tmp_path):
         assert f"{name} {version}" in text
 
 
-def test_processes_do_not_change_a_digit(demo_command, tmp_path):
-    for jobs in ("1", "2"):
-        done = demo_command("--quick", "--only", "2", "--jobs", jobs, "--out", jobs)
-        assert done.returncode == 0, done.stderr
-    one, two = ((tmp_path / jobs / "results.json").read_bytes() for jobs in ("1", "2"))
-    assert one == two
-    for figure in (tmp_path / "1" / "figures").glob("*.svg"):
-        assert figure.read_bytes() == (tmp_path / "2" / "figures" / figure.name).read_bytes()
+def test_processes_do_not_change_a_digit(demo_command, quick_demo, tmp_path):
+    """Experiment 2 in one process, and in the whole demo with its two."""
+    two, _, saved = quick_demo
+    done = demo_command("--quick", "--only", "2", "--jobs", "1", "--out", "1")
+    assert done.returncode == 0, done.stderr
+    one = json.loads((tmp_path / "1" / "results.json").read_text(encoding="utf-8"))
+    second = {"2": saved["experiments"]["2"]}
+    assert json.dumps(one) == json.dumps(saved | {"experiments": second})
+    figures = list((tmp_path / "1" / "figures").glob("*.svg"))
+    assert figures
+    for figure in figures:
+        assert figure.read_bytes() == (two / "figures" / figure.name).read_bytes()
 
 
 def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(demo_command, tmp_path):
@@ -117,7 +120,8 @@ def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(demo_command,
     assert "data:image/" not in text
 
 
-@pytest.mark.parametrize("robot", ["so101", "koch"])
+# Both have five joints and the same experiments; descriptions of both are run below.
+@pytest.mark.parametrize("robot", ["so101", pytest.param("koch", marks=pytest.mark.full)])
 def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
     done = demo_command("--quick", "--robot", robot, "--out", "here")
     content, _ = check_folder(tmp_path / "here", done)
@@ -125,17 +129,23 @@ def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
     assert content["experiments"]["2"]["numbers"]["soft_axis"] == "y"
 
 
+#: One arm of five, six and seven joints each; the others are marked `full`.
+ALWAYS = {"so101", "ur5e", "panda"}
+
+
 def robots():
     """Return reference arms and their chains, where available."""
     found = []
     for file in sorted(SHARED.glob("*/reference_fk.json")):
         chain = json.loads(file.read_text(encoding="utf-8"))
-        found.append((file.parent / chain["urdf"], chain["base"], chain["tip"]))
+        robot = (file.parent / chain["urdf"], chain["base"], chain["tip"])
+        marks = () if file.parent.name in ALWAYS else pytest.mark.full
+        found.append(pytest.param(robot, id=file.parent.name, marks=marks))
     return found
 
 
 @pytest.mark.skipif(not robots(), reason="../shared/robots is absent: no reference arms to try")
-@pytest.mark.parametrize("robot", robots(), ids=lambda robot: robot[0].parent.name)
+@pytest.mark.parametrize("robot", robots())
 def test_quick_demo_of_a_urdf(demo_command, tmp_path, robot):
     urdf, base, tip = robot
     args = ["--urdf", str(urdf), "--base", base, "--tip", tip]

@@ -60,6 +60,12 @@ def test_the_force_of_the_hand_is_found_in_the_log(run):
     assert seen.strengths["y"].firm == (15.0, 15.0)
 
 
+def test_a_sentence_names_the_cap_of_a_firm_axis(run):
+    log = read(run[0])
+    sentence = findings.sentence(log, felt.feel(log), 1)
+    assert re.search("y: .* firm: .* the cap was 15 N", sentence)
+
+
 def test_forces_do_not_depend_on_where_the_loop_started_anew(run):
     _, log, _ = run
     primes = felt._primes(log)
@@ -71,7 +77,6 @@ def test_forces_do_not_depend_on_where_the_loop_started_anew(run):
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
-        ({"y": pliant.Axis(soft=4.0, firm=15.0)}, "y: .* firm: .* the cap was 15 N"),
         (
             {"y": pliant.Axis(soft=4.0, firm=15.0, soft_until=0.3, firm_from=0.5)},
             "y: .* soft: .* 4 N",
@@ -118,8 +123,10 @@ def test_command_leaves_a_page_that_needs_nothing(run, tmp_path, capsys):
     text = unescape(check_page(page)).replace("−", "-")
     for name in ("softness", "strength", "loop"):
         assert (tmp_path / "here" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    again = read(path)
+    forces = felt.feel(again)
     for k in range(6):
-        assert findings.sentence(read(path), felt.feel(read(path)), k) in text
+        assert findings.sentence(again, forces, k) in text
     assert repr(log.settings) in text
 
 

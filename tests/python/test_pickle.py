@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import multiprocessing
 import pickle
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -127,14 +128,12 @@ def test_what_another_arm_carried_is_refused(model, q, target):
             make(other, settings, other.servos, numbers)
 
 
-def elsewhere(controller, q, target):
-    return steps(controller, q, target)
-
-
 def test_a_process_of_its_own_gives_the_same_bits(controller, q, target):
     controller.step(q, target)
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        there = pool.apply(elsewhere, (controller, q, target))
+    # Unlike a `Pool`, an executor whose process cannot unpickle its work fails instead of hanging.
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn) as pool:
+        there = pool.submit(steps, controller, q, target).result(timeout=60)
     assert there == steps(controller, q, target)
 
 

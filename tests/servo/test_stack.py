@@ -25,7 +25,11 @@ def so101(bus, model, **options):
     return ServoBus(specs, reply_timeout_min=0.1, **options)
 
 
-@pytest.mark.parametrize("shares", [{}, {"lose": 0.01, "corrupt": 0.01, "late": 0.01}])
+# Without faults: tests/config/test_arm.py.
+@pytest.mark.parametrize(
+    "shares",
+    [pytest.param({}, marks=pytest.mark.full), {"lose": 0.01, "corrupt": 0.01, "late": 0.01}],
+)
 def test_an_arm_is_enabled_held_and_lowered(shares):
     model = pliant.robots.so101()
     mounts = [

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
@@ -14,6 +12,7 @@ pytest.importorskip("mujoco", reason="the arm behind the servos needs the extra 
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 pytest.importorskip("pydantic", reason="the configurations need the extra config")
 
+from programs import Program
 from soak.watched import so101
 
 from pliant.emulator import EmulatorProcess
@@ -32,21 +31,13 @@ with pliant.connect("so101", port=sys.argv[1], comm_timeout=20.0) as arm:
 """
 
 
-@pytest.fixture
-def bus():
-    with EmulatorProcess(so101) as made:
-        yield made
+#: A pose 9 cm above the rest pose [rad]: a short descent.
+NEAR = [0.0, -1.5, 1.4, 0.3, 0.0]
 
 
 def start(bus, *words):
     # A session of its own, so that a signal to the group acts like Ctrl-C in a terminal.
-    program = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, bus.port, *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    program = Program("-c", PROGRAM, bus.port, *words, start_new_session=True)
     assert program.stdout.readline() == "torque\n", program.communicate()[1]
     return program
 
@@ -60,26 +51,28 @@ def start(bus, *words):
         pytest.param("raise KeyError('policy')", {1}, marks=pytest.mark.full),
     ],
 )
-def test_the_arm_is_lowered(bus, ending, code):
-    program = start(bus, *([] if ending.startswith("SIG") else [ending]))
-    # The sag of soft servos at torque on is not part of the descent.
-    bus.call("watcher.begin")
-    high = bus.call("watcher.start")
-    if ending.startswith("SIG"):
-        os.killpg(program.pid, getattr(signal, ending))
-    _, said = program.communicate(timeout=120)
-    assert program.returncode in code, said
-    # Lowered, not dropped: a fall reaches 1 m/s, and a busy machine may miss ticks of the descent.
-    assert not bus.call("on")
-    assert bus.call("plant.tool.tolist")[2][3] < high - 0.02
-    assert bus.call("watcher.speeds")[False] < 0.25
+def test_the_arm_is_lowered(ending, code):
+    with EmulatorProcess(so101, NEAR) as bus:
+        program = start(bus, *([] if ending.startswith("SIG") else [ending]))
+        # The sag of soft servos at torque on is not part of the descent.
+        bus.call("watcher.begin")
+        high = bus.call("watcher.start")
+        if ending.startswith("SIG"):
+            os.killpg(program.pid, getattr(signal, ending))
+        _, said = program.communicate(timeout=120)
+        assert program.returncode in code, said
+        # Lowered, not dropped: a fall reaches 1 m/s, and a busy machine may miss some ticks.
+        assert not bus.call("on")
+        assert bus.call("plant.tool.tolist")[2][3] < high - 0.02
+        assert bus.call("watcher.speeds")[False] < 0.25
 
 
-def test_killed_it_keeps_its_last_order(bus):
-    program = start(bus)
-    height = bus.call("plant.tool.tolist")[2][3]
-    program.kill()
-    program.communicate()
-    time.sleep(1.0)  # the emulator's time is the machine's
-    assert bus.call("on")
-    assert bus.call("plant.tool.tolist")[2][3] == pytest.approx(height, abs=0.01)
+def test_killed_it_keeps_its_last_order():
+    with EmulatorProcess(so101) as bus:
+        program = start(bus)
+        height = bus.call("plant.tool.tolist")[2][3]
+        program.kill()
+        program.communicate()
+        time.sleep(1.0)  # the emulator's time is the machine's
+        assert bus.call("on")
+        assert bus.call("plant.tool.tolist")[2][3] == pytest.approx(height, abs=0.01)

@@ -7,9 +7,9 @@ from pliant import config
 from pliant.config.factory import make_emulator
 
 
-def so101():
-    """Make the ready arm in real time, on servos that record the tool speed on request."""
-    bus = make_emulator(config.load("so101"))
+def so101(q=None):
+    """Make the ready arm in real time, in q (5,) [rad], whose tool speed is recorded on request."""
+    bus = make_emulator(config.load("so101"), q=q)
     bus.watcher = Watcher(bus)
     bus.on = lambda: any(servo.get("torque_enable") for servo in bus.servos)
     return bus

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="the arm needs the extra sim")
 
-from bare_arm import bare_arm
+from bare_arm import bare_arm, left_enabled
 
 import pliant
 import pliant.robots
@@ -271,47 +271,33 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
     file, log = tmp_path / "m.json", tmp_path / "run.mcap"
     short = Motion(NAMES, [0.0, 0.4], [[0.0] * 5, [0.08] + [0.0] * 4], {"gripper": [0.1, 0.2]})
     short.save(file)
-    arm = tmp_path / "arm.toml"
-    # Left enabled, not lowered: an emulated arm descends as slowly as a real one, and the machine
-    # may be busy.
-    loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
-    life = f'{loop}[life]\non_exit = "leave_enabled"\n'
-    arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
-    flags = [
-        "replay",
-        str(arm),
-        str(file),
-        "--backend",
-        backend,
-        "--soft",
-        "y=2",
-        "--log",
-        str(log),
-    ]
-    assert main(flags) == 0
+    arm = left_enabled(tmp_path)
+    flags = ["--backend", backend, "--soft", "y=2", "--log", str(log)]
+    assert main(["replay", arm, str(file), *flags]) == 0
     assert "done" in capsys.readouterr().out
     assert main(["log", "verify", str(log)]) == 0
     assert "bit for bit" in capsys.readouterr().out
-    assert main(["replay", str(arm), str(file), "--backend", backend, "--soft", "y=a"]) == 2
-    assert main(["replay", str(arm), str(log), "--backend", backend, "--stop", "0.01"]) == 2
+    assert main(["replay", arm, str(file), "--backend", backend, "--soft", "y=a"]) == 2
+    assert main(["replay", arm, str(log), "--backend", backend, "--stop", "0.01"]) == 2
 
 
-@pytest.mark.parametrize("backend", ["sim", "emulator"])
-def test_the_command_teaches_with_a_scripted_hand(tmp_path, backend, capsys, monkeypatch):
-    pytest.importorskip("rustypot")
-    monkeypatch.setattr("sys.stdin", io.StringIO())
-    file, arm = tmp_path / "m.json", tmp_path / "arm.toml"
-    loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
-    life = f'{loop}[life]\non_exit = "leave_enabled"\n'
-    arm.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
-    assert main(["teach", str(arm), str(file), "--backend", backend, "--hand"]) == 0
-    assert "pliant replay" in capsys.readouterr().out
+def was_led(file):
+    """Check that a taught motion is the one of the scripted hand."""
     motion = Motion.load(file)
     model = pliant.robots.so101()
     tool = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
     moved = tool[-1] - tool[0]
     assert moved[1] == pytest.approx(lead.ASIDE * model.reach, abs=0.02)
     assert moved[2] > 0.005
+
+
+# On the emulator: tests/cli/test_between_ticks.py.
+def test_the_command_teaches_with_a_scripted_hand(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    file = tmp_path / "m.json"
+    assert main(["teach", left_enabled(tmp_path), str(file), "--backend", "sim", "--hand"]) == 0
+    assert "pliant replay" in capsys.readouterr().out
+    was_led(file)
 
 
 def test_no_scripted_hand_leads_a_real_arm(tmp_path, capsys):

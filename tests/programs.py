@@ -1,0 +1,228 @@
+"""Programs in processes of their own, without the cost of importing the package in each.
+
+A server imports the package and forks for each program. A fork is like `python -c CODE`,
+`python FILE` or `python -m MODULE`: it has its own `sys.argv`, folder, environment, standard
+streams and handlers of signals, and the interpreter's own end, with its traceback and exit code.
+It cannot draw with OpenGL, whose threads do not survive a fork.
+"""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import importlib
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from subprocess import DEVNULL, PIPE
+from typing import Any
+
+#: Modules that most programs load.
+MODULES = (
+    *("numpy", "mujoco", "rustypot", "pydantic", "rich.console", "tyro", "pliant", "pliant.arm"),
+    *("pliant.cli", "pliant.config.factory", "pliant.emulator", "pliant.servo", "pliant.sim"),
+)
+#: Largest request [byte], and period of the checks for the end of a program [s].
+SIZE, LOOK = 1 << 18, 0.005
+
+
+def serve(number: int) -> Any:
+    """Fork a program for each request on a socket; return, in the fork, the code to run."""
+    for name in MODULES:
+        with suppress(ImportError):  # of an extra that is absent
+            importlib.import_module(name)
+    gc.freeze()  # a fork does not touch, and so not copy, the memory of the modules
+    with socket.socket(fileno=number) as line:
+        while True:
+            data, files, _, _ = socket.recv_fds(line, SIZE, 3)
+            if not data:
+                os._exit(0)
+            request = pickle.loads(data)
+            if isinstance(request, int):
+                pid, status = os.waitpid(request, os.WNOHANG)
+                line.send(pickle.dumps(os.waitstatus_to_exitcode(status) if pid else None))
+                continue
+            pid = os.fork()
+            if pid == 0:
+                break
+            for file in files:
+                os.close(file)
+            line.send(pickle.dumps(pid))
+    for stream, file in enumerate(files):
+        os.dup2(file, stream)
+        os.close(file)
+    if request["session"]:
+        os.setsid()
+    os.chdir(request["folder"])
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    return _code(request["words"])
+
+
+def _code(words: list[str]) -> Any:
+    """Return the code of `-c CODE`, `-m MODULE` or `FILE`, with its arguments in `sys.argv`."""
+    if words[0] == "-m":
+        sys.argv[:] = words[1:]
+        text = (
+            "import runpy, sys; runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
+        )
+        return compile(text, "<string>", "exec")
+    if words[0] == "-c":
+        sys.argv[:] = ["-c", *words[2:]]
+        return compile(words[1], "<string>", "exec")
+    sys.argv[:] = words
+    sys.path[0] = str(Path(words[0]).parent)
+    sys.modules["__main__"].__file__ = words[0]
+    return compile(Path(words[0]).read_text(encoding="utf-8"), words[0], "exec")
+
+
+@cache
+def _server() -> tuple[socket.socket, threading.Lock]:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    start = f"import sys; sys.path.append({str(Path(__file__).parent)!r}); import programs"
+    start += f"; sys.path.pop(); exec(programs.serve({theirs.fileno()}))"
+    server = subprocess.Popen(
+        [sys.executable, "-c", start],
+        env={**os.environ, "MUJOCO_GL": "disable"},
+        stdin=DEVNULL,
+        pass_fds=[theirs.fileno()],
+        start_new_session=True,
+    )
+    theirs.close()
+
+    @atexit.register
+    def end() -> None:
+        ours.close()
+        server.wait()
+
+    return ours, threading.Lock()
+
+
+def _ask(request: Any, files: tuple[int, ...] = ()) -> Any:
+    line, lock = _server()
+    with lock:
+        socket.send_fds(line, [pickle.dumps(request)], files)
+        return pickle.loads(line.recv(SIZE))
+
+
+class Program:
+    """A running program, used like `subprocess.Popen` with text streams.
+
+    Args:
+        *words: As after `python`.
+        stdin, stdout, stderr: A file, `PIPE` or `DEVNULL`.
+        cwd: Folder.
+        env: Whole environment; None: that of this process.
+        start_new_session: True: signals to its group reach it alone.
+    """
+
+    def __init__(
+        self,
+        *words: str,
+        stdin: Any = DEVNULL,
+        stdout: Any = PIPE,
+        stderr: Any = PIPE,
+        cwd: Any = None,
+        env: Any = None,
+        start_new_session: bool = False,
+    ) -> None:
+        request = {
+            "words": list(words),
+            "folder": str(cwd or Path.cwd()),
+            "environment": dict(os.environ if env is None else env),
+            "session": start_new_session,
+        }
+        theirs, ours, given = [], [], (stdin, stdout, stderr)
+        for number, stream in enumerate(given):
+            own = None
+            if stream == PIPE:
+                ends = os.pipe()
+                own, there = ends if number else ends[::-1]
+                own = os.fdopen(own, "r" if number else "w", encoding="utf-8")
+            elif stream == DEVNULL:
+                there = os.open(os.devnull, os.O_RDWR)
+            else:
+                there = os.dup(stream if isinstance(stream, int) else stream.fileno())
+            ours.append(own)
+            theirs.append(there)
+        self.stdin, self.stdout, self.stderr = ours
+        self.returncode: int | None = None
+        self.pid: int = _ask(request, tuple(theirs))
+        for file in theirs:
+            os.close(file)
+
+    def __enter__(self) -> Program:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+        self.wait()
+
+    def poll(self) -> int | None:
+        """Return the exit code, negative for a signal, or None while it runs."""
+        if self.returncode is None:
+            self.returncode = _ask(self.pid)
+        return self.returncode
+
+    def wait(self, timeout: float = 100.0) -> int:
+        """Return the exit code; raise `TimeoutExpired` after `timeout` seconds."""
+        until = time.monotonic() + timeout
+        while self.poll() is None:
+            if time.monotonic() > until:
+                raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
+            time.sleep(LOOK)
+        assert self.returncode is not None
+        return self.returncode
+
+    def communicate(self, timeout: float = 100.0) -> tuple[str, str]:
+        """Return all output and errors, of piped streams, and wait for the end."""
+        until, said = time.monotonic() + timeout, {self.stdout: "", self.stderr: ""}
+        if self.stdin is not None:
+            self.stdin.close()
+
+        def read(stream: Any) -> None:
+            said[stream] = stream.read()
+
+        readers = [threading.Thread(target=read, args=[s], daemon=True) for s in said if s]
+        for reader in readers:
+            reader.start()
+        for reader in readers:
+            reader.join(max(until - time.monotonic(), 0.0))
+            if reader.is_alive():
+                raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
+        self.wait(max(until - time.monotonic(), LOOK))
+        self._close()
+        return said[self.stdout], said[self.stderr]
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """End it at once."""
+        self.send_signal(signal.SIGKILL)
+
+    def _close(self) -> None:
+        for stream in filter(None, (self.stdin, self.stdout, self.stderr)):
+            stream.close()
+
+
+def run(*words: str, timeout: float = 100.0, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, like `subprocess.run` with captured text."""
+    program = Program(*words, **options)
+    try:
+        said, complained = program.communicate(timeout)
+    except BaseException:
+        program.kill()
+        program.wait()
+        raise
+    return subprocess.CompletedProcess(list(words), program.returncode, said, complained)
