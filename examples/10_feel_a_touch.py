@@ -9,8 +9,8 @@ import numpy as np
 
 import pliant
 import pliant.robots
-from pliant.reactions import Call, Deviation, Elapsed, Force, Hold, Reaction, Retract
-from pliant.sim import Course, Plant, Push
+from pliant.reactions import After, Call, Deviation, Force, Hold, Reaction, Retract
+from pliant.sim import ForceProfile, Plant, Push
 
 model = pliant.robots.arm7()
 controller = pliant.Controller(model, pliant.Settings.soft("y"))
@@ -25,13 +25,13 @@ except pliant.OutOfRangeError as error:
     print(f"too fine a threshold is refused: {error}\n")
 
 # 2. Reactions: to a push from below, move 5 cm up for a second; dragged far, hold still.
-lifted = Force("z", above=6.0, toward="+").lasting(0.05)
+lifted = Force("z", above=6.0, toward="+").for_seconds(0.05)
 dragged = Deviation("y", above=0.08)
 reactions = [
     Reaction(
         lifted,
         [Call(lambda now: print(f"{now.time:.2f} s: felt {now.wrench}")), Retract(0.05)],
-        until=Elapsed(1.0),
+        until=After(1.0),
     ),
     Reaction(dragged & ~lifted, Hold()),
 ]
@@ -40,7 +40,7 @@ print("\n".join(repr(reaction.when) for reaction in reactions))
 
 # 3. A hand lifts the tool with 10 N for a third of a second.
 start = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])  # [rad]
-hand = Push(force_vector=(0.0, 0.0, 10.0), course=Course(start=1.0, rise=0.1, end=1.35))
+hand = Push(force_vector=(0.0, 0.0, 10.0), course=ForceProfile(start=1.0, rise=0.1, end=1.35))
 plant = Plant(model, scene=[hand], rate=100.0)
 plant.reset(start)
 controller.reset(start)

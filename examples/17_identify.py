@@ -24,7 +24,7 @@ arm = pliant.sim.Plant(
     kp_scale=0.8,
     friction_scale=1.4,
     delay=(1, 0),  # [ticks]
-    count=np.deg2rad(0.088),  # [rad]
+    encoder_step=np.deg2rad(0.088),  # [rad]
     payload=(0.2, (0.02, 0.01, 0.05)),  # [kg], [m]
 )
 arm.reset(START)

@@ -20,9 +20,11 @@ table = model.servos.replace(encoder_step=count, stiffness_known=False)
 
 for kp_scale in (0.5, 1.0, 2.0):
     # From 8 s on a hand moves the tool 0.12 m to the left within 2 s, holds it, and lets go.
-    course = pliant.sim.Course(start=8.0 + SECONDS, rise=2.0, end=11.0 + SECONDS)
+    course = pliant.sim.ForceProfile(start=8.0 + SECONDS, rise=2.0, end=11.0 + SECONDS)
     hand = pliant.sim.Drag(axis="y", distance=0.12, stiffness=2000.0, limit=60.0, course=course)
-    arm = pliant.sim.Plant(model, kp_scale=kp_scale, count=count, deadband=deadband, scene=[hand])
+    arm = pliant.sim.Plant(
+        model, kp_scale=kp_scale, encoder_step=count, deadband=deadband, scene=[hand]
+    )
     arm.reset(START)
 
     floating = pliant.HandGuiding(model, table)  # then call step(q) at every tick

@@ -12,10 +12,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import pliant.record
 
 import pliant
 import pliant.sim
-import pliant.teach
 
 HELD = 2.0 if os.environ.get("PLIANT_SHORT") else 5.0  # [s]
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
@@ -25,7 +25,7 @@ print(f"files: {folder}")
 
 def grip(axis, distance, start, rise, end):
     """Return a strong hand at the tool, between two times [s]."""
-    course = pliant.sim.Course(start=start, rise=rise, end=end)
+    course = pliant.sim.ForceProfile(start=start, rise=rise, end=end)
     return pliant.sim.Drag(
         axis=axis, distance=distance, stiffness=2000.0, limit=60.0, at="tool", course=course
     )
@@ -34,7 +34,7 @@ def grip(axis, distance, start, rise, end):
 # Teach: hand guiding; from 9 s on a hand moves the tool to the side and up, and lets go.
 hands = [grip("y", 0.08, 9.0, 3.0, 12.5), grip("z", 0.03, 9.0, 3.0, 12.5)]
 with pliant.connect("so101", backend="sim", q=START, scene=hands) as arm:
-    motion = pliant.teach.teach(arm, on_status=print)
+    motion = pliant.teach.record(arm, on_status=print)
 motion.save(folder / "wave.json")
 
 # Replay: y gives way to 2 N; a hand holds the tool from the start, then lets go.

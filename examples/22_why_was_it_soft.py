@@ -24,7 +24,7 @@ folder = Path(tempfile.mkdtemp())
 
 def pull(axis, start):
     """Return a hand that moves the tool by 0.15 m within a second and lets go after another."""
-    course = pliant.sim.Course(start=start, rise=1.0, end=start + 2.0)
+    course = pliant.sim.ForceProfile(start=start, rise=1.0, end=start + 2.0)
     return pliant.sim.Drag(
         axis=axis, distance=0.15, stiffness=3000.0, limit=60.0, at="tool", course=course
     )

@@ -98,7 +98,7 @@ def share(family: str, seconds: float) -> float:
     read = configuration(family)
     with EmulatorProcess(emulator, family) as bus:
         chain = ServoBus(factory.servo_specs(read, bus.ports), reply_timeout_min=0.05)
-        arm = Arm(read.model(), chain, comm_timeout=5.0, signals=False)
+        arm = Arm(read.model(), chain, comm_timeout=5.0, handle_signals=False)
         with chain:
             arm.enable()
             controller = pliant.Controller(arm.model, pliant.Settings.soft("y"), arm.servos)

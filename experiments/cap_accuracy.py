@@ -13,8 +13,8 @@ from experiments.controllers import UNBLURRED
 from experiments.poses import AXES, arm, servos
 from experiments.simulation import NOMINAL, run
 from pliant import Axis, Settings
-from pliant.sim import Guide
-from pliant.sim.hand import Course, Drag, Twist
+from pliant.sim import SpringConstraint
+from pliant.sim.hand import Drag, ForceProfile, Twist
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -169,7 +169,7 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
         The promise and the force.
     """
     index = AXES.index(case.axis)
-    course = Course(start=0.5, rise=1.0, end=np.inf)
+    course = ForceProfile(start=0.5, rise=1.0, end=np.inf)
     way = case.sign * (WAY * case.cap * _compliance(case.q, index) + MORE[index // 3])
     hand: Hand
     if index < 3:
@@ -180,7 +180,7 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
         hand = Twist(axis=case.axis, angle=way, stiffness=60.0, limit=8.0, course=course)
     scene: list[Hand] = [hand]
     if guided:
-        scene.append(Guide(axes=" ".join(name for name in AXES if name != case.axis)))
+        scene.append(SpringConstraint(axes=" ".join(name for name in AXES if name != case.axis)))
     soft = Axis(soft=case.cap, firm=case.cap)
     settings = Settings(axes={case.axis: soft}, **UNBLURRED)
     target = arm().forward_kinematics(case.q)

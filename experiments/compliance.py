@@ -11,7 +11,7 @@ import pliant
 from experiments import metrics
 from experiments.poses import AXES, arm, displaced, servos, tool
 from experiments.simulation import NOMINAL, Trace, run
-from pliant.sim import Course, Drag, Wall
+from pliant.sim import Drag, ForceProfile, Wall
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ STEADY = Drag(
     stiffness=3000.0,
     limit=80.0,
     at="tool",
-    course=Course(start=1.0, rise=6.0, end=7.0),
+    course=ForceProfile(start=1.0, rise=6.0, end=7.0),
 )
 #: Wall in front of the tool; path of the target behind it and to the side of it [m].
 GAP, BEHIND, ASIDE = 0.03, 0.07, 0.10

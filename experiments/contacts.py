@@ -197,8 +197,8 @@ class Bench:
         options: dict[str, Any] = {
             "rate": RATE,
             "delay": case.delay,
-            "count": count,
-            "flicker": int(case.encoder),
+            "encoder_step": count,
+            "encoder_flicker": int(case.encoder),
         }
         if case.gears:
             options["friction"] = REAL_GEARS[case.arm]

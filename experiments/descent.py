@@ -235,7 +235,7 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
     plant = Plant(
         model,
         delay=truth.delay,
-        count=truth.step,
+        encoder_step=truth.step,
         kp_scale=truth.stiffness,
         friction_scale=truth.friction,
         payload=_payload(truth),
@@ -243,7 +243,9 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
     plant.reset(job.q)
     watch = Watch(job, plant)
     drive = SimDrive(plant, servos=model.servos.replace(stiffness_known=False))
-    arm = Arm(model, drive, grippers=factory.gripper_configs(configuration(job.arm)), signals=False)
+    arm = Arm(
+        model, drive, grippers=factory.gripper_configs(configuration(job.arm)), handle_signals=False
+    )
     lead = _needed(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
     drive.write(goal, np.asarray(drive.servos.max_torque))
@@ -281,7 +283,7 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
             reply_timeout_min=REPLY_TIMEOUT_MIN,
             clock=ManualClock(bus),
         )
-        arm = Arm(model, drive, grippers=factory.gripper_configs(own), signals=False)
+        arm = Arm(model, drive, grippers=factory.gripper_configs(own), handle_signals=False)
         try:
             yield arm, watch
         finally:

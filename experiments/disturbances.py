@@ -13,7 +13,7 @@ from experiments.poses import AXES, arm, pull, servos, tool
 from experiments.simulation import NOMINAL, Trace, run
 from pliant.sim import Wall
 from pliant.sim.ground_truth import WRIST
-from pliant.sim.hand import STRONG, Course, Drag, Push, Twist, tap
+from pliant.sim.hand import STRONG, Drag, ForceProfile, Push, Twist, tap
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     Law = pliant.Settings | FromModel
 
 #: A 15 N hand that takes 4 s for 0.08 m: the effect of dry friction.
-SLOW = Drag(distance=0.08, course=Course(start=2.0, rise=4.0, end=6.5))
+SLOW = Drag(distance=0.08, course=ForceProfile(start=2.0, rise=4.0, end=6.5))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +171,7 @@ def push_stiff(law: Law, axis: str, size: float, *, conditions: Conditions = NOM
     """
     index = AXES.index(axis)
     vector = tuple(size * np.eye(3)[index % 3])
-    course = Course(start=1.5, rise=0.5, end=4.0)
+    course = ForceProfile(start=1.5, rise=0.5, end=4.0)
     if index < 3:
         hand = Push(force_vector=vector, course=course)
     else:
@@ -277,12 +277,12 @@ def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) 
         push: Sign and axis of the hand, None for no hand.
         conditions: Loop, bus and assumptions.
     """
-    silent = conditions.with_plant(silent=(DEATH, np.inf))
+    silent = conditions.with_plant(bus_outage=(DEATH, np.inf))
     hands = []
     direction = np.zeros(3)
     if push is not None:
         direction[AXES.index(push[1:])] = -1.0 if push[0] == "-" else 1.0
-        course = Course(start=2.0, rise=RISE, end=np.inf)
+        course = ForceProfile(start=2.0, rise=RISE, end=np.inf)
         hands.append(replace(STRONG, axis=tuple(direction), course=course))
     trace = run(
         silent.build(*hands), silent.controller(law), tool(VERTICAL), 2.0 + RISE, q=VERTICAL

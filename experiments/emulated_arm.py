@@ -124,6 +124,6 @@ def stepped(
             clock=ManualClock(bus),
         )
         try:
-            yield bus, Arm(read.model(), drive, **{"signals": False, **arm})
+            yield bus, Arm(read.model(), drive, **{"handle_signals": False, **arm})
         finally:
             drive.close()

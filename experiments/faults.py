@@ -23,7 +23,7 @@ from experiments.poses import displaced
 from pliant.emulator.faults import KINDS
 from pliant.loop import Loop
 from pliant.sim.ground_truth import TOOL
-from pliant.sim.hand import Course, Drag
+from pliant.sim.hand import Drag, ForceProfile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -517,7 +517,7 @@ class Grasp:
                 damping=30.0,
                 limit=300.0,
                 at=TOOL,
-                course=Course(start=t, rise=RISE, end=np.inf),
+                course=ForceProfile(start=t, rise=RISE, end=np.inf),
                 offset=float(ground_truth.frame(TOOL).shift()[1]),
             )
         if self._hand is None:

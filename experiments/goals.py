@@ -378,7 +378,7 @@ _ENTRIES = (
 
 def creeping(conditions: Conditions, creep: float) -> Conditions:
     """Return the same conditions with this creep speed of joints held by dry friction."""
-    return conditions if creep == 1.0 else conditions.with_plant(creep=creep)
+    return conditions if creep == 1.0 else conditions.with_plant(friction_creep=creep)
 
 
 def table(only: str = "", creep: float = 1.0) -> list[Row]:

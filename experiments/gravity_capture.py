@@ -56,7 +56,7 @@ def try_capture(
     """
     arm = load(name)
     table = arm.servos.replace(encoder_step=COUNT, stiffness_known=False)
-    plant = Plant(arm.model, table, kp_scale=kp_scale, count=COUNT, creep=creep)
+    plant = Plant(arm.model, table, kp_scale=kp_scale, encoder_step=COUNT, friction_creep=creep)
     plant.reset(arm.poses(pose + 1)[pose])
     axes = {"y": pliant.Axis(yields="both", adaptation=eta)}
     settings = pliant.Settings(task=" ".join(arm.axes), axes=axes, accept_high_adaptation=True)

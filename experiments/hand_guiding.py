@@ -16,7 +16,7 @@ import pliant
 from experiments import program
 from experiments.arms import load
 from experiments.runner import Job, run_by_key
-from pliant.sim import Course, Drag, Plant
+from pliant.sim import Drag, ForceProfile, Plant
 
 if TYPE_CHECKING:
     from experiments.poses import Array
@@ -66,16 +66,16 @@ def guide(
     arm = load(name)
     q = arm.poses(pose + 1)[pose]
     way = WAYS.get(name, 0.05)
-    course = Course(start=COMES, rise=THERE - COMES, end=GONE)
+    course = ForceProfile(start=COMES, rise=THERE - COMES, end=GONE)
     hand = Drag(axis="y", distance=way, stiffness=2000.0, limit=60.0, at="tool", course=course)
     table = arm.servos.replace(encoder_step=COUNT, stiffness_known=known)
     plant = Plant(
         arm.model,
         table,
         kp_scale=kp_scale,
-        count=COUNT,
+        encoder_step=COUNT,
         deadband=DEADBAND,
-        creep=creep,
+        friction_creep=creep,
         scene=[hand],
     )
     plant.reset(q)

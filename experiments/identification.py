@@ -105,7 +105,7 @@ def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
         options["payload"] = (lift * LIFTS[arm], CENTRE)
     if gears:
         options["friction"] = GEARS[arm]
-    out = Plant(robots.load(arm), count=COUNT, rate=rate, **options)
+    out = Plant(robots.load(arm), encoder_step=COUNT, rate=rate, **options)
     out.reset(STARTS[arm])
     return out
 
@@ -186,7 +186,7 @@ WRONG: dict[str, Any] = {"kp_scale": 1.25, "friction_scale": 1.4, "damping_scale
 
 def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     """Measure drag and door, η 0.999, a tick each way: wrong table, identified, known exactly."""
-    delay, options = (1, 1), {**WRONG, "count": COUNT}
+    delay, options = (1, 1), {**WRONG, "encoder_step": COUNT}
     body = Plant(robots.arm7(), delay=delay, **options)
     body.reset(STARTS["arm7"])
     table = believed(robots.arm7())

@@ -96,7 +96,7 @@ def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
     source = Configured(
         config.load("so101", backend="emulator"),
         on_exit="leave_enabled",
-        signals=False,
+        handle_signals=False,
         comm_timeout=PATIENCE,
     )
     timed = Timed(link if way.page else None, round(seconds * RATE))

@@ -19,8 +19,8 @@ from pliant import robots
 from pliant.arm.arm import Arm
 from pliant.drive import JointReadings
 from pliant.loop import Loop, Tick
-from pliant.sim import Guide, Plant, SimDrive, table
-from pliant.sim.hand import Course
+from pliant.sim import Plant, SimDrive, SpringConstraint, table
+from pliant.sim.hand import ForceProfile
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
@@ -118,11 +118,13 @@ def run_fault(case: FaultCase, *, held: bool = False) -> FaultResult:
         The result until the arm was down.
     """
     model = arm()
-    hand = Guide(axes="x y z", course=Course(start=WHEN + 0.5, rise=0.0, end=np.inf))
+    hand = SpringConstraint(
+        axes="x y z", course=ForceProfile(start=WHEN + 0.5, rise=0.0, end=np.inf)
+    )
     plant = Plant(model, delay=(1, 1), scene=[hand] if held else [])
     plant.reset(VERTICAL)
     drive = FaultyDrive(plant)
-    robot = Arm(model, drive, signals=False)
+    robot = Arm(model, drive, handle_signals=False)
     settings = pliant.Settings.soft("y").replace(delay=0.02)
     controller = pliant.Controller(model, settings, robot.servos)
     speeds: list[float] = []
@@ -321,7 +323,7 @@ def lower(
         scene: Sequence[Hand] = table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE)
         plant.set_hands(scene)
     drive = FaultyDrive(plant, plant.table.replace(stiffness_known=stiffness_known))
-    arm = Arm(model, drive, rest_q=rest, signals=False)
+    arm = Arm(model, drive, rest_q=rest, handle_signals=False)
     speeds: list[float] = []
     heights: list[float] = []
     forces: list[float] = [0.0]

@@ -36,7 +36,10 @@ def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tu
     model = steps.arm(name).model
     controller = pliant.Controller(model, settings)
     plant = Plant(
-        model, rate=steps.RATE, count=np.asarray(steps.arm(name).servos.encoder_step), scene=[hand]
+        model,
+        rate=steps.RATE,
+        encoder_step=np.asarray(steps.arm(name).servos.encoder_step),
+        scene=[hand],
     )
     plant.reset(POSES[name])
     target, places, forces = plant.tool, [], []

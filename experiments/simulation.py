@@ -194,10 +194,10 @@ class Conditions:
         rate: Control rate [Hz].
         delay: Ticks from sampling to read() and from write() to the servo; known to the controller.
         believed: Assumed over true friction and damping.
-        count: Encoder count [rad], known to the controller.
+        encoder_step: Encoder count [rad], known to the controller.
         gears: Friction by speed and load in place of the table's.
         gears_known: True if the controller knows it.
-        flicker: Counts by which readings toggle at random.
+        encoder_flicker: Counts by which readings toggle at random.
         plant: More options of `pliant.sim.Plant`, which override the above and are unknown to the
             controller.
     """
@@ -205,10 +205,10 @@ class Conditions:
     rate: float = 100.0
     delay: tuple[int, int] = (0, 0)
     believed: float = 1.0
-    count: float = 0.0
+    encoder_step: float = 0.0
     gears: Friction | None = None
     gears_known: bool = False
-    flicker: int = 0
+    encoder_flicker: int = 0
     plant: Mapping[str, Any] = field(default_factory=dict)
 
     def with_plant(self, **options: Any) -> Conditions:
@@ -220,8 +220,8 @@ class Conditions:
         options: dict[str, Any] = {
             "rate": self.rate,
             "delay": self.delay,
-            "count": self.count,
-            "flicker": self.flicker,
+            "encoder_step": self.encoder_step,
+            "encoder_flicker": self.encoder_flicker,
             **({} if self.gears is None else {"friction": self.gears}),
             **self.plant,
         }
@@ -233,7 +233,7 @@ class Conditions:
         if self.gears is not None and self.gears_known:
             true = self.gears.assumed(true)
         return scaled(true, self.believed, self.believed).replace(
-            kv=self.believed * np.asarray(true.kv), encoder_step=self.count
+            kv=self.believed * np.asarray(true.kv), encoder_step=self.encoder_step
         )
 
     def controller(self, law: pliant.Settings | FromModel) -> Controlling:

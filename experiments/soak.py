@@ -341,7 +341,9 @@ def judge(
     (loop, ended), chain = driven, arm.drive
     assert isinstance(chain, Recorder)
     report, truth = ask("report"), ask("truth")
-    count = np.array([2.0 * np.pi / spec.row.resolution / spec.gear for spec in chain.specs])
+    count = np.array(
+        [2.0 * np.pi / spec.row.counts_per_turn / spec.gear_ratio for spec in chain.specs]
+    )
     away = stale(chain.readings, truth, count)
     earlier = [(i, q, min(begin, end - OLD), end) for i, q, begin, end in chain.readings]
     within = np.where(away > ROUNDING, stale(earlier, truth, count), away)
@@ -423,7 +425,7 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
                 rate=rate,
                 comm_timeout=COMM_TIMEOUT,
                 watchdog=WATCHDOG,
-                signals=False,
+                handle_signals=False,
             )
             arm.open()
             bus.call("faults.by_chance", **shares())

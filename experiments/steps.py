@@ -20,7 +20,7 @@ from experiments.arms import BESIDE, REACH_OF_ONE, ROBOTS, Arm
 from experiments.runner import run_jobs
 from experiments.simulation import closed_loop
 from pliant import robots
-from pliant.config import names
+from pliant.config import list_arms
 from pliant.sim import Plant
 
 if TYPE_CHECKING:
@@ -61,8 +61,8 @@ def arm(name: str) -> Arm:
     """
     if name in robots.names():
         return Arm(name, robots.load(name))
-    if name not in BESIDE or name not in names():
-        known = ", ".join((*robots.names(), *sorted(set(BESIDE) & set(names()))))
+    if name not in BESIDE or name not in list_arms():
+        known = ", ".join((*robots.names(), *sorted(set(BESIDE) & set(list_arms()))))
         raise pliant.ConfigError(f"no arm {name!r} here; there are {known}")
     file, base, tip = BESIDE[name]
     path = ROBOTS / file
@@ -166,7 +166,7 @@ def run(
 ) -> Outcome:
     """Run one step on a plant with these options of `pliant.sim.Plant`."""
     model = arm(name).model
-    options = {"count": np.asarray(arm(name).servos.encoder_step), **(plant or {})}
+    options = {"encoder_step": np.asarray(arm(name).servos.encoder_step), **(plant or {})}
     controller = pliant.Controller(model, settings)
     simulated = Plant(model, rate=RATE, **options)
     if "delay" in options:

@@ -16,8 +16,8 @@ import pliant
 from experiments import program
 from experiments.arms import load
 from experiments.runner import Job, run_by_key
-from pliant.sim import Course, Drag, Plant, SimDrive
-from pliant.teach import Motion, Replay, teach
+from pliant.sim import Drag, ForceProfile, Plant, SimDrive
+from pliant.teach import Motion, Replay, record
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -42,18 +42,18 @@ NEVER = (10.0, 10.0)
 def teaching(name: str, kp_scale: float) -> Motion:
     """Return the motion taught by a scripted hand."""
     q, sideways, up, _ = ARMS[name]
-    course = Course(start=COMES, rise=LEADS, end=COMES + LEADS + 0.5)
+    course = ForceProfile(start=COMES, rise=LEADS, end=COMES + LEADS + 0.5)
     hands = [
         Drag(axis=axis, distance=way, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course)
         for axis, way in (("y", sideways), ("z", up))
     ]
     with _connect(name, q, kp_scale, hands) as arm:
-        return teach(arm, rest=1.0)
+        return record(arm, idle_timeout=1.0)
 
 
 def _connect(name: str, q: Iterable[float], kp_scale: float, scene: list[Drag]) -> pliant.arm.Arm:
     model: pliant.Model = pliant.robots.load(name)
-    plant = Plant(model, scene=scene, kp_scale=kp_scale, count=COUNT)
+    plant = Plant(model, scene=scene, kp_scale=kp_scale, encoder_step=COUNT)
     plant.reset(np.array(list(q)))
     return pliant.Arm(model, SimDrive(plant), on_exit="leave_enabled")
 
@@ -88,7 +88,7 @@ def replay(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
     model = load(name).model
     task = "xyz rpy" if model.n > 5 else "xyz"
     axes = {"y": pliant.Axis(soft=cap, profile="constant")} if soft else {}
-    course = Course(start=BLOCKS[0], rise=0.0, end=BLOCKS[1])
+    course = ForceProfile(start=BLOCKS[0], rise=0.0, end=BLOCKS[1])
     hand = Drag(axis="y", distance=0.0, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course)
     scene = [hand] if block else []
     rows = []

@@ -13,7 +13,8 @@ def left_enabled(folder: Path) -> str:
 
     An emulated arm descends as slowly as a real one. On a busy machine replies may come late.
     """
-    life = '[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n[life]\non_exit = "leave_enabled"\n'
+    loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
+    life = f'{loop}[life]\non_exit = "leave_enabled"\n'
     file = folder / "arm.toml"
     file.write_text(pliant.config.loader.builtin_text("so101").replace("[life]\n", life))
     return str(file)

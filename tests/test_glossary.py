@@ -18,7 +18,7 @@ ROWS = [line for line in TEXT.splitlines() if line.startswith("| ")]
 #: Backticked words of the first column.
 TERMS = {word for row in ROWS for word in re.findall(r"`([^`]+)`", row.split("|")[1])}
 #: Self-explanatory options, or explained with their class.
-SELF_EXPLAINING = {"budget", "grippers", "rate", "signals", "table", "watchdog"}
+SELF_EXPLAINING = {"grippers", "handle_signals", "power_budget", "rate", "table", "watchdog"}
 
 
 def words_of(*things: object) -> set[str]:

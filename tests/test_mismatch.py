@@ -195,7 +195,9 @@ def test_what_is_assumed_wrongly_differs(gap, run):
 
 def connected(**options):
     return Arm(
-        pliant.robots.so101(), SimDrive(Plant(pliant.robots.so101(), **options)), signals=False
+        pliant.robots.so101(),
+        SimDrive(Plant(pliant.robots.so101(), **options)),
+        handle_signals=False,
     )
 
 
@@ -222,7 +224,7 @@ def test_a_drive_that_hands_out_the_plant_s_stiffness_is_noticed():
         Arm(
             pliant.robots.so101(),
             Telling(Plant(pliant.robots.so101(), kp_scale=1.25)),
-            signals=False,
+            handle_signals=False,
         )
 
 

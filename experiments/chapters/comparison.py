@@ -332,7 +332,7 @@ def stress_jobs(ways: Mapping[str, Way]) -> list[Job]:
 
 def _stresses(nominal: Conditions) -> dict[str, Conditions]:
     return {
-        "stall": nominal.with_plant(silent=STALL),
+        "stall": nominal.with_plant(bus_outage=STALL),
         "tight": nominal.with_plant(friction_scale=TIGHT, damping_scale=TIGHT),
         "loose": nominal.with_plant(friction_scale=LOOSE, damping_scale=LOOSE),
     }

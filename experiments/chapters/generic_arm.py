@@ -46,7 +46,7 @@ from pliant._report.style import (
 )
 from pliant.sim import Plant
 from pliant.sim._parameters import ARMATURE_SHARE, DAMPING_SHARE, FRICTION_SHARE, FULL_EFFORT_ERROR
-from pliant.sim.hand import Course, Drag, Twist
+from pliant.sim.hand import Drag, ForceProfile, Twist
 from pliant.sim.postures import task_axes
 
 if TYPE_CHECKING:
@@ -297,7 +297,9 @@ def _loop(
     *scene: Hand,
     q: Array,
 ) -> Trace:
-    plant = Plant(arm.model, arm.servos, rate=RATE, count=arm.servos.encoder_step, scene=scene)
+    plant = Plant(
+        arm.model, arm.servos, rate=RATE, encoder_step=arm.servos.encoder_step, scene=scene
+    )
     controller = pliant.Controller(arm.model, settings.replace(rate=RATE), arm.servos)
     return simulation.run(plant, controller, target, duration, q=q)
 
@@ -413,7 +415,7 @@ def promises(source: Source, pose: int, count: int) -> list[CapResult]:
 
 def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> CapResult:
     name = AXES[row]
-    course = Course(start=0.5, rise=1.0, end=np.inf)
+    course = ForceProfile(start=0.5, rise=1.0, end=np.inf)
     if row < 3:
         scale = max(cap / USUAL, 0.05)
         felt_by: Hand = Drag(

@@ -71,6 +71,6 @@ def make():
         simulated = Plant(model, **{"dt": 0.002, **(plant or {})})
         if q is not None:
             simulated.reset(q)
-        return Arm(model, Scribe(simulated), **{"signals": False, **options})
+        return Arm(model, Scribe(simulated), **{"handle_signals": False, **options})
 
     return build

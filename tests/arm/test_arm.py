@@ -309,7 +309,7 @@ def test_a_misspelt_option_is_named_before_a_port_is_looked_for():
 def test_degrees_are_refused_before_anything_is_sent():
     with pytest.raises(pliant.OutOfRangeError, match=r"rest_q: .*degrees"):
         bare_arm("so101", rest_q=[0, -90, 90, 40, 0])
-    with bare_arm("so101", signals=False) as arm:
+    with bare_arm("so101", handle_signals=False) as arm:
         goal = arm.read().q.copy()
         goal[1] = -90.0
         with pytest.raises(pliant.OutOfRangeError, match=r"goal of shoulder_lift .*degrees"):

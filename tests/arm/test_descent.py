@@ -6,7 +6,7 @@ pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from experiments import descent
 
-#: Runs of `descent.descents` that always take place, by arm: in free air (even), over a table (odd).
+#: Runs of `descent.descents` that always take place, by arm: even in free air, odd over a table.
 #: Without a bound on the press by its force, `so101` 7 pressed with 11.4 N where 5 rest.
 RUNS = {"arm7": (0, 1), "so101": (0, 1, 7), "koch": (0, 3)}
 #: Largest force of an arm on the table [N].

@@ -128,7 +128,7 @@ def test_leaving_the_loop_lowers(make):
 
 
 def test_other_threads_run_while_the_loop_waits():
-    arm = bare_arm("koch", real_time=True, signals=False)
+    arm = bare_arm("koch", real_time=True, handle_signals=False)
     arm.enable()
     count, stop = [0], threading.Event()
 
@@ -210,7 +210,7 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
 
 
 def test_lost_readings_do_not_excuse_missing_commands():
-    with bare_arm("arm7", read_loss=0.1, seed=1, signals=False) as arm:
+    with bare_arm("arm7", read_loss=0.1, seed=1, handle_signals=False) as arm:
         loop = pliant.Loop(arm, rate=100.0, duration=5.0)
         with pytest.raises(pliant.ServoTimeoutError, match="no command could be sent"):
             list(loop)

@@ -57,7 +57,7 @@ def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=
         chain = ServoBus(
             specs, reply_timeout_min=patience, clock=Steps(bus) if clock == "steps" else None
         )
-        yield bus, Arm(chain_model, chain, signals=False, **options)
+        yield bus, Arm(chain_model, chain, handle_signals=False, **options)
 
 
 def switches(bus, id):

@@ -51,8 +51,8 @@ def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, 
 
 def test_an_argument_of_another_kind_is_named(make, grasp):
     for wrong, error, said in (
-        (lambda: make(budget=5), TypeError, r"budget must be a Budget.*got 5 \(int\)"),
-        (lambda: make(budget=0), TypeError, r"budget must be a Budget.*got 0 \(int\)"),
+        (lambda: make(power_budget=5), TypeError, r"power_budget must be a Budget.*got 5 \(int\)"),
+        (lambda: make(power_budget=0), TypeError, r"power_budget must be a Budget.*got 0 \(int\)"),
         (lambda: make(grippers=5), TypeError, r"grippers must be a mapping, as .*got 5 \(int\)"),
         (
             lambda: make(grippers={"a": 5}),

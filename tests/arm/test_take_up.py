@@ -14,7 +14,7 @@ class Hidden:
     """A simulated so101 whose joints are silent from `when` to `until` [s] after torque on."""
 
     def __init__(self, when, until, names=None):
-        self.arm = pliant.connect("so101", backend="sim", q=START, signals=False)
+        self.arm = pliant.connect("so101", backend="sim", q=START, handle_signals=False)
         self.plant = self.arm.drive.plant
         self.fastest, self.highest, self.start = 0.0, -np.inf, float(self.plant.tool[2, 3])
         drive, clock, began = self.arm.drive, self.arm.clock, None

@@ -7,7 +7,7 @@ import pliant
 from experiments import cap_accuracy, controllers, disturbances
 from experiments.poses import AXES, arm, tool
 from experiments.simulation import NOMINAL, run
-from pliant.sim.hand import Course, Push
+from pliant.sim.hand import ForceProfile, Push
 from pliant.sim.postures import AT_DOOR, HORIZONTAL, VERTICAL
 
 RANDOM = cap_accuracy.poses(4, cap_accuracy.CLEAR)
@@ -30,7 +30,7 @@ def gives_way(q, axis, sign, cap):
     report = controller.report(q).axes[axis]
     vector = np.zeros(3)
     vector[index % 3] = 2.0 * cap * sign
-    course = Course(start=0.2, rise=5.0, end=np.inf)
+    course = ForceProfile(start=0.2, rise=5.0, end=np.inf)
     hand = (
         Push(force_vector=vector, course=course)
         if index < 3

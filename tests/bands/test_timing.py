@@ -14,7 +14,7 @@ BUSES = {
     "50 Hz, 1+1": Conditions(rate=50.0, delay=(1, 1)),
     "100 Hz, 2+2": Conditions(delay=(2, 2)),
     "250 Hz": Conditions(rate=250.0),
-    "100 Hz, 1+1, rough": Conditions(delay=(1, 1), count=np.deg2rad(0.088), plant=ROUGH),
+    "100 Hz, 1+1, rough": Conditions(delay=(1, 1), encoder_step=np.deg2rad(0.088), plant=ROUGH),
 }
 #: Delayed loops of `cap`: force [N] (7.0, 5.9, 7.8) and drift [m] (.0028, .0024, .0035), 15 N hand.
 DELAYED = {
@@ -86,7 +86,7 @@ def test_cap_with_friction_known_to_30_percent(loop, believed):
 @pytest.mark.parametrize("count", COUNTS)
 def test_cap_with_a_flickering_encoder(count, rate):
     idle, force, walk = COUNTS[count]
-    conditions = Conditions(rate=rate, count=np.deg2rad(count), flicker=1)
+    conditions = Conditions(rate=rate, encoder_step=np.deg2rad(count), encoder_flicker=1)
     still = disturbances.idle(controllers.cap(), 6.0, conditions=conditions)
     assert still.speed < idle
     assert still.walk < walk

@@ -98,12 +98,12 @@ def test_an_unknown_command_gets_a_suggestion(words, meant, capsys):
 def test_arms_lists_the_ready_arms(capsys):
     assert main(["arms"]) == 0
     rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
-    assert set(config.names()) <= set(rows)
+    assert set(config.list_arms()) <= set(rows)
     assert "5 + gripper" in rows["so101"]
     assert "STS3215-7.4V" in rows["so101"]
 
 
-@pytest.mark.parametrize("name", config.names())
+@pytest.mark.parametrize("name", config.list_arms())
 def test_arms_prints_a_file_that_can_be_used(name, capsys, tmp_path):
     assert main(["arms", name]) == 0
     file = tmp_path / "my_arm.toml"

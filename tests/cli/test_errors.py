@@ -36,7 +36,10 @@ def said(tmp_path, capsys):
         assert "Traceback" not in error
         assert main(["servos", "doctor", str(file)]) == 2
         both = capsys.readouterr()
-        with pytest.raises(pliant.PliantError) as caught, pliant.connect(file, signals=False):
+        with (
+            pytest.raises(pliant.PliantError) as caught,
+            pliant.connect(file, handle_signals=False),
+        ):
             pass
         return [" ".join(text.split()) for text in (error, both.out + both.err, str(caught.value))]
 
@@ -223,7 +226,7 @@ def test_torque_that_is_on_already_is_said_and_kept(tmp_path, capsys):
         assert main(
             ["servos", "setup", str(file), "--yes", "--backup", str(tmp_path / "b.json")]
         ) in {0, 2}
-        with pliant.connect(file, signals=False, comm_timeout=5.0) as arm:
+        with pliant.connect(file, handle_signals=False, comm_timeout=5.0) as arm:
             bus.log.clear()
             arm.read()
             arm.disable_torque()

@@ -41,7 +41,7 @@ def test_an_automatic_port_is_the_only_one(monkeypatch):
 
 
 def test_a_file_on_the_simulator_becomes_an_arm():
-    with pliant.connect("koch", backend="sim", signals=False) as arm:
+    with pliant.connect("koch", backend="sim", handle_signals=False) as arm:
         assert arm.enabled
         assert list(arm.grippers) == ["gripper"]
         assert np.isfinite(arm.read().q).all()
@@ -67,7 +67,7 @@ def test_a_ready_arm_moves_over_real_bytes(name):
         chain = ServoBus(
             factory.servo_specs(read, bus.ports), reply_timeout_min=0.2, clock=ManualClock(bus)
         )
-        options = {"rate": 50.0, "grippers": factory.gripper_configs(read), "signals": False}
+        options = {"rate": 50.0, "grippers": factory.gripper_configs(read), "handle_signals": False}
         with pliant.Arm(read.model(), chain, **options) as arm:
             target, reached = move(arm, name)
             arm.disable_torque()
@@ -79,7 +79,7 @@ def test_a_ready_arm_moves_over_real_bytes(name):
 
 
 def test_a_ready_arm_on_an_emulator_of_its_own():
-    options = {"rate": 20.0, "comm_timeout": 20.0, "signals": False}
+    options = {"rate": 20.0, "comm_timeout": 20.0, "handle_signals": False}
     with pliant.connect("arm7", backend="emulator", **options) as arm:
         chain = arm.drive
         move(arm, "arm7")
@@ -102,4 +102,4 @@ def test_joint_ranges_of_ready_arms_fit_their_servos():
                 units = Units.of(spec)
                 counts = [units.counts(bound) for bound in ranges[spec.name]]
                 assert min(counts) >= 0, (name, spec.name, counts)
-                assert max(counts) <= spec.row.counts, (name, spec.name, counts)
+                assert max(counts) <= spec.row.max_position, (name, spec.name, counts)

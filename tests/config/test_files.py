@@ -13,10 +13,10 @@ OWN = ("arm7", "koch", "so100", "so101")
 SIM = 'backend = "sim"\nrobot.builtin = "so101"\n'
 
 
-@pytest.mark.parametrize("name", config.names())
+@pytest.mark.parametrize("name", config.list_arms())
 def test_ready_files_are_valid_and_described(name):
     read = config.load(name)
-    assert len(config.describe(name)) > 40
+    assert len(config.describe_arm(name)) > 40
     assert read.settings().rate == read.loop.rate
     if name in OWN:
         model = read.model()
@@ -249,7 +249,7 @@ def test_the_file_for_the_makers_so101_runs_as_printed(backend, tmp_path):
     read = config.load(file, backend=backend, urdf=urdf)
     # An emulated arm descends as slowly as a real one.
     on_exit = "lower" if backend == "sim" else "leave_enabled"
-    with pliant.connect(read, signals=False, on_exit=on_exit) as arm:
+    with pliant.connect(read, handle_signals=False, on_exit=on_exit) as arm:
         controller = pliant.Controller(arm.model, read.settings(), arm.servos)
         start = arm.read().q
         target = arm.model.forward_kinematics(start)

@@ -26,7 +26,7 @@ voltage = {volts}
 [servo]
 "Revolute 2" = {{ model = "STS3215-7.4V", id = 1, kp = 14.7, friction = 0.29 }}
 "Revolute 3" = {{ model = "STS3215-7.4V", id = 2, kp = 9.0, damping = 0.3, sign = -1 }}
-"Revolute 5" = {{ model = "STS3215-7.4V", id = 3, kp = 8.0, gear = 2.0, gain = 20 }}
+"Revolute 5" = {{ model = "STS3215-7.4V", id = 3, kp = 8.0, gear_ratio = 2.0, gain = 20 }}
 "Revolute 6" = {{ model = "STS3215-7.4V", id = 4, kp = 7.0, stall = 1.5 }}
 "Revolute 7" = {{ model = "STS3215-7.4V", id = 5, kp = 6.0, secondary = {{ id = 7 }} }}
 """
@@ -55,7 +55,7 @@ def on_bytes(own, model):
         chain = ServoBus(
             factory.servo_specs(own, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
         )
-        arm = pliant.Arm(model, chain, grippers=factory.gripper_configs(own), signals=False)
+        arm = pliant.Arm(model, chain, grippers=factory.gripper_configs(own), handle_signals=False)
         arm.open()
         try:
             return arm.servos, bus.plant.gains, arm.model.servos
@@ -67,7 +67,7 @@ def on_bytes(own, model):
 def test_the_arm_assumes_the_same_servos_on_every_backend(name, tmp_path):
     own = read(name, tmp_path, "sim")
     model = own.model()
-    arm = pliant.connect(own, signals=False)
+    arm = pliant.connect(own, handle_signals=False)
     simulated, truth = arm.servos, arm.drive.plant.gains
     heard, _, _ = on_bytes(read(name, tmp_path, "emulator"), model)
     for table in (heard, model.servos, arm.model.servos):
@@ -90,7 +90,7 @@ def test_the_arm_assumes_the_same_servos_on_every_backend(name, tmp_path):
 
 def test_options_of_the_plant_do_not_change_the_assumptions():
     table = config.load("so101").model().servos
-    options = {"backend": "sim", "signals": False}
+    options = {"backend": "sim", "handle_signals": False}
     with Mismatch(plant=Parameters(kp=2.0, friction=0.5), assumed=Parameters()):
         arms = [pliant.connect("so101", kp_scale=2.0, friction_scale=0.5, **options)]
     with Mismatch(plant=Parameters(kp=2.0), assumed=Parameters()):
@@ -104,7 +104,7 @@ def test_options_of_the_plant_do_not_change_the_assumptions():
 
 def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
     own = config.load("koch", backend="sim")
-    arm = pliant.connect(own, signals=False)
+    arm = pliant.connect(own, handle_signals=False)
     drive = arm.drive
     at = drive.names.index("gripper")
     servo = drive.plant.mj_model.actuator("gripper")
@@ -126,7 +126,7 @@ def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
         'servo = {{ model = "STS3215-7.4V", id = 6 }}\n'
     )
     simulated = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "sim"))
-    assert pliant.connect(simulated, signals=False).servos.stiffness_known is kp
+    assert pliant.connect(simulated, handle_signals=False).servos.stiffness_known is kp
     wired = config.parse(text.replace("{{", "{").replace("}}", "}").replace("{}", "emulator"))
     heard, _, _ = on_bytes(wired, wired.model())
     assert heard.stiffness_known is kp
@@ -149,6 +149,6 @@ xyz="0 0 0.1"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="2" velocit
         'servo.one = { model = "XL430-W250", id = 1 }\n'
         'servo.two = { model = "XL430-W250", id = 2 }\n'
     )
-    with pliant.connect(file, backend="sim", signals=False) as arm:
+    with pliant.connect(file, backend="sim", handle_signals=False) as arm:
         assert arm.gripper.opened == arm.gripper.closed
         arm.disable_torque()

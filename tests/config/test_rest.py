@@ -30,7 +30,7 @@ def load(name, **options):
 
 
 def test_every_ready_file_has_a_rest_pose_and_a_table_or_none():
-    for name in config.names():
+    for name in config.list_arms():
         read = config.load(name)
         assert read.life.rest_q is not None, name
         assert (read.robot.table is None) == (name == "arm7"), name
@@ -67,7 +67,7 @@ def test_a_rest_pose_lies_within_limits_above_the_table_and_presses_on_nothing(n
 @pytest.mark.parametrize("name", ["koch", "so101", "vx300s"])
 def test_an_arm_of_a_ready_file_is_parked_and_lies_on_its_table(name):
     read = load(name, backend="sim")
-    arm = pliant.connect(read, signals=False)
+    arm = pliant.connect(read, handle_signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
     rest = np.array(read.life.rest_q)
@@ -115,7 +115,7 @@ def test_a_way_through_the_table_is_found():
 
 
 def test_an_arm_with_a_blocked_path_to_rest_is_lowered_straight_down():
-    arm = pliant.connect("so101", backend="sim", q=BARRED, signals=False)
+    arm = pliant.connect("so101", backend="sim", q=BARRED, handle_signals=False)
     plant = arm.drive.plant
     (table,) = plant.fixtures
     with arm:
@@ -131,7 +131,7 @@ def test_a_rest_pose_inside_the_table_is_refused():
         pliant.OutOfRangeError, match=r"rest_q: the tool would be 0\.\d+ m inside the tab"
     ):
         pliant.connect("so101", backend="sim", rest_q=[0.0, 1.5, 1.2, 0.0, 0.0])
-    arm = pliant.connect("so101", backend="sim", signals=False)
+    arm = pliant.connect("so101", backend="sim", handle_signals=False)
     with arm:
         with pytest.raises(pliant.OutOfRangeError, match="inside the table"):
             arm.park([0.0, 1.5, 1.2, 0.0, 0.0])
@@ -139,7 +139,7 @@ def test_a_rest_pose_inside_the_table_is_refused():
 
 
 def test_the_table_can_be_taken_away_moved_and_added_to():
-    options = {"backend": "sim", "signals": False}
+    options = {"backend": "sim", "handle_signals": False}
     assert pliant.connect("so101", table=False, **options).drive.plant.fixtures == ()
     (lower,) = pliant.connect("so101", table=-0.3, **options).drive.plant.fixtures
     assert lower.height == -0.3
@@ -148,10 +148,10 @@ def test_the_table_can_be_taken_away_moved_and_added_to():
     assert len(arm.drive.plant.fixtures) == 1
     assert [felt.hand for felt in arm.drive.plant.hands] == [push]
     assert pliant.connect("arm7", **options).drive.plant.fixtures == ()
-    assert bare_arm("so101", signals=False).drive.plant.fixtures == ()
+    assert bare_arm("so101", handle_signals=False).drive.plant.fixtures == ()
     read = config.load("so101", backend="sim")
-    assert pliant.connect(read, table=False, signals=False).drive.plant.fixtures == ()
-    assert pliant.connect(read, table=-0.3, signals=False).table == -0.3
+    assert pliant.connect(read, table=False, handle_signals=False).drive.plant.fixtures == ()
+    assert pliant.connect(read, table=-0.3, handle_signals=False).table == -0.3
     assert read.robot.table == 0.0
     with pytest.raises(pliant.ConfigError, match=r"table is a height \[m\], or False"):
         pliant.connect("so101", table=True, **options)
@@ -184,10 +184,10 @@ def test_backend_sim_takes_the_options_of_the_simulator():
     q = [0.1, -0.3, 0.3, 0.9, 0.0]
     options = {"q": q, "kp_scale": 1.2, "seed": 3, "payload": (0.1, (0.0, 0.0, 0.0))}
     with Mismatch(plant=Parameters(kp=1.2, payload=0.1), assumed=Parameters()):
-        arm = pliant.connect("so101", backend="sim", rate=50.0, signals=False, **options)
+        arm = pliant.connect("so101", backend="sim", rate=50.0, handle_signals=False, **options)
     np.testing.assert_allclose(arm.drive.plant.q, q)
     assert (arm.rate, arm.drive.plant.rate) == (50.0, 50.0)
-    simulated = {"backend": "sim", "signals": False}
+    simulated = {"backend": "sim", "handle_signals": False}
     assert pliant.connect("so101", real_time=True, **simulated).clock.real_time
     with pytest.raises(pliant.ConfigError, match=r"'scen'.*did you mean 'scene'"):
         pliant.connect("so101", scen=[], **simulated)
@@ -200,7 +200,7 @@ def test_backend_sim_takes_the_options_of_the_simulator():
 
 def test_the_kind_of_a_simulated_arms_servos_is_an_option_of_the_plant():
     table = pliant.config.load("so101").model().servos.replace(limit_type="current")
-    arm = pliant.connect("so101", backend="sim", servos=table, signals=False)
+    arm = pliant.connect("so101", backend="sim", servos=table, handle_signals=False)
     assert arm.drive.plant.table.limit_type == "current"
 
 

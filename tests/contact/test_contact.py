@@ -10,7 +10,7 @@ import pliant
 from experiments import contacts as table
 from experiments.contacts import MAIN, Bench, Case, Job, measure
 from experiments.poses import arm
-from pliant.sim import Course, Plant, Push
+from pliant.sim import ForceProfile, Plant, Push
 from pliant.sim.postures import VERTICAL
 
 KNOWN = {"kp_error": 0.0, "gravity_error": 0.0, "friction_error": 0.1}
@@ -22,7 +22,7 @@ def controller(**settings):
 
 def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None):
     """Return the estimates of every tick; the push ramps up from 0.5 to 0.7 s; one tick tares."""
-    course = Course(start=0.5, rise=0.2, end=10.0)
+    course = ForceProfile(start=0.5, rise=0.2, end=10.0)
     plant = build(arm(), scene=[Push(force_vector=force, course=course)])
     ctl = contact.controller
     plant.reset(VERTICAL)

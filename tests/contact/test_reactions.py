@@ -57,23 +57,23 @@ def test_force_counts_beyond_threshold_and_uncertainty():
 
 
 def test_conditions_join_and_print():
-    one, other = rx.Force("z", above=8.0).lasting(0.05), ~rx.Deviation("xy", above=0.02)
+    one, other = rx.Force("z", above=8.0).for_seconds(0.05), ~rx.Deviation("xy", above=0.02)
     assert repr(one & other) == (
-        "(Force('z', above=8).lasting(0.05) & ~Deviation('xy', above=0.02))"
+        "(Force('z', above=8).for_seconds(0.05) & ~Deviation('xy', above=0.02))"
     )
     assert eval(repr(one | other), vars(rx)) == (one | other)
-    assert (rx.Elapsed(0.0) | rx.ResidualAbove()).evaluator()(push(0.0))
+    assert (rx.After(0.0) | rx.ResidualAbove()).evaluator()(push(0.0))
     with pytest.raises(TypeError, match="join conditions with &"):
         _ = one and other
 
 
 def test_lasting_needs_its_time_without_a_break():
-    judge = rx.Force("z", above=8.0).lasting(0.02).evaluator()
+    judge = rx.Force("z", above=8.0).for_seconds(0.02).evaluator()
     assert [judge(push(z)) for z in (9, 9, 0, 9, 9, 9, 9)] == [False] * 5 + [True] * 2
 
 
 def test_one_condition_serves_two_reactions():
-    lasting = rx.Force("z", above=8.0).lasting(0.02)
+    lasting = rx.Force("z", above=8.0).for_seconds(0.02)
     first, second = lasting.evaluator(), lasting.evaluator()
     assert [first(push(9.0)) or second(push(9.0)) for _ in range(2)] == [False, False]
 
@@ -91,7 +91,7 @@ def test_one_condition_serves_two_reactions():
             lambda: rx.ResidualAbove(above="1"),
             r"ResidualAbove\.above must be a number, got '1' \(str\)",
         ),
-        (lambda: rx.Elapsed(float("nan")), r"Elapsed\.seconds"),
+        (lambda: rx.After(float("nan")), r"After\.seconds"),
         (lambda: rx.Saturated("elbow_pitch"), r"must be names, as in \('elbow_pitch',\)"),
         (lambda: rx.Yield("z", {"sofft": 1.0}), "did you mean 'soft'"),
         (lambda: rx.Call(None), "function of a TickContext, got None"),
@@ -99,7 +99,7 @@ def test_one_condition_serves_two_reactions():
         (lambda: rx.Reaction(3, rx.Hold()), r"Reaction\.when must be a condition"),
         (lambda: rx.Reaction(rx.ResidualAbove(), ()), r"an action, as Hold\(\)"),
         (lambda: rx.ReactionMonitor("arm7", []), "controller must be a Controller, got 'arm7'"),
-        (lambda: rx.Reaction(rx.ResidualAbove(), rx.Stop(), until=rx.Elapsed(1.0)), "resume"),
+        (lambda: rx.Reaction(rx.ResidualAbove(), rx.Stop(), until=rx.After(1.0)), "resume"),
     ],
 )
 def test_what_cannot_be_is_refused(make, text):
@@ -123,7 +123,7 @@ def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
 def watched(then, when=None, **more):
     """Run a monitor over time: its condition holds from 0.1 s to 0.3 s."""
     if when is None:
-        when = rx.Elapsed(0.1) & ~rx.Elapsed(0.3)
+        when = rx.After(0.1) & ~rx.After(0.3)
     return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **more)])
 
 
@@ -173,7 +173,7 @@ def test_retract_leaves_along_its_direction_and_stays():
 
 
 def test_follow_keeps_the_target_on_a_leash():
-    when = rx.Elapsed(0.05)
+    when = rx.After(0.05)
     watch = watched(rx.Follow("x", 0.02), when)
     seen = targets(watch, 20, away(0.1))
     assert seen[-1][0, 3] - TARGET[0, 3] == pytest.approx(0.02)
@@ -195,9 +195,9 @@ def test_calls_come_once_and_the_first_reaction_matters_most():
     watch = rx.ReactionMonitor(
         controller(),
         [
-            rx.Reaction(rx.Elapsed(0.2), rx.Stop()),
-            rx.Reaction(rx.Elapsed(0.1), rx.Hold()),
-            rx.Reaction(rx.Elapsed(0.1), rx.Call(called.append)),
+            rx.Reaction(rx.After(0.2), rx.Stop()),
+            rx.Reaction(rx.After(0.1), rx.Hold()),
+            rx.Reaction(rx.After(0.1), rx.Call(called.append)),
         ],
     )
     targets(watch, 15)

@@ -62,7 +62,7 @@ def test_sign_zero_and_gear_turn_the_counts():
     changed = {
         NAMES[0]: Mount(joint=NAMES[0], model="STS3215", id=1, sign=-1),
         NAMES[1]: Mount(joint=NAMES[1], model="STS3215", id=2, zero=1000),
-        NAMES[2]: Mount(joint=NAMES[2], model="STS3215", id=3, gear=2.0),
+        NAMES[2]: Mount(joint=NAMES[2], model="STS3215", id=3, gear_ratio=2.0),
         NAMES[3]: Mount(
             joint=NAMES[3], model="STS3215", id=4, registers={"homing_offset": 300}, zero=1500
         ),
@@ -203,7 +203,7 @@ def test_a_run_repeats_bit_for_bit():
         (lambda: so101([*mounts(), Mount(joint=NAMES[0], model="MX-28", id=9)]), "twice"),
         (lambda: so101(plant={"delay": (1, 1)}), "'delay'"),
         (lambda: Mount(joint="x", model="MX-28", id=1, sign=0), "sign"),
-        (lambda: Mount(joint="x", model="MX-28", id=1, gear=0.0), "gear"),
+        (lambda: Mount(joint="x", model="MX-28", id=1, gear_ratio=0.0), "gear_ratio"),
     ],
 )
 def test_errors(make, words):

@@ -21,9 +21,9 @@ def standing(arm, q, settings=FOLLOWING, **differs):
     """Return an arm that differs from the controller's assumptions, and the controller."""
     if differs:
         gap = Mismatch(plant=Parameters(**differs), assumed=Parameters())
-        plant = gap.build(arm, count=COUNT)
+        plant = gap.build(arm, encoder_step=COUNT)
     else:
-        plant = Plant(arm, count=COUNT)
+        plant = Plant(arm, encoder_step=COUNT)
     plant.reset(q)
     controller = pliant.Controller(arm, settings, arm.servos.replace(encoder_step=COUNT))
     if differs:

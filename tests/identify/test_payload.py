@@ -27,7 +27,7 @@ def weighed(name, seed):
         kp=rng.normal(1.0, 0.04, model.n), friction=rng.uniform(0.7, 1.5), payload=mass
     )
     gap = Mismatch(plant=side, assumed=Parameters())
-    plant = gap.build(model, table, count=COUNT, payload=(mass, com))
+    plant = gap.build(model, table, encoder_step=COUNT, payload=(mass, com))
     plant.reset(STARTS[name] + rng.uniform(-0.15, 0.15, model.n))
     task = "xyz rpy" if model.n > 5 else "xyz"
     controller = pliant.Controller(model, pliant.Settings(task=task), table)

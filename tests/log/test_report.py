@@ -23,7 +23,7 @@ FROM, UNTIL, AWAY = 0.5, 2.5, 0.15
 
 def record(path, settings, duration=3.0, **options):
     """Let a hand pull the tool of `arm7` toward +y and let go; return also its force (N, 3)."""
-    course = pliant.sim.Course(start=FROM, rise=0.5, end=UNTIL)
+    course = pliant.sim.ForceProfile(start=FROM, rise=0.5, end=UNTIL)
     hand = pliant.sim.Drag(
         axis="y", distance=AWAY, stiffness=3000.0, limit=80.0, at="tool", course=course
     )

@@ -129,7 +129,7 @@ def test_limits_of_the_joint_bound_its_goals(emulated, enabled):
 
 
 def test_sign_gear_and_zero(emulated, enabled):
-    spec = {"sign": -1, "gear": 2.0, "zero": 1500.0}
+    spec = {"sign": -1, "gear_ratio": 2.0, "zero": 1500.0}
     with emulated("sts", 1, clock="steps", spec=spec) as (bus, chain):
         servo = bus.servos[0]
         raw = servo.shaft.angle / servo.model.count

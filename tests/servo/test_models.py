@@ -7,10 +7,10 @@ import pytest
 
 from pliant import ConfigError, Servos
 from pliant.emulator import MODELS as EMULATED
-from pliant.servo import ServoSpec, Units, find, names
+from pliant.servo import ServoSpec, Units, get_model, list_models
 from pliant.servo.models import by_number
 
-ALL = names()
+ALL = list_models()
 #: Our name of a register, and the emulator's, by family; equal names are left out.
 NAMES = {
     "model": "model_number",
@@ -58,7 +58,7 @@ def test_the_models_asked_for_are_there():
 
 @pytest.mark.parametrize("name", ALL)
 def test_two_independent_tables_agree(name):
-    ours, theirs = find(name), emulated(name)
+    ours, theirs = get_model(name), emulated(name)
     compared = 0
     for field, alias in NAMES.items():
         other = alias if isinstance(alias, str) else alias.get(theirs.family, alias.get(""))
@@ -70,10 +70,10 @@ def test_two_independent_tables_agree(name):
         assert (register.address, register.size) == (twin.address, twin_size), field
         compared += 1
     assert compared >= 18
-    assert ours.number == theirs.number
-    assert 2 * np.pi / ours.resolution == pytest.approx(theirs.count, rel=1e-3)
-    assert ours.counts == theirs.top
-    assert ours.current_unit == pytest.approx(theirs.unit) or ours.kind == "pwm"
+    assert ours.model_number == theirs.number
+    assert 2 * np.pi / ours.counts_per_turn == pytest.approx(theirs.count, rel=1e-3)
+    assert ours.max_position == theirs.top
+    assert ours.current_unit == pytest.approx(theirs.unit) or ours.limit_type == "pwm"
     units = Units.of(ServoSpec(name="j", model=name, id=1, port="p"), theirs.motor.volts)
     assert units.usable(units.full) == pytest.approx(theirs.motor.stall, rel=0.01)
     assert units.no_load_speed == pytest.approx(theirs.motor.speed, rel=0.01)
@@ -81,7 +81,7 @@ def test_two_independent_tables_agree(name):
 
 @pytest.mark.parametrize("name", ALL)
 def test_blocks_hold_what_the_cycle_needs(name):
-    family = find(name).family
+    family = get_model(name).family
     for block in family.read:
         end = block.address + block.size
         load = "load" if "load" in family.registers else "current"
@@ -109,17 +109,17 @@ def test_every_row_gives_servos(name):
     assert servos.max_torque[0] > 0
     assert servos.kp[0] > 0
     assert servos.friction[0] < 0.1 * servos.max_torque[0]
-    assert servos.limit_type == find(name).kind
+    assert servos.limit_type == get_model(name).limit_type
 
 
 def test_unknown_models_are_answered_with_near_ones():
     with pytest.raises(ConfigError, match="did you mean: XM430-W350"):
-        find("XM430W350")
+        get_model("XM430W350")
     with pytest.raises(ConfigError, match=r"STS3215-7\.4V"):
-        find("STS3212")
+        get_model("STS3212")
     with pytest.raises(ConfigError, match="there are: STS3215"):
-        find("?")
-    assert find("sts3215-c018") is find("STS3215-12V")
+        get_model("?")
+    assert get_model("sts3215-c018") is get_model("STS3215-12V")
 
 
 def test_variants_share_a_model_number():

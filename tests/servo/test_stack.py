@@ -38,7 +38,7 @@ def test_an_arm_is_enabled_held_and_lowered(shares):
     faults = Faults(seed=1, **shares)
     with emulate(model, mounts, q=START, clock="steps", faults=faults) as bus:
         chain = so101(bus, model, clock=ManualClock(bus))
-        with Arm(model, chain, rate=50.0, signals=False) as arm:
+        with Arm(model, chain, rate=50.0, handle_signals=False) as arm:
             controller = pliant.Controller(
                 model, pliant.Settings(task=pliant.Task(axes="xyz"), rate=50.0), chain.servos
             )

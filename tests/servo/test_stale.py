@@ -5,7 +5,7 @@ import pytest
 
 from pliant.servo import BusError
 from pliant.servo._transactions import TransactionGuard
-from pliant.servo.models import find
+from pliant.servo.models import get_model
 
 #: Position bytes reported by the servos: the time of the request [µs].
 STAMP = 8
@@ -97,7 +97,7 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
         held = stalls(rng, 1.5)
     else:
         held = lambda time: time + rng.choice([0.0, 0.3], p=[0.97, 0.03]) * rng.random()  # noqa: E731
-    family = find(model).family
+    family = get_model(model).family
     blocks = [type(block)(block.address, block.size) for block in family.read]
     bus = LateLine([1, 2, 3], held, keeps_order=keeps_order)
     guard = TransactionGuard(

@@ -1,9 +1,9 @@
 """Status bytes as sentences: refusals, and mere conditions."""
 
-from pliant.servo import find
+from pliant.servo import get_model
 from pliant.servo._status import conditions, hardware, refusal
 
-STS, P1, X = (find(name).family for name in ("STS3215-7.4V", "RX-64", "XM430-W350"))
+STS, P1, X = (get_model(name).family for name in ("STS3215-7.4V", "RX-64", "XM430-W350"))
 
 
 def test_feetech_bits_are_conditions_and_never_refusals():

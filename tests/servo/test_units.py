@@ -7,17 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pliant import ConfigError
-from pliant.servo import ServoSpec, Units, find, names
+from pliant.servo import ServoSpec, Units, get_model, list_models
 
 specs = st.builds(
     ServoSpec,
     name=st.just("joint"),
-    model=st.sampled_from(names()),
+    model=st.sampled_from(list_models()),
     id=st.just(1),
     port=st.just("port"),
     sign=st.sampled_from([-1, 1]),
     zero=st.one_of(st.none(), st.floats(0, 4095)),
-    gear=st.floats(0.2, 5.0),
+    gear_ratio=st.floats(0.2, 5.0),
     secondary=st.sampled_from([None, (2, 1), (2, -1)]),
     torque_offset=st.floats(0.0, 0.3),
 )
@@ -83,7 +83,7 @@ def joint(model, **options):
 
 
 def test_a_gear_turns_slower_and_pushes_harder():
-    plain, geared = joint("MX-64"), joint("MX-64", gear=2.0)
+    plain, geared = joint("MX-64"), joint("MX-64", gear_ratio=2.0)
     assert geared.usable(1023) == pytest.approx(2 * plain.usable(1023))
     assert geared.count == pytest.approx(plain.count / 2)
     assert geared.no_load_speed == pytest.approx(plain.no_load_speed / 2)
@@ -125,7 +125,7 @@ def test_stall_torque_can_be_the_users():
         ({"id": 254}, "id 254 is outside 0..253"),
         ({"model": "XM430-W350", "id": 253}, r"outside 0\.\.252"),
         ({"sign": 0}, "sign is"),
-        ({"gear": 0.0}, "gear must be above 0"),
+        ({"gear_ratio": 0.0}, "gear_ratio must be above 0"),
         ({"zero": math.nan}, "zero is a count"),
         ({"lower": 1.0, "upper": -1.0}, "lower must be below upper"),
         ({"secondary": (1, 1)}, "the secondary has the id"),
@@ -140,10 +140,10 @@ def test_errors_of_a_spec_name_the_cause(change, match):
 
 
 def test_signs_of_registers():
-    register = find("MX-64").family.registers["speed"]
+    register = get_model("MX-64").family.registers["speed"]
     assert register.decode(register.encode(-5)) == -5
     assert register.encode(-5) == (1024 + 5).to_bytes(2, "little")
-    twos = find("XM430-W350").family.registers["position"]
+    twos = get_model("XM430-W350").family.registers["position"]
     assert twos.decode(twos.encode(-4096)) == -4096
-    sts = find("STS3215-7.4V").family.registers["goal"]
+    sts = get_model("STS3215-7.4V").family.registers["goal"]
     assert sts.encode(-1) == b"\x01\x80"

@@ -58,7 +58,7 @@ def test_a_command_holds_until_the_next(arm, grasp):
 
 def test_readings_and_goals_lie_on_counts(arm, grasp):
     count = 2 * np.pi / 4096
-    plant = Plant(arm, count=count, flicker=1)
+    plant = Plant(arm, encoder_step=count, encoder_flicker=1)
     read, true, _ = moving(plant, grasp, 200)
     steps = read / count
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
@@ -94,7 +94,7 @@ def test_lost_writes_change_the_motion_and_all_lost_is_no_write(arm, grasp):
 
 
 def test_silence_freezes_both_directions(arm, grasp):
-    read, _, fresh = moving(Plant(arm, silent=(0.1, 0.3)), grasp, 50)
+    read, _, fresh = moving(Plant(arm, bus_outage=(0.1, 0.3)), grasp, 50)
     assert fresh[:10].all()
     assert not fresh[11:29].any()
     assert fresh[31:].all()
@@ -102,7 +102,13 @@ def test_silence_freezes_both_directions(arm, grasp):
 
 
 def test_equal_seeds_are_equal_bit_for_bit_and_resets_start_anew(arm, grasp):
-    options = {"count": 1e-3, "flicker": 1, "noise": 1e-4, "read_loss": 0.2, "write_loss": 0.2}
+    options = {
+        "encoder_step": 1e-3,
+        "encoder_flicker": 1,
+        "noise": 1e-4,
+        "read_loss": 0.2,
+        "write_loss": 0.2,
+    }
     plant = Plant(arm, seed=5, **options)
     first, again = moving(plant, grasp, 60), moving(plant, grasp, 60)
     other = moving(Plant(arm, seed=5, **options), grasp, 60)
@@ -145,8 +151,8 @@ def test_the_gripper_rides_along(grasp):
         ({"rate": 333.0}, "no whole number"),
         ({"delay": (-1, 0)}, "delay must be"),
         ({"delay": 2}, "delay must be"),
-        ({"count": -1.0}, "count must be at least 0"),
-        ({"flicker": 1}, "flicker is in encoder counts"),
+        ({"encoder_step": -1.0}, "encoder_step must be at least 0"),
+        ({"encoder_flicker": 1}, "encoder_flicker is in encoder counts"),
         ({"noise": np.nan}, "noise is not finite"),
         ({"read_loss": 1.5}, "read_loss"),
         ({"write_loss": -0.1}, "write_loss"),

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.sim import Course, Door, Drive, Plant, Push, door, fridge, oven
+from pliant.sim import Door, Drive, ForceProfile, Plant, Push, door, fridge, oven
 
 OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (.54, 0, -.25)
 SIDE = np.array((-0.559, -0.343, 0.605, -1.194, -0.566, -0.039, -0.384))  # turned about x
 
 
 def pull(force, start=0.6, torque=(0.0, 0.0, 0.0)):
-    course = Course(start=start, rise=0.3, end=60.0)
+    course = ForceProfile(start=start, rise=0.3, end=60.0)
     return Push(force_vector=force, torque_vector=torque, course=course)
 
 

@@ -105,7 +105,7 @@ def test_the_friction_model_matches_the_gears():
 def slid(creep, seconds=4.0):
     """Return how far torque-free joints with gravity below their friction slide (n,) [rad]."""
     arm = pliant.robots.so101()
-    plant = Plant(arm, friction_scale=12.0, creep=creep)
+    plant = Plant(arm, friction_scale=12.0, friction_creep=creep)
     plant.reset(np.zeros(arm.n))
     plant.write(np.zeros(arm.n), np.zeros(arm.n))
     for _ in range(round(seconds * plant.rate)):
@@ -117,5 +117,5 @@ def test_joints_that_friction_holds_slide_as_creep_says():
     own, steel = slid(1.0), slid(0.1)
     assert own.max() > 1e-3
     np.testing.assert_allclose(steel[own > 1e-3], 0.1 * own[own > 1e-3], rtol=0.1)
-    with pytest.raises(OutOfRangeError, match="creep must be in"):
-        Plant(pliant.robots.so101(), creep=0.0)
+    with pytest.raises(OutOfRangeError, match="friction_creep must be in"):
+        Plant(pliant.robots.so101(), friction_creep=0.0)

@@ -9,19 +9,19 @@ from pliant.sim import (
     ROBUST,
     STRONG,
     YAW,
-    Course,
     Drag,
-    Guide,
+    ForceProfile,
     Plant,
     Push,
     Recorder,
+    SpringConstraint,
     Twist,
     Wall,
     table,
     tap,
 )
 
-ALWAYS = Course(start=0.0, rise=0.0, end=100.0)
+ALWAYS = ForceProfile(start=0.0, rise=0.0, end=100.0)
 
 
 def settled(arm, grasp, hand, ticks=800):
@@ -76,14 +76,14 @@ def test_a_drag_gets_where_it_wants(arm, grasp, floating):
 
 
 def test_a_turn_gets_where_it_wants(arm, grasp, floating):
-    plant = Plant(arm, scene=[Twist(angle=0.4, course=Course())])
+    plant = Plant(arm, scene=[Twist(angle=0.4, course=ForceProfile())])
     plant.reset(grasp)
     floating(plant, 480)
     assert plant.ground_truth.frame("tool").turn()[2] == pytest.approx(0.4, abs=0.05)
 
 
 def test_forces_lie_along_the_axis(arm, grasp, floating):
-    plant = Plant(arm, scene=[Drag(axis=(0.0, 3.0, 4.0), course=Course(start=0.0))])
+    plant = Plant(arm, scene=[Drag(axis=(0.0, 3.0, 4.0), course=ForceProfile(start=0.0))])
     plant.reset(grasp)
     floating(plant, 50)
     force = plant.hands[0].force
@@ -92,8 +92,8 @@ def test_forces_lie_along_the_axis(arm, grasp, floating):
 
 
 def test_a_guide_holds_what_it_names(arm, grasp, floating):
-    push = Push(force_vector=(4.0, 4.0, 0.0), course=Course(start=0.0, rise=0.5, end=9.0))
-    plant = Plant(arm, scene=[push, Guide(axes="x z roll pitch yaw")])
+    push = Push(force_vector=(4.0, 4.0, 0.0), course=ForceProfile(start=0.0, rise=0.5, end=9.0))
+    plant = Plant(arm, scene=[push, SpringConstraint(axes="x z roll pitch yaw")])
     plant.reset(grasp)
     start = plant.tool[:3, 3]
     floating(plant, 100)
@@ -103,7 +103,7 @@ def test_a_guide_holds_what_it_names(arm, grasp, floating):
 
 
 def test_a_ramp_rises_linearly():
-    course = Course(start=1.0, rise=2.0, end=5.0)
+    course = ForceProfile(start=1.0, rise=2.0, end=5.0)
     times = (0.0, 1.0, 2.0, 3.0, 4.9, 5.0)
     assert [course.share(t) for t in times] == [0.0, 0.0, 0.5, 1.0, 1.0, 1.0]
     assert [course.active(t) for t in times] == [False, True, True, True, True, False]
@@ -179,9 +179,9 @@ def test_the_record_keeps_rows_and_refuses_odd_ones(arm, grasp):
         (lambda: Drag(axis="w"), "axis 'w'"),
         (lambda: Drag(axis=(0.0, 0.0, 0.0)), "direction"),
         (lambda: Drag(limit=-1.0), "limit must be at least 0"),
-        (lambda: Course(start=2.0, end=1.0), "end >= start"),
+        (lambda: ForceProfile(start=2.0, end=1.0), "end >= start"),
         (lambda: Push(force_vector=(1.0, 2.0)), "three entries"),
-        (lambda: Guide(axes="x q"), "not q"),
+        (lambda: SpringConstraint(axes="x q"), "not q"),
         (lambda: Wall(into=(1.0, 1.0, 0.0)), "unit vector"),
     ],
 )

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 import pliant
-from pliant.sim import Course, Drawer, HandoverObject, Plant, Push, Socket, Surface, drawer
+from pliant.sim import Drawer, ForceProfile, HandoverObject, Plant, Push, Socket, Surface, drawer
 
 OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (.54, 0, -.25)
 
 
 def pull(force, start=0.3):
-    return Push(force_vector=force, course=Course(start=start, rise=0.3, end=60.0))
+    return Push(force_vector=force, course=ForceProfile(start=start, rise=0.3, end=60.0))
 
 
 def scene(arm, *things, **options):
@@ -73,7 +73,7 @@ def test_a_surface_goes_up_and_down():
 def test_friction_on_a_surface_is_mu_times_the_normal_force(arm, grasp, floating):
     surface = Surface(below=0.0, unevenness=0.0, friction=0.5)
     plant = scene(
-        arm, surface, Push(force_vector=(0.0, 9.0, -8.0), course=Course(start=0.0, end=9))
+        arm, surface, Push(force_vector=(0.0, 9.0, -8.0), course=ForceProfile(start=0.0, end=9))
     )
     plant.reset(grasp)
     ratios = []
@@ -86,7 +86,7 @@ def test_friction_on_a_surface_is_mu_times_the_normal_force(arm, grasp, floating
 
 
 def test_an_object_is_carried_taken_and_let_go(arm, grasp):
-    thing = HandoverObject(mass=0.5, course=Course(start=2.0, rise=0.5, end=9.0))
+    thing = HandoverObject(mass=0.5, course=ForceProfile(start=2.0, rise=0.5, end=9.0))
     plant = Plant(arm, scene=[thing])
     plant.reset(grasp)
     home = thing.place_of(plant)

@@ -12,8 +12,8 @@ from bare_arm import bare_arm, left_enabled
 import pliant
 import pliant.robots
 from pliant.cli import main
-from pliant.sim import Course, Drag
-from pliant.teach import Motion, Replay, Teacher, retime, teach
+from pliant.sim import Drag, ForceProfile
+from pliant.teach import Motion, Replay, Teacher, record, retime
 from pliant.teach import _scripted_hand as lead
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
@@ -48,10 +48,10 @@ def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **opt
 
 
 def test_a_hand_teaches_and_the_arm_repeats(tmp_path):
-    course = Course(start=9.0, rise=2.0, end=11.5)
+    course = ForceProfile(start=9.0, rise=2.0, end=11.5)
     hand = Drag(axis="y", distance=0.06, stiffness=2000.0, limit=60.0, at="tool", course=course)
     with bare_arm("so101", q=START, scene=[hand], on_exit="leave_enabled") as arm:
-        motion = teach(arm, rest=1.0)
+        motion = record(arm, idle_timeout=1.0)
         led = arm.drive.plant.tool[:3, 3]
     ends = [MODEL.forward_kinematics(q)[:3, 3] for q in (motion.q[0], motion.q[-1])]
     assert 1.5 < motion.duration < 3.5  # trimmed
@@ -67,7 +67,7 @@ def test_a_hand_teaches_and_the_arm_repeats(tmp_path):
 
 def test_a_blocked_replay_waits_without_force_and_goes_on():
     free, _, _ = play(wave())
-    course = Course(start=3.0, rise=0.0, end=7.0)
+    course = ForceProfile(start=3.0, rise=0.0, end=7.0)
     wall = Drag(axis="y", distance=0.0, stiffness=3000.0, limit=60.0, at="tool", course=course)
     replay, rows, _ = play(wave(4.0, 0.6), [wall])
     blocked = (rows[:, 0] > 5.0) & (rows[:, 0] < 7.0)
@@ -90,7 +90,7 @@ def test_speed_and_gripper():
 
 
 def test_a_contact_stops_it_until_it_is_told_to_go_on():
-    course = Course(start=3.5, rise=0.2, end=5.0)
+    course = ForceProfile(start=3.5, rise=0.2, end=5.0)
     hand = pliant.sim.Push(force_vector=(0.0, 0.0, -15.0), course=course)
     states = []
 
@@ -185,7 +185,7 @@ def test_a_recording_in_which_nothing_was_led_is_no_error_of_a_configuration():
         with pytest.raises(
             pliant.PliantError, match=r"the arm was not moved by hand within 0\.1 s"
         ) as error:
-            teach(arm, wait=0.1)
+            record(arm, start_timeout=0.1)
         assert error.type is pliant.PliantError
 
 

@@ -60,12 +60,12 @@ class Arm:
         rate: Rate of the arm's own loops for enabling and leaving [Hz].
         comm_timeout: Time without an answer from the bus or the program after which the arm is
             lowered [s], at most 60.
-        budget: Thermal and supply limits; None: the default.
+        power_budget: Thermal and supply limits; None: the default.
         grippers: Configuration of joints off the chain, by name; others take the model's limits.
         watchdog: Silence after which servos stop by themselves, where supported [s]; 0: never. A
             stopped servo holds its present position and loses the lead that carries the weight:
             the arm sinks by ``g/k_p``.
-        signals: Whether SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
+        handle_signals: Whether SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
         table: Height of the table in base axes [m]; None: no table, or unknown.
             is not known.
 
@@ -80,7 +80,7 @@ class Arm:
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
-        TypeError: `budget` or a gripper has another type.
+        TypeError: `power_budget` or a gripper has another type.
         ShapeError, OutOfRangeError: The rest pose is not valid.
     """
 
@@ -93,10 +93,10 @@ class Arm:
         on_exit: Exit = "lower",
         rate: float = 100.0,
         comm_timeout: float = 0.5,
-        budget: Budget | None = None,
+        power_budget: Budget | None = None,
         grippers: Mapping[str, GripperConfig] | None = None,
         watchdog: float = 0.0,
-        signals: bool = True,
+        handle_signals: bool = True,
         table: float | None = None,
     ) -> None:
         """Match the joints; nothing is opened or moved yet."""
@@ -105,10 +105,12 @@ class Arm:
         self.model, self.drive = model, drive
         self.rate, self.comm_timeout, self._watchdog = times(rate, comm_timeout, watchdog)
         self._on_exit = on_exit
-        self._budget = Budget() if budget is None else instance(budget, Budget, "budget")
+        self._budget = (
+            Budget() if power_budget is None else instance(power_budget, Budget, "power_budget")
+        )
         self._gripper_configs = check_grippers(grippers)
         self._supervisor = Supervisor(self._take_down)
-        self._signals = Signals(self._supervisor.abort.set) if signals else None
+        self._signals = Signals(self._supervisor.abort.set) if handle_signals else None
         self._exit_message: str | None = None
         self._build()
         self.table = None if table is None else real(table, "table [m]")

@@ -30,7 +30,7 @@ def run(name: Name = "") -> None:
     if not name:
         Console().print(_table())
         return
-    names = loader.names()
+    names = loader.list_arms()
     if name not in names:
         close = difflib.get_close_matches(name, names, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""
@@ -43,7 +43,7 @@ def _table() -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for heading in ("name", "joints", "servos", "URDF"):
         table.add_column(heading, justify="right" if heading == "joints" else "left")
-    for name in loader.names():
+    for name in loader.list_arms():
         read = config.load(name)
         servos = dict.fromkeys(servo.model for servo in read.servo.values())
         gripper = "" if read.gripper is None else " + gripper"

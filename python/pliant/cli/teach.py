@@ -100,12 +100,12 @@ def run(
     try:
         with live:
             made.append(
-                teach.teach(
+                teach.record(
                     live,
                     seconds=duration,
                     should_toggle=None if by == "rest" else should_toggle,
                     on_status=on_status,
-                    interrupted=cut.append,
+                    on_interrupt=cut.append,
                 )
             )
     finally:

@@ -10,16 +10,16 @@ whole file is valid.
 
 from pliant.config.factory import connect
 from pliant.config.lerobot import Calibration, read_calibration
-from pliant.config.loader import describe, load, names, parse
+from pliant.config.loader import describe_arm, list_arms, load, parse
 from pliant.config.schema import Config
 
 __all__ = [
     "Calibration",
     "Config",
     "connect",
-    "describe",
+    "describe_arm",
+    "list_arms",
     "load",
-    "names",
     "parse",
     "read_calibration",
 ]

@@ -22,7 +22,7 @@ from pliant.config.schema import (
     spec,
     zeros,
 )
-from pliant.servo import ServoBus, ServoSpec, find, serial_ports
+from pliant.servo import ServoBus, ServoSpec, get_model, serial_ports
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -45,10 +45,10 @@ class ArmOptions(TypedDict, total=False):
     on_exit: Literal["lower", "leave_enabled"]
     rate: float
     comm_timeout: float
-    budget: Budget | None
+    power_budget: Budget | None
     grippers: Mapping[str, GripperConfig] | None
     watchdog: float
-    signals: bool
+    handle_signals: bool
     table: float | bool | None
 
 
@@ -59,20 +59,20 @@ class ConnectOptions(ArmOptions, total=False):
     extra_servos: Mapping[str, Servos] | None
     dt: float
     delay: tuple[int, int]
-    count: ArrayLike
-    flicker: int
+    encoder_step: ArrayLike
+    encoder_flicker: int
     noise: ArrayLike
     deadband: ArrayLike
     read_loss: float
     write_loss: float
-    silent: tuple[float, float] | None
+    bus_outage: tuple[float, float] | None
     kp_scale: ArrayLike
     friction_scale: ArrayLike
     damping_scale: ArrayLike
     payload: tuple[float, Sequence[float]] | None
     overload: Overload | None
     friction: Literal["coulomb"] | Friction
-    creep: float
+    friction_creep: float
     off_chain: Literal["held", "welded"]
     scene: Iterable[Hand | Fixture]
     seed: int
@@ -102,7 +102,8 @@ def connect(
     configuration, construct `pliant.Arm(model, drive)`.
 
     Args:
-        config: Name of a ready arm (`pliant.config.names()`), path of a TOML file, or a `Config`.
+        config: Name of a ready arm (`pliant.config.list_arms()`), path of a TOML file, or a
+            `Config`.
         backend: `"bus"`: real servos; `"emulator"`: emulated servos on a virtual serial port;
             `"sim"`: the simulator without a bus; None: as in the file.
         port: Serial device, overrides the file; or `"auto"`.
@@ -192,7 +193,7 @@ def make_arm(config: Config, **options: Any) -> Arm:
         "comm_timeout": config.loop.comm_timeout,
         "table": config.robot.table,
         # The simulator without a bus has no currents.
-        "budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
+        "power_budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
         "grippers": gripper_configs(config),
         **{key: value for key, value in options.items() if key not in beside},
     }
@@ -282,7 +283,7 @@ def make_simulated(
     if config.servo:
         options |= {
             "extra_servos": extra_servos(config, model),
-            "count": chain_servos(config, model).encoder_step,
+            "encoder_step": chain_servos(config, model).encoder_step,
         }
     options |= plant
     options["scene"] = [*table_fixtures(config), *options.get("scene", ())]
@@ -463,7 +464,7 @@ def make_mounts(config: Config) -> list[Mount]:
                 id=servo.id,
                 sign=servo.sign,
                 zero=None if zero is None else round(zero),
-                gear=servo.gear,
+                gear_ratio=servo.gear_ratio,
                 secondary=None
                 if servo.secondary is None
                 else (servo.secondary.id, servo.secondary.sign),
@@ -476,8 +477,8 @@ def make_mounts(config: Config) -> list[Mount]:
 
 def _as_set_up(servo: Servo) -> dict[str, int]:
     """Return EEPROM as after `pliant servos setup`: no return delay, current-based position."""
-    row = find(servo.model)
-    mode = {"operating_mode": 5} if row.kind == "current" else {}
+    row = get_model(servo.model)
+    mode = {"operating_mode": 5} if row.limit_type == "current" else {}
     gain = {} if servo.gain is None else {"p_coefficient": servo.gain}
     return {"return_delay_time": 0, **mode, **gain}
 
@@ -486,7 +487,7 @@ def _calibrated(file: Calibration | None, servo: Servo) -> dict[str, int]:
     """Return EEPROM as after LeRobot's calibration of the arm."""
     if file is None:
         return {}
-    family = find(servo.model).family
+    family = get_model(servo.model).family
     names = REGISTERS_P1 if family.status == "p1" else REGISTERS
     written = file.registers(family.registers)
     return {names.get(name, name): value for name, value in written.items()}

@@ -42,7 +42,7 @@ def load(source: str | Path, **overrides: Unpack[Overrides]) -> Config:
     """Read a configuration file.
 
     Args:
-        source: Path of a TOML file, or the name of a ready one (`pliant.config.names()`).
+        source: Path of a TOML file, or the name of a ready one (`pliant.config.list_arms()`).
         **overrides: Values that replace those of the file: `port`, a serial device or `auto`;
             `backend`; `urdf` and `calibration`, relative to the working folder; `table`, a height
             [m] or False.
@@ -59,13 +59,13 @@ def load(source: str | Path, **overrides: Unpack[Overrides]) -> Config:
     name = str(source)
     if path.is_file():
         text, folder, label = _read(path), path.resolve().parent, str(source)
-    elif path.suffix != ".toml" and name in names():
+    elif path.suffix != ".toml" and name in list_arms():
         text, folder, label = builtin_text(name), Path.cwd(), f"{name} (ready file)"
     elif path.suffix == ".toml" or len(path.parts) > 1:
-        raise ConfigError(f"there is no file {name}; ready files: {', '.join(names())}")
+        raise ConfigError(f"there is no file {name}; ready files: {', '.join(list_arms())}")
     else:
         raise ConfigError(
-            f"{name!r} is neither a file nor the name of a ready one; {suggest(name, names())}"
+            f"{name!r} is neither a file nor the name of a ready one; {suggest(name, list_arms())}"
         )
     return parse(text, source=label, folder=folder, **overrides)
 
@@ -197,7 +197,7 @@ def _builtin_files() -> dict[str, Traversable]:
     return dict(sorted(found.items()))
 
 
-def names() -> tuple[str, ...]:
+def list_arms() -> tuple[str, ...]:
     """Return the names of the ready files."""
     return tuple(_builtin_files())
 
@@ -207,7 +207,7 @@ def builtin_text(name: str) -> str:
     return _builtin_files()[name].read_text(encoding="utf-8")
 
 
-def describe(name: str) -> str:
+def describe_arm(name: str) -> str:
     """Return the description of a ready file: the comment at its top."""
     lines = []
     for line in builtin_text(name).splitlines():

@@ -19,7 +19,7 @@ from pliant.config._messages import suggest
 from pliant.config._settings_table import check_preset, resolve
 from pliant.config.lerobot import read_calibration
 from pliant.servo._transactions import MAX_REPLY_TIMEOUT_MIN
-from pliant.servo.models import find
+from pliant.servo.models import get_model
 from pliant.servo.spec import ServoSpec, Units, servos_from_units
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class Servo(StrictModel):
         sign: +1 if counts rise with the joint angle.
         zero: Count at zero joint angle; None: from the calibration file, else the middle of the
             servo's range.
-        gear: Turns of the servo per turn of the joint.
+        gear_ratio: Turns of the servo per turn of the joint.
         secondary: A second servo on the same joint.
         lower, upper: Software position limits [rad]; None: those of the servo.
         stall: Stall torque at the rated voltage, overrides the table [N·m].
@@ -141,7 +141,7 @@ class Servo(StrictModel):
     port: str = "main"
     sign: Literal[1, -1] = 1
     zero: Number | None = None
-    gear: Positive = 1.0
+    gear_ratio: Positive = 1.0
     secondary: Secondary | None = None
     lower: Number | None = None
     upper: Number | None = None
@@ -156,14 +156,14 @@ class Servo(StrictModel):
     @classmethod
     def _known(cls, name: str) -> str:
         try:
-            find(name)
+            get_model(name)
         except ConfigError as error:
             raise ValueError(str(error)) from None
         return name
 
     @model_validator(mode="after")
     def _keeps_its_gain(self) -> Self:
-        if self.gain is not None and find(self.model).family.status != "feetech":
+        if self.gain is not None and get_model(self.model).family.status != "feetech":
             raise ValueError(
                 f"gain: {self.model} starts with the maker's gain whenever it is switched on; "
                 "leave it out"
@@ -418,7 +418,7 @@ def servo_table(config: Config) -> tuple[tuple[str, ...], Servos]:
         Units.of(spec(joint, servo, port=servo.port), config.supply.voltage)
         for joint, servo in own.items()
     ]
-    gains = [servo.gain or find(servo.model).gain_default for servo in own.values()]
+    gains = [servo.gain or get_model(servo.model).gain_default for servo in own.values()]
     return tuple(own), servos_from_units(units, gains, [unit.full for unit in units])
 
 
@@ -498,7 +498,7 @@ def calibrations(config: Config) -> dict[str, Calibration]:
                 f"{servo.id}: one of them is of another arm"
             )
         try:
-            entry.check_range(joint, find(servo.model))
+            entry.check_range(joint, get_model(servo.model))
         except ConfigError as error:
             raise ConfigError(f"{config.calibration}: {error}") from error
         out[joint] = entry

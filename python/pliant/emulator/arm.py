@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Mount:
-    """Mounting of a servo on a joint: ``count = zero + sign · gear · q / count size``.
+    """Mounting of a servo on a joint: ``count = zero + sign · gear_ratio · q / count size``.
 
     Attributes:
         joint: Name of the joint, on or off the chain (a gripper).
@@ -33,7 +33,7 @@ class Mount:
         id: Id on the bus.
         sign: 1, or -1 if counts fall as the joint angle rises.
         zero: Count at joint angle 0; default its middle.
-        gear: Turns of the servo per turn of the joint.
+        gear_ratio: Turns of the servo per turn of the joint.
         secondary: Id and sign of a second servo of the same model on the same joint.
         port: Port of the servo.
         registers: EEPROM values that differ from a new servo's.
@@ -44,7 +44,7 @@ class Mount:
     id: int
     sign: int = 1
     zero: int | None = None
-    gear: float = 1.0
+    gear_ratio: float = 1.0
     secondary: tuple[int, int] | None = None
     port: str = "main"
     registers: Mapping[str, int] = field(default_factory=dict)
@@ -54,8 +54,10 @@ class Mount:
         for sign in (self.sign, self.secondary[1] if self.secondary else 1):
             if sign not in {-1, 1}:
                 raise ConfigError(f"mount of {self.joint!r}: a sign is 1 or -1, got {sign!r}")
-        if not self.gear > 0.0:
-            raise ConfigError(f"mount of {self.joint!r}: gear must be above 0, got {self.gear!r}")
+        if not self.gear_ratio > 0.0:
+            raise ConfigError(
+                f"mount of {self.joint!r}: gear_ratio must be above 0, got {self.gear_ratio!r}"
+            )
 
     @property
     def ids(self) -> list[tuple[int, int]]:
@@ -132,7 +134,7 @@ class ArmPhysics:
             for _, sign in mount.ids:
                 servo = next(rest)
                 zero = (servo.model.top + 1) // 2 if mount.zero is None else mount.zero
-                ratio = sign * servo.direction * mount.gear
+                ratio = sign * servo.direction * mount.gear_ratio
                 couplings.append(Coupling(servo, ratio, servo.angle_of(zero)))
             self._joints[mount.joint] = couplings
         self._set_inertia()
@@ -295,7 +297,7 @@ def _servos(model: Robot, mounts: Sequence[Mount]) -> Servos:
     torque, friction, damping, armature = [], [], [], []
     for name in model.joint_names:
         mount = by_joint[name]
-        motor, pair, gear = find(mount.model).motor, len(mount.ids), mount.gear
+        motor, pair, gear = find(mount.model).motor, len(mount.ids), mount.gear_ratio
         torque.append(pair * gear * motor.stall * 1.5)
         friction.append(pair * gear * motor.friction)
         damping.append(pair * gear**2 * motor.damping)

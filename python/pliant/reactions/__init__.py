@@ -1,7 +1,7 @@
 """Reactions to contact: conditions on measured quantities, and the actions that they trigger.
 
     >>> from pliant.reactions import Deviation, Force, Reaction, Retract, ReactionMonitor
-    >>> bumped = Force("z", above=9.0).lasting(0.05) & ~Deviation("xy", above=0.02)
+    >>> bumped = Force("z", above=9.0).for_seconds(0.05) & ~Deviation("xy", above=0.02)
     >>> monitor = ReactionMonitor(controller, [Reaction(bumped, Retract(0.05))])
     >>> for tick in loop:
     ...     command = controller.step(tick.q, monitor.update(tick.q, target))
@@ -11,10 +11,10 @@ Call `update` before the step of its tick: it returns the target for the step.
 
 from pliant.reactions.actions import Action, Call, Follow, Hold, Retract, Running, Stop, Yield
 from pliant.reactions.conditions import (
+    After,
     Condition,
     ContactEvent,
     Deviation,
-    Elapsed,
     Force,
     ResidualAbove,
     Saturated,
@@ -25,11 +25,11 @@ from pliant.reactions.monitor import Reaction, ReactionEvent, ReactionMonitor
 
 __all__ = [
     "Action",
+    "After",
     "Call",
     "Condition",
     "ContactEvent",
     "Deviation",
-    "Elapsed",
     "Follow",
     "Force",
     "Hold",

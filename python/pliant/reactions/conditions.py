@@ -150,7 +150,7 @@ class Condition(ABC):
         """Reject `and`, `or` and `not`, which Python would evaluate immediately."""
         raise TypeError("join conditions with &, | and ~, not with and, or, not")
 
-    def lasting(self, seconds: float) -> Condition:
+    def for_seconds(self, seconds: float) -> Condition:
         """Return a condition that holds once this one has held without a break for so long [s]."""
         return Lasting(self, seconds)
 
@@ -162,7 +162,7 @@ def condition(value: object, name: str) -> Condition:
         TypeError: It is not; the message names valid conditions.
     """
     if not isinstance(value, Condition):
-        wanted = "a condition, as Force('z', above=8.0) or Elapsed(1.0)"
+        wanted = "a condition, as Force('z', above=8.0) or After(1.0)"
         raise TypeError(f"{name} must be {wanted}, got {format_value(value)}")
     return value
 
@@ -232,7 +232,7 @@ class Lasting(Condition):
 
     def __post_init__(self) -> None:
         """Check the time."""
-        number(self.seconds, "lasting", 0.0, unit="s")
+        number(self.seconds, "for_seconds", 0.0, unit="s")
 
     @property
     def needs_force(self) -> bool:
@@ -258,7 +258,7 @@ class Lasting(Condition):
         return holds
 
     def __repr__(self) -> str:
-        return f"{self.one!r}.lasting({self.seconds:g})"
+        return f"{self.one!r}.for_seconds({self.seconds:g})"
 
 
 def _one_side(above: float | None, below: float | None, what: str) -> None:
@@ -461,14 +461,14 @@ class Speed(_OfTask):
 
 
 @dataclass(frozen=True, repr=False)
-class Elapsed(Condition):
+class After(Condition):
     """A time [s] has passed since the monitor started; in `until`, since the reaction began."""
 
     seconds: float
 
     def __post_init__(self) -> None:
         """Check the time."""
-        number(self.seconds, "Elapsed.seconds", 0.0, unit="s")
+        number(self.seconds, "After.seconds", 0.0, unit="s")
 
     def evaluator(self) -> Evaluator:
         """Return a judge that counts from the first tick."""
@@ -482,7 +482,7 @@ class Elapsed(Condition):
         return holds
 
     def __repr__(self) -> str:
-        return f"Elapsed({self.seconds:g})"
+        return f"After({self.seconds:g})"
 
 
 @dataclass(frozen=True, repr=False)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pliant.servo._transactions import wire_bytes, wire_time
 from pliant.servo.bus import ServoBus
-from pliant.servo.models import ServoModel, find, names
+from pliant.servo.models import ServoModel, get_model, list_models
 from pliant.servo.spec import ServoSpec, Units, servos_of
 from pliant.servo.transport import BusError, RustypotTransport, Transport, serial_ports
 
@@ -19,8 +19,8 @@ __all__ = [
     "ServoSpec",
     "Transport",
     "Units",
-    "find",
-    "names",
+    "get_model",
+    "list_models",
     "serial_ports",
     "servos_of",
     "wire_bytes",

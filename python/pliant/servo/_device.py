@@ -91,9 +91,9 @@ class Device:
         self.units = replace(Units.of(spec), sign=sign)
         self.ceiling = self.units.full
         self.gain = self.row.gain_default
-        self.low, self.high = 0, self.row.counts
-        is_full_turn = self.row.resolution == self.row.counts + 1
-        self.wraparound: int | None = self.row.counts + 1 if is_full_turn else None
+        self.low, self.high = 0, self.row.max_position
+        is_full_turn = self.row.counts_per_turn == self.row.max_position + 1
+        self.wraparound: int | None = self.row.max_position + 1 if is_full_turn else None
         self.multi_turn = self.family.multi_turn
         self.overload: float | None = self.row.overload
         self.min_voltage, self._last_good_voltage = 0.0, 0.0
@@ -135,12 +135,12 @@ class Device:
         if self.multi_turn:
             self.low, self.high = low, high
             return
-        if low < 0 or high > self.row.counts:
+        if low < 0 or high > self.row.max_position:
             raise ServoError(
                 f"{self.name}: its range of {spec.lower:.2f} to {spec.upper:.2f} rad is counts "
                 f"{low} to {high}, across the seam of an encoder that ends at 0 and "
-                f"{self.row.counts}: check zero and sign, or mount the horn so that the middle of "
-                "the range is near the middle of the counts"
+                f"{self.row.max_position}: check zero and sign, or mount the horn so that the "
+                "middle of the range is near the middle of the counts"
             )
         self.low, self.high = max(low, self.low), min(high, self.high)
 
@@ -166,7 +166,7 @@ class Device:
         it the long way round. It gets the range end on its own side instead.
         """
         if self.turns and not self.multi_turn:
-            return 0 if self.turns > 0 else self.row.counts
+            return 0 if self.turns > 0 else self.row.max_position
         return self.clamp(self.units.counts(angle)) - self.turns * (self.wraparound or 0)
 
     def clamp(self, counts: int) -> int:
@@ -247,7 +247,7 @@ class Device:
     @property
     def torque(self) -> float:
         """Joint torque as the servo estimates it, if all its servos exert the same [N·m]."""
-        if self.row.kind == "current":
+        if self.row.limit_type == "current":
             return self.units.sign * self.units.torque(self.current or 0)
         return self.units.sign * self.units.load(self.load)
 

@@ -211,14 +211,14 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
     """Return all errors of one servo that do not allow control."""
     row = device.row
     number = image["model"]
-    if number != row.number:
+    if number != row.model_number:
         known = by_number(number)
         present = " or ".join(r.name for r in known)
         present = (
             present
             or f"no {row.name} (it reads as model number {number}; `pliant servos scan` names it)"
         )
-        return [f"it is {present}, the configuration says {row.name} ({row.number})"]
+        return [f"it is {present}, the configuration says {row.name} ({row.model_number})"]
     errors = [*_check_mode(device, image), *_calibration_differences(device, image)]
     if image["return_level"] < (1 if device.family.status == "feetech" else 2):
         errors.append(
@@ -265,7 +265,7 @@ def _check_mode(device: Device, image: RegisterImage) -> list[str]:
     errors = []
     family = device.family
     if family.status == "p2":
-        modes = (5,) if device.row.kind == "current" else (3, 4)
+        modes = (5,) if device.row.limit_type == "current" else (3, 4)
         if image["mode"] not in modes:
             errors.append(
                 f"operating mode {image['mode']}, needed is {' or '.join(map(str, modes))}: "
@@ -309,7 +309,7 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     """Store ceilings, limits and gain; return the identification with notes."""
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
-    if row.kind == "current" and image["pwm_limit"] < family.full_duty:
+    if row.limit_type == "current" and image["pwm_limit"] < family.full_duty:
         # The PWM limit bounds the torque too, in proportion at stall.
         torque = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
         device.ceiling = min(device.ceiling, device.units.register(torque))
@@ -323,7 +323,7 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     device.multi_turn = family.multi_turn or (family.status == "p2" and image["mode"] == 4)
     low, high = image["position_min"], image["position_max"]
     own = not device.multi_turn and low < high
-    device.low, device.high = (low, high) if own else (0, row.counts)
+    device.low, device.high = (low, high) if own else (0, row.max_position)
     device.set_range()
     if "overload_torque" in image:
         device.overload = image["overload_torque"] / 100.0

@@ -89,7 +89,7 @@ def plan_restore(
 def _check_model(io: TransactionGuard, joint: str, id: int, row: ServoModel) -> None:
     """Check that a servo is of the configured model."""
     number = read(io, id, row.family, "model")
-    if number != row.number:
+    if number != row.model_number:
         known = " or ".join(r.name for r in by_number(number)) or f"model number {number}"
         raise ServoError(f"{joint} (id {id}) is {known}, the configuration says {row.name}")
 
@@ -125,7 +125,7 @@ def _required_values(
             why = "a compliant arm sits at its limit; with this bit the servo drops the arm for it"
             out["shutdown"] = (mask, why)
     if family.status == "p2":
-        mode = CURRENT_POSITION if row.kind == "current" else POSITION
+        mode = CURRENT_POSITION if row.limit_type == "current" else POSITION
         out["mode"] = (mode, "position control whose torque the limit bounds")
         drive = read(io, id, family, "drive_mode") & ~UNWANTED_BITS
         out["drive_mode"] = (drive, "follows goals of its own, at once, with torque as told")
@@ -135,7 +135,7 @@ def _required_values(
     else:
         if read(io, id, family, "position_min") == read(io, id, family, "position_max"):
             why = "position control, and not a wheel or several turns"
-            out["position_min"], out["position_max"] = (0, why), (row.counts, why)
+            out["position_min"], out["position_max"] = (0, why), (row.max_position, why)
         if "drive_mode" in family.registers:
             drive = read(io, id, family, "drive_mode") & ~SLAVE
             out["drive_mode"] = (drive, "follows goals of its own")

@@ -12,7 +12,7 @@ import numpy as np
 
 from pliant._core import ConfigError, Servos
 from pliant._validation import real
-from pliant.servo.models import by_number, find
+from pliant.servo.models import by_number, get_model
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -51,8 +51,8 @@ class Calibration:
             ConfigError: An end is not a count of its encoder. For a multi-turn servo, one turn
                 beyond either end of the encoder is allowed.
         """
-        margin = row.counts + 1 if row.family.multi_turn else 0
-        low, high = -margin, row.counts + margin
+        margin = row.max_position + 1 if row.family.multi_turn else 0
+        low, high = -margin, row.max_position + margin
         for key in ("range_min", "range_max"):
             if not low <= getattr(self, key) <= high:
                 raise ConfigError(
@@ -79,16 +79,16 @@ class Calibration:
 class ServoSpec:
     """One joint and its servo.
 
-    ``count = zero + sign · gear · q · resolution / 2π``.
+    ``count = zero + sign · gear_ratio · q · resolution / 2π``.
 
     Attributes:
         name: Joint name.
-        model: Servo model, as `pliant.servo.names()` lists them.
+        model: Servo model, as `pliant.servo.list_models()` lists them.
         id: Id on the bus.
         port: Serial port, e.g. ``/dev/ttyUSB0``.
         sign: +1 if counts rise with the joint angle, else -1.
         zero: Count at q = 0, may be fractional; None: the middle of the servo's range.
-        gear: Turns of the servo per turn of the joint, above 0.
+        gear_ratio: Turns of the servo per turn of the joint, above 0.
         secondary: Id and sign of a second servo on the same joint. Its zero is found at open from
             the first servo, because the joint couples them.
         lower, upper: Software position limits [rad]; None: those of the servo.
@@ -108,7 +108,7 @@ class ServoSpec:
     port: str
     sign: int = 1
     zero: float | None = None
-    gear: float = 1.0
+    gear_ratio: float = 1.0
     secondary: tuple[int, int] | None = None
     lower: float | None = None
     upper: float | None = None
@@ -134,8 +134,8 @@ class ServoSpec:
             )
         if any(sign not in {-1, 1} for sign in signs):
             raise ConfigError(f"{self.name}: a sign is +1 or -1, got {signs}")
-        if not (np.isfinite(self.gear) and self.gear > 0.0):
-            raise ConfigError(f"{self.name}: gear must be above 0, got {self.gear!r}")
+        if not (np.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
+            raise ConfigError(f"{self.name}: gear_ratio must be above 0, got {self.gear_ratio!r}")
         if self.zero is not None and not np.isfinite(self.zero):
             raise ConfigError(f"{self.name}: zero is a count, got {self.zero!r}")
         if self.stall is not None and not (np.isfinite(self.stall) and self.stall > 0.0):
@@ -155,7 +155,7 @@ class ServoSpec:
     @property
     def row(self) -> ServoModel:
         """Row of the model in the servo table."""
-        return find(self.model)
+        return get_model(self.model)
 
     @property
     def servos(self) -> tuple[tuple[int, int], ...]:
@@ -238,7 +238,7 @@ class Units:
         volts = spec.row.rated if voltage is None else float(voltage)
         if not volts > 0.0:
             raise ConfigError(f"{spec.name}: the supply voltage must be above 0 V, got {volts!r}")
-        zero = (spec.row.counts + 1) / 2 if spec.zero is None else float(spec.zero)
+        zero = (spec.row.max_position + 1) / 2 if spec.zero is None else float(spec.zero)
         return Units(spec, volts, zero, spec.sign)
 
     @cached_property
@@ -249,7 +249,7 @@ class Units:
     @cached_property
     def count(self) -> float:
         """Joint angle of one encoder count [rad]."""
-        return 2.0 * pi / (self.row.resolution * self.spec.gear)
+        return 2.0 * pi / (self.row.counts_per_turn * self.spec.gear_ratio)
 
     @cached_property
     def _stall(self) -> float:
@@ -262,22 +262,24 @@ class Units:
     @cached_property
     def _ratio(self) -> float:
         """Joint torque per torque of one servo: gear ratio times number of servos."""
-        return self.spec.gear * len(self.spec.servos)
+        return self.spec.gear_ratio * len(self.spec.servos)
 
     @cached_property
     def no_load_speed(self) -> float:
         """Joint speed at no load [rad/s]."""
-        return at_voltage(self.row.no_load, self.voltage) * RPM / self.spec.gear
+        return at_voltage(self.row.no_load, self.voltage) * RPM / self.spec.gear_ratio
 
     @cached_property
     def full(self) -> int:
         """Largest value of the limit register."""
-        return self.row.current_max if self.row.kind == "current" else self.row.family.full_duty
+        return (
+            self.row.current_max if self.row.limit_type == "current" else self.row.family.full_duty
+        )
 
     @cached_property
     def torque_per_unit(self) -> float:
         """Joint torque of one unit of the limit register [N·m]."""
-        if self.row.kind == "current":
+        if self.row.limit_type == "current":
             rated = at_voltage(self.row.stall, self.row.rated)
             constant = (self.spec.stall or rated) / self.row.stall_current  # [N·m/A]
             return constant * self.row.current_unit * self._ratio
@@ -321,11 +323,11 @@ class Units:
 
     def velocity(self, register: int) -> float:
         """Return the joint velocity of a speed register [rad/s]."""
-        return self.sign * register * self.row.speed_unit * RPM / self.spec.gear
+        return self.sign * register * self.row.speed_unit * RPM / self.spec.gear_ratio
 
     def speed_register(self, speed: float) -> int:
         """Return the speed cap register of a joint speed: at least 1, because 0 means no cap."""
-        counts = abs(speed) * self.spec.gear / (self.row.speed_unit * RPM)
+        counts = abs(speed) * self.spec.gear_ratio / (self.row.speed_unit * RPM)
         return max(1, min(floor(counts), self.row.family.speed_max))
 
     def stiffness(self, gain: int) -> float:
@@ -335,8 +337,8 @@ class Units:
         position error into current: P/128 current counts per position count. These are initial
         values: the sources agree within a factor of two (docs/ports.md).
         """
-        row, gear = self.row, self.spec.gear
-        if row.kind == "current":
+        row, gear = self.row, self.spec.gear_ratio
+        if row.limit_type == "current":
             return gain / 128.0 * self.torque_per_unit / self.count
         if row.gain == 0.0:  # a slope [counts] over which the torque rises to full
             return self._stall * self._ratio / (max(gain, 1) * self.count)
@@ -352,7 +354,7 @@ def servos_of(
     """Return the servo parameters of these models, one entry per joint.
 
     Args:
-        models: Servo models base to tip, as `pliant.servo.names()` lists them.
+        models: Servo models base to tip, as `pliant.servo.list_models()` lists them.
         voltage: Supply voltage [V]; default: the rated voltage of each model.
         gains: Gain registers; None: the maker's default.
 
@@ -377,7 +379,7 @@ def servos_of(
         low, high = spec.row.voltage
         if volts is not None and not low <= volts <= high:
             others = [
-                row.name for row in by_number(spec.row.number) if _accepts_voltage(row, volts)
+                row.name for row in by_number(spec.row.model_number) if _accepts_voltage(row, volts)
             ]
             variant = f"; for {volts:g} V there is {' or '.join(others)}" if others else ""
             raise ConfigError(
@@ -417,10 +419,10 @@ def servos_from_units(
     torque = np.array([u.usable(c) for u, c in zip(units, ceilings, strict=True)])
     speed = np.array([unit.no_load_speed for unit in units])
     # The gear scales friction and damping like torque; damping and inertia once more, by the speed.
-    ratio = np.array([unit.spec.gear * len(unit.spec.servos) for unit in units])
-    gears = np.array([unit.spec.gear for unit in units])
+    ratio = np.array([unit.spec.gear_ratio * len(unit.spec.servos) for unit in units])
+    gears = np.array([unit.spec.gear_ratio for unit in units])
     damping = np.array([unit.row.mechanics.damping for unit in units]) * ratio * gears
-    is_pwm = np.array([unit.row.kind == "pwm" for unit in units])
+    is_pwm = np.array([unit.row.limit_type == "pwm" for unit in units])
     all_pwm = bool(is_pwm.all())
     if not all_pwm:
         stall = np.array([unit.usable(unit.full) for unit in units])

@@ -27,30 +27,39 @@ class Encoder:
     """Joint readings: noise, then rounding to counts, then flicker by whole counts."""
 
     def __init__(
-        self, n: int, *, count: ArrayLike, flicker: int, noise: ArrayLike, rng: np.random.Generator
+        self,
+        n: int,
+        *,
+        encoder_step: ArrayLike,
+        encoder_flicker: int,
+        noise: ArrayLike,
+        rng: np.random.Generator,
     ) -> None:
         """Prepare the encoders of n joints.
 
         Args:
             n: Number of joints.
-            count: One count [rad], scalar or (n,); 0 is continuous.
-            flicker: Counts by which a reading toggles: -flicker, 0, 0, +flicker with equal chance
-                per joint and reading.
+            encoder_step: One count [rad], scalar or (n,); 0 is continuous.
+            encoder_flicker: Counts by which a reading toggles: the negative, 0, 0 or the positive
+                number, with equal chance per joint and reading.
             noise: Standard deviation of white noise before rounding [rad], scalar or (n,).
             rng: Random generator.
 
         Raises:
             ConfigError: A number is negative, or a flicker is given without counts.
         """
-        self.count = per_joint(count, n, "count", low=0.0)
+        self.count = per_joint(encoder_step, n, "encoder_step", low=0.0)
         self._noise = per_joint(noise, n, "noise", low=0.0)
-        if not is_whole(flicker):
+        if not is_whole(encoder_flicker):
             raise ConfigError(
-                f"flicker must be a whole number of counts, at least 0, got {flicker!r}"
+                f"encoder_flicker must be a whole number of counts, at least 0, "
+                f"got {encoder_flicker!r}"
             )
-        if flicker and not np.any(self.count > 0.0):
-            raise ConfigError("flicker is in encoder counts: give count [rad] as well")
-        self._flicker = int(flicker)
+        if encoder_flicker and not np.any(self.count > 0.0):
+            raise ConfigError(
+                "encoder_flicker is in encoder counts: give encoder_step [rad] as well"
+            )
+        self._flicker = int(encoder_flicker)
         self._rng = rng
         self._grid = np.where(self.count > 0.0, self.count, 1.0)
 
@@ -107,9 +116,11 @@ def span(value: Any) -> tuple[float, float] | None:
     try:
         start, end = (float(x) for x in value)
     except (TypeError, ValueError):
-        raise ConfigError(f"silent must be a pair of times (from, to) [s], got {value!r}") from None
+        raise ConfigError(
+            f"bus_outage must be a pair of times (from, to) [s], got {value!r}"
+        ) from None
     if not start <= end:
-        raise ConfigError(f"silent must begin before it ends, got {value!r} [s]")
+        raise ConfigError(f"bus_outage must begin before it ends, got {value!r} [s]")
     return start, end
 
 
@@ -153,21 +164,22 @@ class Bus:
         n: int,
         *,
         delay: tuple[int, int],
-        count: ArrayLike,
-        flicker: int,
+        encoder_step: ArrayLike,
+        encoder_flicker: int,
         noise: ArrayLike,
         read_loss: float,
         write_loss: float,
-        silent: tuple[float, float] | None,
+        bus_outage: tuple[float, float] | None,
         seed: int,
     ) -> None:
         """Check the numbers; see `Plant` for their meaning."""
-        self._n, self._delay, self._silent, self._seed = n, delays(delay), span(silent), seed
+        self._n, self._delay, self._outage, self._seed = n, delays(delay), span(bus_outage), seed
         if not is_whole(seed):
             raise ConfigError(f"seed must be a whole number, at least 0, got {seed!r}")
         self._read_loss = share(read_loss, "read_loss")
         self._write_loss = share(write_loss, "write_loss")
-        self._count, self._flicker, self._noise = count, flicker, noise
+        self._encoder_step, self._encoder_flicker = encoder_step, encoder_flicker
+        self._noise = noise
 
     @property
     def write_delay(self) -> int:
@@ -179,7 +191,11 @@ class Bus:
         seeds = np.random.SeedSequence(self._seed).spawn(3)
         encoding, reading, writing = (np.random.default_rng(seed) for seed in seeds)
         self._encoder = Encoder(
-            self._n, count=self._count, flicker=self._flicker, noise=self._noise, rng=encoding
+            self._n,
+            encoder_step=self._encoder_step,
+            encoder_flicker=self._encoder_flicker,
+            noise=self._noise,
+            rng=encoding,
         )
         self.sent = first
         self._pending: Command | None = None
@@ -206,4 +222,4 @@ class Bus:
         self.state = State(old.q.copy(), None, old.time, self._reads.fresh, old.extra, age)
 
     def _is_silent(self, time: float) -> bool:
-        return self._silent is not None and self._silent[0] <= time < self._silent[1]
+        return self._outage is not None and self._outage[0] <= time < self._outage[1]

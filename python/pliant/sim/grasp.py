@@ -9,7 +9,7 @@ import numpy as np
 
 from pliant._core import ConfigError
 from pliant.sim._mujoco import mujoco
-from pliant.sim.hand import Course
+from pliant.sim.hand import ForceProfile
 from pliant.sim.plant import Fixture
 
 if TYPE_CHECKING:
@@ -146,7 +146,9 @@ class HandoverObject(GraspedObject):
     stiffness: float = 600.0
     damping: float = 20.0
     limit: float = 60.0
-    course: Course = field(default_factory=lambda: Course(start=2.0, rise=1.5, end=60.0))
+    course: ForceProfile = field(
+        default_factory=lambda: ForceProfile(start=2.0, rise=1.5, end=60.0)
+    )
     name: str = "handed"
     effort: float = field(default=0.0, init=False)
     peak_effort: float = field(default=0.0, init=False)

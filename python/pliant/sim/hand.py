@@ -75,7 +75,7 @@ class AppliedForce:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class ForceProfile:
     """Time course of a hand: a ramp from 0 to 1, then constant, then released.
 
     Times are on the clock of the plant, like `Tick.began`. An arm of `connect` spends the first
@@ -128,7 +128,7 @@ class Drag:
     damping: float = 30.0
     limit: float = 15.0
     at: str = WRIST
-    course: Course = field(default_factory=Course)
+    course: ForceProfile = field(default_factory=ForceProfile)
     offset: float = 0.0
 
     def __post_init__(self) -> None:
@@ -169,7 +169,7 @@ class Twist:
     damping: float = 0.5
     limit: float = 3.0
     at: str = TOOL
-    course: Course = field(default_factory=Course)
+    course: ForceProfile = field(default_factory=ForceProfile)
 
     def __post_init__(self) -> None:
         """Check the numbers once."""
@@ -201,7 +201,7 @@ class Push:
     force_vector: Sequence[float] = (0.0, 0.0, 0.0)
     torque_vector: Sequence[float] = (0.0, 0.0, 0.0)
     at: str = TOOL
-    course: Course = field(default_factory=lambda: Course(start=2.0, rise=1.0, end=5.0))
+    course: ForceProfile = field(default_factory=lambda: ForceProfile(start=2.0, rise=1.0, end=5.0))
 
     def __post_init__(self) -> None:
         """Check the shapes once."""
@@ -222,7 +222,7 @@ class Push:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guide:
+class SpringConstraint:
     """Springs that hold some axes of a frame, for pushes along one axis only.
 
     Attributes:
@@ -239,14 +239,17 @@ class Guide:
     rotational: float = 60.0
     damping: tuple[float, float] = (30.0, 0.5)
     at: str = TOOL
-    course: Course = field(default_factory=lambda: Course(start=0.0, rise=0.0, end=np.inf))
+    course: ForceProfile = field(
+        default_factory=lambda: ForceProfile(start=0.0, rise=0.0, end=np.inf)
+    )
 
     def __post_init__(self) -> None:
         """Check the axis names once."""
         unknown = set(self.axes.split()) - set(_AXES) - set(_TURNS)
         if unknown:
             raise ConfigError(
-                f"Guide.axes knows x y z roll pitch yaw, not {', '.join(sorted(unknown))}"
+                "SpringConstraint.axes knows x y z roll pitch yaw, "
+                f"not {', '.join(sorted(unknown))}"
             )
         _not_negative(stiffness=self.stiffness, rotational=self.rotational)
 
@@ -266,7 +269,9 @@ class Guide:
 
 def tap(force: Sequence[float], *, at: str = TOOL, start: float = 1.0) -> Push:
     """Return a tap of 0.12 s: up within 20 ms, held 0.1 s; force (3,) [N]."""
-    return Push(force_vector=force, at=at, course=Course(start=start, rise=0.02, end=start + 0.12))
+    return Push(
+        force_vector=force, at=at, course=ForceProfile(start=start, rise=0.02, end=start + 0.12)
+    )
 
 
 def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float, float]]) -> Array:

@@ -75,14 +75,14 @@ class Plant:
         dt: Physics step [s].
         rate: Control rate [Hz]; a period must be a whole number of physics steps.
         delay: Ticks from sampling to read(), and from write() to the servo.
-        count: Encoder count [rad]; readings and goals are rounded to it.
-        flicker: Counts by which readings toggle at random.
+        encoder_step: Encoder count [rad]; readings and goals are rounded to it.
+        encoder_flicker: Counts by which readings toggle at random.
         noise: Standard deviation of the readings before rounding [rad].
         deadband: Error below which a servo gives no torque [rad]; above it, the error counts from
             the edge of the band.
         read_loss: Share of readings lost.
         write_loss: Share of writes lost.
-        silent: Start and end of an outage of the bus in both directions [s].
+        bus_outage: Start and end of an outage of the bus in both directions [s].
         kp_scale: Ratio of true to tabulated stiffness, scalar or (n,).
         friction_scale: Ratio of true to tabulated friction.
         damping_scale: Ratio of true to tabulated damping, gears and back-EMF.
@@ -90,8 +90,9 @@ class Plant:
             controller.
         overload: Overload protection of the servos; None: no protection.
         friction: Dry friction of the gears: `coulomb`, as in the table, or by speed and load.
-        creep: Creep of a joint that dry friction should hold, in [0.001, 1]: its speed is about
-            1 ms · creep · torque / inertia. 1 is MuJoCo's own, 0.1 closer to real gears.
+        friction_creep: Creep of a joint that dry friction should hold, in [0.001, 1]: its speed is
+            about 1 ms · friction_creep · torque / inertia. 1 is MuJoCo's own, 0.1 closer to real
+            gears.
         off_chain: `held` gives a gripper servos of its own, `welded` freezes it.
         scene: Hands, walls and fixtures (doors).
         seed: Seed of all random sources; equal seeds give equal runs.
@@ -111,7 +112,7 @@ class Plant:
 
     Raises:
         ConfigError: An argument is out of range; the message names it.
-        OutOfRangeError: `creep` is outside its range.
+        OutOfRangeError: `friction_creep` is outside its range.
         ShapeError: An argument is neither a scalar nor of length n.
         TypeError: Model, servos, overload or an item of the scene has the wrong type.
 
@@ -133,20 +134,20 @@ class Plant:
         dt: float = 0.001,
         rate: float = 100.0,
         delay: tuple[int, int] = (0, 0),
-        count: ArrayLike = 0.0,
-        flicker: int = 0,
+        encoder_step: ArrayLike = 0.0,
+        encoder_flicker: int = 0,
         noise: ArrayLike = 0.0,
         deadband: ArrayLike = 0.0,
         read_loss: float = 0.0,
         write_loss: float = 0.0,
-        silent: tuple[float, float] | None = None,
+        bus_outage: tuple[float, float] | None = None,
         kp_scale: ArrayLike = 1.0,
         friction_scale: ArrayLike = 1.0,
         damping_scale: ArrayLike = 1.0,
         payload: tuple[float, Sequence[float]] | None = None,
         overload: Overload | None = None,
         friction: Literal["coulomb"] | Friction = "coulomb",
-        creep: float = 1.0,
+        friction_creep: float = 1.0,
         off_chain: OffChain = "held",
         scene: Iterable[Hand | Fixture] = (),
         seed: int = 0,
@@ -165,12 +166,12 @@ class Plant:
         self._bus = Bus(
             n,
             delay=delay,
-            count=count,
-            flicker=flicker,
+            encoder_step=encoder_step,
+            encoder_flicker=encoder_flicker,
             noise=noise,
             read_loss=read_loss,
             write_loss=write_loss,
-            silent=silent,
+            bus_outage=bus_outage,
             seed=seed,
         )
         self.write_delay = self._bus.write_delay * self.period
@@ -182,7 +183,7 @@ class Plant:
             off_chain=off_chain,
             payload=checks.load(payload),
             # MuJoCo has no dry friction that holds a joint entirely.
-            creep=number(creep, "creep", 1e-3, 1.0),
+            creep=number(friction_creep, "friction_creep", 1e-3, 1.0),
             extra=checks.extra(model, extra_servos),
         )
         self.extra_tables = {name: built.extra[name] for name in built.held}

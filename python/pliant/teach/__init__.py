@@ -1,6 +1,6 @@
 """Teach by hand and replay, softly.
 
->>> motion = pliant.teach.teach(arm, seconds=20.0)     # float, lead it, rest: it ends
+>>> motion = pliant.teach.record(arm, seconds=20.0)     # float, lead it, rest: it ends
 >>> motion.save("wave.json")
 >>> replay = pliant.teach.Replay(controller, motion, speed=1.0)
 >>> for tick in pliant.Loop(arm, controller):
@@ -12,6 +12,6 @@
 from pliant.teach._retiming import retime
 from pliant.teach.motion import Motion
 from pliant.teach.replay import Replay
-from pliant.teach.teacher import Teacher, teach
+from pliant.teach.teacher import Teacher, record
 
-__all__ = ["Motion", "Replay", "Teacher", "retime", "teach"]
+__all__ = ["Motion", "Replay", "Teacher", "record", "retime"]

@@ -57,9 +57,9 @@ def lead(arm: Arm) -> None:
 
 def _hands(now: float, reach: float) -> list[Drag]:
     """Return one hand per direction, from `now` [s] on."""
-    from pliant.sim import Course, Drag
+    from pliant.sim import Drag, ForceProfile
 
-    course = Course(start=now + AFTER, rise=TAKES, end=now + LETS_GO)
+    course = ForceProfile(start=now + AFTER, rise=TAKES, end=now + LETS_GO)
     ways = {"y": ASIDE * reach, "z": UP * reach}
     return [
         Drag(

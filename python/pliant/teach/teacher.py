@@ -125,16 +125,16 @@ class Teacher:
         self.still += dt
 
 
-def teach(
+def record(
     arm: Arm,
     *,
     seconds: float | None = None,
-    rest: float = 3.0,
-    wait: float = 60.0,
+    idle_timeout: float = 3.0,
+    start_timeout: float = 60.0,
     rate: float | None = None,
     should_toggle: Callable[[Teacher, State], bool] | None = None,
     on_status: Callable[[str], None] = lambda _: None,
-    interrupted: Callable[[Motion], None] = lambda _: None,
+    on_interrupt: Callable[[Motion], None] = lambda _: None,
 ) -> Motion:
     """Float an enabled arm, record how a hand leads it, trim and smooth the motion.
 
@@ -144,12 +144,12 @@ def teach(
     Args:
         arm: The arm, enabled.
         seconds: Longest recording [s]; None: no bound.
-        rest: Rest that ends a recording with motion [s].
-        wait: Longest time to wait for a first motion [s].
+        idle_timeout: Rest that ends a recording with motion [s].
+        start_timeout: Longest time to wait for a first motion [s].
         rate: Ticks per second [Hz]; None: the arm's.
         should_toggle: Called at every tick; True if the user has just asked to start or stop.
         on_status: Gets a line at every change, for a screen.
-        interrupted: Gets the motion so far if an exception (also Ctrl-C) ends the recording; the
+        on_interrupt: Gets the motion so far if an exception (also Ctrl-C) ends the recording; the
             exception propagates. It should return immediately: the arm is lowered after it.
 
     Returns:
@@ -168,14 +168,14 @@ def teach(
             teacher,
             rate=rate,
             seconds=seconds,
-            rest=rest,
-            wait=wait,
+            idle_timeout=idle_timeout,
+            start_timeout=start_timeout,
             should_toggle=should_toggle,
             on_status=on_status,
         )
     except BaseException:
         if teacher.recording and teacher.moved:
-            interrupted(teacher.stop())
+            on_interrupt(teacher.stop())
         raise
     motion = teacher.stop().trimmed().smoothed().for_model(arm.model)
     on_status(f"kept {motion.duration:.1f} s")
@@ -188,8 +188,8 @@ def _record(
     *,
     rate: float,
     seconds: float | None,
-    rest: float,
-    wait: float,
+    idle_timeout: float,
+    start_timeout: float,
     should_toggle: Callable[[Teacher, State], bool] | None,
     on_status: Callable[[str], None],
 ) -> None:
@@ -202,7 +202,7 @@ def _record(
             continue
         if not before:
             ends = (
-                f"a rest of {rest:g} s ends the recording"
+                f"a rest of {idle_timeout:g} s ends the recording"
                 if should_toggle is None
                 else STARTS_AND_STOPS
             )
@@ -217,9 +217,9 @@ def _record(
         late = tick.time - begun
         if teacher.recording and (
             now
-            or (teacher.moved and should_toggle is None and teacher.still > rest)
+            or (teacher.moved and should_toggle is None and teacher.still > idle_timeout)
             or (seconds is not None and late > seconds)
         ):
             break
-        if late > wait and not teacher.moved:
-            raise PliantError(f"the arm was not moved by hand within {wait:g} s")
+        if late > start_timeout and not teacher.moved:
+            raise PliantError(f"the arm was not moved by hand within {start_timeout:g} s")

@@ -9,7 +9,7 @@ import numpy as np
 
 from pliant import robots
 from pliant._core import Model
-from pliant.sim import Course, HandoverObject, Wall, door, drawer
+from pliant.sim import ForceProfile, HandoverObject, Wall, door, drawer
 from pliant.sim.grasp import RELEASE_DISTANCE
 from pliant.sim.postures import AT_DOOR, VERTICAL
 
@@ -27,9 +27,9 @@ AHEAD = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.3, 0.3, 0.9, 0.0)
 #: Distance of the target's motion into the wall, and of the wall [m].
 INTO, DISTANCE = 0.12, 0.05
 #: Time course of a person who takes the object [s].
-TAKES = Course(start=0.3, rise=1.5, end=30.0)
+TAKES = ForceProfile(start=0.3, rise=1.5, end=30.0)
 #: Time course before that: no force.
-NEVER = Course(start=1e9, rise=1.0, end=2e9)
+NEVER = ForceProfile(start=1e9, rise=1.0, end=2e9)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ def take(plant: Plant) -> bool:
     for thing in plant.fixtures:
         if isinstance(thing, HandoverObject):
             start = plant.time + TAKES.start
-            thing.course = Course(start=start, rise=TAKES.rise, end=start + TAKES.end)
+            thing.course = ForceProfile(start=start, rise=TAKES.rise, end=start + TAKES.end)
             return True
     return False
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pliant._core import ConfigError, ServoError
 from pliant.servo.eeprom import SETUP_REGISTERS, RegisterChange
-from pliant.servo.models import find
+from pliant.servo.models import get_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,7 +79,7 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
     checked = set()
     for change in former:
         row, where = rows[change.joint, change.id], f"{path}: {change.joint} (id {change.id})"
-        if change.model and find(change.model).number != row.number:
+        if change.model and get_model(change.model).model_number != row.model_number:
             raise ConfigError(
                 f"{where} was {change.model}, the configuration says {row.name}: its registers "
                 "mean something else. Nothing was written"

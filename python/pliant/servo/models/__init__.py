@@ -8,7 +8,7 @@ from pliant._core import ConfigError
 from pliant.servo.models import feetech, protocol1, protocol2
 from pliant.servo.models.base import Block, Family, Register, ServoModel
 
-__all__ = ["Block", "Family", "Register", "ServoModel", "by_number", "find", "names"]
+__all__ = ["Block", "Family", "Register", "ServoModel", "by_number", "get_model", "list_models"]
 
 _MODELS: dict[str, ServoModel] = {
     row.name: row for row in (*feetech.MODELS, *protocol1.MODELS, *protocol2.MODELS)
@@ -16,12 +16,12 @@ _MODELS: dict[str, ServoModel] = {
 _KEYS = {key.upper(): row for row in _MODELS.values() for key in (row.name, *row.aliases)}
 
 
-def names() -> tuple[str, ...]:
+def list_models() -> tuple[str, ...]:
     """Names of all servo models there are."""
     return tuple(_MODELS)
 
 
-def find(name: str) -> ServoModel:
+def get_model(name: str) -> ServoModel:
     """Return the table row of a servo model, in any capitals.
 
     Raises:
@@ -40,4 +40,4 @@ def find(name: str) -> ServoModel:
 
 def by_number(number: int) -> tuple[ServoModel, ...]:
     """Rows that answer with this model number; Feetech's variants share one."""
-    return tuple(row for row in _MODELS.values() if row.number == number)
+    return tuple(row for row in _MODELS.values() if row.model_number == number)

@@ -171,11 +171,11 @@ class ServoModel:
 
     Attributes:
         name: As printed on the servo.
-        number: Model number in the servo.
+        model_number: Model number in the servo.
         family: Its registers.
-        kind: What the torque limit limits.
-        resolution: Encoder counts per turn of the horn.
-        counts: Positions run from 0 to this.
+        limit_type: What the torque limit limits.
+        counts_per_turn: Encoder counts per turn of the horn.
+        max_position: Positions run from 0 to this.
         stall: Stall torque by supply voltage, ((V, N·m), ...), rising.
         no_load: Speed without load by voltage, ((V, rpm), ...), rising.
         gain: Duty per radian of error and per unit of the gain register; for slopes (EX, RX) the
@@ -194,11 +194,11 @@ class ServoModel:
     """
 
     name: str
-    number: int
+    model_number: int
     family: Family
-    kind: Kind
-    resolution: float
-    counts: int
+    limit_type: Kind
+    counts_per_turn: float
+    max_position: int
     stall: tuple[tuple[float, float], ...]
     no_load: tuple[tuple[float, float], ...]
     gain: float

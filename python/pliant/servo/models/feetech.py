@@ -87,11 +87,11 @@ def _sts3215(  # noqa: PLR0917 -- a row of a table
     """One variant; stall is (voltage, torque), the speed is at that voltage [rpm]."""
     return ServoModel(
         name=name,
-        number=777,
+        model_number=777,
         family=STS,
-        kind="pwm",
-        resolution=4096,
-        counts=4095,
+        limit_type="pwm",
+        counts_per_turn=4096,
+        max_position=4095,
         stall=(stall,),
         no_load=((stall[0], speed),),
         gain=0.166,

@@ -115,11 +115,11 @@ def _current(  # noqa: PLR0917
     """A servo with current limit; `rated` is (voltage, stall torque, stall current)."""
     return ServoModel(
         name=name,
-        number=number,
+        model_number=number,
         family=CURRENT,
-        kind="current",
-        resolution=4096,
-        counts=4095,
+        limit_type="current",
+        counts_per_turn=4096,
+        max_position=4095,
         stall=stall,
         no_load=no_load,
         gain=DUTY_PER_RADIAN,
@@ -146,11 +146,11 @@ def _duty(  # noqa: PLR0917
     """A servo whose only limiter is the PWM; `rated` is (voltage, stall torque)."""
     return ServoModel(
         name=name,
-        number=number,
+        model_number=number,
         family=DUTY,
-        kind="pwm",
-        resolution=4096,
-        counts=4095,
+        limit_type="pwm",
+        counts_per_turn=4096,
+        max_position=4095,
         stall=stall,
         no_load=no_load,
         gain=DUTY_PER_RADIAN,
