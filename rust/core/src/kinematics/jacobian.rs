@@ -71,7 +71,8 @@ impl Chain {
             self.jacobian_by::<A>(&frames, rows);
             return frames.tool;
         }
-        let tool = self.forward_pass::<ScalarVec3<A>, _>(&self.joint_trigs::<A>(q, self.path), &mut OriginsAndAxes(rows));
+        let tool =
+            self.forward_pass::<ScalarVec3<A>, _>(&self.joint_trigs::<A>(q, self.path), &mut OriginsAndAxes(rows));
         for k in 0..self.n.min(MAX_JOINTS) {
             replace_origin::<A>(k, &tool.position, rows);
         }

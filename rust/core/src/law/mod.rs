@@ -82,7 +82,7 @@ impl<W: TaskVector> Pacing<W> {
         let speed: W = params.to_task_rows(&arm.base_from_task, velocity);
         let acceleration: W = params.to_task_rows(&arm.base_from_task, change);
         let tool_velocity: W = TaskVector::from_axes(&mul(arm.rows, joints));
-        let driven = W::constant(&pace.inertia) * W::clamp_abs(acceleration, W::constant(&pace.driven));
+        let driven = W::constant(&pace.inertia) * W::clamp_abs(acceleration, W::constant(&pace.max_acceleration));
         let displacement = W::fma(W::constant(&pace.damping), speed - tool_velocity, driven);
         Self { displacement, velocity: speed }
     }

@@ -99,7 +99,11 @@ impl<R: Number> Ldlt6<R> {
     }
 
     #[inline(never)]
-    fn outlined_rows<J: JointVector<Group: Broadcast<R>>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
+    fn outlined_rows<J: JointVector<Group: Broadcast<R>>>(
+        &self,
+        rows: &[J; MAX_AXES],
+        joint_weight: J,
+    ) -> [J; MAX_AXES] {
         self.inlined_rows(rows, joint_weight)
     }
 
