@@ -1,4 +1,4 @@
-//! Checked conversion of matrices of any size to the fixed-size arrays of the kernels.
+//! Checks of lists and matrices, and their conversion to the fixed-size arrays of the control step.
 
 use nalgebra::DMatrix;
 

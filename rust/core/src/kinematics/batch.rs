@@ -162,7 +162,7 @@ pub(crate) fn scatter<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) 
 #[inline(always)]
 fn store_chunk<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) {
     let (eights, mut from) = (numbers.as_chunks::<LANES>().0, size.div_ceil(LANES));
-    // Back to front: an 8-wide store may overrun into the next row, whose start is written afterwards.
+    // Last block first: storing eight numbers may overwrite the start of the next row, which is stored afterwards.
     while from > 0 {
         from -= 1;
         if let (Some(eight), Some(rows)) = (eights.get(from), out.get_mut(LANES * from..)) {

@@ -13,13 +13,14 @@ use crate::{JointVec, MAX_JOINTS};
 /// are 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointFrames<R = f64> {
-    /// Unit axis of each joint.
+    /// Unit axis of each joint, in the base.
     pub axis: [[R; 3]; MAX_JOINTS],
-    /// A point on each joint's axis [m]: the joint's origin, moved along the axis by a prismatic joint.
+    /// Origin of the frame after each joint [m], a point on the joint's axis; a prismatic joint moves it along the
+    /// axis.
     pub origin: [[R; 3]; MAX_JOINTS],
-    /// `base_from_joint`, rotation after the joint's own motion; its z is the joint's axis.
+    /// Rotation `base_from_joint` of the frame after each joint; its z axis is the joint's axis.
     pub rotation: [[[R; 3]; 3]; MAX_JOINTS],
-    /// `base_from_tool`.
+    /// Pose of the tool, `base_from_tool`.
     pub tool: Pose<R>,
 }
 

@@ -13,9 +13,9 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 /// Tool pose, Jacobian and gravity torques of one configuration or of several.
 #[derive(Clone, Copy)]
 pub(crate) struct KinematicState<J: JointVector> {
-    /// `base_from_tool`.
+    /// Pose of the tool, `base_from_tool`.
     pub(crate) tool: Pose<Scalar<J>>,
-    /// Jacobian in base axes (6 × n).
+    /// Geometric Jacobian at the tool, in base axes (6 × n).
     pub(crate) j_base: [J; MAX_AXES],
     /// Torques that hold the arm against gravity [N·m]; 0 if they were not requested.
     pub(crate) holding: J,

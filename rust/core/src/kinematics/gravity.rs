@@ -14,7 +14,7 @@ use crate::{JointVec, MAX_JOINTS};
 pub struct GroupMasses {
     /// Mass of each group [kg].
     pub mass: [f64; MAX_JOINTS],
-    /// Mass times centre of mass of each group [kg·m], in the group's frame.
+    /// Mass times centre of mass of each group [kg·m], in the frame after its joint.
     pub moment: [[f64; 3]; MAX_JOINTS],
 }
 

@@ -16,15 +16,15 @@ use crate::model::Model;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Options of the search.
+/// Options of [`Model::inverse_kinematics`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkOptions {
     /// Axes of the base (x y z, then rotations about them) on which the tool must match the target; the others are
     /// free.
     pub axes: [bool; 6],
-    /// Position error to reach [m].
+    /// Position error [m] up to which a result counts as converged.
     pub position_tolerance: f64,
-    /// Rotation error to reach [rad].
+    /// Rotation error [rad] up to which a result counts as converged.
     pub rotation_tolerance: f64,
     /// Maximum number of iterations per start.
     pub max_iterations: usize,
@@ -41,7 +41,7 @@ impl Default for IkOptions {
 /// Reason why a search ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum IkStatus {
-    /// Both errors are within tolerance.
+    /// Position and rotation error are within their tolerances.
     Converged,
     /// Not converged: the target is farther from the first joint than the arm reaches.
     OutOfReach {
@@ -72,18 +72,18 @@ impl fmt::Display for IkStatus {
     }
 }
 
-/// The closest joint positions found, and their errors.
+/// Closest joint positions that the search found, and their errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkResult {
     /// Joint positions (`n`) [rad or m], inside the limits.
     pub q: Vec<f64>,
-    /// True if both errors are within tolerance.
+    /// True if position and rotation error are within their tolerances.
     pub converged: bool,
     /// Total number of iterations, over all starts.
     pub iterations: usize,
-    /// Distance to the target over the selected axes [m].
+    /// Distance to the target along the selected axes [m].
     pub position_error: f64,
-    /// Angle to the target over the selected axes [rad].
+    /// Rotation angle to the target about the selected axes [rad].
     pub rotation_error: f64,
     /// Reason why the search ended.
     pub reason: IkStatus,

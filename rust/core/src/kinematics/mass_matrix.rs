@@ -11,11 +11,11 @@ use crate::model::Chain;
 /// Moments of zeroth to second order of the masses beyond a joint, in base axes about the base's origin.
 #[derive(Clone, Copy)]
 struct CompositeMass {
-    /// Σ m [kg].
+    /// Total mass Σ m [kg].
     mass: f64,
-    /// Σ m c [kg·m].
+    /// First moment Σ m c [kg·m].
     first: Vec3,
-    /// Σ m c cᵀ [kg·m²].
+    /// Second moment Σ m c cᵀ [kg·m²].
     second: Mat3,
 }
 

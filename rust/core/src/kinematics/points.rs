@@ -84,7 +84,7 @@ pub struct ArmPoints {
 }
 
 impl ArmPoints {
-    /// Collects the joints between base and tip of a model.
+    /// Creates the points of a model: the joints between base and tip, and the tool.
     ///
     /// `armature` (n) is the inertia of the servos' rotors at the joints [kg·m²].
     ///
@@ -217,17 +217,17 @@ pub struct ArmGeometry {
 }
 
 impl ArmGeometry {
-    /// Positions of the joint origins and, last, of the tool, in base axes [m].
+    /// Returns the positions of the joint origins and, last, of the tool, in base axes [m].
     pub fn position(&self) -> &[[f64; 3]] {
         &self.position[..self.points]
     }
 
-    /// Linear Jacobians of the points [m/rad], in base axes; columns beyond n are 0.
+    /// Returns the linear Jacobians of the points [m/rad], in base axes; columns beyond n are 0.
     pub fn jacobian(&self) -> &[[JointVec; 3]] {
         &self.jacobian[..self.points]
     }
 
-    /// Mass matrix including the rotors (n rows) [kg·m²]; columns beyond n are 0.
+    /// Returns the mass matrix including the rotors (n rows) [kg·m²]; columns beyond n are 0.
     pub fn inertia(&self) -> &[JointVec] {
         &self.inertia[..self.n]
     }

@@ -53,7 +53,7 @@ impl Model {
         frames.origin[0]
     }
 
-    /// Checks that a pose is a plausible target of this arm: a target far out of reach is in other units.
+    /// Checks that a pose is a plausible target of this arm: a position far out of reach is in wrong units.
     ///
     /// [`Controller::step`](crate::Controller::step) does this for tasks with translations.
     ///
@@ -144,7 +144,7 @@ impl Model {
         Ok(out)
     }
 
-    /// Returns the error for joint positions outside the bounds.
+    /// Returns the error for joint positions that are not between the bounds, with a hint on units.
     #[cold]
     #[inline(never)]
     fn not_between(&self, what: &str, values: &[f64], lowest: &JointVec, highest: &JointVec) -> Error {

@@ -1,4 +1,4 @@
-//! Law `paper`: velocity-based task-space control with torque budgets, equations (3)–(11).
+//! Law `paper`: task-space velocity control with joint torque budgets, equations (3)–(11).
 
 use crate::law::activation::{Activation, null_column};
 use crate::law::cap::CapProblem;

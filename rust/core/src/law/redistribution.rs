@@ -13,7 +13,7 @@ use crate::params::{Follow, Law, Params};
 use crate::task::ArmState;
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Joints that have reached a position limit.
+/// Joints whose goals have reached a position limit.
 #[derive(Clone, Copy)]
 struct JointLocks<J> {
     /// 1 for locked joints, 0 for the others.
@@ -59,11 +59,11 @@ struct Redistribution<'a, J: SingleArmJoints> {
     params: &'a Params,
     /// Horizon h [s].
     horizon: f64,
-    /// Task rows of all joints.
+    /// Jacobian rows of the task axes, all joints.
     rows: &'a [J; MAX_AXES],
     /// 0 for locked joints, 1 for the others.
     unlocked: J,
-    /// Task motion that is missing, per row [m, rad].
+    /// Task motion that the limits cut off, per row [m, rad].
     missing: &'a AxisVec,
     /// Softness w of each row, 0 to 1.
     softness: J::Axes,

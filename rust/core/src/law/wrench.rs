@@ -17,7 +17,7 @@ pub(crate) struct Wrench<W> {
 }
 
 impl<W: TaskVector> Wrench<W> {
-    /// Zero wrench.
+    /// Returns a zero wrench.
     #[inline(always)]
     pub(crate) fn zero() -> Self {
         Self { soft: W::splat(0.0), stiff: W::splat(0.0) }

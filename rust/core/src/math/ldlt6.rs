@@ -26,7 +26,7 @@ const MIN_PIVOT: f64 = 1e-100;
 pub(crate) struct Ldlt6<R = f64> {
     /// `L` below the 2 × 2 blocks of its diagonal, which are the identity.
     l: Mat6<R>,
-    /// `[a, b, c]` of each block's inverse `[[a, b], [b, c]]`.
+    /// Inverse `[[a, b], [b, c]]` of each 2 × 2 block of `D`, as `[a, b, c]`.
     inverse: [[R; 3]; MAX_AXES / 2],
 }
 

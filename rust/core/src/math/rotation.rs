@@ -1,4 +1,4 @@
-//! Rotation vectors and rotation matrices; 6-vectors in rotated axes.
+//! Conversion between rotation vectors and rotation matrices; rotation of 6-vectors between base and task axes.
 
 use super::simd::{BaselineF64, RealOps, atan_over_y, atan2_first_quadrant, is_small_angle, sin_cos};
 use super::spatial::{Mat3, Vec3, dot, tr_rotate};

@@ -16,9 +16,9 @@ pub(crate) struct SingularValues {
     pub(crate) min_vectors: [AxisVec; 2],
     /// Estimated left singular vector of the largest value.
     pub(crate) max_vector: AxisVec,
-    /// Smallest singular value.
+    /// Estimate of the smallest singular value.
     pub(crate) smallest: f64,
-    /// Largest singular value.
+    /// Estimate of the largest singular value.
     pub(crate) largest: f64,
 }
 
@@ -84,7 +84,7 @@ fn ritz_2d([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2]
         return None;
     }
     let (wa, za, zb) = (dot(w, a), dot(z, a), dot(z, b));
-    // M in the axes û along a and v̂ along c = b − t a; a Mᵀ b equals both w b and a z.
+    // M in the unit vectors û along a and v̂ along c = b − t a; aᵀ M b equals both w·b and z·a.
     let per_aa = 1.0 / aa;
     let t = ab * per_aa;
     let per_cc = 1.0 / (bb - t * ab);

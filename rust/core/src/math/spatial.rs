@@ -2,10 +2,10 @@
 
 use super::simd::{BaselineF64, RealOps};
 
-/// 3-vector.
+/// 3-vector, of one configuration or of several.
 pub(crate) type Vec3<R = f64> = [R; 3];
 
-/// 3×3 matrix, `m[row][column]`.
+/// 3×3 matrix `m[row][column]`, of one configuration or of several.
 pub(crate) type Mat3<R = f64> = [[R; 3]; 3];
 
 #[inline(always)]

@@ -17,7 +17,7 @@ pub(crate) struct Svd {
 }
 
 impl Svd {
-    /// Decomposes a finite matrix; `None` if the rotations do not converge.
+    /// Decomposes a finite matrix of any shape; `None` if the rotations do not converge.
     pub(crate) fn new(m: &DMatrix<f64>) -> Option<Self> {
         if m.nrows() >= m.ncols() {
             return Self::tall(m);

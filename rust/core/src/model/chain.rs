@@ -36,7 +36,7 @@ pub struct Chain {
     pub(crate) turn: [[[f64; 3]; 3]; MAX_JOINTS],
     /// Origin of each joint in its parent's frame [m].
     pub(crate) offset: [[f64; 3]; MAX_JOINTS],
-    /// Sine and cosine of the tilt about x.
+    /// Sine and cosine of the tilt about x that precedes each joint.
     pub(crate) tilt: [(f64, f64); MAX_JOINTS],
     /// Angle of each joint per coordinate; 0 for prismatic joints.
     pub(crate) angle_per_q: JointVec,
@@ -75,7 +75,7 @@ impl Chain {
     }
 }
 
-/// Chooses the coordinates, locks the other joints and rotates the frames.
+/// Builds the chain from `base` to `tip`: chooses its coordinates, locks the other joints and rotates the frames.
 pub(super) fn assemble(tree: &mut Tree, base: usize, tip: usize, options: &ModelOptions) -> Result<Assembly> {
     let (anchor, above_base) = anchor(tree, base, tip);
     let path = tree.joints_between(anchor, tip);

@@ -156,95 +156,96 @@ impl Model {
         })
     }
 
-    /// Name of the robot.
+    /// Returns the name of the robot.
     pub fn name(&self) -> &str {
         &self.tree.name
     }
 
-    /// Number of independent joints n.
+    /// Returns the number n of independent joints.
     pub const fn n(&self) -> usize {
         self.chain.n()
     }
 
-    /// Names of the independent joints, base → tip, without mimic joints.
+    /// Returns the names of the independent joints, base → tip, without mimic joints.
     pub fn joint_names(&self) -> &[String] {
         &self.joint_names
     }
 
-    /// Lower position limits [rad or m]; −∞ for continuous joints.
+    /// Returns the lower position limits [rad or m]; −∞ for continuous joints.
     pub fn lower(&self) -> &[f64] {
         &self.lower
     }
 
-    /// Upper position limits [rad or m]; +∞ for continuous joints.
+    /// Returns the upper position limits [rad or m]; +∞ for continuous joints.
     pub fn upper(&self) -> &[f64] {
         &self.upper
     }
 
-    /// Speed limits of the file [rad/s or m/s]; `None` if absent.
+    /// Returns the speed limits of the file [rad/s or m/s]; `None` if absent.
     pub fn velocity_limit(&self) -> &[Option<f64>] {
         &self.velocity_limit
     }
 
-    /// Torque limits of the file [N·m or N]; `None` if absent.
+    /// Returns the torque limits of the file [N·m or N]; `None` if absent.
     pub fn effort_limit(&self) -> &[Option<f64>] {
         &self.effort_limit
     }
 
-    /// True for each independent joint that is prismatic.
+    /// Returns, for each independent joint, whether it is prismatic.
     pub fn prismatic(&self) -> &[bool] {
         &self.prismatic
     }
 
-    /// Names of all links of the robot; each can be named as base or tip.
+    /// Returns the names of all links of the robot; each can be named as base or tip.
     pub fn frames(&self) -> Vec<&str> {
         self.tree.links.iter().map(|link| link.name.as_str()).collect()
     }
 
-    /// Name of the link in whose frame poses are expressed.
+    /// Returns the name of the link in whose frame poses are expressed.
     pub fn base(&self) -> &str {
         &self.tree.links[self.base].name
     }
 
-    /// Name of the link that is the tool frame.
+    /// Returns the name of the link that is the tool frame.
     pub fn tip(&self) -> &str {
         &self.tree.links[self.tip].name
     }
 
-    /// Payload at the tool; `None` without one.
+    /// Returns the payload at the tool; `None` without one.
     pub const fn payload(&self) -> Option<&Payload> {
         self.payload.as_ref()
     }
 
-    /// Gravity in the base frame [m/s²].
+    /// Returns gravity in the base frame [m/s²].
     pub const fn gravity_vector(&self) -> [f64; 3] {
         self.gravity
     }
 
-    /// Sum of the distances between joint origins from the first joint to the tool, plus the largest displacements of
-    /// prismatic joints [m].
+    /// Returns the largest distance [m] that the tool could have from the first joint: the sum of the distances between
+    /// joint origins up to the tool, plus the largest displacements of prismatic joints.
     pub const fn reach(&self) -> f64 {
         self.reach
     }
 
-    /// Indices of the independent joints that move a rigid group without mass, whose gravity torque is unknown.
+    /// Returns the indices of the independent joints that move a rigid group without mass, whose gravity torque is
+    /// unknown.
     ///
     /// A single link without `<inertial>` is massless; data is missing only if the whole group has no mass.
     pub fn unknown_mass_joints(&self) -> &[usize] {
         &self.unknown_mass
     }
 
-    /// All links of the robot, for simulators.
+    /// Returns all links of the robot, for example for a simulator.
     pub fn links(&self) -> &[Link] {
         &self.tree.links
     }
 
-    /// All joints of the robot, for simulators.
+    /// Returns all joints of the robot, for example for a simulator.
     pub fn joints(&self) -> &[Joint] {
         &self.tree.joints
     }
 
-    /// Kinematic chain in the arrays that the control step uses.
+    /// Returns the kinematic chain, in the arrays that the control step uses.
     pub const fn chain(&self) -> &Chain {
         &self.chain
     }

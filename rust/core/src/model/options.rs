@@ -21,7 +21,7 @@ pub struct ModelOptions {
     pub locked: BTreeMap<String, f64>,
     /// Payload at the tool; `None` for no payload.
     pub payload: Option<Payload>,
-    /// Gravity in the base frame [m/s²].
+    /// Gravity in the base frame [m/s²]; default 9.81 along −z.
     pub gravity: [f64; 3],
     /// Position limits (lower, upper) [rad or m] by joint name, which replace those of the file.
     pub limits: BTreeMap<String, (f64, f64)>,

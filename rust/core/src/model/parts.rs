@@ -16,7 +16,7 @@ pub struct Inertial {
     pub inertia: [[f64; 3]; 3],
 }
 
-/// A rigid body, or a frame without mass.
+/// A link of the tree: a rigid body, or a frame without mass.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Link {
     /// Name of the link; unique, not empty.
@@ -44,7 +44,7 @@ pub enum JointKind {
 }
 
 impl JointKind {
-    /// Returns true if the joint has one coordinate.
+    /// Returns true if a joint of this type has one coordinate: revolute, continuous or prismatic.
     pub const fn is_actuated(self) -> bool {
         matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
     }

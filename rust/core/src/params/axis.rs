@@ -19,7 +19,7 @@ pub enum Frame {
     Base,
     /// Axes of the tool, which turn with it.
     Tool,
-    /// Fixed axes: the columns of `base_from_task` (row-major rotation matrix).
+    /// Axes fixed in the base: the columns of this rotation matrix `base_from_task` (row-major).
     Rotation([[f64; 3]; 3]),
 }
 
@@ -34,7 +34,7 @@ impl Frame {
     }
 }
 
-/// Controlled axes and the frame in which they are defined.
+/// The controlled axes and the frame in which they are defined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Task {
     /// True for each of x, y, z, roll, pitch, yaw that is controlled.
@@ -71,7 +71,7 @@ impl Task {
         self.len() == 0
     }
 
-    /// Checks frame and length.
+    /// Checks axes, frame and length.
     ///
     /// # Errors
     /// [`Error::Config`] for an empty task or an invalid rotation as frame, [`Error::OutOfRange`] for the length.
@@ -134,13 +134,13 @@ pub fn parse_axes(key: &str, text: &str) -> Result<[bool; MAX_AXES]> {
 /// Side toward which an axis is compliant, named by the direction of the push.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CompliantSide {
-    /// Compliant in both directions.
+    /// Compliant when pushed in either direction.
     Both,
     /// Compliant only when pushed toward + (the tool is beyond its target, `e < 0`).
     Plus,
     /// Compliant only when pushed toward − (the tool is short of its target, `e > 0`).
     Minus,
-    /// Not compliant.
+    /// Not compliant in either direction.
     None,
 }
 
@@ -196,9 +196,9 @@ pub enum OnDeviationLimit {
 /// `paper`; pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Axis {
-    /// Strength of the yielding axis at a small deviation, τ⁻ of (9).
+    /// Strength of the yielding axis at a small deviation, τ⁻ of (9), per side.
     pub soft: Option<[f64; 2]>,
-    /// Strength of the yielding axis at a large deviation, τ⁺ of (9).
+    /// Strength of the yielding axis at a large deviation, τ⁺ of (9), per side.
     pub firm: Option<[f64; 2]>,
     /// Strength toward a side that does not yield.
     pub hold: Option<f64>,
@@ -211,9 +211,9 @@ pub struct Axis {
     pub yields: Option<CompliantSide>,
     /// Target adaptation η of (12), 0 ≤ η < 1.
     pub adaptation: f64,
-    /// Deviation [m or rad] below which compliance is 1, d⁻ of (8).
+    /// Deviation [m or rad] below which the compliance is 1, d⁻ of (8); default 0.01 m or 0.04 rad.
     pub soft_until: Option<f64>,
-    /// Deviation [m or rad] above which compliance is 0, d⁺ of (8).
+    /// Deviation [m or rad] above which the compliance is 0, d⁺ of (8); default 0.1 m or 0.4 rad.
     pub firm_from: Option<f64>,
     /// Profile of the strength between `soft_until` and `firm_from`.
     pub profile: Profile,
@@ -223,9 +223,9 @@ pub struct Axis {
     /// Limit of the commanded task velocity while the axis yields [m/s or rad/s]; default ∞, under law `paper` 0.1 m/s
     /// or 0.5 rad/s. Law `impedance` ignores it.
     pub soft_step_limit: Option<f64>,
-    /// Largest deviation [m or rad] toward a side that does not yield; `None` for no limit.
+    /// Largest deviation [m or rad] while pushed toward a side that does not yield; `None` for no limit.
     pub deviation_limit: Option<f64>,
-    /// Behaviour beyond the deviation limit.
+    /// Behaviour of the target when the axis exceeds its deviation limit.
     pub on_deviation_limit: OnDeviationLimit,
 }
 

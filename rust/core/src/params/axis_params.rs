@@ -35,7 +35,7 @@ pub struct AxisImpedance {
 /// Parameters of one task axis, with defaults filled in; pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisParams {
-    /// Index among x, y, z, roll, pitch, yaw.
+    /// Index of the axis among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
     /// Strength of a yielding side at a small deviation [N, N·m; N·m under law `paper`].
     pub(crate) soft: [f64; 2],
@@ -57,7 +57,7 @@ pub(crate) struct AxisParams {
     pub(crate) soft_until: f64,
     /// Deviation [m or rad] above which the compliance is 0.
     pub(crate) firm_from: f64,
-    /// Half-width [m or rad] of the transition between the sides.
+    /// Half-width [m or rad] of the deviations around zero over which the axis blends between its sides.
     pub(crate) band: f64,
     /// Strength as a function of the deviation.
     pub(crate) profile: Profile,
@@ -67,12 +67,12 @@ pub(crate) struct AxisParams {
     pub(crate) soft_step_limit: f64,
 }
 
-/// Deviation limit of one axis.
+/// Deviation limit of one task axis.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DeviationLimit {
-    /// Index among x, y, z, roll, pitch, yaw.
+    /// Index of the axis among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
-    /// Largest deviation [m or rad] when pushed toward (−, +); ∞ for a side that yields.
+    /// Largest deviation [m or rad] while pushed toward (−, +); ∞ for a side that yields.
     pub(crate) max: [f64; 2],
     /// Behaviour of the target beyond the limit.
     pub(crate) reaction: OnDeviationLimit,

@@ -35,7 +35,7 @@ pub(crate) struct AxisParamsSimd {
     pub(crate) d_slope: AxisArray,
     /// 1 / deviation above which a push is detected: `soft_until`, at least a tenth of `firm_from`.
     pub(crate) push_slope: AxisArray,
-    /// Half-width [m, rad] of the transition between the sides.
+    /// Half-width [m, rad] of the deviations around zero over which an axis blends between its sides.
     pub(crate) band: AxisArray,
     /// 1 / (2 band), precomputed to save a division in the step.
     pub(crate) band_slope: AxisArray,
@@ -45,7 +45,7 @@ pub(crate) struct AxisParamsSimd {
     pub(crate) soft_step_limit: AxisArray,
     /// Factor on λ² of each row.
     pub(crate) damping_scale: AxisArray,
-    /// Columns of K_x.
+    /// Columns of the gain K_x [1/s].
     pub(crate) kx: [AxisArray; MAX_AXES],
 }
 

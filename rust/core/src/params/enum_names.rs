@@ -12,7 +12,7 @@ use crate::params::{CompliantSide, Follow, Law, LimitRule, LimitType, OnDeviatio
 macro_rules! words {
     ($($choice:ident of $key:literal: $($word:literal is $variant:ident),+;)+) => { $(
         impl $choice {
-            /// All variants with their names.
+            /// All variants, each with its name.
             pub const NAMES: &'static [(&'static str, Self)] = &[$(($word, Self::$variant)),+];
         }
 

@@ -66,7 +66,7 @@ impl Default for NullSpace {
     }
 }
 
-/// Compensation of known servo properties by feed-forward and prediction.
+/// Shares of friction, damping and delay that feed-forward and prediction compensate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compensation {
     /// Share b_f of the servos' dry friction that is fed forward, 0 to 1.

@@ -26,7 +26,7 @@ const MAX_FEEDFORWARD_ACCELERATION: [f64; 2] = [3.0, 12.0];
 pub(crate) struct PacingParams {
     /// True if any row has an inertia, that is a reference with a velocity.
     pub(crate) on: bool,
-    /// Squared time constant `Λ_j C_jj` [s²] of each axis on its servos.
+    /// Squared time constant `Λ_j C_jj` [s²] of each axis on the servos' springs: inertia divided by stiffness.
     pub(crate) inertia: AxisArray,
     /// Bound on the acceleration feed-forward [m/s², rad/s²].
     pub(crate) max_acceleration: AxisArray,

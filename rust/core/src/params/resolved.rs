@@ -30,7 +30,8 @@ const MIN_REDISTRIBUTION_DAMPING: f64 = 0.05;
 /// Largest `K_x h T_e` or `ρ T_e` [s] at which the stiff axes do not oscillate; T_e is the delay plus half a period.
 pub(super) const GAIN_DELAY_BOUND: f64 = 0.03;
 
-/// Damping of the inverse, in the units of the scaled rows: `λ² = λ₀² + (1 − (σ/σ₀)²) λ_max²` if σ < σ₀, else λ₀².
+/// Damping of the inverse kinematics, in the units of the scaled rows: `λ² = λ₀² + (1 − (σ/σ₀)²) λ_max²` for a smallest
+/// singular value σ < σ₀, else λ₀².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DampingParams {
     /// λ₀: λ away from singular poses.
@@ -85,7 +86,7 @@ pub(crate) struct Params {
     /// Factor on each task row, 1 / length for translations and 1 for rotations, which makes the singular values of
     /// mixed rows comparable.
     pub(crate) row_scale: AxisVec,
-    /// Factor on λ² of each row.
+    /// Factor on λ² of each task row, which gives it the squared unit of the row.
     pub(crate) damping_scale: AxisVec,
     /// Gain K_x over the task rows [1/s].
     pub(crate) kx: [[f64; MAX_AXES]; MAX_AXES],
@@ -115,7 +116,7 @@ pub(crate) struct Params {
     pub(crate) posture: Option<JointVec>,
     /// True if a step depends on the singular values of its task rows.
     pub(crate) tracks_sigma: bool,
-    /// True if a step uses the gravity torques.
+    /// True if a step needs the gravity torques.
     pub(crate) uses_gravity: bool,
     /// Bound on the torque of the null-space motion summed over all joints [N·m].
     pub(crate) null_torque: f64,

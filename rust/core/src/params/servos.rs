@@ -11,10 +11,11 @@ const MAX: f64 = 1e9;
 /// Quantity that a servo's torque limit register limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LimitType {
-    /// Motor current, hence torque at any speed.
+    /// Motor current, which limits the torque at any speed.
     #[default]
     Current,
-    /// PWM duty: the available torque falls with speed, so back-EMF acts as damping `torque / no_load_speed`.
+    /// PWM duty: the available torque decreases with speed, so that back-EMF acts as a damping of
+    /// `max_torque / no_load_speed`.
     Pwm,
 }
 
@@ -45,7 +46,7 @@ pub struct Servos {
     pub armature: Vec<f64>,
     /// Angle of one encoder count [rad] ≥ 0; 0 to neglect it.
     pub encoder_step: Vec<f64>,
-    /// Quantity that the limit register limits.
+    /// Quantity that the servo's torque limit register limits.
     pub limit_type: LimitType,
     /// No-load speed [rad/s] > 0, required for [`LimitType::Pwm`].
     pub no_load_speed: Option<Vec<f64>>,

@@ -1,4 +1,4 @@
-//! Settings of the controller, validated once.
+//! Settings of the controller and of its control law.
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
@@ -57,13 +57,13 @@ impl Law {
     }
 }
 
-/// Coupling of yielding axes with the inverse kinematics of the stiff ones.
+/// Coupling of the yielding axes with the inverse kinematics of the stiff ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Follow {
     /// Yielding axes are left out of the solve and exert exactly their force; the default of the laws `cap` and
     /// `impedance`.
     Free,
-    /// All axes stay in one solve; the default of law `paper`.
+    /// All axes stay in one solve, yielding ones with clamped steps; the default of law `paper`.
     Hold,
 }
 
@@ -77,7 +77,7 @@ pub enum LimitRule {
     Sum,
 }
 
-/// Null-space projector.
+/// Choice of the projector into the null space of the task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Projector {
     /// `I − Jᵀ(JJᵀ + μ²I)⁻¹J` with μ = 0 away from singular poses.
@@ -97,7 +97,7 @@ pub enum GravityUse {
     Goal,
     /// Only in the torque limits.
     Limits,
-    /// Not used, as in the paper.
+    /// Gravity is not compensated, as in the paper.
     Off,
 }
 
@@ -118,7 +118,7 @@ pub enum Damping {
     /// σ₀, λ₀ = 0.13 σ₀; rounded to two digits.
     #[default]
     Auto,
-    /// Constant λ.
+    /// A constant λ.
     Fixed(f64),
     /// λ² = λ₀² + (1 − (σ/σ₀)²) λ_max² for a smallest singular value σ < σ₀, else λ₀².
     Adaptive {
@@ -136,7 +136,7 @@ pub enum Damping {
 pub enum Gain {
     /// One value for all axes or joints.
     Scalar(f64),
-    /// A diagonal matrix.
+    /// The diagonal of a matrix: one value per axis or joint.
     Diagonal(Vec<f64>),
     /// A full matrix, one inner vector per row.
     Matrix(Vec<Vec<f64>>),
@@ -162,7 +162,7 @@ impl Gain {
         Ok(out)
     }
 
-    /// Returns all entries.
+    /// Returns all values that the user has set.
     pub(crate) fn values(&self) -> Vec<f64> {
         match self {
             Self::Scalar(k) => vec![*k],
@@ -180,7 +180,7 @@ impl Gain {
 /// All settings of a controller. Create them with [`Settings::default`] or a preset and change fields.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// Controlled axes and their frame.
+    /// The controlled axes and their frame.
     pub task: Task,
     /// Settings of the axes x, y, z, roll, pitch, yaw.
     pub axes: [Axis; MAX_AXES],
@@ -201,13 +201,13 @@ pub struct Settings {
     pub accept_high_adaptation: bool,
     /// Law `impedance`: accepts stiffness and damping above the bounds that follow from rate and delay.
     pub accept_high_stiffness: bool,
-    /// How the stiff axes track their target.
+    /// Settings of how the stiff axes track their target.
     pub tracking: Tracking,
-    /// Motion of the joints that leaves the task unchanged.
+    /// Settings of the motion of the joints that leaves the task unchanged.
     pub null_space: NullSpace,
-    /// Feed-forward of friction and damping, and prediction over the delay.
+    /// Shares of friction, damping and delay that are compensated.
     pub compensation: Compensation,
-    /// Joint torque limits sent to the servos.
+    /// Settings of the joint torque limits sent to the servos.
     pub torque_limits: TorqueLimits,
     /// Options for studies of the law.
     #[doc(hidden)]

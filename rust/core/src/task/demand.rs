@@ -25,7 +25,7 @@ pub(crate) struct AxisDemand<W> {
     pub(crate) stiffness: W,
     /// Damping D per axis [N·s/m, N·m·s/rad], for the side on which the deviation lies.
     pub(crate) damping: W,
-    /// Velocity of the target [m/s, rad/s].
+    /// Velocity of the target, fed forward [m/s, rad/s].
     pub(crate) twist: W,
     /// Step s = h (K_x ẽ + twist) [m, rad], within the step limits of soft axes.
     pub(crate) displacement: W,

@@ -29,7 +29,7 @@ pub(crate) struct DeviationLimiter<'a> {
     pub(crate) tool: &'a Pose,
     /// Task axes as columns, in the base.
     pub(crate) base_from_task: &'a [[f64; 3]; 3],
-    /// Reference of the last step.
+    /// Reference of the last step, `base_from_tool`.
     pub(crate) before: &'a Pose,
 }
 

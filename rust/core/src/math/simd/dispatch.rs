@@ -24,7 +24,7 @@ const INSTRUCTIONS_VARIABLE: &str = "PLIANT_INSTRUCTIONS";
 
 /// The number types of one instruction set.
 pub(crate) trait Isa {
-    /// Scalar.
+    /// Scalar operations of the instruction set.
     type Elem: RealOps<Real = f64> + Broadcast<f64>;
     /// Vector of eight values of one configuration, one per joint or per task axis.
     type F64x8: F64x8<Elem = Self::Elem>;
@@ -168,7 +168,8 @@ impl fmt::Display for SimdLevel {
     }
 }
 
-/// Not inlined, like `avx2` and `avx512`: the caller may be optimized for size.
+/// Runs code with the baseline instruction set. Not inlined, like `avx2` and `avx512`: the caller may be optimized for
+/// size.
 #[inline(never)]
 fn baseline<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Baseline>()

@@ -61,7 +61,7 @@ pub(crate) const LANES: usize = 8;
 /// or not.
 pub(crate) const SOA_MAX_JOINTS: usize = 7;
 
-/// Types with `+ − * /` and negation.
+/// A type with `+ − * /` and negation.
 pub(crate) trait Number:
     Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
@@ -107,7 +107,7 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     /// Returns the smaller of two numbers; NaN if `value` is NaN.
     fn min(value: Self::Real, bound: Self::Real) -> Self::Real;
 
-    /// Clamps `value` to ± `bound`; NaN if `value` is NaN, no panic if `bound` is NaN.
+    /// Returns `value` clamped to ± `bound`; NaN if `value` is NaN, and no panic if `bound` is NaN.
     #[inline(always)]
     fn clamp_abs(value: Self::Real, bound: Self::Real) -> Self::Real {
         Self::min(Self::max(value, -bound), bound)
@@ -116,7 +116,7 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     /// Returns `size` with the sign of `sign`.
     fn copy_sign(size: Self::Real, sign: Self::Real) -> Self::Real;
 
-    /// Selects `then` if `a < b`, else `otherwise`, per lane.
+    /// Selects per lane: returns `then` if `a < b`, else `otherwise`.
     fn select_lt(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
 
     /// Returns true if `a < b` in any lane.
@@ -147,7 +147,7 @@ pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
     /// Loads the first numbers of the slice, zeros in lanes after its end.
     fn load_partial(values: &[f64]) -> Self;
 
-    /// Stores into the first [`SimdVec::COUNT`] numbers.
+    /// Stores the lanes into the first [`SimdVec::COUNT`] entries of `values`.
     fn store_array(self, values: &mut [f64; LANES]);
 
     /// Returns the lanes as an array, zeros after the last lane.
@@ -187,7 +187,7 @@ fn chunk8_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
 
 /// A vector of eight values of one configuration: one per joint or per task axis.
 pub(crate) trait F64x8: SimdVec + Broadcast<f64> {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps<Real = f64> + Broadcast<f64>;
 
     /// 3-vector of the same instruction set.

@@ -8,7 +8,7 @@ pub(crate) type PaddedVec3 = [f64; 4];
 
 /// A 3-vector of one configuration or of several.
 pub(crate) trait Vec3Ops: Copy {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps;
 
     /// Creates the vector from its components.
@@ -42,7 +42,7 @@ pub(crate) trait StoreVec3: Vec3Ops<Elem: RealOps<Real = f64>> {
     fn load(cell: &PaddedVec3) -> Self;
 }
 
-/// Component type of a [`Vec3Ops`].
+/// Type of one component of the 3-vector `T`: one number per configuration.
 pub(crate) type Real<T> = <<T as Vec3Ops>::Elem as RealOps>::Real;
 
 /// A 3-vector as three separate numbers, each of one configuration or of several.
@@ -95,7 +95,7 @@ impl<A: RealOps<Real = f64>> StoreVec3 for ScalarVec3<A> {
 
 /// A 3-vector of one configuration in registers of four numbers, the last of which is padding.
 pub(crate) trait Vec3Register: RealOps<Real = Self> + Number {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps<Real = f64>;
 
     /// Loads the vector from memory.

@@ -14,7 +14,7 @@ pub(crate) type AxisScalar<W> = <<W as TaskVector>::Elem as RealOps>::Real;
 ///
 /// It holds one configuration ([`SingleArmJoints`]) or several ([`SoaVec`](super::SoaVec)).
 pub(crate) trait JointVector: RealOps<Real = Self> + Number + Broadcast<Scalar<Self>> {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps + Broadcast<Scalar<Self>>;
 
     /// Task vector of the same instruction set.
@@ -33,7 +33,7 @@ pub(crate) trait JointVector: RealOps<Real = Self> + Number + Broadcast<Scalar<S
     /// Returns group `i`.
     fn group(&self, i: usize) -> <Self::Group as RealOps>::Real;
 
-    /// Sets group `i`.
+    /// Sets group `i` to `value`.
     fn set_group(&mut self, i: usize, value: <Self::Group as RealOps>::Real);
 
     /// Loads one number per joint, broadcast to all configurations; numbers for which the type has no element must be
@@ -61,7 +61,7 @@ pub(crate) trait JointVector: RealOps<Real = Self> + Number + Broadcast<Scalar<S
         Self::any_lt(self, other)
     }
 
-    /// Returns the sum over the joints.
+    /// Returns the sum of the elements over the joints.
     #[inline(always)]
     fn sum(self) -> Scalar<Self> {
         Self::sum4([self; 4])[0]
@@ -70,7 +70,7 @@ pub(crate) trait JointVector: RealOps<Real = Self> + Number + Broadcast<Scalar<S
 
 /// A vector of one number per task axis; arithmetic is elementwise.
 pub(crate) trait TaskVector: RealOps<Real = Self> + Number + Broadcast<AxisScalar<Self>> {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps + Broadcast<AxisScalar<Self>>;
 
     /// Loads one number per axis, broadcast to all configurations.
