@@ -8,7 +8,7 @@ use crate::controller::Controller;
 use crate::error::Result;
 use crate::math::rounding::round_up;
 use crate::model::Model;
-use crate::params::{Servos, Settings, workspace};
+use crate::params::{Servos, Settings, joint_space};
 use crate::{AxisVec, MAX_AXES};
 
 /// Strength of an axis that tracks a moving target, relative to its static friction, which it must overcome at starts
@@ -34,12 +34,12 @@ pub fn raise_soft(
     let params = &controller.params;
     let least = if path.is_empty() {
         let n = params.n;
-        let strengths: Vec<AxisVec> = workspace::sample_configurations(model)
+        let strengths: Vec<AxisVec> = joint_space::sample_configurations(model)
             .map(|q| min_tracking_strength(&controller, &q[..n]))
             .collect::<Result<_>>()?;
         let mut out = [0.0; MAX_AXES];
         for (r, slot) in out.iter_mut().enumerate().take(params.k) {
-            *slot = workspace::median(&mut strengths.iter().map(|one| one[r]).collect::<Vec<_>>());
+            *slot = joint_space::median(&mut strengths.iter().map(|one| one[r]).collect::<Vec<_>>());
         }
         out
     } else {

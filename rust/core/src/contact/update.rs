@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::kinematics::JointFrames;
 use crate::kinematics::velocity_filter::{Filtered, SPEED_BOUND, VelocityFilter};
 use crate::math::simd::{JointVec16, JointVector};
-use crate::params::{AXIS_NAMES, workspace};
+use crate::params::{AXIS_NAMES, joint_space};
 use crate::pose::COORDINATE_BOUND;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -163,13 +163,13 @@ impl ContactEstimator {
 
     /// Returns the median of [`ContactEstimator::uncertainty_at`] over poses in the whole joint space.
     pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
-        let found: Vec<AxisVec> = workspace::sample_configurations(controller.model())
+        let found: Vec<AxisVec> = joint_space::sample_configurations(controller.model())
             .step_by(SAMPLE_STRIDE)
             .map(|q| self.at_rest(controller, &q))
             .collect();
         let mut out = [f64::INFINITY; MAX_AXES];
         for &axis in &self.axes {
-            out[axis] = workspace::median(&mut found.iter().map(|bound| bound[axis]).collect::<Vec<_>>());
+            out[axis] = joint_space::median(&mut found.iter().map(|bound| bound[axis]).collect::<Vec<_>>());
         }
         out
     }

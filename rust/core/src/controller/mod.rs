@@ -20,7 +20,7 @@ use crate::law;
 use crate::math::simd::SimdLevel;
 use crate::math::singular_values::SingularValues;
 use crate::model::{Model, Payload};
-use crate::params::workspace::{self, WorkspaceStats};
+use crate::params::joint_space::{self, JointSpaceStats};
 use crate::params::{AxisImpedance, AxisParams, AxisStrength, DampingParams, GravityUse, Params, Servos, Settings};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_JOINTS};
@@ -42,7 +42,7 @@ pub struct Controller {
     pub(crate) model: Arc<Model>,
     pub(crate) settings: Settings,
     servos: Option<Servos>,
-    workspace_stats: WorkspaceStats,
+    joint_space_stats: JointSpaceStats,
     pub(crate) params: Params,
     pub(crate) masses: GroupMasses,
     payload: Option<Payload>,
@@ -219,7 +219,7 @@ impl Controller {
             &settings,
             self.servos.as_ref(),
             self.captured.is_some(),
-            &mut self.workspace_stats,
+            &mut self.joint_space_stats,
         )?;
         self.check_posture(&settings)?;
         if self.settings.gravity_use() == GravityUse::Off {
@@ -481,8 +481,8 @@ impl Controller {
     /// arm.
     #[inline(never)]
     fn build(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
-        let mut workspace_stats = WorkspaceStats::default();
-        let mut params = Params::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut workspace_stats)?;
+        let mut joint_space_stats = JointSpaceStats::default();
+        let mut params = Params::new(&model, &settings, servos.as_ref(), captured.is_some(), &mut joint_space_stats)?;
         params
             .gravity_compliance
             .iter_mut()
@@ -504,7 +504,7 @@ impl Controller {
             model,
             settings,
             servos,
-            workspace_stats,
+            joint_space_stats,
             params,
             masses,
         };
@@ -516,7 +516,7 @@ impl Controller {
     fn check_holding(&self, known: GravityUse, masses: &GroupMasses) -> Result<()> {
         match known {
             GravityUse::Off => Ok(()),
-            _ => workspace::check_holding(&self.model, &self.params.servos.torque, masses, self.gravity),
+            _ => joint_space::check_holding(&self.model, &self.params.servos.torque, masses, self.gravity),
         }
     }
 

@@ -1,4 +1,4 @@
-//! Checked conversion of matrices of any size to the fixed-size arrays of the kernels.
+//! Checks of lists and matrices, and their conversion to the fixed-size arrays of the control step.
 
 use nalgebra::DMatrix;
 
@@ -6,17 +6,17 @@ use crate::error::{Error, Result};
 use crate::math::rows::JointMatrix;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
-/// Returns [`Error::OutOfRange`] unless `ok`.
+/// Returns [`Error::OutOfRange`] for `value` unless `ok`; `bound` is the allowed range, for the message.
 pub(super) fn check(what: impl Into<String>, value: f64, ok: bool, bound: &str) -> Result<()> {
     if ok { Ok(()) } else { Err(Error::out_of_range(what, value, bound)) }
 }
 
-/// Checks the length of a list.
+/// Returns [`Error::Shape`] unless a list has the expected length.
 pub(super) fn same_length(what: &str, got: usize, expected: usize) -> Result<()> {
     if got == expected { Ok(()) } else { Err(Error::length(what, got, expected)) }
 }
 
-/// Checks that every entry is finite.
+/// Returns [`Error::OutOfRange`] for the first entry that is not finite.
 pub(super) fn finite(what: &str, m: &DMatrix<f64>) -> Result<()> {
     for (i, row) in m.row_iter().enumerate() {
         for (j, value) in row.iter().enumerate() {
@@ -26,12 +26,12 @@ pub(super) fn finite(what: &str, m: &DMatrix<f64>) -> Result<()> {
     Ok(())
 }
 
-/// `A B`. The operator of nalgebra would instantiate its kernels for large matrices, for each instruction set.
+/// Returns `A B`. nalgebra's operator would add its kernels for large matrices, one per instruction set, to the binary.
 pub(super) fn product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(a.nrows(), b.ncols(), |i, j| (0..a.ncols()).map(|k| a[(i, k)] * b[(k, j)]).sum())
 }
 
-/// Converts a list of `size` finite numbers, padded with zeros.
+/// Copies `size` finite numbers into an array, padded with zeros.
 pub(super) fn array<const N: usize>(what: &str, values: &[f64], size: usize) -> Result<[f64; N]> {
     same_length(what, values.len(), size)?;
     let mut out = [0.0; N];
@@ -42,7 +42,8 @@ pub(super) fn array<const N: usize>(what: &str, values: &[f64], size: usize) -> 
     Ok(out)
 }
 
-/// Converts at most six finite rows over at most sixteen joints; returns rows, k, n.
+/// Converts a matrix of at most six rows and sixteen columns, all entries finite; returns its rows padded with zeros,
+/// and its numbers k of rows and n of columns.
 pub(super) fn task_rows(what: &str, m: &DMatrix<f64>) -> Result<(Rows, usize, usize)> {
     let (k, n) = m.shape();
     if k == 0 || k > MAX_AXES || n == 0 || n > MAX_JOINTS {
@@ -57,7 +58,7 @@ pub(super) fn task_rows(what: &str, m: &DMatrix<f64>) -> Result<(Rows, usize, us
     Ok((rows, k, n))
 }
 
-/// Converts a transposed pseudo-inverse (n × k) to rows; returns rows, k, n.
+/// Converts a pseudo-inverse (n × k) to the rows of its transpose; returns these rows, k and n.
 pub(super) fn inverse_rows(pseudo_inverse: &DMatrix<f64>) -> Result<(Rows, usize, usize)> {
     let (n, k) = pseudo_inverse.shape();
     task_rows("J_pinv", &pseudo_inverse.transpose()).map_err(|error| match error {
@@ -69,7 +70,7 @@ pub(super) fn inverse_rows(pseudo_inverse: &DMatrix<f64>) -> Result<(Rows, usize
     })
 }
 
-/// Converts a finite n × n matrix.
+/// Converts an n × n matrix whose entries are finite; pads it with zeros.
 pub(super) fn square(what: &str, m: &DMatrix<f64>, n: usize) -> Result<JointMatrix> {
     if m.shape() != (n, n) {
         let got = format!("({}, {})", m.nrows(), m.ncols());

@@ -36,12 +36,13 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, task};
 
 use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows};
 
-/// λ² as a share of tr(JJᵀ) below which rounding removes λ from JJᵀ + λ²I.
-const LOST_DAMPING: f64 = 1e-9;
+/// Ratio λ² / tr(JJᵀ) up to which the pseudo-inverse is computed by SVD: added to JJᵀ, so small a λ² is lost to
+/// rounding.
+const MIN_DAMPING_RATIO: f64 = 1e-9;
 
-/// Damped pseudo-inverse of (3), `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k.
+/// Computes the damped pseudo-inverse of (3), `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k.
 ///
-/// `damping` is λ, not squared. 0 gives the Moore–Penrose inverse, also of rank-deficient matrices.
+/// `damping` is λ, not λ². λ = 0 gives the Moore–Penrose inverse, also of a rank-deficient matrix.
 ///
 /// # Errors
 /// [`Error::Shape`] above six rows or sixteen columns, [`Error::OutOfRange`] for an entry that is not finite or λ < 0.
@@ -49,7 +50,7 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
     let (rows, k, n) = task_rows("J", jacobian)?;
     check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
     let squared = damping * damping;
-    if squared > LOST_DAMPING * jacobian.norm_squared() {
+    if squared > MIN_DAMPING_RATIO * jacobian.norm_squared() {
         let transposed = pseudo_inverse(&rows, &[1.0; MAX_JOINTS], &[squared; MAX_AXES]);
         return Ok(DMatrix::from_fn(n, k, |i, r| transposed[r][i]));
     }
@@ -60,10 +61,11 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
     Ok(product(&scaled, &svd.u.transpose()))
 }
 
-/// Null-space projector of `J`, n × n.
+/// Computes the null-space projector of `J`, n × n.
 ///
-/// `Exact` is the orthogonal projector `I − Jᵀ (J Jᵀ + μ²I)⁻¹ J`, with μ = 0 except near singular `J`, where it is
-/// faded; `damping` is not used. `Paper` is the published `I − J⁺J` with J⁺ damped by λ = `damping`.
+/// `Exact` is the orthogonal projector `I − Jᵀ (J Jᵀ + μ²I)⁻¹ J`. μ is 0 except near a singular `J`, where it fades the
+/// projector, which would jump there; `damping` is checked but not used. `Paper` is the published `I − J⁺J` with J⁺
+/// damped by λ = `damping`.
 ///
 /// # Errors
 /// As [`damped_pseudo_inverse`].
@@ -81,7 +83,7 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
     }
 }
 
-/// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|`, and `|α N∇g|` as the last column.
+/// Computes the responsibility R of (6), (7), n × (k + 1): the columns of `|J⁺ diag(Δx)|` and, last, `|α N∇g|`.
 ///
 /// # Errors
 /// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite.
@@ -101,10 +103,12 @@ pub fn responsibility(
     Ok(activation::responsibility(&transposed, &dx, &motion, alpha, (k, n)))
 }
 
-/// Activation matrix A of (10), n × (k + 1): the columns of `|J⁺|` divided by their sums, the null-space column last.
+/// Computes the activation matrix A of (10), n × (k + 1): the columns of `|J⁺|`, each divided by its sum, and the
+/// null-space column last.
 ///
-/// The size of Δx cancels out of (6) and (10). The last column is `|N∇g|`, normalised in the same way, blended into the
-/// row norms of `N` if it vanishes or no gradient is given, and zero without redundancy.
+/// Δx cancels out of (6) and (10). The last column is `|N∇g|` divided by its sum. Where `N∇g` vanishes, or without a
+/// gradient, the normalized row norms of `N` take its place, blended in continuously. Without redundancy (k ≥ n) it is
+/// 0.
 ///
 /// # Errors
 /// As [`responsibility`].
@@ -116,7 +120,7 @@ pub fn activation(
     let (transposed, k, n) = inverse_rows(pseudo_inverse)?;
     let projector = square("N", projector, n)?;
     let gradient: JointVec = gradient.map_or(Ok([0.0; MAX_JOINTS]), |gradient| array("gradient", gradient, n))?;
-    // With as many axes as joints N is only rounding error, so the column is zero.
+    // With at least as many axes as joints, N is only rounding error.
     let null = if k < n {
         let motion = JointVec16::load(&activation::product(&projector, &gradient));
         activation::null_column(motion, &projector)
@@ -126,9 +130,10 @@ pub fn activation(
     Ok(Activation::new(&load_rows(&transposed), null).matrix(k, n))
 }
 
-/// Compliance c of (8), one entry per axis: 1 below `soft_until`, 0 above `firm_from`, linear between.
+/// Computes the compliance c of (8), one entry per axis: 1 if the absolute deviation is below `soft_until`, 0 above
+/// `firm_from`, linear between.
 ///
-/// Deviations [m or rad] of any sign: uses their absolute values.
+/// `deviation`, `soft_until` and `firm_from` are in m, or in rad for rotations; deviations may have any sign.
 ///
 /// # Errors
 /// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] unless `0 ≤ soft_until < firm_from`, all
@@ -147,9 +152,10 @@ pub fn compliance(deviation: &[f64], soft_until: &[f64], firm_from: &[f64]) -> R
         .collect()
 }
 
-/// Holding torque τ^x of (9), one entry per axis: `c soft + (1 − c) firm` if the axis is compliant, else `hold`.
+/// Computes the holding torque τ^x of (9), one entry per axis: `c soft + (1 − c) firm` if the axis is compliant, else
+/// `hold`.
 ///
-/// Does not require soft ≤ firm ≤ hold: that is a rule of the settings, not of the equation.
+/// Does not require soft ≤ firm ≤ hold, which only the settings of a controller do.
 ///
 /// # Errors
 /// [`Error::Shape`] for lists of different lengths, [`Error::OutOfRange`] for c outside [0, 1] or a strength not
@@ -170,7 +176,8 @@ pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compl
         .collect()
 }
 
-/// Joint torque limits of (11), `τ^q = A τ^x` [N·m]: one strength per column of A, that of the null space last.
+/// Computes the joint torque limits of (11), `τ^q = A τ^x` [N·m]. `strength` is τ^x [N·m], one entry per column of A,
+/// the null space last.
 ///
 /// # Errors
 /// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite.
@@ -194,7 +201,8 @@ pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Resul
     Ok(DVector::from_column_slice(&torque.to_joints()[..n]))
 }
 
-/// The intermediate target of (12): `x_d + η (x − x_d)` on the compliant axes (x y z roll pitch yaw of the base).
+/// Computes the intermediate target of (12), in base axes x y z roll pitch yaw: `x_d + η (x − x_d)` on the compliant
+/// axes, `x_d` on the others.
 ///
 /// # Errors
 /// As [`Pose::validate`]; [`Error::OutOfRange`] for η outside [0, 1].
@@ -205,7 +213,8 @@ pub fn adapt_target(actual: &Pose, target: &Pose, eta: f64, compliant: [bool; MA
     Ok(adapt::adapt_target(actual, target, eta, compliant))
 }
 
-/// Deviation `e = x_d − x` in base axes [m, rad]: difference of positions, rotation vector of `R_d Rᵀ`.
+/// Computes the deviation `e = x_d − x` in base axes [m, rad]: difference of the positions, then rotation vector of
+/// `R_d Rᵀ`.
 ///
 /// # Errors
 /// As [`Pose::validate`].
@@ -244,7 +253,7 @@ mod tests {
     #[test]
     fn damped_inverses_of_kernel_and_svd_agree() {
         let j = jacobian(6, 7);
-        let lambda = (LOST_DAMPING * j.norm_squared()).sqrt();
+        let lambda = (MIN_DAMPING_RATIO * j.norm_squared()).sqrt();
         let (kernel, svd) = (damped_pseudo_inverse(&j, lambda * 1.0001), damped_pseudo_inverse(&j, lambda * 0.9999));
         let scale = kernel.as_ref().unwrap().amax();
         assert!((kernel.unwrap() - svd.unwrap()).amax() < 1e-3 * scale);

@@ -1,8 +1,8 @@
-//! Kinematics of many configurations: one per SIMD lane, in chunks on all cores.
+//! Kinematics of many configurations: one configuration per SIMD lane, chunks of configurations on all cores.
 
 use rayon::prelude::*;
 
-use super::jacobian::turn_to_tool;
+use super::jacobian::rotate_to_tool;
 use super::{GroupMasses, JointFrames, Reference};
 use crate::error::{Error, Result};
 use crate::math::simd::{
@@ -14,7 +14,7 @@ use crate::model::{Chain, Model};
 use crate::pose::COORDINATE_BOUND;
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Configurations per chunk; a smaller batch runs on the caller's thread.
+/// Configurations per chunk, the work of one task; a batch of at most one chunk runs on the caller's thread.
 const CHUNK: usize = 4096;
 
 impl Model {
@@ -38,7 +38,7 @@ impl Model {
         let chain = self.chain();
         let nontemporal = size_of_val(poses) + size_of_val(jacobians) >= NONTEMPORAL_MIN_BYTES;
         self.for_each_chunk(q, [(poses, pose), (jacobians, jacobian)], |q, [poses, jacobians]| {
-            // Outside of the kernel: a closure within it would be compiled for the baseline instruction set.
+            // Called outside the kernel: a closure inside it would be compiled for the baseline instruction set.
             with_nontemporal(nontemporal, |writer| {
                 SimdLevel::detect().dispatch(PoseChunk { chain, q, reference, writer, poses, jacobians });
             });
@@ -62,7 +62,8 @@ impl Model {
         if q.len().is_multiple_of(self.n()) { Ok(q.len() / self.n()) } else { Err(Error::rows("Q", q.len(), self.n())) }
     }
 
-    /// Checks and processes all configurations chunk by chunk, each with its part of the outputs.
+    /// Checks all configurations and calls `work` for each chunk with its parts of the outputs. Each output comes with
+    /// its count of numbers per configuration.
     fn for_each_chunk(
         &self,
         q: &[f64],
@@ -71,7 +72,7 @@ impl Model {
     ) -> Result<()> {
         let n = self.n();
         let chunk = |(q, outs): (&[f64], [&mut [f64]; 2])| {
-            // Check while the numbers are still in the cache.
+            // Checked per chunk, so that `work` finds the numbers in the cache.
             let fine = q.iter().fold(true, |fine, value| fine & (value.abs() <= COORDINATE_BOUND));
             if fine {
                 work(q, outs);
@@ -107,13 +108,13 @@ fn check(what: &str, values: &[f64], expected: usize) -> Result<()> {
     if values.len() == expected { Ok(()) } else { Err(Error::length(what, values.len(), expected)) }
 }
 
-/// Loads one number per joint, or entry of a pose, from the rows of `values`, each `size` long; undefined values after
-/// the last. If there are fewer rows than lanes, repeats the last row.
+/// Loads `size` numbers of one configuration per lane, at most sixteen, from consecutive rows of `values`, each `size`
+/// long. Entries after `size` are undefined; if there are fewer rows than lanes, the last row is repeated.
 #[inline(always)]
 pub(crate) fn gather<A: SoaLanes>(values: &[f64], size: usize) -> [A; MAX_JOINTS] {
     let last;
     let mut rows = values;
-    // Full registers are loaded, which may read past the end of a row into the next.
+    // Eight numbers are loaded at a time, which may read past the end of a row into the next.
     if values.len() < A::COUNT * size + LANES {
         last = last_rows(values, size);
         rows = &last;
@@ -130,7 +131,7 @@ pub(crate) fn gather<A: SoaLanes>(values: &[f64], size: usize) -> [A; MAX_JOINTS
     out
 }
 
-/// Copies the last rows and repeats the very last one.
+/// Copies the remaining rows, fewer than a full load needs, and repeats the last one.
 #[cold]
 #[inline(never)]
 fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
@@ -141,8 +142,8 @@ fn last_rows(values: &[f64], size: usize) -> [f64; LANES * MAX_JOINTS + LANES] {
     out
 }
 
-/// Stores the first `size` numbers of one configuration per lane into the first rows of `out`, each `size` long;
-/// `numbers` is padded to a multiple of eight.
+/// Stores the first `size` numbers of one configuration per lane into the first rows of `out`, each `size` long. The
+/// length of `numbers` must be a multiple of eight.
 ///
 /// Values of `out` after these rows may be overwritten: the caller writes the next rows there.
 #[inline(always)]
@@ -157,11 +158,11 @@ pub(crate) fn scatter<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) 
     }
 }
 
-/// [`scatter`] with room for eight more numbers after the end.
+/// Stores as [`scatter`] into an `out` that has room for eight more numbers after the last row.
 #[inline(always)]
 fn store_chunk<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) {
     let (eights, mut from) = (numbers.as_chunks::<LANES>().0, size.div_ceil(LANES));
-    // Back to front: an 8-wide store may overrun into the next row, whose start is written afterwards.
+    // Last block first: storing eight numbers may overwrite the start of the next row, which is stored afterwards.
     while from > 0 {
         from -= 1;
         if let (Some(eight), Some(rows)) = (eights.get(from), out.get_mut(LANES * from..)) {
@@ -170,7 +171,7 @@ fn store_chunk<A: SoaLanes>(numbers: &[A], size: usize, out: &mut [f64]) {
     }
 }
 
-/// Copies the first of `rows`; uses non-temporal stores if the output exceeds the caches.
+/// Copies the first `out.len()` numbers of `rows` to `out`; a `writer` does it with non-temporal stores.
 #[inline(always)]
 fn write_rows<'a>(rows: &[f64], out: &'a mut [f64], writer: Option<&NonTemporalWriter<'a>>) {
     let rows = &rows[..out.len()];
@@ -180,11 +181,12 @@ fn write_rows<'a>(rows: &[f64], out: &'a mut [f64], writer: Option<&NonTemporalW
     }
 }
 
-/// Configurations whose results are collected in a cache before they go to memory in one block; a multiple of every
-/// register's lanes. Writing six rows of many Jacobians at once would be too many write streams.
+/// Number of configurations whose results are staged in a buffer before they are copied to the output in one block; a
+/// multiple of the lane count of every register. Storing directly into the rows of several Jacobians would be too many
+/// write streams.
 const STAGING_ROWS: usize = 8;
 
-/// Poses and Jacobians of a chunk.
+/// Inputs and output slices for the poses and Jacobians of one chunk of configurations.
 struct PoseChunk<'a, 'out> {
     chain: &'a Chain,
     q: &'a [f64],
@@ -226,7 +228,7 @@ impl Kernel for PoseChunk<'_, '_> {
                     store_chunk::<M::F64xN>(&numbers, 16, &mut poses[16 * at..]);
                 }
                 if self.reference == Reference::Local {
-                    turn_to_tool::<M::F64xN>(&tool.rotation, &mut rows, n);
+                    rotate_to_tool::<M::F64xN>(&tool.rotation, &mut rows, n);
                 }
                 if with_jacobians {
                     for r in 0..MAX_AXES {
@@ -247,7 +249,7 @@ impl Kernel for PoseChunk<'_, '_> {
     }
 }
 
-/// Gravity torques of a chunk.
+/// Inputs and output slice for the gravity torques of one chunk of configurations.
 struct GravityChunk<'a> {
     chain: &'a Chain,
     masses: &'a GroupMasses,

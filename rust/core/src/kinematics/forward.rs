@@ -6,25 +6,26 @@ use crate::model::Chain;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
 
-/// Frames of all moving joints and of the tool in the base; scratch of the control step.
+/// Frames of all moving joints and of the tool, in the base.
 ///
 /// The first joints are those between base and tip, base first. After them come joints beside the path that follow a
 /// coordinate of the chain (the other finger of a gripper): they carry mass but do not move the tool. Further entries
 /// are 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointFrames<R = f64> {
-    /// Unit axis of each joint.
+    /// Unit axis of each joint, in the base.
     pub axis: [[R; 3]; MAX_JOINTS],
-    /// A point on each joint's axis [m]: the joint's origin, moved along the axis by a prismatic joint.
+    /// Origin of the frame after each joint [m], a point on the joint's axis; a prismatic joint moves it along the
+    /// axis.
     pub origin: [[R; 3]; MAX_JOINTS],
-    /// `base_from_joint`, rotation after the joint's own motion; its z is the joint's axis.
+    /// Rotation `base_from_joint` of the frame after each joint; its z axis is the joint's axis.
     pub rotation: [[[R; 3]; 3]; MAX_JOINTS],
-    /// `base_from_tool`.
+    /// Pose of the tool, `base_from_tool`.
     pub tool: Pose<R>,
 }
 
 impl<R: Copy> JointFrames<R> {
-    /// Fills all entries with one number.
+    /// Creates frames whose entries are all `value`, as memory for a forward pass.
     pub(crate) fn filled(value: R) -> Self {
         let three = [value; 3];
         Self {
@@ -42,9 +43,9 @@ impl Default for JointFrames {
     }
 }
 
-/// Visitor of the joint frames on the path to the tool.
+/// Receives the joint frames of a forward pass.
 pub(super) trait Visitor<T> {
-    /// Called with the frame after joint `k`: its axes, the columns of the rotation, and its origin.
+    /// Receives the frame after joint `k`: its axes (columns of the rotation) and its origin.
     fn visit_joint(&mut self, k: usize, axes: &[T; 3], origin: T);
 }
 
@@ -57,20 +58,20 @@ impl<A: RealOps> Visitor<ScalarVec3<A>> for JointFrames<A::Real> {
     }
 }
 
-/// Visits no joint frames, for the tool pose alone.
+/// Ignores the joint frames, for a pass that computes the tool pose only.
 impl<T> Visitor<T> for () {
     #[inline(always)]
     fn visit_joint(&mut self, _: usize, _: &[T; 3], _: T) {}
 }
 
-/// Returns the rotation with these axes as columns.
+/// Returns the rotation matrix with these axes as columns.
 #[inline(always)]
 fn matrix<T: Vec3Ops>([x, y, z]: &[T; 3]) -> Mat3<Real<T>> {
     let (x, y, z) = (x.components(), y.components(), z.components());
     [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
 }
 
-/// Returns the columns of a rotation.
+/// Returns the columns of a rotation matrix.
 #[inline(always)]
 fn columns<T: Vec3Ops>(m: &Mat3<Real<T>>) -> [T; 3] {
     [
@@ -80,7 +81,7 @@ fn columns<T: Vec3Ops>(m: &Mat3<Real<T>>) -> [T; 3] {
     ]
 }
 
-/// Sine and cosine of a joint's angle, and its displacement.
+/// Motion of a joint: sine and cosine of its angle, and its displacement along its axis [m].
 #[derive(Clone, Copy)]
 struct JointTrig<R> {
     sine: R,
@@ -88,16 +89,17 @@ struct JointTrig<R> {
     slide: R,
 }
 
-/// Motion of a joint with coordinate `q`, whose angle and displacement are `[per q, offset]`.
+/// Computes the motion of a joint with coordinate `q`; `angle` [rad] and `slide` [m] are given as `[per q, offset]`.
 #[inline(always)]
 fn joint_trig<A: RealOps>(q: A::Real, angle: [A::Real; 2], slide: [A::Real; 2]) -> JointTrig<A::Real> {
     let (sine, cosine) = sin_cos::<A>(A::fma(angle[0], q, angle[1]));
     JointTrig { sine, cosine, slide: A::fma(slide[0], q, slide[1]) }
 }
 
-/// Motions of up to `N` joints; for a single configuration they are precomputed.
+/// Motions of up to `N` joints at `q`.
 pub(super) struct JointTrigs<'a, R, const N: usize = MAX_JOINTS> {
     q: &'a [R; MAX_JOINTS],
+    /// Sines, cosines and displacements [m]; 0 for several configurations, where each joint's are computed when needed.
     all: [[R; N]; 3],
 }
 
@@ -109,7 +111,7 @@ impl Chain {
         self.forward_by::<BaselineF64>(q, frames);
     }
 
-    /// [`Chain::forward`] for one configuration or several.
+    /// Computes [`Chain::forward`] for one configuration or for several.
     #[inline(always)]
     pub(crate) fn forward_by<A: RealOps>(&self, q: &[A::Real; MAX_JOINTS], frames: &mut JointFrames<A::Real>) {
         let joint_trigs = self.joint_trigs::<A>(q, self.total);
@@ -132,7 +134,7 @@ impl Chain {
         }
     }
 
-    /// Returns the motions of the first `count` joints at `q`.
+    /// Computes the motions of the first `count` joints at `q`; for several configurations only refers to `q`.
     #[inline(always)]
     pub(super) fn joint_trigs<'a, A: RealOps>(
         &self,
@@ -140,7 +142,7 @@ impl Chain {
         count: usize,
     ) -> JointTrigs<'a, A::Real> {
         let mut all = [[A::splat(0.0); MAX_JOINTS]; 3];
-        // Values that are already SIMD vectors are not stored.
+        // For several configurations each motion is computed when its joint is reached, see `advance_frame`.
         if !A::WIDE {
             for k in 0..count.min(MAX_JOINTS) {
                 let JointTrig { sine, cosine, slide } = self.joint_trig::<A>(k, q);
@@ -150,7 +152,7 @@ impl Chain {
         JointTrigs { q, all }
     }
 
-    /// Returns the motions at `q` of joints that each have their own coordinate, one joint per lane.
+    /// Computes the motions at `q` of joints that each have their own coordinate, one joint per lane.
     #[inline(always)]
     pub(super) fn joint_trigs_simd<'a, J: SingleArmJoints, const N: usize>(
         &self,
@@ -171,7 +173,7 @@ impl Chain {
         )
     }
 
-    /// Runs the forward pass from the base to the tool and returns the tool pose.
+    /// Computes the frames from base to tool, passes those of the joints to `visitor` and returns the tool pose.
     #[inline(always)]
     pub(super) fn forward_pass<T: Vec3Ops, const N: usize>(
         &self,
@@ -193,10 +195,11 @@ impl Chain {
         Pose { rotation: matrix(&rotation), position: transform_point(&axes, &self.tool.position, origin).components() }
     }
 
-    /// Advances from the frame before joint `k` to the frame after it: `T(offset) · Rx(tilt) · Rz(angle) · T(slide z)`.
+    /// Returns axes and origin of the frame after joint `k`, from those of the frame before it:
+    /// `T(offset) · Rx(tilt) · Rz(angle) · T(slide z)`.
     ///
-    /// Any rotation is `Rz · Rx · Rz`. The last rotation is added to the joint's angle. The first one is merged into
-    /// the previous frame, whose joint angle includes it. So two planar rotations remain.
+    /// Any rotation is `Rz · Rx · Rz`. The last Rz is added to the joint's angle, and the first one to the joint angle
+    /// of the previous frame. So two planar rotations remain.
     #[inline(always)]
     fn advance_frame<T: Vec3Ops, const N: usize>(
         &self,
@@ -224,7 +227,7 @@ impl Chain {
     }
 }
 
-/// Transforms a point from a frame into the base.
+/// Transforms a point from the frame with these axes and this origin into the base.
 #[inline(always)]
 pub(super) fn transform_point<T: Vec3Ops>(axes: &[T; 3], point: &Vec3, origin: T) -> T {
     let [x, y, z] = splat::<T::Elem>(point);

@@ -1,4 +1,4 @@
-//! Fused evaluation of tool pose, Jacobian and gravity torques for the control step; after the frames, one joint per
+//! Tool pose, Jacobian and gravity torques for the control step, computed together; after the frames, one joint per
 //! SIMD lane.
 
 use super::forward::{JointFrames, Visitor, transform_point};
@@ -10,22 +10,23 @@ use crate::model::Chain;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Tool pose, Jacobian and gravity torques at one configuration per lane.
+/// Tool pose, Jacobian and gravity torques of one configuration or of several.
 #[derive(Clone, Copy)]
 pub(crate) struct KinematicState<J: JointVector> {
-    /// `base_from_tool`.
+    /// Pose of the tool, `base_from_tool`.
     pub(crate) tool: Pose<Scalar<J>>,
-    /// Jacobian in base axes (6 × n).
+    /// Geometric Jacobian at the tool, in base axes (6 × n).
     pub(crate) j_base: [J; MAX_AXES],
-    /// Gravity torques [N·m].
+    /// Torques that hold the arm against gravity [N·m]; 0 if they were not requested.
     pub(crate) holding: J,
 }
 
-/// Scratch memory of an evaluation; nothing in it is used afterwards.
+/// Scratch memory of [`Chain::evaluate`]; contains no results.
 #[derive(Debug, Clone)]
 pub(crate) struct KinematicScratch {
     cells: JointAxes,
-    /// First moment of each group's own mass about the base; then the first moment that its joint carries.
+    /// First moment about each joint's origin [kg·m], base axes: of the joint's own group, then of everything it
+    /// carries.
     moments: [PaddedVec3; MAX_JOINTS],
     frames: JointFrames,
     j_base: Rows,
@@ -45,7 +46,7 @@ impl KinematicScratch {
     }
 }
 
-/// One vector per joint, base axes; zeros in the padding.
+/// Origin [m] and axis of each joint, base axes; zeros in the padding.
 #[derive(Debug, Clone)]
 struct JointAxes<const N: usize = MAX_JOINTS> {
     origin: [PaddedVec3; N],
@@ -59,7 +60,7 @@ impl<const N: usize> JointAxes<N> {
         Self { origin: zero, axis: zero }
     }
 
-    /// Returns the axes, and the tool motion from a rotation about them.
+    /// Returns the joint axes, and the Jacobian at the tool for revolute joints.
     #[inline(always)]
     fn jacobian<J: SingleArmJoints>(&self, tool: &Pose) -> ([J; 3], [J; MAX_AXES]) {
         let (origin, axis) = (J::components(&self.origin), J::components(&self.axis));
@@ -76,7 +77,7 @@ impl<T: StoreVec3, const N: usize> Visitor<T> for JointAxes<N> {
     }
 }
 
-/// The frame visitor with masses.
+/// Visitor that stores the joint axes and the first moments of the groups.
 struct WithMasses<'a> {
     cells: &'a mut JointAxes,
     moments: &'a mut [PaddedVec3; MAX_JOINTS],
@@ -92,8 +93,8 @@ impl<T: StoreVec3> Visitor<T> for WithMasses<'_> {
 }
 
 impl Chain {
-    /// Computes tool pose, Jacobian and, if `with_masses`, gravity torques of several configurations; `rows` are 0 after the
-    /// last joint.
+    /// Computes tool pose, Jacobian and gravity torques of several configurations; the torques are 0 unless
+    /// `with_masses`. `rows` is scratch whose columns after the last joint must be 0.
     #[inline(always)]
     pub(crate) fn evaluate_soa<J: JointVector>(
         &self,
@@ -115,7 +116,7 @@ impl Chain {
             self.kinematics_by::<J::Elem>(q, rows)
         };
         let [a, b, c, d, e, f] = rows;
-        // Built in place: too large to be moved.
+        // Built in place, because it is too large to be moved cheaply.
         KinematicState {
             tool,
             j_base: [
@@ -130,8 +131,8 @@ impl Chain {
         }
     }
 
-    /// Computes tool pose and Jacobian at `q`, and the gravity torques of masses under `g` [m/s²] in the base; these
-    /// are 0 if `weight` is `None`.
+    /// Computes tool pose, Jacobian and gravity torques at `q`. `weight` holds the masses and gravity [m/s²] in the
+    /// base; the torques are 0 if it is `None`.
     #[inline(always)]
     pub(crate) fn evaluate<J: SingleArmJoints>(
         &self,
@@ -157,8 +158,8 @@ impl Chain {
             return KinematicState { tool, j_base, holding: zero };
         };
         let tool = self.forward_pass::<J::Vec3, _>(&joint_trigs, &mut WithMasses { cells, moments, masses });
-        // S − M o of [`Chain::gravity`]; M o of the joint's own group cancels. S and M are those of the groups beyond
-        // it.
+        // First moments S − M o as in [`Chain::gravity`]. `subtree` and `mass` are S and M of the groups beyond the
+        // joint's own, whose origin cancels.
         let (mut subtree, mut mass) = (J::Vec3::constant(&[0.0; 3]), 0.0);
         for k in (0..self.path.min(MAX_JOINTS)).rev() {
             let (group, origin) = (J::Vec3::load(&moments[k]), J::Vec3::load(&cells.origin[k]));

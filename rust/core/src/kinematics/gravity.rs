@@ -1,4 +1,4 @@
-//! Gravity torques of the arm.
+//! Torques that hold the arm and its payload against gravity.
 
 use super::forward::JointFrames;
 use crate::math::simd::{BaselineF64, RealOps};
@@ -14,12 +14,12 @@ use crate::{JointVec, MAX_JOINTS};
 pub struct GroupMasses {
     /// Mass of each group [kg].
     pub mass: [f64; MAX_JOINTS],
-    /// Mass times centre of mass of each group [kg·m], in the group's frame.
+    /// Mass times centre of mass of each group [kg·m], in the frame after its joint.
     pub moment: [[f64; 3]; MAX_JOINTS],
 }
 
 impl Chain {
-    /// Returns the masses of all groups with this payload at the tool, which replaces any other payload.
+    /// Returns the masses of all groups; `payload` is added to the last group before the tool.
     pub fn masses(&self, payload: Option<&Payload>) -> GroupMasses {
         let mut masses = GroupMasses { mass: self.mass, moment: self.moment };
         if let (Some(payload), Some(last)) = (payload, self.path.checked_sub(1)) {
@@ -34,13 +34,14 @@ impl Chain {
 
     /// Computes the torques [N·m, N for prismatic joints] that hold the arm at rest; `g` [m/s²] in the base.
     ///
-    /// Gradient of the potential energy `−Σ mᵢ g·cᵢ`. From the tips inward, with the mass `M` and the first moment `S`
-    /// of everything that a joint carries: `τ = −g·(z × (S − M o))`, for a prismatic joint `−M g·z`.
+    /// They are the gradient of the potential energy `−Σ mᵢ g·cᵢ`. Summed from the tips to the base: with the mass `M`
+    /// and the first moment `S` of everything beyond a joint with origin `o` and axis `z`, `τ = −g·(z × (S − M o))`,
+    /// and `−M g·z` for a prismatic joint.
     pub fn gravity(&self, frames: &JointFrames, masses: &GroupMasses, g: [f64; 3], out: &mut JointVec) {
         self.gravity_by::<BaselineF64>(frames, masses, &g, out);
     }
 
-    /// [`Chain::gravity`] of one configuration or several.
+    /// Computes [`Chain::gravity`] for one configuration or for several.
     #[inline(always)]
     pub(crate) fn gravity_by<A: RealOps>(
         &self,
@@ -61,7 +62,7 @@ impl Chain {
             }
             return;
         }
-        // Masses of the joints beside the path, per joint that carries them.
+        // Masses of the joints beside the path, summed per joint that carries them.
         let mut sides = [massless; MAX_JOINTS];
         for k in (self.path..self.total.min(MAX_JOINTS)).rev() {
             let load = self.joint_gravity::<A>(k, frames, masses, &g, &sides[k], out);
@@ -74,7 +75,8 @@ impl Chain {
         }
     }
 
-    /// Computes the torque of joint `k` from the masses beyond its group; returns the masses beyond the joint before.
+    /// Adds the torque of joint `k`, which carries its own group and the masses `subtree`; returns the sum of both
+    /// masses.
     #[inline(always)]
     fn joint_gravity<A: RealOps>(
         &self,
@@ -87,7 +89,7 @@ impl Chain {
     ) -> SubtreeMass<A::Real> {
         let (axis, origin) = (&frames.axis[k], &frames.origin[k]);
         let moment = place::<A>(&frames.rotation[k], &splat::<A>(&masses.moment[k]), &subtree.moment);
-        // S − M o; M o of the joint's own group cancels.
+        // S − M o. The part of S that the own group's origin contributes cancels with its part of M o.
         let arm = sub::<A>(&moment, &scale::<A>(A::splat(subtree.mass), origin));
         let torque = dot::<A>(&arm, &cross::<A>(g, axis));
         let slot = &mut out[self.driver[k] & (MAX_JOINTS - 1)];
@@ -100,7 +102,7 @@ impl Chain {
     }
 }
 
-/// Mass [kg] and first moment [kg·m] in base axes of everything beyond a joint.
+/// Mass [kg] and first moment [kg·m] about the base's origin, in base axes, of all groups beyond a joint.
 #[derive(Clone, Copy)]
 struct SubtreeMass<R> {
     mass: f64,

@@ -16,14 +16,15 @@ use crate::model::Model;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Options of the search.
+/// Options of [`Model::inverse_kinematics`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkOptions {
-    /// Axes of the base (x y z, then rotations about them) that must match the target; the others are free.
+    /// Axes of the base (x y z, then rotations about them) on which the tool must match the target; the others are
+    /// free.
     pub axes: [bool; 6],
-    /// Position error to reach [m].
+    /// Position error [m] up to which a result counts as converged.
     pub position_tolerance: f64,
-    /// Rotation error to reach [rad].
+    /// Rotation error [rad] up to which a result counts as converged.
     pub rotation_tolerance: f64,
     /// Maximum number of iterations per start.
     pub max_iterations: usize,
@@ -37,24 +38,24 @@ impl Default for IkOptions {
     }
 }
 
-/// Reason for the end of a search.
+/// Reason why a search ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum IkStatus {
-    /// Both errors are within tolerance.
+    /// Position and rotation error are within their tolerances.
     Converged,
-    /// The target is farther from the first joint than the arm is long [m].
+    /// Not converged: the target is farther from the first joint than the arm reaches.
     OutOfReach {
-        /// Distance from the first joint's origin to the target.
+        /// Distance from the first joint's origin to the target [m].
         distance: f64,
-        /// The arm's length, [`Model::reach`].
+        /// Largest distance that the arm reaches, [`Model::reach`] [m].
         reach: f64,
     },
-    /// The closest pose found has joints at their limits.
+    /// Not converged: the closest result has joints at their limits.
     JointLimit {
-        /// Names of these joints.
+        /// Names of the joints at their limits.
         joints: Vec<String>,
     },
-    /// The closest pose found is a local minimum, or the iterations ran out.
+    /// Not converged for another reason: a local minimum, or the iterations ran out.
     Stalled,
 }
 
@@ -71,25 +72,25 @@ impl fmt::Display for IkStatus {
     }
 }
 
-/// The closest joint positions found, and their errors.
+/// Closest joint positions that the search found, and their errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IkResult {
     /// Joint positions (`n`) [rad or m], inside the limits.
     pub q: Vec<f64>,
-    /// True if both errors are within tolerance.
+    /// True if position and rotation error are within their tolerances.
     pub converged: bool,
-    /// Total number of iterations.
+    /// Total number of iterations, over all starts.
     pub iterations: usize,
-    /// Distance to the target over the selected axes [m].
+    /// Distance to the target along the selected axes [m].
     pub position_error: f64,
-    /// Angle to the target over the selected axes [rad].
+    /// Rotation angle to the target about the selected axes [rad].
     pub rotation_error: f64,
-    /// Reason for the end of the search.
+    /// Reason why the search ended.
     pub reason: IkStatus,
 }
 
 impl Model {
-    /// Searches joint positions that bring the tool to `target`, starting from `q0` (`n`) [rad or m].
+    /// Searches for joint positions that bring the tool to `target`, starting from `q0` (`n`) [rad or m].
     ///
     /// The result lies inside the position limits; `q0` is clamped to them first. Continuous joints are not wrapped.
     /// Deterministic. A search that does not converge is not an error: see `converged` and `reason`.
@@ -170,9 +171,10 @@ struct IkSolver<'a> {
     options: &'a IkOptions,
 }
 
-/// Result of one descent.
+/// Closest result of the search from one start.
 struct IkIterate {
     q: JointVec,
+    /// Deviation from the target on the selected axes [m, rad]; 0 on the others.
     error: Vector6<f64>,
     iterations: usize,
 }
@@ -191,10 +193,10 @@ impl IkIterate {
     }
 }
 
-/// Largest step of one joint in one iteration [rad or m], the range of the linear model.
+/// Largest step of one joint in one iteration [rad or m], since the linear model holds for small steps only.
 const LARGEST_STEP: f64 = 0.5;
 
-/// Number of iterations without a 10 % improvement after which a descent stops.
+/// Number of iterations without a 10 % reduction of the error after which the search from one start stops.
 const PATIENCE: usize = 20;
 
 impl IkSolver<'_> {
@@ -228,7 +230,7 @@ impl IkSolver<'_> {
         found
     }
 
-    /// Deviation from the target on the selected axes; 0 on the others.
+    /// Returns the deviation from the target on the selected axes [m, rad]; 0 on the others.
     fn error(&self, tool: &Pose) -> Vector6<f64> {
         let rotation = (self.target_rotation * quaternion(tool).inverse()).scaled_axis();
         let (p, d) = (&tool.position, &self.target.position);
@@ -236,7 +238,7 @@ impl IkSolver<'_> {
         Vector6::from_fn(|i, _| if self.options.axes[i] { error[i] } else { 0.0 })
     }
 
-    /// Returns one damped step; joints at a limit that are pushed outward stay. `None` if nothing moves.
+    /// Returns one damped step; a joint at a limit does not move outward. `None` if no joint can move.
     fn step(&self, q: &JointVec, rows: &Rows, error: &Vector6<f64>) -> Option<JointVec> {
         let n = self.model.n().min(MAX_JOINTS);
         let mut free = [true; MAX_JOINTS];

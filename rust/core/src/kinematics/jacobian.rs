@@ -1,4 +1,4 @@
-//! Geometric Jacobian from frames.
+//! Geometric Jacobian from the frames of the joints.
 
 use super::forward::{JointFrames, Visitor};
 use crate::math::rows::{load_rows, store_rows};
@@ -8,10 +8,11 @@ use crate::model::Chain;
 use crate::pose::Pose;
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
-/// Rows over the joints before the tool is known: axes in the angular rows, origins in the linear rows.
-struct Levers<'a, R>(&'a mut [[R; MAX_JOINTS]; MAX_AXES]);
+/// Visitor that stores each joint's origin in the linear rows and its axis in the angular rows, since the tool position
+/// is not yet known.
+struct OriginsAndAxes<'a, R>(&'a mut [[R; MAX_JOINTS]; MAX_AXES]);
 
-impl<A: RealOps> Visitor<ScalarVec3<A>> for Levers<'_, A::Real> {
+impl<A: RealOps> Visitor<ScalarVec3<A>> for OriginsAndAxes<'_, A::Real> {
     #[inline(always)]
     fn visit_joint(&mut self, k: usize, axes: &[ScalarVec3<A>; 3], origin: ScalarVec3<A>) {
         let (origin, axis) = (origin.components(), axes[2].components());
@@ -32,7 +33,7 @@ impl Chain {
         self.jacobian_by::<BaselineF64>(frames, rows);
     }
 
-    /// [`Chain::jacobian`] for one configuration or several.
+    /// Computes [`Chain::jacobian`] for one configuration or for several.
     #[inline(always)]
     pub(crate) fn jacobian_by<A: RealOps>(
         &self,
@@ -57,7 +58,7 @@ impl Chain {
         }
     }
 
-    /// Computes tool pose and Jacobian; writes the columns of `rows` below `n`.
+    /// Computes tool pose and Jacobian of one configuration or of several; writes only the first `n` columns of `rows`.
     #[inline(always)]
     pub(crate) fn kinematics_by<A: RealOps>(
         &self,
@@ -70,9 +71,10 @@ impl Chain {
             self.jacobian_by::<A>(&frames, rows);
             return frames.tool;
         }
-        let tool = self.forward_pass::<ScalarVec3<A>, _>(&self.joint_trigs::<A>(q, self.path), &mut Levers(rows));
+        let tool =
+            self.forward_pass::<ScalarVec3<A>, _>(&self.joint_trigs::<A>(q, self.path), &mut OriginsAndAxes(rows));
         for k in 0..self.n.min(MAX_JOINTS) {
-            pull::<A>(k, &tool.position, rows);
+            replace_origin::<A>(k, &tool.position, rows);
         }
         tool
     }
@@ -80,7 +82,7 @@ impl Chain {
 
 /// Replaces the origin `o` of joint `k` in the linear rows by `z × (p − o)` with its axis `z`.
 #[inline(always)]
-fn pull<A: RealOps>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES]) {
+fn replace_origin<A: RealOps>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES]) {
     let axis = [rows[3][k], rows[4][k], rows[5][k]];
     let lever = cross::<A>(&axis, &sub::<A>(tool, &[rows[0][k], rows[1][k], rows[2][k]]));
     for i in 0..3 {
@@ -88,9 +90,9 @@ fn pull<A: RealOps>(k: usize, tool: &Vec3<A::Real>, rows: &mut [[A::Real; MAX_JO
     }
 }
 
-/// Rotates rows from base axes into the axes of the tool.
+/// Rotates a Jacobian from base axes into the axes of the tool.
 #[inline(always)]
-pub(super) fn turn_to_tool<A: RealOps>(tool: &Mat3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES], n: usize) {
+pub(super) fn rotate_to_tool<A: RealOps>(tool: &Mat3<A::Real>, rows: &mut [[A::Real; MAX_JOINTS]; MAX_AXES], n: usize) {
     for k in 0..n.min(MAX_JOINTS) {
         let linear = tr_rotate::<A>(tool, &[rows[0][k], rows[1][k], rows[2][k]]);
         let angular = tr_rotate::<A>(tool, &[rows[3][k], rows[4][k], rows[5][k]]);
@@ -100,12 +102,13 @@ pub(super) fn turn_to_tool<A: RealOps>(tool: &Mat3<A::Real>, rows: &mut [[A::Rea
     }
 }
 
-/// Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; zeros after them.
+/// Returns the Jacobian rows of the task's axes in the task frame, from the 6 × n Jacobian in base axes; rows after the
+/// last axis are 0.
 pub(crate) fn task_rows(j_base: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[usize]) -> Rows {
     store_rows(&rotated_rows::<JointVec16>(&load_rows(j_base), base_from_task, axes))
 }
 
-/// [`task_rows`] in registers.
+/// Computes [`task_rows`] for rows in registers, of one configuration or of several.
 #[inline(always)]
 pub(crate) fn rotated_rows<J: JointVector>(
     j_base: &[J; MAX_AXES],

@@ -8,14 +8,14 @@ use crate::math::simd::BaselineF64;
 use crate::math::spatial::{Mat3, Vec3, add, cross, dot, rotate, sub};
 use crate::model::Chain;
 
-/// Masses beyond a joint, in base axes and about the base's origin.
+/// Moments of zeroth to second order of the masses beyond a joint, in base axes about the base's origin.
 #[derive(Clone, Copy)]
 struct CompositeMass {
-    /// Σ m [kg].
+    /// Total mass Σ m [kg].
     mass: f64,
-    /// Σ m c [kg·m].
+    /// First moment Σ m c [kg·m].
     first: Vec3,
-    /// Σ m c cᵀ [kg·m²].
+    /// Second moment Σ m c cᵀ [kg·m²].
     second: Mat3,
 }
 
@@ -31,8 +31,8 @@ impl CompositeMass {
         }
     }
 
-    /// Momentum and angular momentum about the base's origin for a rotation of all masses about an axis through `o` at
-    /// 1 rad/s.
+    /// Returns the momentum [kg·m/s] and the angular momentum about the base's origin [kg·m²/s] of all masses while
+    /// they rotate at 1 rad/s about an axis through `o`.
     #[inline]
     fn turning(&self, axis: &Vec3, o: &Vec3) -> (Vec3, Vec3) {
         // Σ m z × (c − o), and Σ m c × (z × (c − o)) with c × (z × c) = (c·c) z − c (c·z).
@@ -42,7 +42,8 @@ impl CompositeMass {
         (momentum, sub::<BaselineF64>(&angular, &cross::<BaselineF64>(&self.first, &cross::<BaselineF64>(axis, o))))
     }
 
-    /// Momentum and angular momentum for a translation of all masses along an axis at 1 m/s.
+    /// Returns the momentum [kg·m/s] and the angular momentum about the base's origin [kg·m²/s] of all masses while
+    /// they move at 1 m/s along an axis.
     #[inline]
     fn sliding(&self, axis: &Vec3) -> (Vec3, Vec3) {
         (axis.map(|z| self.mass * z), cross::<BaselineF64>(&self.first, axis))
@@ -53,7 +54,7 @@ impl Chain {
     /// Computes the mass matrix [kg·m²; kg for prismatic joints] `Σ_k m_k J_kᵀ J_k`, with each rigid group as a point
     /// mass at its centre of mass.
     ///
-    /// Without the groups' own moments of inertia, which [`GroupMasses`] does not contain, and without the rotors. Groups
+    /// Leaves out the groups' own moments of inertia, which [`GroupMasses`] does not contain, and the rotors. Groups
     /// beside the path count as fixed to the path.
     pub(crate) fn mass_matrix(&self, frames: &JointFrames, masses: &GroupMasses, out: &mut JointMatrix) {
         *out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
@@ -104,7 +105,7 @@ mod tests {
     use crate::JointVec;
     use crate::model::{Model, ModelOptions};
 
-    /// Reference: `M = Σ m J_cᵀ J_c` with Jacobians of the centres of mass by finite differences.
+    /// Compares with `M = Σ m J_cᵀ J_c`, where the Jacobians J_c of the centres of mass are finite differences.
     #[test]
     fn the_matrix_agrees_with_differences_of_the_centres_of_mass() {
         let urdf = include_str!("../../robots/arm7.urdf");

@@ -28,7 +28,7 @@ pub(crate) use jacobian::{rotated_rows, task_rows};
 pub use points::{ArmGeometry, ArmPoints, MAX_POINTS};
 pub(crate) use targets::{joint_targets, target_region};
 
-/// Axes of a Jacobian's rows; the reference point is the tool in both cases.
+/// Axes in which a Jacobian is expressed; its reference point is the tool in both cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Reference {
     /// Axes of the base.
@@ -57,7 +57,7 @@ impl Model {
         Ok(self.kinematics(q, reference)?.1)
     }
 
-    /// Returns pose and Jacobian (6×n) in one pass.
+    /// Returns the pose `base_from_tool` and the geometric Jacobian (6×n, linear rows first), computed in one pass.
     ///
     /// # Errors
     /// As [`Model::forward_kinematics`].
@@ -67,8 +67,8 @@ impl Model {
         Ok((pose, Matrix6xX::from_fn(self.n(), |i, j| rows[i][j])))
     }
 
-    /// Returns the pose and writes the Jacobian's rows into the caller's array; allocates nothing. Columns after `n`
-    /// are undefined.
+    /// Returns the pose `base_from_tool` and writes the Jacobian's rows into the caller's array; allocates nothing.
+    /// Columns after `n` are undefined.
     ///
     /// # Errors
     /// As [`Model::forward_kinematics`].
@@ -114,13 +114,13 @@ impl Model {
 }
 
 impl Chain {
-    /// Returns true if each coordinate drives one joint and the joints fit in one register row.
+    /// Returns true if each coordinate drives exactly one joint, with factor 1, and there are at most eight.
     const fn fits_f64x8(&self) -> bool {
         self.simple && self.n <= LANES
     }
 }
 
-/// Pose of the tool at one configuration.
+/// Inputs for the pose of the tool at one configuration.
 struct Forward<'a> {
     chain: &'a Chain,
     q: &'a JointVec,
@@ -143,7 +143,7 @@ impl Kernel for Forward<'_> {
     }
 }
 
-/// Gravity torques at one configuration.
+/// Inputs for the gravity torques at one configuration.
 struct Statics<'a> {
     chain: &'a Chain,
     masses: &'a GroupMasses,
@@ -163,7 +163,7 @@ impl Kernel for Statics<'_> {
     }
 }
 
-/// Pose and Jacobian of one configuration.
+/// Inputs and output rows for the pose and the Jacobian at one configuration.
 struct Kinematics<'a> {
     chain: &'a Chain,
     q: &'a JointVec,
@@ -182,7 +182,7 @@ impl Kernel for Kinematics<'_> {
             self.chain.kinematics_by::<M::Elem>(self.q, self.rows)
         };
         if self.reference == Reference::Local {
-            jacobian::turn_to_tool::<M::Elem>(&pose.rotation, self.rows, self.chain.n);
+            jacobian::rotate_to_tool::<M::Elem>(&pose.rotation, self.rows, self.chain.n);
         }
         pose
     }

@@ -1,4 +1,4 @@
-//! Positions, Jacobians and inertia of the points of an arm: joint origins and tool.
+//! Positions, Jacobians and effective masses of joint origins and tool, and the arm's mass matrix.
 
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 
@@ -10,24 +10,28 @@ use crate::{JointVec, MAX_JOINTS};
 /// Maximum number of points: one per joint between base and tip, and the tool.
 pub const MAX_POINTS: usize = MAX_JOINTS + 1;
 
-/// Speed below which a point has no direction of motion [m/s].
+/// Speed [m/s] below which a point counts as at rest: the direction of its velocity would be rounding error.
 const MIN_SPEED: f64 = 1e-9;
 
-/// A moving joint between base and tip.
+/// Geometry of a moving joint between base and tip.
 #[derive(Debug, Clone)]
 struct PathJoint {
+    /// Index of the coordinate that drives the joint, directly or by mimic.
     coordinate: usize,
     prismatic: bool,
+    /// Joint motion per motion of the coordinate; 1 for a joint that is not a mimic.
     multiplier: f64,
+    /// Joint value at coordinate 0 [rad or m].
     offset: f64,
     axis: Unit<Vector3<f64>>,
-    /// Fixed transform from the frame that the previous joint moves.
+    /// Rotation part of the fixed transform to the frame that the previous joint moves.
     rotation: Matrix3<f64>,
+    /// Translation part of the fixed transform to the frame that the previous joint moves [m].
     translation: Vector3<f64>,
 }
 
 impl PathJoint {
-    /// Linear and angular velocity of a point at unit speed of the coordinate.
+    /// Returns the linear and angular velocity of a point [m/s, rad/s] at unit speed of the coordinate.
     fn motion(&self, axis: &Vector3<f64>, origin: &Vector3<f64>, point: &Vector3<f64>) -> [Vector3<f64>; 2] {
         let [linear, angular] =
             if self.prismatic { [*axis, Vector3::zeros()] } else { [axis.cross(&(point - origin)), *axis] };
@@ -35,10 +39,10 @@ impl PathJoint {
     }
 }
 
-/// All links from one moving joint up to the next, in the frame that the joint moves.
+/// All links between one moving joint and the next as one body, in the frame that the joint moves.
 #[derive(Debug, Clone, Default)]
 struct RigidBody {
-    /// [kg].
+    /// Mass [kg].
     mass: f64,
     /// Centre of mass [m].
     com: Vector3<f64>,
@@ -47,7 +51,7 @@ struct RigidBody {
 }
 
 impl RigidBody {
-    /// Adds a part, by the parallel-axis theorem.
+    /// Merges another body into this one, by the parallel-axis theorem.
     fn add(&mut self, part: &Self) {
         let mass = self.mass + part.mass;
         if mass <= 0.0 {
@@ -65,18 +69,22 @@ impl RigidBody {
 
 /// Joint origins and tool of an arm, with the rigid bodies between them.
 ///
-/// Joints off the chain are fixed at the model's values. The payload is a point mass in the last body.
+/// Joints outside the chain are fixed at the values at which the model locks them. The payload is a point mass in the
+/// last body.
 #[derive(Debug, Clone)]
 pub struct ArmPoints {
     n: usize,
     joints: Vec<PathJoint>,
+    /// Body that each joint carries.
     bodies: Vec<RigidBody>,
+    /// Position of the tool in the frame that the last joint moves [m].
     tool: Vector3<f64>,
+    /// Rotor inertia at each joint [kg·m²].
     armature: JointVec,
 }
 
 impl ArmPoints {
-    /// Collects the joints between base and tip of a model.
+    /// Creates the points of a model: the joints between base and tip, and the tool.
     ///
     /// `armature` (n) is the inertia of the servos' rotors at the joints [kg·m²].
     ///
@@ -118,7 +126,7 @@ impl ArmPoints {
         Ok(points)
     }
 
-    /// Computes positions, Jacobians and inertia at q [rad or m]; entries beyond n are ignored.
+    /// Computes positions, Jacobians and mass matrix at q [rad or m]; entries beyond n are ignored.
     pub fn evaluate(&self, q: &JointVec) -> ArmGeometry {
         let mut out = ArmGeometry {
             n: self.n,
@@ -150,7 +158,7 @@ impl ArmPoints {
         out
     }
 
-    /// Writes a point that the first joints, up to and including joint `k`, move.
+    /// Stores position and Jacobian of point `k`, which the joints up to and including joint `k` move.
     fn write_point(
         &self,
         k: usize,
@@ -168,7 +176,8 @@ impl ArmPoints {
         }
     }
 
-    /// Adds m J_vᵀ J_v + J_ωᵀ I J_ω of a body whose centre of mass is at `com` in base axes.
+    /// Adds `m J_vᵀ J_v + J_ωᵀ I J_ω` of the body of joint `k` to the mass matrix; `com` is its centre of mass and
+    /// `turn` its rotation, in base axes.
     #[expect(clippy::too_many_arguments, reason = "state of one forward pass")]
     fn add_body(
         &self,
@@ -197,7 +206,7 @@ impl ArmPoints {
     }
 }
 
-/// The points of an arm in one configuration, base to tip.
+/// Positions and Jacobians of the points, base to tip, and the mass matrix of the arm, in one configuration.
 #[derive(Debug, Clone)]
 pub struct ArmGeometry {
     n: usize,
@@ -208,38 +217,38 @@ pub struct ArmGeometry {
 }
 
 impl ArmGeometry {
-    /// Positions of the joint origins and, last, of the tool, in base axes [m].
+    /// Returns the positions of the joint origins and, last, of the tool, in base axes [m].
     pub fn position(&self) -> &[[f64; 3]] {
         &self.position[..self.points]
     }
 
-    /// Jacobians of the points [m/rad]; columns beyond n are 0.
+    /// Returns the linear Jacobians of the points [m/rad], in base axes; columns beyond n are 0.
     pub fn jacobian(&self) -> &[[JointVec; 3]] {
         &self.jacobian[..self.points]
     }
 
-    /// Joint-space inertia matrix with the rotors (n rows) [kg·m²]; columns beyond n are 0.
+    /// Returns the mass matrix including the rotors (n rows) [kg·m²]; columns beyond n are 0.
     pub fn inertia(&self) -> &[JointVec] {
         &self.inertia[..self.n]
     }
 
-    /// Velocities of the points for joint velocities u [rad/s]: those beyond [`ArmGeometry::position`]'s are 0 [m/s].
+    /// Returns the velocities of the points [m/s] for joint velocities u [rad/s]; entries after the last point are 0.
     pub fn velocity(&self, u: &JointVec) -> [[f64; 3]; MAX_POINTS] {
         self.jacobian.map(|rows| rows.map(|row| dot(&row, u)))
     }
 
-    /// Largest speed of a point for joint velocities u [rad/s], in [m/s].
+    /// Returns the largest speed of any point [m/s] for joint velocities u [rad/s].
     pub fn max_speed(&self, u: &JointVec) -> f64 {
         self.velocity(u).iter().map(norm).fold(0.0, f64::max)
     }
 
-    /// Kinetic energy for joint velocities u [rad/s], in [J].
+    /// Returns the kinetic energy [J] for joint velocities u [rad/s].
     pub fn energy(&self, u: &JointVec) -> f64 {
         0.5 * self.inertia.iter().zip(u).map(|(row, speed)| dot(row, u) * speed).sum::<f64>()
     }
 
-    /// Mass that each point has along its own velocity [m/s]: `1 / (dᵀ J M⁻¹ Jᵀ d)` with d the direction of the
-    /// velocity (Khatib 1995) [kg]; 0 for a point at rest.
+    /// Returns the effective mass [kg] of each point along its own velocity [m/s]: `1 / (dᵀ J M⁻¹ Jᵀ d)` with d the
+    /// direction of the velocity (Khatib 1995); 0 for a point at rest.
     pub fn effective_mass(&self, velocity: &[[f64; 3]; MAX_POINTS]) -> [f64; MAX_POINTS] {
         let factor = self.cholesky();
         let mut mass = [0.0; MAX_POINTS];
@@ -261,7 +270,8 @@ impl ArmGeometry {
         mass
     }
 
-    /// Lever of each joint about the lowest point that it moves [m]; `up` is a unit vector in base axes.
+    /// Returns the vertical displacement of the lowest point that each joint moves, per joint motion, absolute [m/rad].
+    /// `up` is a unit vector in base axes.
     pub fn lowest_lever(&self, up: &[f64; 3]) -> JointVec {
         let mut lever = [0.0; MAX_JOINTS];
         let mut lowest = [f64::INFINITY; MAX_JOINTS];
@@ -277,13 +287,14 @@ impl ArmGeometry {
         lever
     }
 
-    /// Rise of the tool per joint motion [m/rad].
+    /// Returns the rise of the tool along `up`, a unit vector in base axes, per joint motion [m/rad].
     pub fn tool_rise(&self, up: &[f64; 3]) -> JointVec {
         let rows = &self.jacobian[self.points - 1];
         std::array::from_fn(|i| up[0] * rows[0][i] + up[1] * rows[1][i] + up[2] * rows[2][i])
     }
 
-    /// Lower triangle L of M = L Lᵀ; the pivot of a joint without inertia is tiny.
+    /// Returns the lower triangular factor L of the mass matrix, M = L Lᵀ; the pivot of a joint without inertia is tiny
+    /// but positive.
     fn cholesky(&self) -> [JointVec; MAX_JOINTS] {
         let mut factor = [[0.0; MAX_JOINTS]; MAX_JOINTS];
         for i in 0..self.n {
@@ -297,7 +308,7 @@ impl ArmGeometry {
     }
 }
 
-/// Rotation and translation of a fixed transform.
+/// A rigid transform.
 #[derive(Debug, Clone)]
 struct Frame {
     rotation: Matrix3<f64>,
@@ -316,7 +327,7 @@ impl Frame {
         }
     }
 
-    /// Pose of the link below a joint off the chain, in the link above it.
+    /// Returns the pose of the child link in the parent link, for a joint that does not move with the chain.
     fn of_fixed_joint(model: &Model, joint: &Joint) -> Self {
         let value = joint.mimic.map_or(joint.locked_at.unwrap_or(0.0), |mimic| {
             mimic.offset + mimic.multiplier * model.joints()[mimic.joint].locked_at.unwrap_or(0.0)
@@ -339,7 +350,7 @@ impl From<&Pose> for Frame {
     }
 }
 
-/// Joints from base to tip, fixed joints included.
+/// Returns the indices of the joints from base to tip, fixed joints included.
 fn path(model: &Model) -> Vec<usize> {
     let mut path = Vec::new();
     let mut link = model.links().iter().find(|link| link.name == model.tip());
@@ -351,7 +362,7 @@ fn path(model: &Model) -> Vec<usize> {
     path
 }
 
-/// Collects the body that each moving joint between base and tip carries; `tool` is its pose in the last one.
+/// Returns the body that each moving joint between base and tip carries; `tool` is the tool's pose in the last one.
 fn rigid_bodies(model: &Model, moved_by: &[Option<usize>], count: usize, tool: &Frame) -> Vec<RigidBody> {
     let mut bodies = vec![RigidBody::default(); count];
     for (index, link) in model.links().iter().enumerate() {
@@ -372,7 +383,8 @@ fn rigid_bodies(model: &Model, moved_by: &[Option<usize>], count: usize, tool: &
     bodies
 }
 
-/// Returns the path joint that moves a link, and the link's pose in its frame; `None` for links of the base.
+/// Returns the joint between base and tip that moves a link, and the link's pose in that joint's frame; `None` if the
+/// link does not move relative to the base.
 fn carrying_joint(model: &Model, moved_by: &[Option<usize>], link: usize) -> Option<(usize, Frame)> {
     let (mut link, mut frame) = (link, Frame::identity());
     loop {

@@ -1,30 +1,31 @@
-//! Static forces that torque limits hold in one pose, from the transposed Jacobian.
+//! Static forces on the tool that joint torque limits can hold in one configuration, from the transposed Jacobian.
 
 use crate::{JointVec, MAX_JOINTS};
 
-/// Lever, relative to the longest, below which a push does not load a joint.
-const NO_LEVER: f64 = 1e-9;
+/// Lever of a push about a joint, relative to the longest lever of that push, below which it does not load the joint.
+const MIN_RELATIVE_LEVER: f64 = 1e-9;
 
-/// The push along `a = Jᵀd` at which each joint yields: `(L_i + s_i g_i) / |a_i|`, `s_i = sign(a_i)`.
+/// Returns the push along d, with `a = Jᵀd`, at which each joint yields: `(L_i + s_i g_i) / |a_i|`, `s_i = sign(a_i)`.
 ///
-/// Servo i exerts `g_i − F a_i`, which may not fall below `−L_i` if the push turns it forward. ∞ for a joint that the
-/// push does not load.
+/// L is the torque limit, g the gravity torque. Against a push F, servo i exerts `g_i − F a_i`, which must stay within
+/// ±L_i. ∞ for a joint that the push does not load.
 #[inline]
 pub(crate) fn yield_forces(a: &JointVec, limit: &JointVec, gravity: &JointVec, n: usize) -> JointVec {
     let longest = a.iter().fold(0.0_f64, |max, x| max.max(x.abs()));
     let mut out = [f64::INFINITY; MAX_JOINTS];
     for i in 0..n.min(MAX_JOINTS) {
-        if a[i].abs() > NO_LEVER * longest {
+        if a[i].abs() > MIN_RELATIVE_LEVER * longest {
             out[i] = (limit[i] + a[i].signum() * gravity[i]) / a[i].abs();
         }
     }
     out
 }
 
-/// The largest static force that the limits hold against a push along `sign · d`: `min_i (L_i + s_i g_i) / |a_i|`.
+/// Returns the largest static force that the torque limits L hold against a push along `sign · d`, with `a = Jᵀd` and
+/// the gravity torques g: `min_i (L_i + s_i g_i) / |a_i|`, `s_i = sign(sign · a_i)`.
 ///
-/// Exact for a pure force at this pose, up to friction. Negative if the arm cannot hold itself. ∞ if the push loads no
-/// joint.
+/// Exact for a pure force in this configuration, without friction. Negative if the arm cannot hold its own weight; ∞ if
+/// the push loads no joint.
 #[inline]
 pub(crate) fn static_force(a: &JointVec, sign: f64, limit: &JointVec, gravity: &JointVec, n: usize) -> f64 {
     let forces = yield_forces(&a.map(|lever| sign * lever), limit, gravity, n);
@@ -41,7 +42,7 @@ mod tests {
         out
     }
 
-    /// Reference implementation by search: the largest F for which each loaded servo stays within its limit.
+    /// Searches the largest force at which each loaded servo stays within its limit, as a reference.
     fn searched(a: &JointVec, sign: f64, limit: &JointVec, gravity: &JointVec, n: usize) -> f64 {
         let holds = |force: f64| {
             (0..n).all(|i| {

@@ -1,4 +1,4 @@
-//! Bounds on targets: detect targets in other units, or in axes other than the base's.
+//! Bounds on targets, which detect values in wrong units or in axes other than the base's.
 
 use crate::error::{Error, Result};
 use crate::kinematics::JointFrames;
@@ -9,23 +9,23 @@ use crate::{JointVec, MAX_JOINTS};
 
 /// Largest distance of a target from the first joint, in multiples of [`Model::reach`].
 ///
-/// A target out of reach is valid: the arm stretches toward it. Twice the reach lets the target of a 0.7 m arm jump by
-/// a metre, as in the fault tables. Feet, inches, centimetres and millimetres are factors of 3.3 to 1000.
+/// A target out of reach is valid: the arm stretches toward it. Twice the reach admits targets that jump by a metre for
+/// an arm of 0.7 m. Targets in feet, inches, centimetres or millimetres are too large by factors of 3.3 to 1000.
 const REACH_FACTOR: f64 = 2.0;
 
-/// Added to that distance [m], for arms with a tool on the axis of their only joint.
+/// Margin [m] added to `REACH_FACTOR` times the reach, for an arm whose tool is on the axis of its only joint.
 const REACH_MARGIN: f64 = 0.1;
 
 /// Largest distance of a joint target beyond the position limits [rad].
 ///
-/// Goals are clamped to the limits anyway. The margin is for leader arms and policies whose zeros are off by some
-/// degrees; targets in degrees are off by a factor of 57.
+/// Goals are clamped to the limits in any case. The margin admits targets of leader arms and policies whose zeros are
+/// off by some degrees; targets in degrees are too large by a factor of 57.
 const ANGLE_MARGIN: f64 = 0.2;
 
-/// The margin of a prismatic joint, as a share of its travel.
+/// Largest distance of a prismatic joint's target beyond its position limits, as a share of its travel.
 const TRAVEL_MARGIN: f64 = 0.1;
 
-/// Smallest and largest joint targets, ±∞ as padding.
+/// Returns the smallest and the largest joint target [rad or m] of each joint, ∓∞ in the padding.
 pub(crate) fn joint_targets(model: &Model) -> [JointVec; 2] {
     let mut out = [[f64::NEG_INFINITY; MAX_JOINTS], [f64::INFINITY; MAX_JOINTS]];
     for (i, (&lower, &upper)) in model.lower().iter().zip(model.upper()).enumerate().take(MAX_JOINTS) {
@@ -36,7 +36,7 @@ pub(crate) fn joint_targets(model: &Model) -> [JointVec; 2] {
     out
 }
 
-/// Returns the region of plausible targets of an arm; unbounded for a prismatic joint without limits.
+/// Returns the region of plausible target positions of an arm; all positions for a prismatic joint without limits.
 pub(crate) fn target_region(model: &Model) -> TargetRegion {
     let bounded = |i: usize| (model.upper()[i] - model.lower()[i]).is_finite();
     if (0..model.n()).any(|i| model.prismatic()[i] && !bounded(i)) {
@@ -46,14 +46,14 @@ pub(crate) fn target_region(model: &Model) -> TargetRegion {
 }
 
 impl Model {
-    /// Reference point of [`Model::reach`]: the first joint's origin at q = 0, in the base [m].
+    /// Returns the point from which [`Model::reach`] counts: the first joint's origin at q = 0, in the base [m].
     pub fn reach_origin(&self) -> [f64; 3] {
         let mut frames = JointFrames::default();
         self.chain().forward(&[0.0; MAX_JOINTS], &mut frames);
         frames.origin[0]
     }
 
-    /// Checks that a pose is a plausible target of this arm: a target far out of reach is in other units.
+    /// Checks that a pose is a plausible target of this arm: a position far out of reach is in wrong units.
     ///
     /// [`Controller::step`](crate::Controller::step) does this for tasks with translations.
     ///
@@ -64,7 +64,8 @@ impl Model {
         self.check_target_in("target", target, &target_region(self))
     }
 
-    /// [`Model::check_target`] with the argument's name and the bound.
+    /// Checks as [`Model::check_target`]; `name` is the argument's name for the message, `region` the allowed
+    /// positions.
     pub(crate) fn check_target_in(&self, name: &str, target: &Pose, region: &TargetRegion) -> Result<()> {
         if target.position.iter().all(|value| value.is_finite()) && region.excludes(&target.position) {
             return Err(self.too_far(name, &target.position, region));
@@ -87,7 +88,7 @@ impl Model {
         };
         let from = self.joint_names().first().map_or("the base", String::as_str);
         let from = if region.radius < POSITION_BOUND { from } else { self.base() };
-        // Four digits are enough to recognize the error.
+        // Rounded: four decimals suffice to recognize the mistake.
         let shown = |value: f64| {
             if value.abs() < 1e6 { format!("{}", (1e4 * value).round() / 1e4) } else { format!("{value:e}") }
         };
@@ -97,20 +98,20 @@ impl Model {
         Error::out_of_range(format!("{name}: distance of position [{x}, {y}, {z}] from {from} [m]"), distance, bound)
     }
 
-    /// Checks that joint positions (`n`) [rad or m] are a plausible target: values far beyond the limits are in other
+    /// Checks that joint positions (`n`) [rad or m] are a plausible target: values far beyond the limits are in wrong
     /// units.
     ///
     /// [`Controller::step_joints`](crate::Controller::step_joints) does this.
     ///
     /// # Errors
-    /// [`Error::Shape`]; [`Error::OutOfRange`] for a joint beyond its limits by more than 0.2 rad, or a tenth of its
-    /// travel.
+    /// [`Error::Shape`] for a wrong length; [`Error::OutOfRange`] for a joint beyond its limits by more than 0.2 rad,
+    /// or a tenth of the travel of a prismatic joint.
     pub fn check_joint_target(&self, q: &[f64]) -> Result<()> {
         let [lowest, highest] = joint_targets(self);
         self.joints_between("q", q, &lowest, &highest).map(|_| ())
     }
 
-    /// Reads joint positions between two bounds; flushes negligibly small values to 0.
+    /// Checks that joint positions lie between two bounds and pads them; flushes negligibly small values to 0.
     #[inline]
     pub(crate) fn joints_between(
         &self,
@@ -127,7 +128,7 @@ impl Model {
         if fine { Ok(out) } else { Err(self.not_between(what, values, lowest, highest)) }
     }
 
-    /// Reads one finite number per joint within ±`bound`; flushes negligibly small values to 0.
+    /// Checks one number per joint for |value| ≤ `bound` and pads them; flushes negligibly small values to 0.
     pub(crate) fn joints_within(&self, what: &str, values: &[f64], bound: f64) -> Result<JointVec> {
         if values.len() != self.n() {
             return Err(Error::length(what, values.len(), self.n()));
@@ -143,7 +144,7 @@ impl Model {
         Ok(out)
     }
 
-    /// Returns the error for joint positions outside the bounds.
+    /// Returns the error for joint positions that are not between the bounds, with a hint on units.
     #[cold]
     #[inline(never)]
     fn not_between(&self, what: &str, values: &[f64], lowest: &JointVec, highest: &JointVec) -> Error {

@@ -1,4 +1,4 @@
-//! Responsibility (6), (7), activation (10) and the joint torque limits of (11).
+//! Responsibility (6), (7), activation (10) and joint torque limits (11).
 
 use nalgebra::DMatrix;
 
@@ -8,61 +8,65 @@ use crate::math::simd::{JointVec16, JointVector, RealOps, TaskVector};
 use crate::params::Params;
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
-/// Smallest sum that shares are divided by. Its inverse times any strength is finite. An axis whose joints move the
-/// tool by less gets no torque.
+/// Smallest sum by which shares are divided: its inverse times any strength is finite. An axis with a smaller sum gets
+/// less than its strength, down to zero.
 const MIN_SUM: f64 = 1e-100;
 
-/// Size of `N∇g` [rad] below which the null column turns into the row norms of `N`.
+/// Sum of `|N∇g|` over the joints [rad] up to which the null-space shares are the row norms of `N`: the direction of so
+/// small a gradient is meaningless. Above, they are blended and at twice this sum they are `|N∇g|`.
 const GRADIENT_THRESHOLD: f64 = 1e-3;
 
-/// Activation matrix, transposed: row r holds the shares of task axis r, the last row those of the null-space motion.
+/// Activation matrix, transposed: the row of each task axis holds the shares of the joints in that axis, the last row
+/// their shares in the null-space motion.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Activation<J: JointVector> {
-    /// Shares before they are divided by their sums.
-    sizes: [J; MAX_AXES],
-    /// Inverse of the sum of each row.
+    /// Shares of each task axis before they are divided by their sum: `|J⁺|`, transposed.
+    magnitudes: [J; MAX_AXES],
+    /// 1 / sum of each row of `magnitudes`.
     per_sum: J::Axes,
+    /// Shares in the null-space motion.
     null: J,
 }
 
 impl<J: JointVector> Activation<J> {
-    /// (10): the columns of `|J⁺|`, each divided by its sum, and the null-space column.
+    /// Computes A of (10): the columns of `|J⁺|`, each divided by its sum, and the null-space column.
     ///
-    /// The size of Δx in (6) cancels, which also settles the 0/0 of an axis at rest.
+    /// Δx of (6) cancels, which also avoids 0/0 for an axis without deviation.
     #[inline(always)]
     pub(crate) fn new(pinv_transposed: &[J; MAX_AXES], null: J) -> Self {
         let zero = J::splat(0.0);
-        let mut sizes = [zero; MAX_AXES];
+        let mut magnitudes = [zero; MAX_AXES];
         for r in 0..MAX_AXES {
-            sizes[r] = J::abs(pinv_transposed[r]);
+            magnitudes[r] = J::abs(pinv_transposed[r]);
         }
-        let [a, b, c, d] = J::sum4([sizes[0], sizes[1], sizes[2], sizes[3]]);
-        let [e, f, ..] = J::sum4([sizes[4], sizes[5], zero, zero]);
+        let [a, b, c, d] = J::sum4([magnitudes[0], magnitudes[1], magnitudes[2], magnitudes[3]]);
+        let [e, f, ..] = J::sum4([magnitudes[4], magnitudes[5], zero, zero]);
         let sums = J::Axes::max(J::Axes::from_axes(&[a, b, c, d, e, f]), J::Axes::splat(MIN_SUM));
         let per_sum = J::Axes::splat(1.0) / sums;
-        Self { sizes, per_sum, null }
+        Self { magnitudes, per_sum, null }
     }
 
-    /// (11): `τ^q = A τ^x` [N·m], the null-space torque last.
+    /// Returns the joint torque limits of (11), `τ^q = A τ^x` [N·m]: `strength` of the task axes and `null_torque` of
+    /// the null space.
     #[inline(always)]
     pub(crate) fn distribute(&self, strength: J::Axes, null_torque: f64) -> J {
         let per_size = (self.per_sum * strength).to_axes();
-        J::fma(self.null, J::splat(null_torque), tr_mul(&self.sizes, &per_size))
+        J::fma(self.null, J::splat(null_torque), tr_mul(&self.magnitudes, &per_size))
     }
 }
 
 impl Activation<JointVec16> {
-    /// Creates the matrix from shares in memory.
+    /// Creates the matrix from shares that are already normalized.
     pub(crate) fn of(task: &Rows, null: &JointVec) -> Self {
         Self {
-            sizes: load_rows(task),
+            magnitudes: load_rows(task),
             per_sum: <JointVec16 as JointVector>::Axes::splat(1.0),
             null: JointVec16::load(null),
         }
     }
 
-    /// Returns A of (10) over all joints for the task rows of a step, the gradient of its null-space cost and λ; `sigma`
-    /// gives the smallest and largest singular value of the scaled rows.
+    /// Returns A of (10) for the task rows of a step, the gradient of its null-space cost and λ = `damping`. `sigma`
+    /// returns the smallest and the largest singular value of the scaled rows.
     pub(crate) fn of_step(
         params: &Params,
         rows: &Rows,
@@ -79,12 +83,12 @@ impl Activation<JointVec16> {
         Self::new(&load_rows(&step_pseudo_inverse(params, rows, damping)), null)
     }
 
-    /// Returns the shares of one task axis.
+    /// Returns the shares of the joints in one task axis.
     pub(crate) fn row(&self, axis: usize) -> JointVec {
-        (self.sizes[axis] * JointVec16::splat(self.per_sum.to_axes()[axis])).to_joints()
+        (self.magnitudes[axis] * JointVec16::splat(self.per_sum.to_axes()[axis])).to_joints()
     }
 
-    /// Returns the shares in the null-space motion.
+    /// Returns the shares of the joints in the null-space motion.
     pub(crate) fn null(&self) -> JointVec {
         self.null.to_joints()
     }
@@ -96,7 +100,8 @@ impl Activation<JointVec16> {
     }
 }
 
-/// (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`, n × (k + 1): the shares of [`Activation`] before normalization.
+/// Returns the responsibility R of (6), (7), n × (k + 1): the columns of `|J⁺ diag(Δx)|` and, last, `|α N∇g|`.
+/// Normalized columns are those of [`Activation`].
 pub(crate) fn responsibility(
     pinv_transposed: &Rows,
     dx: &AxisVec,
@@ -109,39 +114,39 @@ pub(crate) fn responsibility(
     })
 }
 
-/// Shares of the joints in the null-space motion `N∇g`: absolute values, blended into the row lengths of `N` where the
-/// motion vanishes.
+/// Returns the shares of the joints in the null-space motion `N∇g`: its absolute values divided by their sum, blended
+/// into the row norms of `N` where the motion vanishes.
 ///
-/// `projector` is evaluated only there.
+/// The row norms are computed only if needed.
 #[inline(always)]
-pub(crate) fn null_column<J: JointVector>(motion: J, projector: &impl RowLengths<J>) -> J {
-    let sizes = J::abs(motion);
-    let sum = sizes.sum();
+pub(crate) fn null_column<J: JointVector>(motion: J, projector: &impl RowNorms<J>) -> J {
+    let magnitudes = J::abs(motion);
+    let sum = magnitudes.sum();
     let (zero, one) = (J::Elem::splat(0.0), J::Elem::splat(1.0));
     let blend = sum * J::Elem::splat(1.0 / GRADIENT_THRESHOLD) - one;
     if !J::Elem::any_lt(blend, one) {
-        return sizes * J::broadcast(one / sum);
+        return magnitudes * J::broadcast(one / sum);
     }
-    let (blend, lengths) = (J::Elem::min(J::Elem::max(blend, zero), one), projector.row_lengths());
+    let (blend, lengths) = (J::Elem::min(J::Elem::max(blend, zero), one), projector.row_norms());
     let least = J::Elem::splat(MIN_SUM);
     let (moved, still) = (J::Elem::max(sum, least), J::Elem::max(lengths.sum(), least));
-    sizes * J::broadcast(blend / moved) + lengths * J::broadcast((one - blend) / still)
+    magnitudes * J::broadcast(blend / moved) + lengths * J::broadcast((one - blend) / still)
 }
 
-/// A matrix over the joints with row lengths. A trait, because a closure would be compiled for the baseline instruction
-/// set.
-pub(crate) trait RowLengths<J> {
-    /// Length of each row.
-    fn row_lengths(&self) -> J;
+/// A matrix over the joints whose row norms can be computed. A trait, because a closure would be compiled for the
+/// baseline instruction set.
+pub(crate) trait RowNorms<J> {
+    /// Returns the Euclidean norm of each row.
+    fn row_norms(&self) -> J;
 }
 
-impl RowLengths<JointVec16> for JointMatrix {
-    fn row_lengths(&self) -> JointVec16 {
+impl RowNorms<JointVec16> for JointMatrix {
+    fn row_norms(&self) -> JointVec16 {
         JointVec16::load(&self.map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt()))
     }
 }
 
-/// `M v` of an n × n matrix.
+/// Returns `M v` for a matrix over the joints.
 pub(crate) fn product(m: &JointMatrix, v: &JointVec) -> JointVec {
     m.map(|row| row.iter().zip(v).map(|(a, b)| a * b).sum())
 }

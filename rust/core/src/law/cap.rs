@@ -1,4 +1,4 @@
-//! Law `cap`: each task axis pushes back with at most a given force. Lines 7 and 8 of the control step.
+//! Law `cap`: each yielding task axis opposes a push with at most a given force.
 
 use crate::law::wrench::Wrench;
 use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
@@ -7,25 +7,25 @@ use crate::math::rows::{Mat6, damped, diagonal, weighted_gram};
 use crate::math::simd::{AxisScalar, JointVector, TaskVector};
 use crate::params::Follow;
 
-/// Input of the law for one step, with the rows of the task's axes.
+/// Compliance, step and bounds of each task axis, from which the wrench of one step is solved.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CapProblem<'a, W: TaskVector> {
-    /// `C = J K_p⁻¹ Jᵀ`: compliance of each axis on the servos' stiffness.
+    /// `C = J K_p⁻¹ Jᵀ` [m/N, rad/(N·m)]: compliance of the task axes on the servos' stiffness.
     pub(crate) compliance: &'a Mat6<AxisScalar<W>>,
-    /// `λ²/k̄` of each row, in its units.
+    /// `λ²/k̄` of each row, in the units of `C`, with the servos' mean stiffness k̄.
     pub(crate) damping: W,
-    /// Step `s = h (K_x ẽ + twist)` [m, rad].
+    /// Step `s = h (K_x ẽ + twist)` [m, rad], within the step limits of soft axes.
     pub(crate) step: W,
-    /// The step within its per-axis limits.
+    /// Step s [m, rad], within the step limits of soft and of stiff axes.
     pub(crate) bounded_step: W,
-    /// Softness w ∈ [0, 1].
+    /// Softness w of each axis: 0 if it does not yield, 1 if it yields.
     pub(crate) softness: W,
-    /// Cap F of the yielding axis [N, N·m].
+    /// Force cap F of each yielding axis [N, N·m].
     pub(crate) cap: W,
 }
 
 impl<W: TaskVector> CapProblem<'_, W> {
-    /// Returns the wrench that the servos shall exert.
+    /// Returns the wrench that the servos shall exert on the tool.
     #[inline(always)]
     pub(crate) fn wrench(&self, follow: Follow) -> Wrench<W> {
         match follow {
@@ -34,17 +34,17 @@ impl<W: TaskVector> CapProblem<'_, W> {
         }
     }
 
-    /// `w clip(s / C, ±F)`: force of a soft axis, independent of all other constraints.
+    /// Returns `w clip(s_j / C_jj, ±F)`: the force of each soft axis, independent of all other axes.
     #[inline(always)]
     fn soft_force(&self) -> W {
         let c_diagonal = W::max(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
         self.softness * W::clamp_abs(self.step / c_diagonal, self.cap)
     }
 
-    /// `(C + diag(C_jj w / (1 − w)) + λ²/k̄)⁻¹ s` over the rows with w < 1.
+    /// Returns `(C + diag(C_jj w / (1 − w)) + λ²/k̄)⁻¹ s` over the rows with w < 1, 0 for the others.
     ///
-    /// Solved in `y = W / √(1 − w)`: the added diagonal then stays finite and a row at w = 1 drops out, so that
-    /// softness changes without a branch.
+    /// Solved for `y = W / √(1 − w)`, W being the wrench: the added diagonal then stays finite and a row at w = 1 drops
+    /// out, so that a change of softness needs no branch.
     #[inline(always)]
     pub(crate) fn stiff_force(&self) -> W {
         let root = W::sqrt(W::max(W::splat(1.0) - self.softness, W::splat(0.0)));
@@ -61,7 +61,7 @@ impl<W: TaskVector> CapProblem<'_, W> {
         root * TaskVector::from_axes(&y)
     }
 
-    /// `(C + λ²/k̄)⁻¹ s` over all rows, soft steps clamped to ±F C_jj.
+    /// Returns `(C + λ²/k̄)⁻¹ s` over all rows, with the steps of soft rows clamped to ±F C_jj.
     #[inline(always)]
     fn all_rows(&self) -> Wrench<W> {
         let (w, stiff) = (self.softness, W::splat(1.0) - self.softness);
@@ -73,11 +73,12 @@ impl<W: TaskVector> CapProblem<'_, W> {
     }
 }
 
-/// Law `cap`.
+/// The law `cap`.
 pub(crate) struct Cap;
 
 impl ControlLaw for Cap {
-    /// Lead of the goals under law `cap`: the wrench mapped to the joints, scaled to torque ceilings and speed limits.
+    /// Returns the lead of the goals [rad]: the wrench mapped to the joints, scaled to the usable torques and the speed
+    /// limits.
     #[inline(always)]
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
         let params = input.params;
@@ -98,7 +99,7 @@ impl ControlLaw for Cap {
         (input.joint_offsets(wrench, input.null_motion(), input.friction(ahead)), None)
     }
 
-    /// `h K_x ẽ / C_jj`.
+    /// Returns `h K_x ẽ / (C_jj + (1 − w) λ²/k̄)`, with the step `h K_x ẽ` within its limit.
     fn force_at(push: &AxisPush<'_>) -> f64 {
         let (params, h) = (push.params, push.horizon);
         let axis = &params.per_axis[push.row];

@@ -1,20 +1,21 @@
-//! Friction and damping feed-forward: line 10.
+//! Feed-forward of friction and damping.
 
 use crate::math::simd::{JointVector, Number, RealOps, Scalar, tanh};
 use crate::params::{ServoArrays, Settings};
 
-/// Factors of the friction feed-forward.
+/// Factors of the friction and damping feed-forward.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrictionGains<S> {
-    /// γ b_f and γ b_d.
+    /// γ b_f, on dry friction.
     pub(crate) friction: S,
+    /// γ b_d, on viscous damping.
     pub(crate) damping: S,
-    /// v₀ [rad/s].
+    /// Speed v₀ [rad/s] at which the dry friction saturates.
     pub(crate) speed: f64,
 }
 
 impl<S> FrictionGains<S> {
-    /// Returns the factors for γ; not used by law `paper`.
+    /// Returns the factors of the settings for the singularity fade γ; law `paper` does not use them.
     #[inline(always)]
     pub(crate) fn new<A: RealOps<Real = S>>(settings: &Settings, gamma: S) -> Self
     where
@@ -29,19 +30,19 @@ impl<S> FrictionGains<S> {
     }
 }
 
-/// Friction torque of the joints, times the feed-forward factors.
+/// Torque of friction and damping at each joint times the feed-forward factors, as a function of the load.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FrictionFeedForward<J> {
-    /// Part independent of the load [N·m].
+    /// Part that does not depend on the load [N·m].
     unloaded: J,
-    /// Additional part per N·m of load.
+    /// Additional torque per N·m of load torque [1].
     per_load: J,
 }
 
 impl<J: JointVector> FrictionFeedForward<J> {
-    /// `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and `γ b_f (μ + s μ_s) tanh(v/v₀)`, `s = 1/(1 + x + x²)`, `x =
-    /// |v|/v_s`: the excess of static friction fades with the speed. `toward` replaces v in `tanh(v/v₀)`, because the
-    /// velocity of a joint that sticks gives no direction.
+    /// Computes `γ (b_f (τ_f + s τ_s) tanh(v/v₀) + b_d d v)` and, per load torque, `γ b_f (μ + s μ_s) tanh(v/v₀)`. With
+    /// `s = 1/(1 + x + x²)`, `x = |v|/v_s`, the excess of static friction fades with the speed. `toward` replaces v in
+    /// `tanh(v/v₀)`, because the velocity of a joint that sticks has no direction.
     #[inline(always)]
     pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, friction_gains: FrictionGains<Scalar<J>>) -> Self {
         let one = J::splat(1.0);
@@ -55,7 +56,7 @@ impl<J: JointVector> FrictionFeedForward<J> {
         Self { unloaded: J::fma(dry, direction, damping), per_load: per_load * direction }
     }
 
-    /// Returns the friction torque of joints that carry `torque` [N·m].
+    /// Returns the feed-forward torque [N·m] of joints that carry the load `torque` [N·m].
     #[inline(always)]
     pub(crate) fn at_load(&self, torque: J) -> J {
         J::fma(self.per_load, J::abs(torque), self.unloaded)

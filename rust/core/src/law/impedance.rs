@@ -1,4 +1,4 @@
-//! Law `impedance`: a spring and a damper on each task axis, no solve. Replaces lines 6 to 8 of the control step.
+//! Law `impedance`: a spring and a damper on each task axis, without inverse kinematics.
 
 use crate::law::wrench::Wrench;
 use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
@@ -8,7 +8,7 @@ use crate::math::spectral::rho;
 use crate::params::Params;
 use crate::{MAX_AXES, Rows};
 
-/// Returns the factor ≤ 1 that reduces `ρ` of these gains to `bound`.
+/// Returns the factor that reduces ρ of these gains to `bound`; 1 if ρ is within it.
 #[inline(always)]
 fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) -> Scalar<J> {
     if !J::Axes::any_lt(J::Axes::splat(0.0), gains) {
@@ -18,8 +18,9 @@ fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) ->
     J::Elem::select_lt(bound, rho, bound / rho, J::Elem::splat(1.0))
 }
 
-/// Returns `F = clip(f K ẽ + f_D D (twist − v), ±max)` per axis, and `f` ≤ 1; f and f_D keep `f ρ(K)` and `f_D ρ(D)`
-/// within their bounds at this pose.
+/// Returns the force `F = clip(f K ẽ + f_D D (twist − v), ±max)` [N, N·m] of each axis, the joint speeds [rad/s] at the
+/// velocity of the reference, and f. The factors f, f_D ≤ 1 keep `f ρ(K)` and `f_D ρ(D)` within their bounds at this
+/// pose.
 #[inline(always)]
 fn force<J: JointVector>(input: &LawInput<'_, J>) -> (J::Axes, J, Scalar<J>) {
     let (demand, [max_stiffness, max_damping]) = (input.demand, input.params.impedance_bounds);
@@ -37,18 +38,18 @@ fn force<J: JointVector>(input: &LawInput<'_, J>) -> (J::Axes, J, Scalar<J>) {
     (J::Axes::clamp_abs(force, demand.max_strength), ahead, stiff)
 }
 
-/// Law `impedance`.
+/// The law `impedance`.
 pub(crate) struct Impedance;
 
 impl ControlLaw for Impedance {
-    /// Lead of the goals under law `impedance`: `K_p⁻¹ Jᵀ F`, scaled to torque ceilings and speed limits.
+    /// Returns the lead of the goals `K_p⁻¹ Jᵀ F` [rad], scaled to the usable torques and the speed limits.
     #[inline(always)]
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
         let (force, ahead, gain_factor) = force(input);
         let softness = input.demand.softness;
         let wrench = Wrench { soft: softness * force, stiff: (J::Axes::splat(1.0) - softness) * force };
         let null = match input.params.null_stiffness {
-            // Null-space motion of a given stiffness, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
+            // Null-space motion of a given stiffness κ, `−κ K_p⁻¹ N ∇cost` [rad]: its torque does no work on the task.
             Some(stiffness) => {
                 let compliance = J::load(&input.params.servos.compliance);
                 input.null_space().project(input.gradient) * J::splat(-stiffness) * compliance
@@ -58,17 +59,18 @@ impl ControlLaw for Impedance {
         (LawOutput { gain_factor, ..input.joint_offsets(wrench, null, input.friction(ahead)) }, None)
     }
 
-    /// `f K ẽ`.
+    /// Returns `f K ẽ`.
     fn force_at(push: &AxisPush<'_>) -> f64 {
         push.gain_factor * push.params.per_axis[push.row].stiffness[push.side] * push.share * push.deviation
     }
 
-    /// The factor of the last step, which depends on delay and pose.
+    /// Returns the factor of the last step, since it depends on delay and pose.
     fn gain_factor(_params: &Params, last: f64) -> f64 {
         last
     }
 
-    /// Returns f_D for the dampers in the settings; if the sides differ, for the firmer side.
+    /// Returns the factor f_D ≤ 1 on the dampers of the settings; where the two sides of an axis differ, for the larger
+    /// damping.
     fn damping_factor(params: &Params, rows: &Rows) -> f64 {
         let (mut gains, [_, max]) = ([0.0; MAX_AXES], params.impedance_bounds);
         for (gain, row) in gains.iter_mut().zip(&params.per_axis).take(params.k) {

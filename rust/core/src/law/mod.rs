@@ -1,4 +1,4 @@
-//! From deviation to motion and force: lines 7–10 of the control step, one file per law.
+//! Control laws: from the deviation of each task axis to joint motion and force; one file per law.
 
 pub(crate) mod activation;
 pub(crate) mod cap;
@@ -23,47 +23,50 @@ use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
-/// Input of every law: one step at the predicted positions, with the rows of the task's axes.
+/// Input of a control law for one step, at the predicted positions, in the rows of the task's axes.
 ///
-/// Rows after the task's axes and lanes after the arm's joints are zero and stay zero.
+/// Rows after the last task axis and lanes after the last joint are zero.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LawInput<'a, J: JointVector> {
     pub(crate) params: &'a Params,
+    /// Horizon h [s].
     pub(crate) horizon: f64,
-    /// Task rows.
+    /// Jacobian rows of the task axes, in the task frame.
     pub(crate) rows: &'a [J; MAX_AXES],
-    /// Task rows with translations divided by the arm's length.
+    /// Task rows whose translations are divided by the arm's length scale.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
     pub(crate) singularity: &'a SingularityState<Scalar<J>>,
-    /// λ² of each row.
+    /// λ² of each task row, in the units of that row.
     pub(crate) damping: J::Axes,
+    /// Velocity and acceleration terms of the reference.
     pub(crate) pacing: Pacing<J::Axes>,
-    /// Demand of each axis.
+    /// Deviation, compliance and strength of each task axis.
     pub(crate) demand: &'a AxisDemand<J::Axes>,
-    /// Filtered joint velocity.
+    /// Filtered joint velocity [rad/s].
     pub(crate) velocity: J,
     /// Gradient of the null-space cost.
     pub(crate) gradient: J,
-    /// Gravity in the goals.
+    /// Gravity torque that the goals compensate [N·m]; 0 if the settings exclude it.
     pub(crate) gravity: J,
-    /// γ b_f, γ b_d and v₀ of the feed-forward.
+    /// Factors γ b_f and γ b_d and speed v₀ of the friction feed-forward.
     pub(crate) friction_gains: FrictionGains<Scalar<J>>,
-    /// Lead stored by the integrating goal [rad].
+    /// Lead (goal − q) that the integrator has stored [rad]; 0 without integration.
     pub(crate) integral: J,
 }
 
 /// Terms that give the stiff axes the velocity and the acceleration of their reference.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pacing<W> {
-    /// Displacement on the servos' springs [m, rad].
+    /// Displacement [m, rad] of the reference that, by the servos' stiffness, produces the damping and acceleration
+    /// force.
     pub(crate) displacement: W,
     /// Velocity of the reference [m/s, rad/s].
     pub(crate) velocity: W,
 }
 
 impl<W: TaskVector> Pacing<W> {
-    /// Returns the terms that give the tool the velocity and acceleration of its reference: `velocity` and its `change`
-    /// per second, base axes, at the joint velocity `joints`.
+    /// Computes the terms from the reference's `velocity` [m/s, rad/s] and its `change` per second, both in base axes;
+    /// `joints` is the joint velocity [rad/s].
     #[inline(always)]
     pub(crate) fn new<J: SingleArmJoints<Axes = W>>(
         params: &Params,
@@ -79,61 +82,61 @@ impl<W: TaskVector> Pacing<W> {
         let speed: W = params.to_task_rows(&arm.base_from_task, velocity);
         let acceleration: W = params.to_task_rows(&arm.base_from_task, change);
         let tool_velocity: W = TaskVector::from_axes(&mul(arm.rows, joints));
-        let driven = W::constant(&pace.inertia) * W::clamp_abs(acceleration, W::constant(&pace.driven));
+        let driven = W::constant(&pace.inertia) * W::clamp_abs(acceleration, W::constant(&pace.max_acceleration));
         let displacement = W::fma(W::constant(&pace.damping), speed - tool_velocity, driven);
         Self { displacement, velocity: speed }
     }
 
-    /// Zero terms, for a reference without its own velocity.
+    /// Returns zero terms, for a reference without a velocity.
     #[inline(always)]
     pub(crate) fn zero() -> Self {
         Self { displacement: W::splat(0.0), velocity: W::splat(0.0) }
     }
 }
 
-/// Output of a law.
+/// Output of a control law for one step. A lead is a goal minus the predicted position.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LawOutput<J: JointVector> {
-    /// Lead of the goals that moves the arm: of stiff axes; under law `paper` of all axes [rad].
+    /// Lead of the goals that moves the arm [rad]: that of the stiff axes, under law `paper` that of all axes.
     pub(crate) stiff_offset: J,
-    /// Lead of the goals that exerts a force with or without motion: of soft axes [rad].
+    /// Lead of the goals that exerts a force whether or not the arm moves [rad]: that of the soft axes.
     pub(crate) soft_offset: J,
     /// Null-space part of the goals [rad].
     pub(crate) null: J,
-    /// Wrench of the laws that are defined by forces [N, N·m].
+    /// Wrench that the leads exert [N, N·m]; 0 under law `paper`.
     pub(crate) wrench: Wrench<J::Axes>,
-    /// Factors by which null-space, soft and stiff part were scaled.
+    /// Factors, 0 to 1, by which the null-space, the soft and the stiff part were scaled.
     pub(crate) factors: [Scalar<J>; 3],
     /// Friction and damping feed-forward [N·m].
     pub(crate) feed_forward: J,
-    /// Factor ≤ 1 on the gain of the stiff axes, required by delay and pose.
+    /// Factor ≤ 1 on the gain of the stiff axes that delay and pose require.
     pub(crate) gain_factor: Scalar<J>,
 }
 
-/// A control law: what differs between the laws. One file each; the step is compiled for every law, and [`with_law`]
-/// selects one.
+/// A control law. Each is implemented in its own file; the step is compiled for every law, and [`with_law`] selects
+/// one.
 pub(crate) trait ControlLaw {
-    /// Returns offsets and forces of one step; and, of a law whose torque limits follow from them, the joint budgets τ^q
-    /// of (11).
+    /// Returns the leads and the wrench of one step, and the joint torque budgets τ^q of (11) under law `paper`, else
+    /// `None`.
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>);
 
-    /// Returns the force [N, N·m] that answers a displacement of the arm at rest, before its bound by the strength; ∞ for
-    /// a law that is not defined by forces.
+    /// Returns the force [N, N·m] that opposes a push on an arm at rest, before the strength bounds it; ∞ for a law
+    /// that is not defined by forces.
     fn force_at(push: &AxisPush<'_>) -> f64;
 
-    /// Returns the factor ≤ 1 on the gain of the stiff axes; `last` is that of the last step.
+    /// Returns the factor ≤ 1 on the gain of the stiff axes; `last` is the factor of the last step.
     fn gain_factor(params: &Params, last: f64) -> f64 {
         let _ = last;
         params.gain_scale
     }
 
-    /// Returns the factor ≤ 1 on the dampers in the settings, for the task rows of the last step.
+    /// Returns the factor ≤ 1 on the dampers of the settings, for the task rows of the last step.
     fn damping_factor(_params: &Params, _rows: &Rows) -> f64 {
         1.0
     }
 }
 
-/// Evaluates an expression for the type of a law: the only place that lists the laws.
+/// Evaluates an expression with `$type` as the type of a law; the only place that lists the laws.
 macro_rules! with_law {
     ($law:expr, $type:ident => $value:expr) => {
         match $law {
@@ -153,45 +156,48 @@ macro_rules! with_law {
     };
 }
 
-/// Runs the law of the settings, see [`ControlLaw::solve`].
+/// Runs the law of the settings; inputs and outputs as [`ControlLaw::solve`].
 #[inline(always)]
 pub(crate) fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
     with_law!(input.params.law, L => L::solve(input))
 }
 
-/// See [`ControlLaw::gain_factor`].
+/// Returns the factor ≤ 1 on the gain of the stiff axes under the law of the settings; `last` is the factor of the last
+/// step.
 pub(crate) fn gain_factor(params: &Params, last: f64) -> f64 {
     with_law!(params.law, L => L::gain_factor(params, last))
 }
 
-/// See [`ControlLaw::damping_factor`].
+/// Returns the factor ≤ 1 on the dampers of the settings, for the task rows of the last step.
 pub(crate) fn damping_factor(params: &Params, rows: &Rows) -> f64 {
     with_law!(params.law, L => L::damping_factor(params, rows))
 }
 
-/// A push along one task axis of an arm at rest.
+/// A push along one task axis on an arm at rest.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisPush<'a> {
     pub(crate) params: &'a Params,
-    /// h [s].
+    /// Horizon h [s].
     pub(crate) horizon: f64,
-    /// Index of the axis among the task rows; side toward which it is pushed.
+    /// Index of the axis among the task rows.
     pub(crate) row: usize,
+    /// Side toward which the axis is pushed: 0 for −, 1 for +.
     pub(crate) side: usize,
-    /// Its task row.
+    /// Jacobian row of the axis.
     pub(crate) j_row: &'a JointVec,
-    /// λ²/k̄ of the row.
+    /// λ²/k̄ of the row, with the servos' mean stiffness k̄.
     pub(crate) damping: f64,
-    /// Factor on the stiffness at the last step.
+    /// Factor ≤ 1 on the stiffness at the last step.
     pub(crate) gain_factor: f64,
-    /// 1 − η w.
+    /// Share 1 − η w of the deviation that the target adaptation leaves.
     pub(crate) share: f64,
-    /// Deviation e [m, rad].
+    /// Deviation e = target − tool [m, rad].
     pub(crate) deviation: f64,
 }
 
 impl AxisPush<'_> {
-    /// See [`ControlLaw::force_at`].
+    /// Returns the force [N, N·m] that opposes the push under the law of the settings, before the strength bounds it; ∞
+    /// for a law that is not defined by forces.
     pub(crate) fn force(&self) -> f64 {
         with_law!(self.params.law, L => L::force_at(self))
     }
@@ -199,7 +205,7 @@ impl AxisPush<'_> {
 
 impl<J: JointVector> LawInput<'_, J> {
     /// Returns the force [N, N·m] that keeps the stiff axes at the velocity of their reference, and the approximate
-    /// joint speeds [rad/s] for it; `c_diagonal` is the diagonal of C.
+    /// joint speeds [rad/s] at that velocity; `c_diagonal` is the diagonal of `C = J K_p⁻¹ Jᵀ`.
     #[inline(always)]
     pub(crate) fn pacing_force(&self, c_diagonal: J::Axes) -> (J::Axes, J) {
         let c_diagonal = J::Axes::max(c_diagonal, J::Axes::splat(f64::MIN_POSITIVE));
@@ -208,13 +214,14 @@ impl<J: JointVector> LawInput<'_, J> {
         (stiffness * self.pacing.displacement, along * J::load(&self.params.servos.compliance))
     }
 
-    /// Line 10; `ahead` [rad/s] is added to the joint velocity to give the direction of motion.
+    /// Returns the feed-forward of friction and damping. `ahead` [rad/s] is added to the joint velocity for the
+    /// direction of motion, which a joint at rest does not have.
     #[inline(always)]
     pub(crate) fn friction(&self, ahead: J) -> FrictionFeedForward<J> {
         FrictionFeedForward::new([self.velocity, self.velocity + ahead], &self.params.servos, self.friction_gains)
     }
 
-    /// Returns the null-space projector of the settings.
+    /// Returns the null-space projector that the settings select.
     #[inline(always)]
     pub(crate) fn null_space(&self) -> NullSpace<'_, J> {
         let (params, size) = (self.params, (self.params.k, self.params.n));
@@ -233,7 +240,7 @@ impl<J: JointVector> LawInput<'_, J> {
         }
     }
 
-    /// Line 9: `−α h N ∇cost` [rad], before any scaling.
+    /// Returns the null-space motion `−α h N ∇cost` [rad], before any scaling.
     #[inline(always)]
     pub(crate) fn null_motion(&self) -> J {
         let step = self.params.alpha * self.horizon;

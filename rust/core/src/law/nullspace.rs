@@ -1,6 +1,6 @@
-//! Redundancy: the projector of (4) and the null-space cost of line 9.
+//! Redundancy: the null-space projector of (4) and the gradient of the null-space cost.
 
-use crate::law::activation::RowLengths;
+use crate::law::activation::RowNorms;
 use crate::law::posture_fade::posture_gain;
 use crate::math::ldlt6::{Ldlt6, factor_gram, pseudo_inverse};
 use crate::math::rows::{JointMatrix, load_rows, mul, store_rows, tr_mul};
@@ -11,21 +11,24 @@ use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// The projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix.
+/// The null-space projector `N = I − D Jᵀ (J D Jᵀ + μ²I)⁻¹ J`, applied without forming the matrix.
 ///
-/// Exact with μ = 0. μ = μ₁ clip(2 − σ/μ₁, 0, 1) with μ₁ = 10⁻³ σ_max fades it at singular poses, where the exact
-/// projector jumps.
+/// It is exact with μ = 0. At singular poses, where the exact projector jumps, `μ = μ₁ clip(2 − σ/μ₁, 0, 1)` with
+/// `μ₁ = 10⁻³ σ_max` fades it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NullSpace<'a, J: JointVector> {
     rows: &'a [J; MAX_AXES],
+    /// Diagonal of D.
     weight: J,
+    /// Factor of `J D Jᵀ + μ²I`.
     factor: Ldlt6<Scalar<J>>,
-    /// Number of task rows and of joints: with more rows than joints there is no redundancy.
+    /// Number of task rows; if there are more rows than joints, N is 0.
     task: usize,
+    /// Number of joints.
     joints: usize,
 }
 
-/// Returns μ² of the exact projector, from the smallest and largest singular value of the rows.
+/// Returns μ² of the exact null-space projector, from the smallest and the largest singular value of the rows.
 #[inline(always)]
 pub(crate) fn projector_damping_sq(smallest: f64, largest: f64) -> f64 {
     let mu_1 = 1e-3 * largest;
@@ -37,7 +40,8 @@ pub(crate) fn projector_damping_sq(smallest: f64, largest: f64) -> f64 {
 }
 
 impl<'a, J: JointVector> NullSpace<'a, J> {
-    /// Creates the projector of `task` rows over `joints`; `added` is added to the diagonal of `J D Jᵀ`.
+    /// Creates the projector of `task` rows over `joints` joints; `weight` is the diagonal of D, `added` the diagonal
+    /// that is added to `J D Jᵀ`.
     #[inline(always)]
     pub(crate) fn new(
         rows: &'a [J; MAX_AXES],
@@ -49,7 +53,7 @@ impl<'a, J: JointVector> NullSpace<'a, J> {
         Self::of(rows, weight, &factor, (task, joints))
     }
 
-    /// Creates the projector from a matrix that is already factored.
+    /// Creates the projector from the factor of the damped `J D Jᵀ`; `weight` is the diagonal of D.
     #[inline(always)]
     pub(crate) fn of(
         rows: &'a [J; MAX_AXES],
@@ -60,7 +64,7 @@ impl<'a, J: JointVector> NullSpace<'a, J> {
         Self { rows, weight, factor: *factor, task, joints }
     }
 
-    /// `N v`; zero with more rows than joints (no redundancy).
+    /// Returns `N v`; zero with more task rows than joints.
     #[inline(always)]
     pub(crate) fn project(&self, v: J) -> J {
         if self.task > self.joints {
@@ -70,20 +74,21 @@ impl<'a, J: JointVector> NullSpace<'a, J> {
         J::fnma(self.weight, tr_mul(self.rows, &along), v)
     }
 
-    /// `N v` from a known pseudo-inverse, `N = I − J⁺J`: no further solve.
+    /// Returns `N v = v − J⁺J v` from a pseudo-inverse that is already computed, without a further solve; zero with
+    /// more task rows than joints.
     #[inline(always)]
     pub(crate) fn project_by(&self, pinv_transposed: &[J; MAX_AXES], v: J) -> J {
         if self.task > self.joints { J::splat(0.0) } else { v - tr_mul(pinv_transposed, &mul(self.rows, v)) }
     }
 
-    /// Returns the transposed pseudo-inverse of this projector.
+    /// Returns the transposed damped pseudo-inverse `(J D Jᵀ + μ²I)⁻¹ J D`.
     #[inline(always)]
     pub(crate) fn pseudo_inverse(&self) -> [J; MAX_AXES] {
         self.factor.weighted_rows(self.rows, self.weight)
     }
 }
 
-/// Rows of the identity. A static, because loading a row just after storing a single element of it stalls.
+/// Rows of the identity matrix. A static, because loading a row just after storing one element of it stalls.
 static IDENTITY: JointMatrix = {
     let mut rows = [[0.0; MAX_JOINTS]; MAX_JOINTS];
     let mut i = 0;
@@ -94,9 +99,9 @@ static IDENTITY: JointMatrix = {
     rows
 };
 
-impl<J: JointVector> RowLengths<J> for NullSpace<'_, J> {
+impl<J: JointVector> RowNorms<J> for NullSpace<'_, J> {
     #[inline(always)]
-    fn row_lengths(&self) -> J {
+    fn row_norms(&self) -> J {
         let (none, zero) = (J::splat(0.0), J::Elem::splat(0.0));
         if self.task > self.joints {
             return none;
@@ -123,7 +128,7 @@ impl<J: JointVector> RowLengths<J> for NullSpace<'_, J> {
     }
 }
 
-/// Returns the matrix N for rows in memory.
+/// Returns the null-space projector N as a matrix; arguments as [`NullSpace::new`].
 #[cold]
 #[inline(never)]
 pub(crate) fn projector(
@@ -136,9 +141,9 @@ pub(crate) fn projector(
     let space = NullSpace::new(&rows, JointVec16::load(weight), added, (task, joints));
     let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
     for j in 0..joints.min(MAX_JOINTS) {
-        let mut clamp01 = [0.0; MAX_JOINTS];
-        clamp01[j] = 1.0;
-        for (row, value) in out.iter_mut().zip(space.project(JointVec16::load(&clamp01)).to_joints()) {
+        let mut unit = [0.0; MAX_JOINTS];
+        unit[j] = 1.0;
+        for (row, value) in out.iter_mut().zip(space.project(JointVec16::load(&unit)).to_joints()) {
             row[j] = value;
         }
     }
@@ -146,7 +151,8 @@ pub(crate) fn projector(
 }
 
 impl NullSpaceCost {
-    /// Returns the gradient of `share` times the posture cost plus the joint-limit cost at `q`.
+    /// Returns the gradient of `share` times the posture cost, plus that of the joint-limit cost, at `q`; `rest` is the
+    /// posture.
     #[inline(always)]
     pub(crate) fn gradient<J: JointVector>(&self, q: J, rest: J, share: f64) -> J {
         let toward_middle = J::load(&self.limits) * (q - J::load(&self.middle));
@@ -154,8 +160,8 @@ impl NullSpaceCost {
     }
 }
 
-/// Returns the gradient of the null-space cost, all parts; `rest` is the posture, `added` the gradient of a
-/// user's cost.
+/// Returns the gradient of the whole null-space cost; `rest` is the posture, `added` the gradient of a user's cost,
+/// `scaled` the scaled task rows and `mu_squared` μ² of the projector.
 #[inline(always)]
 pub(crate) fn cost_gradient<J: SingleArmJoints>(
     params: &Params,
@@ -179,9 +185,9 @@ pub(crate) fn cost_gradient<J: SingleArmJoints>(
     }
 }
 
-/// Returns the gradient of the manipulability cost at the present rows, times its weight.
+/// Returns the gradient of the manipulability cost at the present configuration, times its weight.
 ///
-/// `j_base` is the 6 × n Jacobian in base axes; `p` the weights of its entries, see [`manipulability_gradient`].
+/// `j_base` is the 6 × n Jacobian in base axes. The local `p` is its P in [`manipulability_gradient`].
 #[cold]
 #[inline(never)]
 fn weighted_manipulability(
@@ -206,13 +212,13 @@ fn weighted_manipulability(
     manipulability_gradient(j_base, &p, turning, params.n).map(|g| params.cost.manipulability * g)
 }
 
-/// Transposed damped pseudo-inverse of (3) for the task rows of a step and λ.
+/// Returns the transposed damped pseudo-inverse of (3) for the task rows of a step and λ = `damping`.
 pub(crate) fn step_pseudo_inverse(params: &Params, rows: &Rows, damping: f64) -> Rows {
     pseudo_inverse(rows, &params.joint_weight_inv, &params.damping_scale.map(|scale| scale * damping * damping))
 }
 
-/// Returns N of the settings for the task rows of a step and λ; `sigma` gives the smallest and largest singular value
-/// of the scaled rows.
+/// Returns the null-space projector N that the settings select, for the task rows of a step and λ = `damping`. `sigma`
+/// returns the smallest and the largest singular value of the scaled rows; it is called for the exact projector only.
 pub(crate) fn step_projector(
     params: &Params,
     rows: &Rows,
@@ -234,11 +240,11 @@ pub(crate) fn step_projector(
     }
 }
 
-/// Gradient of `−ln √det(JJᵀ)` over the task rows.
+/// Returns the gradient of `−ln √det(JJᵀ)` over the task rows.
 ///
-/// `∂/∂q_i = −Σ_j P_j · ∂J_j/∂q_i` with `P = (JJᵀ)⁻¹ J`, both in base axes (6 × n). A column (v, ω) after joint i turns
-/// with it: `ω_i × v_j`, `ω_i × ω_j`. For a column before joint i only its tool point moves: `ω_j × v_i`. `turning`
-/// subtracts the rotation of the task frame, for rows in the tool's axes.
+/// `∂/∂q_i = −Σ_j P_j · ∂J_j/∂q_i` with `P = (JJᵀ)⁻¹ J`, both in base axes (6 × n). A column (v, ω) of joint i or a
+/// later one rotates with joint i: `ω_i × v_j`, `ω_i × ω_j`. Of a column before joint i only the tool point moves:
+/// `ω_j × v_i`. With `turning`, the rotation of the task frame is subtracted, for task axes that turn with the tool.
 fn manipulability_gradient(jacobian: &Rows, p: &Rows, turning: bool, n: usize) -> JointVec {
     let n = n.min(MAX_JOINTS);
     let column = |m: &Rows, j: usize, from: usize| [m[from][j], m[from + 1][j], m[from + 2][j]];

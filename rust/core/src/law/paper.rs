@@ -1,4 +1,4 @@
-//! Law `paper`: velocity-based task-space control with torque budgets, equations (3)–(11).
+//! Law `paper`: task-space velocity control with joint torque budgets, equations (3)–(11).
 
 use crate::law::activation::{Activation, null_column};
 use crate::law::cap::CapProblem;
@@ -12,10 +12,10 @@ use crate::math::simd::{JointVector, RealOps, TaskVector};
 use crate::params::{Follow, Law, Params, Projector};
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Clamps the task step to the budgets: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
+/// Clamps the step of each task axis to its torque budget: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
 ///
-/// Joint limits alone do not keep the direction of the motion. The same budget on the goal keeps the signs of `J⁺`, so
-/// that (8) and (9) act on one axis alone.
+/// Torque limits of the joints alone would change the direction of the motion, since each cuts one joint. The clamp per
+/// axis keeps it, so that (8) and (9) act on that axis alone.
 #[inline(always)]
 fn within_budget<J: JointVector>(pinv_transposed: &[J; MAX_AXES], step: J::Axes, budget: J::Axes, kp: J) -> J::Axes {
     let (zero, mut cost) = (J::splat(0.0), [J::splat(0.0); MAX_AXES]);
@@ -28,8 +28,8 @@ fn within_budget<J: JointVector>(pinv_transposed: &[J; MAX_AXES], step: J::Axes,
     J::Axes::clamp_abs(step, budget / cost)
 }
 
-/// Lead of the goals with yielding rows removed from the inverse kinematics [rad]:
-/// `K_p⁻¹ J_rᵀ (C_rr + λ²/k̄)⁻¹ s_r + Σ_S K_p⁻¹ J_jᵀ κ_j s_j` with `κ_j = [(C + λ²/k̄)⁻¹]_jj`.
+/// Returns the lead of the goals (goal − q) [rad] with the yielding rows S removed from the inverse kinematics of the
+/// stiff rows r: `K_p⁻¹ J_rᵀ (C_rr + λ²/k̄)⁻¹ s_r + Σ_S K_p⁻¹ J_jᵀ κ_j s_j` with `κ_j = [(C + λ²/k̄)⁻¹]_jj`.
 #[inline(always)]
 fn decoupled_offset<J: JointVector>(input: &LawInput<'_, J>, step: J::Axes) -> J {
     let compliance = J::load(&input.params.servos.compliance);
@@ -47,7 +47,7 @@ fn decoupled_offset<J: JointVector>(input: &LawInput<'_, J>, step: J::Axes) -> J
     compliance * tr_mul(input.rows, &(problem.stiff_force() + soft).to_axes())
 }
 
-/// Lead [rad] that keeps the stiff axes at the velocity of their reference.
+/// Returns the additional lead of the goals [rad] that keeps the stiff axes at the velocity of their reference.
 #[inline(always)]
 fn pacing_offset<J: JointVector>(input: &LawInput<'_, J>) -> J {
     let compliance = J::load(&input.params.servos.compliance);
@@ -55,13 +55,13 @@ fn pacing_offset<J: JointVector>(input: &LawInput<'_, J>) -> J {
     compliance * tr_mul(input.rows, &input.pacing_force(c_diagonal).0.to_axes())
 }
 
-/// Law `paper`.
+/// The law `paper`.
 pub(crate) struct Paper;
 
 impl ControlLaw for Paper {
-    /// Lead of the goals under law `paper`, `h K_q (J⁺Δx − α N∇g)`, and the joint budgets τ^q of (11).
+    /// Returns the lead of the goals, `K_q (h J⁺Δx − α h N∇g)` [rad], and the joint torque budgets τ^q of (11) [N·m].
     ///
-    /// With `budget_on_goal` each axis' step is clamped to its τ^x.
+    /// With `budget_on_goal`, the step of each axis is clamped to its budget τ^x.
     #[inline(always)]
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
         let (params, damped) = (input.params, damped_space(input));
@@ -86,7 +86,7 @@ impl ControlLaw for Paper {
         (output, Some(budget))
     }
 
-    /// Budgets bound torques, not forces.
+    /// Returns ∞: the budgets bound joint torques, not forces.
     fn force_at(_push: &AxisPush<'_>) -> f64 {
         f64::INFINITY
     }
@@ -101,7 +101,7 @@ pub(crate) fn is_published(params: &Params) -> bool {
         && !params.tracks_sigma
 }
 
-/// [`Paper::solve`] as published.
+/// Returns lead and joint torque budgets of law `paper` as published, for settings that satisfy [`is_published`].
 #[inline(always)]
 pub(crate) fn published_motion<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, J) {
     let damped = damped_space(input);
@@ -110,7 +110,7 @@ pub(crate) fn published_motion<J: JointVector>(input: &LawInput<'_, J>) -> (LawO
     within_limits(input, &pinv, task, &damped, damped.project_by(&pinv, input.gradient))
 }
 
-/// Returns the null space for the damped pseudo-inverse of (3).
+/// Returns the null-space projector that belongs to the damped pseudo-inverse of (3).
 #[inline(always)]
 fn damped_space<'a, J: JointVector>(input: &LawInput<'a, J>) -> NullSpace<'a, J> {
     let params = input.params;
@@ -122,8 +122,8 @@ fn damped_space<'a, J: JointVector>(input: &LawInput<'a, J>) -> NullSpace<'a, J>
     )
 }
 
-/// Limits the motion of `task` and of `along` in the null space [rad] to the speed limits; also returns the budgets of
-/// (11).
+/// Scales the task motion `task` and the null-space direction `along` [rad], the latter times −α h, to the joint speed
+/// limits; also returns the joint torque budgets τ^q of (11).
 #[inline(always)]
 fn within_limits<J: JointVector>(
     input: &LawInput<'_, J>,
@@ -150,7 +150,7 @@ fn within_limits<J: JointVector>(
     (motion, budget)
 }
 
-/// `K_q v`.
+/// Returns `K_q v`.
 #[inline(always)]
 fn gained<J: JointVector>(params: &Params, v: J) -> J {
     if let Some(gain) = params.kq_scalar {

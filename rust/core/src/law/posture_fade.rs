@@ -1,23 +1,24 @@
-//! Fades out the posture task of the null space when a push leads a joint toward its position limit.
+//! Fades out the posture task of the null space while a push drives a joint toward its position limit.
 //!
-//! With a joint at its stop, the other joints follow the push through the null space, away from the posture. A full
-//! posture task would then be felt along the axis, in guided motion as several times the cap. Without a push the
-//! posture task stays: it leads joints away from their stops, for example out of a folded pose.
+//! With a joint at its stop, the other joints follow the push through the null space, away from the posture. At full
+//! strength the posture task would then add to the force along the axis, in guided motion several times the cap.
+//! Without a push the posture task stays: it moves joints away from their stops, for example out of a folded
+//! configuration.
 
 use crate::math::simd::{RealOps, SingleArmJoints, TaskVector};
 use crate::params::Params;
 use crate::task::compliance::clamp01;
 use crate::task::demand::AxisDemand;
 
-/// If the posture itself is nearer to the limit, the fade begins at its distance, at least at this share of the
-/// distance above.
+/// Smallest width of the fade, as a share of the clearance. The fade is narrower than the clearance if the posture
+/// itself is closer to the limit.
 const MIN_WIDTH: f64 = 0.4;
 
-/// Share of that distance after which the posture task is zero.
+/// Share of the fade's width over which the posture task falls from full to zero.
 const ZERO_AT: f64 = 0.5;
 
-/// Returns the factor on the posture task at `q`: 1 away from all position limits, at `rest`, or without a push; down
-/// to 0 where a push has led a joint to its limit.
+/// Returns the factor on the posture task at `q`: 1 away from all position limits, at the posture `rest`, or without a
+/// push; it falls to 0 where a push has moved a joint to its limit.
 #[inline(always)]
 pub(crate) fn posture_gain<J: SingleArmJoints>(params: &Params, q: J, rest: J, demand: &AxisDemand<J::Axes>) -> f64 {
     let (lower, upper, clear) = (J::load(&params.lower), J::load(&params.upper), J::load(&params.clearance));
@@ -29,8 +30,8 @@ pub(crate) fn posture_gain<J: SingleArmJoints>(params: &Params, q: J, rest: J, d
     if missing > 0.0 { 1.0 - missing.min(1.0) * push_fraction(params, demand) } else { 1.0 }
 }
 
-/// Returns how far the arm is pushed, 0 to 1: 0 below the deviation at which the compliance of a yielding axis begins
-/// to fall, 1 at twice that deviation.
+/// Returns the strength of a push on the yielding axes, 0 to 1: 0 below the deviation at which the compliance of an
+/// axis begins to fall, 1 at twice that deviation.
 #[inline(always)]
 fn push_fraction<W: TaskVector<Elem: RealOps<Real = f64>>>(params: &Params, demand: &AxisDemand<W>) -> f64 {
     let slope = W::constant(&params.axis_simd.push_slope);
@@ -38,8 +39,8 @@ fn push_fraction<W: TaskVector<Elem: RealOps<Real = f64>>>(params: &Params, dema
     TaskVector::to_axes(felt).into_iter().fold(0.0, f64::max)
 }
 
-/// Returns the share of the posture task that a stop at distance `room` removes: zero at the distance `at_rest` of the
-/// posture itself, so that the fade changes nothing there.
+/// Returns the share of the posture task that a stop at the distance `room` [rad or m] removes. It is 0 at the distance
+/// `at_rest` of the posture itself, so that the fade does not move the posture; `clear` is the clearance.
 #[inline(always)]
 fn stop_fade<J: SingleArmJoints>(room: J, at_rest: J, clear: J) -> J {
     let width = J::min(J::max(at_rest, J::splat(MIN_WIDTH) * clear), clear);

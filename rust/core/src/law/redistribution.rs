@@ -1,7 +1,7 @@
-//! Redistribution: the other joints make the motion that a joint at its position limit cannot make.
+//! Redistribution of motion: the other joints make the motion that a joint at its position limit cannot make.
 //!
-//! The task is solved with all joints. Only the motion that was cut off is solved again, without those joints. A joint
-//! that just touches its limit loses no motion, so the command does not jump there.
+//! The law solves the task with all joints. Only the motion that position limits cut off is solved again, without the
+//! joints at their limits. A joint that just reaches its limit loses no motion, so the command is continuous there.
 
 use crate::law::cap::CapProblem;
 use crate::law::scaling::scale_to_fit;
@@ -13,26 +13,25 @@ use crate::params::{Follow, Law, Params};
 use crate::task::ArmState;
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Joints that have reached a position limit.
+/// Joints whose goals have reached a position limit.
 #[derive(Clone, Copy)]
 struct JointLocks<J> {
     /// 1 for locked joints, 0 for the others.
     locked: J,
-    /// Lead that brings each locked joint to its limit [rad].
+    /// Lead (goal − q) that puts the goal of each locked joint at its limit [rad].
     offset: J,
 }
 
 impl<J: JointVector> JointLocks<J> {
-    /// No locked joints.
+    /// Returns a state without locked joints.
     #[inline(always)]
     fn none() -> Self {
         Self { locked: J::splat(0.0), offset: J::splat(0.0) }
     }
 
-    /// Adds the joints whose `goal` exceeds a limit; returns true if there were any.
+    /// Locks the joints whose `goal` [rad] exceeds a limit; returns false if no further joint exceeds one.
     ///
-    /// A locked joint keeps the lead to its limit, and the others make the missing motion, so that the rest of the task
-    /// stays correct. It is not unlocked within a step.
+    /// The lead of a locked joint becomes its limit minus `without_lead`. It is not unlocked within a step.
     #[inline(always)]
     fn lock_violations(&mut self, goal: J, without_lead: J, lower: J, upper: J) -> bool {
         let (zero, one) = (J::splat(0.0), J::splat(1.0));
@@ -47,44 +46,45 @@ impl<J: JointVector> JointLocks<J> {
         true
     }
 
-    /// Selects `value` for locked joints, `other` for the rest.
+    /// Returns `value` for locked joints and `other` for the rest.
     #[inline(always)]
     fn select(&self, value: J, other: J) -> J {
         J::select_lt(J::splat(0.0), self.locked, value, other)
     }
 }
 
-/// Motion that locked joints leave to the others.
+/// Inputs for the motion that the other joints make instead of the locked ones.
 #[derive(Debug, Clone, Copy)]
 struct Redistribution<'a, J: SingleArmJoints> {
     params: &'a Params,
+    /// Horizon h [s].
     horizon: f64,
-    /// Task rows of all joints.
+    /// Jacobian rows of the task axes, all joints.
     rows: &'a [J; MAX_AXES],
     /// 0 for locked joints, 1 for the others.
     unlocked: J,
-    /// Task motion that is missing, per row [m, rad].
+    /// Task motion that the limits cut off, per row [m, rad].
     missing: &'a AxisVec,
-    /// Softness of each row.
+    /// Softness w of each row, 0 to 1.
     softness: J::Axes,
-    /// Torque that each joint already exerts [N·m].
+    /// Torque that each joint already exerts [N·m], gravity included.
     torque: J,
     /// Lead that each joint already has [rad].
     offset: J,
 }
 
-/// Additional motion of the other joints.
+/// Additional motion of the joints that are not locked.
 #[derive(Debug, Clone, Copy)]
 struct Correction<J: SingleArmJoints> {
-    /// [rad]
+    /// Additional lead of the goals [rad].
     offset: J,
-    /// Wrench of the laws that are defined by forces [N, N·m].
+    /// Wrench that the additional lead exerts [N, N·m]; 0 under law `paper`.
     wrench: J::Axes,
 }
 
 impl<J: SingleArmJoints> Redistribution<'_, J> {
-    /// Computes the additional motion. Soft rows keep their force and demand nothing more; ceilings and joint speeds
-    /// hold.
+    /// Computes the additional motion, within the usable torques and the joint speeds. Under [`Follow::Free`], soft
+    /// rows keep their force and require no motion.
     #[inline(always)]
     fn correction(&self) -> Correction<J> {
         let (params, zero) = (self.params, J::Axes::splat(0.0));
@@ -120,19 +120,19 @@ impl<J: SingleArmJoints> Redistribution<'_, J> {
     }
 }
 
-/// Parts of a motion that locked joints change.
+/// Parts of the law's motion that locking joints changes.
 #[derive(Debug, Clone, Copy)]
 struct MotionParts<J: SingleArmJoints> {
-    /// [rad]
+    /// Lead of the goals that moves the arm [rad].
     offset: J,
-    /// [rad]
+    /// Null-space part of the goals [rad].
     null: J,
-    /// Wrench of the stiff axes [N, N·m].
+    /// Wrench on the stiff axes [N, N·m].
     stiff: J::Axes,
 }
 
 impl<J: SingleArmJoints> MotionParts<J> {
-    /// Returns the motion with locked joints at their remaining lead and the additional motion of the others.
+    /// Returns the motion in which locked joints go to their limits and the others add `correction`.
     #[inline(always)]
     fn with(&self, locks: &JointLocks<J>, correction: &Correction<J>) -> Self {
         Self {
@@ -143,8 +143,8 @@ impl<J: SingleArmJoints> MotionParts<J> {
     }
 }
 
-/// Locks the joints that would exceed their position limits until no other joint does, and changes `motion` accordingly.
-/// Returns the goals without force offsets [rad], and 1 for locked joints, 0 for the others.
+/// Locks joints, one set after another, until no goal exceeds its position limit, and replaces the parts of `motion`
+/// accordingly. Returns the goals without force offsets [rad], and 1 for locked joints, 0 for the others.
 #[inline(always)]
 pub(crate) fn redistribute<J: SingleArmJoints>(
     input: &LawInput<'_, J>,
@@ -181,7 +181,7 @@ pub(crate) fn redistribute<J: SingleArmJoints>(
     }
 }
 
-/// Task rows, columns of locked joints zero.
+/// Returns the task rows with the columns of locked joints set to zero.
 pub(crate) fn without_locked(rows: &Rows, locked: &[bool; MAX_JOINTS]) -> Rows {
     let mut free = *rows;
     for row in &mut free {

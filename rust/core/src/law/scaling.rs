@@ -2,12 +2,13 @@
 
 use crate::math::simd::{JointVector, RealOps, Scalar};
 
-/// Factors in [0, 1], one per part, so that `|base + Σ f_p part_p| ≤ bound` for every joint.
+/// Returns one factor in [0, 1] per part so that `|base + Σ f_p part_p| ≤ bound` for every joint; all 0 if `base` alone
+/// exceeds the bound.
 ///
-/// The parts are reduced in order: the second is scaled only if dropping the first is not enough.
+/// The parts are reduced in order: the second is scaled only if the bound is exceeded even without the first.
 #[inline(always)]
 pub(crate) fn scale_to_fit<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
-    // Fast path without a branch per joint: nearly always everything fits.
+    // Fast path without a branch per joint: usually the sum is within the bound.
     let mut all = base;
     for part in parts {
         all = all + part;
@@ -18,8 +19,8 @@ pub(crate) fn scale_to_fit<J: JointVector, const P: usize>(base: J, parts: [J; P
 #[inline(always)]
 fn shrink<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
     let (zero, one) = (J::splat(0.0), J::splat(1.0));
-    // Ignore a part that moves a joint by no more than rounding error: scaling it does not help. Ignore as well an
-    // excess of the sum that is only rounding error after the previous part was scaled to the bound.
+    // Ignore a part that moves a joint by no more than rounding error: scaling it does not help. Also ignore an excess
+    // that is only rounding error after the previous part was scaled to the bound.
     let rounding = bound * J::splat(1e-9);
     let mut factors = [J::Elem::splat(1.0); P];
     for p in 0..P {

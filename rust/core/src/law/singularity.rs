@@ -1,4 +1,5 @@
-//! Singularity state of the task rows: damping, projector damping and the fade of feed-forward and prediction.
+//! Distance of the task rows from a singularity, and what follows from it: damping λ², projector damping μ² and the
+//! fade γ of feed-forward and prediction.
 
 use crate::law::nullspace::projector_damping_sq;
 use crate::math::ldlt6::Ldlt6;
@@ -8,29 +9,32 @@ use crate::math::singular_values::SingularValues;
 use crate::params::Params;
 use crate::{MAX_AXES, Rows};
 
-/// Iterations for the extreme singular vectors: from scratch, and per step when tracked.
-const ITERATIONS: (usize, usize) = (30, 1);
+/// Iterations for the extreme singular vectors from scratch.
+const COLD_ITERATIONS: usize = 30;
 
-/// Singularity state of a step's task rows.
+/// Iterations per step for the extreme singular vectors, from those of the last step.
+const TRACKING_ITERATIONS: usize = 1;
+
+/// Damping and fade that follow from the singular values of a step's task rows.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SingularityState<R = f64> {
-    /// λ².
+    /// λ², before the scale of each row.
     pub(crate) damping: R,
-    /// μ² of the exact projector.
+    /// μ² of the exact null-space projector.
     pub(crate) mu_squared: R,
-    /// Factor of the scaled rows' `JJᵀ`, if computed.
+    /// Factor of `JJᵀ` of the scaled rows; `None` if singular values are not tracked, or with more axes than joints.
     pub(crate) factor: Option<Ldlt6<R>>,
-    /// γ: factor on feed-forward and prediction.
+    /// γ, the factor on feed-forward and prediction.
     pub(crate) gamma: R,
 }
 
-/// γ of line 7: fades feed-forward and prediction near singular poses, `clip(3 σ/σ₀, ½, 1)`.
+/// Returns γ, which fades feed-forward and prediction near singular poses: `clip(3 σ/σ₀, ½, 1)`, or 1 if σ₀ is 0.
 #[inline(always)]
 pub(crate) fn singularity_fade(sigma: f64, sigma_0: f64) -> f64 {
     if sigma_0 > 0.0 { (3.0 * sigma / sigma_0).clamp(0.5, 1.0) } else { 1.0 }
 }
 
-/// λ² of line 7.
+/// Returns λ² for the smallest singular value σ: `λ₀² + (1 − (σ/σ₀)²) λ_max²` below σ₀, else λ₀².
 #[inline(always)]
 pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_max: f64) -> f64 {
     let mut squared = lambda_0 * lambda_0;
@@ -41,13 +45,14 @@ pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_ma
     squared
 }
 
-/// λ² of each row.
+/// Returns λ² of each task row, in the units of that row.
 #[inline(always)]
 pub(crate) fn row_damping<J: JointVector>(params: &Params, singularity: &SingularityState<Scalar<J>>) -> J::Axes {
     J::Axes::constant(&params.axis_simd.damping_scale) * J::Axes::broadcast(singularity.damping)
 }
 
-/// Line 7: updates σ, sets γ, returns λ².
+/// Updates the singular values of the scaled rows and returns damping and fade; `cold` if `values` are not from the
+/// last step.
 #[inline(always)]
 pub(crate) fn singularity_state<J: SingleArmJoints>(
     params: &Params,
@@ -70,7 +75,7 @@ pub(crate) fn singularity_state<J: SingleArmJoints>(
     if cold {
         values.restrict(axes);
     }
-    values.update::<J::Elem>(&gram, &factor, axes, if cold { ITERATIONS.0 } else { ITERATIONS.1 });
+    values.update::<J::Elem>(&gram, &factor, axes, if cold { COLD_ITERATIONS } else { TRACKING_ITERATIONS });
     let sigma = values.smallest;
     SingularityState {
         damping: damping_squared(sigma, limits.lambda_0, limits.sigma_0, limits.lambda_max),
@@ -80,8 +85,8 @@ pub(crate) fn singularity_state<J: SingleArmJoints>(
     }
 }
 
-/// Returns `JᵀJ`, for fewer joints than axes: it has the same nonzero singular values, without the zeros that `JJᵀ`
-/// always has.
+/// Returns `JᵀJ`, used with fewer joints than axes: it has the same nonzero singular values as `JJᵀ`, without the zeros
+/// that `JJᵀ` then has.
 #[cold]
 #[inline(never)]
 fn joint_gram(scaled: &Rows) -> Mat6 {

@@ -1,5 +1,5 @@
-//! Lead of the goals for a wrench, within torque ceilings and joint speeds: shared by the laws that are defined by
-//! forces.
+//! Offset of the joint goals from the measured positions (the lead) that exerts a wrench, within the limits of torque
+//! and joint speed. Shared by the force-based control laws.
 
 use crate::law::friction::FrictionFeedForward;
 use crate::law::scaling::scale_to_fit;
@@ -7,15 +7,17 @@ use crate::law::{LawInput, LawOutput};
 use crate::math::rows::tr_mul;
 use crate::math::simd::{Broadcast, JointVector, RealOps, TaskVector};
 
-/// Wrench on the target [N, N·m], in two parts that are scaled separately at a limit.
+/// Wrench on the tool in task axes [N, N·m], in two parts that are scaled separately at a limit.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wrench<W> {
+    /// Part on the axes that yield.
     pub(crate) soft: W,
+    /// Part on the axes that do not yield.
     pub(crate) stiff: W,
 }
 
 impl<W: TaskVector> Wrench<W> {
-    /// Zero wrench.
+    /// Returns a zero wrench.
     #[inline(always)]
     pub(crate) fn zero() -> Self {
         Self { soft: W::splat(0.0), stiff: W::splat(0.0) }
@@ -29,8 +31,8 @@ impl<W: TaskVector> Wrench<W> {
 }
 
 impl<J: JointVector> LawInput<'_, J> {
-    /// Returns the lead of the goals that exerts `wrench`, plus `null` [rad]; if it exceeds the limits, the parts are
-    /// reduced in the order below.
+    /// Returns the lead of the goals [rad] that exerts `wrench`, plus the null-space motion `null` [rad]. Parts that
+    /// exceed the limits are reduced in the order given below.
     #[inline(always)]
     pub(crate) fn joint_offsets(
         &self,
@@ -42,13 +44,13 @@ impl<J: JointVector> LawInput<'_, J> {
         let null = self.bound_null(null);
         let (kp, compliance, torque) = (J::load(&servos.kp), J::load(&servos.compliance), J::load(&servos.torque));
 
-        // Torque ceilings: reduce the soft part first, then the stiff part, gravity never.
+        // Usable torques: reduce the soft part first, then the stiff part; never gravity.
         let soft = tr_mul(self.rows, &wrench.soft.to_axes());
         let stiff = tr_mul(self.rows, &wrench.stiff.to_axes());
         let feed_forward = friction.at_load(J::clamp_abs(self.gravity + soft + stiff, torque));
         let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
         let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
-        // Joint speeds: reduce the null-space part first.
+        // Joint speeds: reduce the null-space part first, then the soft, then the stiff part.
         let (soft, stiff) =
             (soft * compliance * J::broadcast(soft_torque), stiff * compliance * J::broadcast(stiff_torque));
         let [null_speed, soft_speed, stiff_speed] =
@@ -68,7 +70,7 @@ impl<J: JointVector> LawInput<'_, J> {
         }
     }
 
-    /// Scales the null-space motion to its torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.
+    /// Scales the null-space motion [rad] to its total torque, `Σ k_p |null| ≤ τ₀`, and to its speed limit.
     #[inline(always)]
     fn bound_null(&self, null: J) -> J {
         let params = self.params;

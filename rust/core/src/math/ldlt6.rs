@@ -5,7 +5,7 @@ use super::simd::{Broadcast, JointVec16, JointVector, Number, RealOps, Scalar};
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 outlined_formula! {
-    /// Factor of `J diag(d) Jᵀ` plus a diagonal.
+    /// Factors `J diag(d) Jᵀ` plus the diagonal matrix of `added`.
     fn factor_gram<J>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Ldlt6<Scalar<J>> as factored
 }
 
@@ -17,16 +17,16 @@ fn factored<J: JointVector>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_
 /// Smallest pivot whose square and inverse square are finite and nonzero.
 const MIN_PIVOT: f64 = 1e-100;
 
-/// Factor `L D Lᵀ` of a symmetric, positive definite matrix; reads its lower half.
+/// Factor `L D Lᵀ` of a symmetric, positive definite matrix; only its lower half is read.
 ///
-/// `D` has blocks of 2 × 2: the dependency chain has three divisions, not six. A pivot lost to rounding is replaced by
-/// a tiny positive one: a singular matrix gives large but finite results, not NaN. A row of zeros gives zeros if the
-/// right side is zero there, so that a task with fewer axes needs no separate code.
+/// `D` has blocks of 2 × 2, so that the dependency chain has three divisions instead of six. A pivot lost to rounding
+/// is replaced by a tiny positive one: a singular matrix gives large but finite results, not NaN. A row of zeros gives
+/// a zero result if the right side is zero there, so that a task with fewer axes needs no separate code.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ldlt6<R = f64> {
-    /// `L`, below the blocks of its diagonal.
+    /// `L` below the 2 × 2 blocks of its diagonal, which are the identity.
     l: Mat6<R>,
-    /// `[a, b, c]` of each block's inverse `[[a, b], [b, c]]`.
+    /// Inverse `[[a, b], [b, c]]` of each 2 × 2 block of `D`, as `[a, b, c]`.
     inverse: [[R; 3]; MAX_AXES / 2],
 }
 
@@ -41,27 +41,27 @@ impl<R: Number> Ldlt6<R> {
             let least = [A::max(tiny * m[i][i], min_pivot), A::max(tiny * m[j][j], min_pivot)];
             let (a, b, c) = (A::max(s[i][i], least[0]), s[j][i], A::max(s[j][j], least[1]));
             let determinant = A::max(A::fnma(b, b, a * c), a * least[1]);
-            // Independent of the division, so it runs during its latency.
+            // Independent of the division, so that it is computed during its latency.
             let scale = one / determinant;
-            let mut ahead = [[zero; 2]; MAX_AXES];
+            let mut products = [[zero; 2]; MAX_AXES];
             for r in j + 1..MAX_AXES {
                 let (u, v) = (s[r][i], s[r][j]);
-                ahead[r] = [A::fnma(b, v, c * u), A::fnma(b, u, a * v)];
+                products[r] = [A::fnma(b, v, c * u), A::fnma(b, u, a * v)];
             }
             for r in j + 1..MAX_AXES {
                 for k in j + 1..=r {
-                    s[r][k] = A::fnma(scale, A::fma(ahead[r][0], s[k][i], ahead[r][1] * s[k][j]), s[r][k]);
+                    s[r][k] = A::fnma(scale, A::fma(products[r][0], s[k][i], products[r][1] * s[k][j]), s[r][k]);
                 }
             }
             inverse[block] = [c * scale, -b * scale, a * scale];
             for r in j + 1..MAX_AXES {
-                (l[r][i], l[r][j]) = (ahead[r][0] * scale, ahead[r][1] * scale);
+                (l[r][i], l[r][j]) = (products[r][0] * scale, products[r][1] * scale);
             }
         });
         Self { l, inverse }
     }
 
-    /// Solves `M X = B` for a right side with one value, or one value per joint, in each row.
+    /// Solves `M X = B`, where each row of B is one value, or one value per joint.
     #[inline(always)]
     pub(crate) fn solve<A: Broadcast<R>>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
         let mut x = *b;
@@ -87,18 +87,23 @@ impl<R: Number> Ldlt6<R> {
         x
     }
 
-    /// `M⁻¹ J D`: the transposed pseudo-inverse for this factor of `J D Jᵀ`.
+    /// Returns `M⁻¹ J D`, the transposed pseudo-inverse, where this is the factor of the damped `M = J D Jᵀ` and
+    /// `joint_weight` the diagonal of D.
     #[inline(always)]
     pub(crate) fn weighted_rows<J: JointVector<Group: Broadcast<R>>>(
         &self,
         rows: &[J; MAX_AXES],
         joint_weight: J,
     ) -> [J; MAX_AXES] {
-        if J::OUTLINED { self.called_rows(rows, joint_weight) } else { self.inlined_rows(rows, joint_weight) }
+        if J::OUTLINED { self.outlined_rows(rows, joint_weight) } else { self.inlined_rows(rows, joint_weight) }
     }
 
     #[inline(never)]
-    fn called_rows<J: JointVector<Group: Broadcast<R>>>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
+    fn outlined_rows<J: JointVector<Group: Broadcast<R>>>(
+        &self,
+        rows: &[J; MAX_AXES],
+        joint_weight: J,
+    ) -> [J; MAX_AXES] {
         self.inlined_rows(rows, joint_weight)
     }
 
@@ -109,7 +114,7 @@ impl<R: Number> Ldlt6<R> {
         joint_weight: J,
     ) -> [J; MAX_AXES] {
         let mut out = *rows;
-        // Joint by joint if each has its own register: then six values stay in registers, not six rows.
+        // Joint by joint if each joint has its own register: then six values stay in registers instead of six rows.
         for i in 0..J::GROUPS {
             let b = [
                 rows[0].group(i),
@@ -127,7 +132,7 @@ impl<R: Number> Ldlt6<R> {
         out
     }
 
-    /// Diagonal of `M⁻¹`.
+    /// Returns the diagonal of `M⁻¹`.
     #[inline(always)]
     pub(crate) fn inverse_diagonal<A: RealOps<Real = R> + Broadcast<R>>(&self) -> [R; MAX_AXES] {
         let mut out = [A::splat(0.0); MAX_AXES];
@@ -140,7 +145,7 @@ impl<R: Number> Ldlt6<R> {
     }
 }
 
-/// Transposed damped pseudo-inverse of (3): row r holds column r of `J⁺ = D Jᵀ (J D Jᵀ + Λ)⁻¹`.
+/// Returns the transposed damped pseudo-inverse of (3): row r holds column r of `J⁺ = D Jᵀ (J D Jᵀ + Λ)⁻¹`.
 ///
 /// `joint_weight` holds the diagonal of `D` (1 for equal weights), `damping` the diagonal of `Λ` (λ², in the squared
 /// units of its row).

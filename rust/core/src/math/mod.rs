@@ -1,7 +1,7 @@
-//! Linear algebra and numerics, without knowledge of robots: SIMD number types, rows over the joints, factorizations,
+//! Linear algebra and numerics that do not depend on robots: SIMD number types, rows over the joints, factorizations,
 //! singular values, rotations, sampling, threads.
 
-/// Repeats the body for each index: triangular loops within it then have constant bounds and stay in registers.
+/// Repeats the body for each index, so that triangular loops within it have constant bounds and stay in registers.
 macro_rules! unrolled {
     ($i:ident in $($index:literal)* => $body:block) => {
         $({
@@ -11,7 +11,7 @@ macro_rules! unrolled {
     };
 }
 
-/// Defines a formula over [`JointVector`](simd::Lanes): inlined, or a call if the type is `OUTLINED`.
+/// Defines a function over [`JointVector`](simd::JointVector): inlined, or a call if the type is `OUTLINED`.
 macro_rules! outlined_formula {
     ($(#[$about:meta])* fn $name:ident<$j:ident>($($argument:ident: $type:ty),*) -> $output:ty as $body:ident) => {
         $(#[$about])*

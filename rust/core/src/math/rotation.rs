@@ -1,19 +1,19 @@
-//! Rotation vectors and rotation matrices; 6-vectors in rotated axes.
+//! Conversion between rotation vectors and rotation matrices; rotation of 6-vectors between base and task axes.
 
 use super::simd::{BaselineF64, RealOps, atan_over_y, atan2_first_quadrant, is_small_angle, sin_cos};
 use super::spatial::{Mat3, Vec3, dot, tr_rotate};
 use crate::{AxisVec, MAX_AXES};
 
-/// Rotation vector [rad] of a rotation matrix (row-major), of length at most π.
+/// Returns the rotation vector [rad] of a rotation matrix (row-major), of length at most π.
 ///
-/// Computed from the quaternion, largest component first: accurate at 0 and at π, where the trace formula loses half
-/// the digits.
+/// Computed from the quaternion, largest component first. This is accurate at 0 and at π, where the trace formula loses
+/// half of the digits.
 #[inline(always)]
 pub(crate) fn rotation_vector(m: &[[f64; 3]; 3]) -> [f64; 3] {
     rotation_vector_by::<BaselineF64>(m)
 }
 
-/// [`rotation_vector`] of one rotation or of several.
+/// Computes [`rotation_vector`] for one rotation or for several.
 #[inline(always)]
 pub(crate) fn rotation_vector_by<A: RealOps>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
     let c = A::splat;
@@ -52,13 +52,13 @@ pub(crate) fn rotation_vector_by<A: RealOps>(m: &Mat3<A::Real>) -> Vec3<A::Real>
     [scale * x, scale * y, scale * z]
 }
 
-/// Rotation matrix (row-major) of a rotation vector [rad]: Rodrigues' formula.
+/// Returns the rotation matrix (row-major) of a rotation vector [rad], by Rodrigues' formula.
 #[inline(always)]
 pub(crate) fn rotation_matrix(v: [f64; 3]) -> [[f64; 3]; 3] {
     rotation_matrix_by::<BaselineF64>(v)
 }
 
-/// [`rotation_matrix`] for any instruction set.
+/// Computes [`rotation_matrix`] with the scalar type of an instruction set.
 #[inline(always)]
 pub(crate) fn rotation_matrix_by<A: RealOps<Real = f64>>(v: [f64; 3]) -> Mat3 {
     let angle2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
@@ -78,7 +78,7 @@ pub(crate) fn rotation_matrix_by<A: RealOps<Real = f64>>(v: [f64; 3]) -> Mat3 {
     ]
 }
 
-/// Transforms a 6-vector from base axes into the axes whose unit vectors are the columns of `base_from_task`.
+/// Rotates both halves of a 6-vector from base axes into the task axes, the columns of `base_from_task`.
 #[inline(always)]
 pub(crate) fn base_to_task<A: RealOps>(base_from_task: &Mat3<A::Real>, v: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
     let [x, y, z] = tr_rotate::<A>(base_from_task, &[v[0], v[1], v[2]]);
@@ -86,7 +86,7 @@ pub(crate) fn base_to_task<A: RealOps>(base_from_task: &Mat3<A::Real>, v: &[A::R
     [x, y, z, roll, pitch, yaw]
 }
 
-/// Rotates both halves of a 6-vector from the task frame into base axes.
+/// Rotates both halves of a 6-vector from the task axes, the columns of `base_from_task`, into base axes.
 pub(crate) fn task_to_base(base_from_task: &[[f64; 3]; 3], v: &AxisVec) -> AxisVec {
     std::array::from_fn(|i| (0..3).map(|k| base_from_task[i % 3][k] * v[3 * (i / 3) + k]).sum())
 }

@@ -1,6 +1,6 @@
-//! Rounding of numbers for people: two significant digits, halves of a decade.
+//! Rounding of default values and of numbers in messages.
 
-/// A value rounded to two significant digits: 0.1465 → 0.15.
+/// Returns a positive value rounded to two significant digits (0.1465 → 0.15); 0 for any other value.
 pub(crate) fn round_to_two_digits(value: f64) -> f64 {
     if !(value > 0.0 && value.is_finite()) {
         return 0.0;
@@ -9,7 +9,8 @@ pub(crate) fn round_to_two_digits(value: f64) -> f64 {
     (value / step).round() * step
 }
 
-/// A value rounded to halves of its leading decade: 4.03 → 4, 15.1 → 15, 0.948 → 0.95.
+/// Returns a positive value rounded to halves of its leading decade (4.03 → 4, 15.1 → 15, 0.948 → 0.95); 0 for any
+/// other value.
 pub(crate) fn round_to_halves(value: f64) -> f64 {
     if !(value > 0.0 && value.is_finite()) {
         return 0.0;
@@ -18,12 +19,12 @@ pub(crate) fn round_to_halves(value: f64) -> f64 {
     (value / step).round() * step
 }
 
-/// Rounds down to two digits.
+/// Returns a positive value rounded down to two significant digits; any other value unchanged.
 pub(crate) fn round_down(value: f64) -> f64 {
     digits(value, f64::floor)
 }
 
-/// Rounds up to two digits.
+/// Returns a positive value rounded up to two significant digits; any other value unchanged.
 pub(crate) fn round_up(value: f64) -> f64 {
     digits(value, f64::ceil)
 }
@@ -32,7 +33,7 @@ fn digits(value: f64, round: impl Fn(f64) -> f64) -> f64 {
     if !(value > 0.0 && value.is_finite()) {
         return value;
     }
-    // Scale by a power of ten ≥ 1, which is exact, so that 0.3 stays 0.3.
+    // Scale by a power of ten ≥ 1, which is exact in floating point, so that 0.3 stays 0.3.
     let exponent = 1.0 - value.log10().floor();
     if exponent >= 0.0 {
         let scale = 10.0_f64.powf(exponent).round();

@@ -3,20 +3,20 @@
 use super::simd::{AxisScalar, JointVector, Number, RealOps, Scalar, SingleArmJoints, TaskVector};
 use crate::{MAX_AXES, MAX_JOINTS, Rows};
 
-/// A symmetric matrix of task axes.
+/// A 6 × 6 matrix over the task axes, usually symmetric.
 pub(crate) type Mat6<R = f64> = [[R; MAX_AXES]; MAX_AXES];
 
-/// A matrix over the joints.
+/// A matrix over the joints, `m[row][column]`.
 pub(crate) type JointMatrix = [[f64; MAX_JOINTS]; MAX_JOINTS];
 
-/// Copies a slice into an array, with `rest` after its end.
+/// Copies a slice into an array and fills the remaining entries with `rest`.
 pub(crate) fn pad<const N: usize>(values: &[f64], rest: f64) -> [f64; N] {
     let mut out = [rest; N];
     out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
     out
 }
 
-/// Loads rows from memory.
+/// Loads six rows over the joints from memory.
 #[inline(always)]
 pub(crate) fn load_rows<J: JointVector>(rows: &Rows) -> [J; MAX_AXES] {
     let mut out = [J::splat(0.0); MAX_AXES];
@@ -26,7 +26,7 @@ pub(crate) fn load_rows<J: JointVector>(rows: &Rows) -> [J; MAX_AXES] {
     out
 }
 
-/// Stores rows to memory, zeros in the padding.
+/// Stores six rows over the joints to memory, zeros in the padding.
 #[inline(always)]
 pub(crate) fn store_rows<J: SingleArmJoints>(rows: &[J; MAX_AXES]) -> Rows {
     let mut out = [[0.0; MAX_JOINTS]; MAX_AXES];
@@ -36,7 +36,7 @@ pub(crate) fn store_rows<J: SingleArmJoints>(rows: &[J; MAX_AXES]) -> Rows {
     out
 }
 
-/// Rows and columns of the lower half of a [`Mat6`], in groups of four; the row after the last is zero.
+/// Row and column of each entry in the lower half of a [`Mat6`], in groups of four; index 6 stands for a row of zeros.
 const LOWER_HALF: [[(usize, usize); 4]; 6] = [
     [(0, 0), (1, 0), (1, 1), (2, 0)],
     [(2, 1), (2, 2), (3, 0), (3, 1)],
@@ -47,7 +47,7 @@ const LOWER_HALF: [[(usize, usize); 4]; 6] = [
 ];
 
 outlined_formula! {
-    /// `J diag(d) Jᵀ`.
+    /// Returns `J diag(d) Jᵀ`.
     fn weighted_gram<J>(rows: &[J; MAX_AXES], d: J) -> Mat6<Scalar<J>> as gram
 }
 
@@ -58,7 +58,7 @@ fn gram<J: JointVector>(rows: &[J; MAX_AXES], d: J) -> Mat6<Scalar<J>> {
     for row in &mut scaled {
         *row = *row * d;
     }
-    // By reference: rows of several configurations are large.
+    // By reference, because rows of several configurations are large.
     let right = [&rows[0], &rows[1], &rows[2], &rows[3], &rows[4], &rows[5], &zero];
     let left = [&scaled[0], &scaled[1], &scaled[2], &scaled[3], &scaled[4], &scaled[5], &zero];
     let mut out = [[zero_elem; MAX_AXES]; MAX_AXES];
@@ -78,7 +78,7 @@ fn gram<J: JointVector>(rows: &[J; MAX_AXES], d: J) -> Mat6<Scalar<J>> {
     out
 }
 
-/// `Jᵀ w`.
+/// Returns `Jᵀ w`.
 #[inline(always)]
 pub(crate) fn tr_mul<J: JointVector, const K: usize>(rows: &[J; MAX_AXES], w: &[Scalar<J>; K]) -> J {
     const { assert!(K >= MAX_AXES) }
@@ -90,7 +90,7 @@ pub(crate) fn tr_mul<J: JointVector, const K: usize>(rows: &[J; MAX_AXES], w: &[
     even + odd
 }
 
-/// `J v`.
+/// Returns `J v`.
 #[inline(always)]
 pub(crate) fn mul<J: JointVector>(rows: &[J; MAX_AXES], v: J) -> [Scalar<J>; MAX_AXES] {
     let zero = J::splat(0.0);
@@ -99,13 +99,13 @@ pub(crate) fn mul<J: JointVector>(rows: &[J; MAX_AXES], v: J) -> [Scalar<J>; MAX
     [a, b, c, d, e, f]
 }
 
-/// Returns the diagonal of a matrix.
+/// Returns the diagonal of a matrix as a task vector.
 #[inline(always)]
 pub(crate) fn diagonal<W: TaskVector>(m: &Mat6<AxisScalar<W>>) -> W {
     TaskVector::from_axes(&[m[0][0], m[1][1], m[2][2], m[3][3], m[4][4], m[5][5]])
 }
 
-/// `M + Λ`, `Λ` diagonal.
+/// Returns `M + Λ`, where `damping` is the diagonal of Λ.
 #[inline(always)]
 pub(crate) fn damped<R: Number>(mut m: Mat6<R>, damping: &[R; MAX_AXES]) -> Mat6<R> {
     for r in 0..MAX_AXES {

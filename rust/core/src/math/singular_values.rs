@@ -1,32 +1,36 @@
-//! Smallest and largest singular value, tracked from step to step.
+//! Smallest and largest singular value of the task rows, tracked from step to step.
 
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::Mat6;
 use crate::math::simd::{Broadcast, RealOps};
 use crate::{AxisVec, MAX_AXES};
 
-/// Estimates of the largest and the smallest singular value of scaled task rows, with the vectors to start from.
+/// Estimates of the largest and the smallest singular value of scaled task rows, with the singular vectors from which
+/// the next step starts.
 ///
-/// Two vectors track the small end. Where the two smallest values cross, a single vector stays with the wrong value for
-/// many steps (an arm with planar joints crosses without mixing).
+/// Two vectors track the smallest values. Where the two smallest values cross, a single vector would stay with the
+/// wrong one for many steps (on an arm with planar joints they cross without mixing).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SingularValues {
+    /// Estimated left singular vectors of the two smallest values, that of the smallest first.
     pub(crate) min_vectors: [AxisVec; 2],
+    /// Estimated left singular vector of the largest value.
     pub(crate) max_vector: AxisVec,
-    /// Smallest singular value.
+    /// Estimate of the smallest singular value.
     pub(crate) smallest: f64,
-    /// Largest singular value.
+    /// Estimate of the largest singular value.
     pub(crate) largest: f64,
 }
 
 impl SingularValues {
     pub(crate) fn start() -> Self {
-        // No component is zero and no two are equal, so no eigenvector of a usual arm is orthogonal to both.
+        // No component is zero and no two are equal, so that no eigenvector of a usual arm is orthogonal to both
+        // vectors.
         let min_vectors = [[0.5, 0.46, 0.42, 0.38, 0.34, 0.3], [0.34, -0.5, 0.46, -0.42, 0.3, -0.38]];
         Self { min_vectors, max_vector: min_vectors[0], smallest: 0.0, largest: 0.0 }
     }
 
-    /// Sets the components after the first `k` axes to zero; they stay zero.
+    /// Sets the components of all vectors after the first `k` axes to zero; updates keep them zero.
     pub(crate) fn restrict(&mut self, k: usize) {
         for vector in self.min_vectors.iter_mut().chain([&mut self.max_vector]) {
             vector.iter_mut().skip(k).for_each(|value| *value = 0.0);
@@ -35,8 +39,8 @@ impl SingularValues {
 
     /// Improves the estimates by `iterations` steps of inverse and power iteration on `gram`.
     ///
-    /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` with fewer joints than axes; `factor` is its factor. With a warm start,
-    /// one iteration a step tracks a moving arm to about one percent.
+    /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` of `k` joints if there are fewer joints than axes; `factor` is its factor.
+    /// From the vectors of the last step, one iteration per step tracks a moving arm to about one percent.
     #[inline(always)]
     pub(crate) fn update<A: RealOps<Real = f64> + Broadcast<f64>>(
         &mut self,
@@ -66,11 +70,12 @@ impl SingularValues {
     }
 }
 
-/// Rayleigh–Ritz in the plane of `a = M⁻¹ w` and `b = M⁻¹ z`: unit vectors, that of the smaller value first, and the
-/// square root of that value. `None` if a and b are too large, or too nearly parallel for one orthogonalization.
+/// Computes the Rayleigh–Ritz values of M in the plane of `a = M⁻¹ w` and `b = M⁻¹ z`: unit vectors, that of the
+/// smaller value first, and the square root of that value. `None` if a and b are too large, or too nearly parallel for
+/// a single orthogonalization.
 ///
-/// The value needs products only, to shorten the latency: the step depends on it, and on the vectors only the next
-/// step.
+/// The value is computed from dot products only, because the step waits for it; the vectors are needed by the next step
+/// only.
 #[inline(always)]
 fn ritz_2d([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
     let (aa, ab, bb) = (dot(a, a), dot(a, b), dot(b, b));
@@ -79,7 +84,7 @@ fn ritz_2d([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2]
         return None;
     }
     let (wa, za, zb) = (dot(w, a), dot(z, a), dot(z, b));
-    // M in the axes û along a and v̂ along c = b − t a; a Mᵀ b equals both w b and a z.
+    // M in the unit vectors û along a and v̂ along c = b − t a; aᵀ M b equals both w·b and z·a.
     let per_aa = 1.0 / aa;
     let t = ab * per_aa;
     let per_cc = 1.0 / (bb - t * ab);
@@ -100,19 +105,20 @@ fn ritz_2d([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2]
     Some((min_vectors, value.max(0.0).sqrt()))
 }
 
-/// Bound on squared lengths below which a product of four lengths is finite.
+/// Bound on squared lengths: below it, a product of four lengths is finite.
 const LARGE: f64 = 1e150;
 
-/// Eigenvector of `[[a, b], [b, d]]` for its smaller value, given half of a − d and `root = √(half² + b²)`.
+/// Returns the unit eigenvector of `[[a, b], [b, d]]` for its smaller eigenvalue, given half of a − d and
+/// `root = √(half² + b²)`.
 #[inline(always)]
 fn smaller_eigenvector(half: f64, root: f64, b: f64) -> (f64, f64) {
-    // In the form without cancellation.
+    // Of the two equivalent forms, use the one without cancellation.
     let (x, y) = if half > 0.0 { (b, -(half + root)) } else { (root - half, -b) };
     let length = (x * x + y * y).sqrt();
     if length > 0.0 { (x / length, y / length) } else { (1.0, 0.0) }
 }
 
-/// [`ritz_2d`] for any two vectors, normalized by their lengths.
+/// Computes [`ritz_2d`] for vectors of any length and direction, which it normalizes first.
 #[cold]
 #[inline(never)]
 fn ritz_scaled(gram: &Mat6, [a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2], k: usize) -> ([AxisVec; 2], f64) {
@@ -131,10 +137,10 @@ struct ImagePair {
 }
 
 impl ImagePair {
-    /// `v = M⁻¹ b`, both divided by the length of `v`.
+    /// Creates the pair from `v = M⁻¹ b` and `b`, both divided by the length of `v`.
     fn new(v: AxisVec, b: AxisVec) -> Self {
         let size = norm(&v);
-        // A singular matrix gives lengths whose squares overflow.
+        // With a singular matrix, the square of the length may overflow.
         if size > 0.0 && size.is_finite() {
             Self { v, mv: b }.scaled(1.0 / size)
         } else {
@@ -176,8 +182,8 @@ impl ImagePair {
     }
 }
 
-/// Rayleigh–Ritz for an orthonormal pair: the rotated unit vectors, that of the smaller value first, and the square
-/// root of that value.
+/// Computes the Rayleigh–Ritz values of an orthonormal pair: the rotated unit vectors, that of the smaller value first,
+/// and the square root of that value.
 fn ritz_pair(u: &ImagePair, v: &ImagePair) -> ([AxisVec; 2], f64) {
     let (a, b, d) = (dot(&u.v, &u.mv), dot(&u.v, &v.mv), dot(&v.v, &v.mv));
     let half = 0.5 * (a - d);
@@ -191,7 +197,8 @@ fn ritz_pair(u: &ImagePair, v: &ImagePair) -> ([AxisVec; 2], f64) {
     (min_vectors, dot(&min_vectors[0], &image).max(0.0).sqrt())
 }
 
-/// Returns `u` and a unit vector orthogonal to it as start for the next step; zero with a single axis.
+/// Returns `u`, a unit vector orthogonal to it (zero with a single axis) as start of the next step, and the value of
+/// `u`.
 #[cold]
 #[inline(never)]
 fn restart(gram: &Mat6, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {

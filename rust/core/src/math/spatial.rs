@@ -2,10 +2,10 @@
 
 use super::simd::{BaselineF64, RealOps};
 
-/// 3-vector.
+/// 3-vector, of one configuration or of several.
 pub(crate) type Vec3<R = f64> = [R; 3];
 
-/// 3×3 matrix, `m[row][column]`.
+/// 3×3 matrix `m[row][column]`, of one configuration or of several.
 pub(crate) type Mat3<R = f64> = [[R; 3]; 3];
 
 #[inline(always)]
@@ -28,19 +28,19 @@ pub(crate) fn sub<A: RealOps>(a: &Vec3<A::Real>, b: &Vec3<A::Real>) -> Vec3<A::R
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// `s v`.
+/// Returns `s v`.
 #[inline(always)]
 pub(crate) fn scale<A: RealOps>(s: A::Real, v: &Vec3<A::Real>) -> Vec3<A::Real> {
     [s * v[0], s * v[1], s * v[2]]
 }
 
-/// `m v`.
+/// Returns `m v`.
 #[inline(always)]
 pub(crate) fn rotate<A: RealOps>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -> Vec3<A::Real> {
     [dot::<A>(&m[0], v), dot::<A>(&m[1], v), dot::<A>(&m[2], v)]
 }
 
-/// `m v + p`.
+/// Returns `m v + p`.
 #[inline(always)]
 pub(crate) fn place<A: RealOps>(m: &Mat3<A::Real>, v: &Vec3<A::Real>, p: &Vec3<A::Real>) -> Vec3<A::Real> {
     [
@@ -50,7 +50,7 @@ pub(crate) fn place<A: RealOps>(m: &Mat3<A::Real>, v: &Vec3<A::Real>, p: &Vec3<A
     ]
 }
 
-/// `mᵀ v`.
+/// Returns `mᵀ v`.
 #[inline(always)]
 pub(crate) fn tr_rotate<A: RealOps>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -> Vec3<A::Real> {
     [
@@ -60,43 +60,43 @@ pub(crate) fn tr_rotate<A: RealOps>(m: &Mat3<A::Real>, v: &Vec3<A::Real>) -> Vec
     ]
 }
 
-/// `a b`.
+/// Returns the matrix product `a b`.
 #[inline(always)]
 pub(crate) fn multiply<A: RealOps>(a: &Mat3<A::Real>, b: &Mat3<A::Real>) -> Mat3<A::Real> {
     [tr_rotate::<A>(b, &a[0]), tr_rotate::<A>(b, &a[1]), tr_rotate::<A>(b, &a[2])]
 }
 
-/// `a bᵀ`.
+/// Returns the matrix product `a bᵀ`.
 #[inline(always)]
 pub(crate) fn mul_tr<A: RealOps>(a: &Mat3<A::Real>, b: &Mat3<A::Real>) -> Mat3<A::Real> {
     [rotate::<A>(b, &a[0]), rotate::<A>(b, &a[1]), rotate::<A>(b, &a[2])]
 }
 
-/// Copies a vector to every configuration.
+/// Broadcasts a vector to all configurations.
 #[inline(always)]
 pub(crate) fn splat<A: RealOps>(v: &Vec3) -> Vec3<A::Real> {
     [A::splat(v[0]), A::splat(v[1]), A::splat(v[2])]
 }
 
-/// Copies a matrix to every configuration.
+/// Broadcasts a matrix to all configurations.
 #[inline(always)]
 pub(crate) fn splat_matrix<A: RealOps>(m: &Mat3) -> Mat3<A::Real> {
     [splat::<A>(&m[0]), splat::<A>(&m[1]), splat::<A>(&m[2])]
 }
 
-/// `a + s b`.
+/// Returns `a + s b`.
 #[inline(always)]
 pub(crate) fn add_scaled(a: &[f64; 3], s: f64, b: &[f64; 3]) -> [f64; 3] {
     [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
 }
 
-/// `|v|`.
+/// Returns the Euclidean norm of `v`.
 #[inline(always)]
 pub(crate) fn norm(v: [f64; 3]) -> f64 {
     (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt()
 }
 
-/// One step of the iteration `R (3 I − RᵀR) / 2`, which keeps a product of many rotations orthonormal.
+/// Returns one step of the iteration `R (3 I − RᵀR) / 2`, which keeps a product of many rotations orthonormal.
 pub(crate) fn orthonormal(r: &Mat3) -> Mat3 {
     let mut correction = [[0.0; 3]; 3];
     for i in 0..3 {

@@ -4,13 +4,14 @@ use super::rows::weighted_gram;
 use super::simd::{AxisScalar, Broadcast, JointVector, RealOps, Scalar, TaskVector};
 use crate::MAX_AXES;
 
-/// Squarings that isolate the largest eigenvalue: power 2⁶ = 64.
+/// Number of squarings that isolate the largest eigenvalue: power 2⁶ = 64.
 const SQUARINGS: usize = 6;
 
-/// `ρ = (Σ λ_i⁶⁴)^(1/64)` over the eigenvalues of `K_p⁻¹ Jᵀ K J`: stiffness of the axes relative to the servos.
+/// Returns `ρ = (Σ λ_i⁶⁴)^(1/64)` over the eigenvalues of `K_p⁻¹ Jᵀ K J`: the stiffness of the axes relative to the
+/// servos.
 ///
-/// At least the largest eigenvalue and at most 3 % above it (six equal eigenvalues); smooth where two eigenvalues
-/// cross; memoryless. `compliance` holds 1/k_p.
+/// ρ is at least the largest eigenvalue and at most 3 % above it (six equal eigenvalues). It is smooth where two
+/// eigenvalues cross and needs no state. `compliance` holds 1/k_p.
 #[inline(always)]
 pub(crate) fn rho<J: JointVector>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> Scalar<J> {
     // √K C √K has the same eigenvalues, and is symmetric.
@@ -42,7 +43,7 @@ fn trace_of<W: TaskVector>(m: &[W; MAX_AXES]) -> AxisScalar<W> {
     sum
 }
 
-/// `(f M)²` of a symmetric matrix.
+/// Returns `(f M)²` for a symmetric matrix M.
 #[inline(always)]
 fn squared<W: TaskVector>(m: &[W; MAX_AXES], factor: AxisScalar<W>) -> [W; MAX_AXES] {
     let (factor, mut out) = (W::broadcast(factor), [W::splat(0.0); MAX_AXES]);

@@ -1,14 +1,14 @@
-//! Singular values, off the hot path.
+//! Singular value decomposition for code outside the control step.
 //!
-//! One-sided Jacobi rotations (Hestenes): short, accurate at every rank, and convergent within a few sweeps. The
-//! bidiagonal iteration of nalgebra 0.35 loses whole singular values of rank-deficient matrices.
+//! One-sided Jacobi rotations (Hestenes): short, accurate at every rank, and convergent within a few sweeps. Not
+//! nalgebra's decomposition: its bidiagonal iteration (0.35) loses whole singular values of rank-deficient matrices.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Maximum number of sweeps; ten are already unusual.
+/// Maximum number of sweeps over all pairs of columns; more than ten are unusual.
 const MAX_SWEEPS: usize = 60;
 
-/// `m = u diag(sigma) vᵀ`, the values largest first; columns of `u` that belong to σ = 0 are 0.
+/// Decomposition `m = u diag(sigma) vᵀ`, the singular values largest first; columns of `u` that belong to σ = 0 are 0.
 #[derive(Debug, Clone)]
 pub(crate) struct Svd {
     pub(crate) u: DMatrix<f64>,
@@ -17,7 +17,7 @@ pub(crate) struct Svd {
 }
 
 impl Svd {
-    /// Decomposes a finite matrix; `None` if the rotations do not converge.
+    /// Decomposes a finite matrix of any shape; `None` if the rotations do not converge.
     pub(crate) fn new(m: &DMatrix<f64>) -> Option<Self> {
         if m.nrows() >= m.ncols() {
             return Self::tall(m);
@@ -25,7 +25,8 @@ impl Svd {
         Self::tall(&m.transpose()).map(|turned| Self { u: turned.v, sigma: turned.sigma, v: turned.u })
     }
 
-    /// Rotates pairs of columns until all are orthogonal: `m v = u diag(sigma)`.
+    /// Decomposes a matrix with at least as many rows as columns by rotating pairs of columns until all are orthogonal:
+    /// `m v = u diag(sigma)`.
     fn tall(m: &DMatrix<f64>) -> Option<Self> {
         let n = m.ncols();
         let scale = m.amax();
@@ -66,7 +67,7 @@ impl Svd {
 fn orthogonalise(b: &mut DMatrix<f64>, v: &mut DMatrix<f64>, p: usize, q: usize) -> bool {
     let (alpha, beta) = (b.column(p).norm_squared(), b.column(q).norm_squared());
     let gamma = b.column(p).dot(&b.column(q));
-    // Skip columns that are only rounding error: they have no direction.
+    // Skip columns that are already orthogonal, or only rounding error, which has no direction.
     if gamma.abs() <= 1e-15 * (alpha * beta).sqrt() || alpha.min(beta) < 1e-300 {
         return false;
     }
@@ -84,7 +85,7 @@ fn orthogonalise(b: &mut DMatrix<f64>, v: &mut DMatrix<f64>, p: usize, q: usize)
     true
 }
 
-/// Singular values, largest first; NaN for a matrix that is not finite.
+/// Returns the singular values, largest first; NaN for a matrix that is not finite or if the rotations do not converge.
 pub(crate) fn singular_values(m: &DMatrix<f64>) -> DVector<f64> {
     let not_converged = || DVector::from_element(m.nrows().min(m.ncols()), f64::NAN);
     if m.iter().all(|value| value.is_finite()) {

@@ -7,14 +7,14 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::{Error, Result};
 
-/// The pool, and the process of its threads.
+/// The pool, and the id of the process that has its threads.
 static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
-/// Runs `work` in the pool, so that `rayon`'s parallel iterators use all cores; `RAYON_NUM_THREADS` sets the number of
-/// threads.
+/// Runs `work` in the pool, so that `rayon`'s parallel iterators use all cores. The environment variable
+/// `RAYON_NUM_THREADS` sets the number of threads.
 ///
 /// A forked process (for example of Python's `multiprocessing`) inherits the pool without its threads and would block
-/// forever: it gets a new pool.
+/// forever, so it gets a new pool.
 ///
 /// # Errors
 /// [`Error::Config`] if the system refuses to start a thread.
@@ -35,7 +35,7 @@ fn pool() -> Result<Arc<ThreadPool>> {
         let message = format!("no thread can be started ({cause}); set RAYON_NUM_THREADS to fewer");
         Error::config("threads", message)
     })?);
-    // A pool whose threads are in another process cannot be dropped.
+    // A pool whose threads are in another process cannot be dropped: it would wait for them.
     mem::forget(slot.replace((process, Arc::clone(&pool))));
     Ok(pool)
 }

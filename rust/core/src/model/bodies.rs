@@ -1,4 +1,4 @@
-//! Moving joints of the chosen part of a tree, and the rigid bodies between them.
+//! Moving joints of the subtree that the chain uses, and the rigid bodies between them.
 
 use std::collections::BTreeMap;
 
@@ -11,21 +11,27 @@ use crate::MAX_JOINTS;
 use crate::error::{Error, Result};
 use crate::pose::Pose;
 
-/// Rigid transform of the set-up code.
+/// Rigid transform, for code that runs while a model is read.
 pub(super) type Transform = nalgebra::IsometryMatrix3<f64>;
 
-/// A moving joint before its frame is rotated.
+/// A moving joint, with its frame as in the file.
 pub(super) struct Slot {
+    /// Index of the joint in the tree.
     pub(super) joint: usize,
+    /// Slot of the moving joint that carries this one; `None` for the base.
     pub(super) parent: Option<usize>,
-    /// Frame before the joint in the frame after its parent joint; z is the axis in both.
+    /// Pose of the frame before the joint in the frame after its parent joint; the z axis of both frames is the axis of
+    /// their joint.
     pub(super) before: Transform,
+    /// Index of the coordinate that drives the joint.
     pub(super) coordinate: usize,
+    /// Joint value per coordinate.
     pub(super) multiplier: f64,
+    /// Joint value at coordinate 0 [rad or m].
     pub(super) offset: f64,
 }
 
-/// Pose of a joint's child link in its parent link, at this value.
+/// Returns the pose of a joint's child link in its parent link at the joint value `value` [rad or m].
 pub(super) fn step(joint: &Joint, value: f64) -> Transform {
     let axis = Unit::new_unchecked(Vector3::from(joint.axis));
     let motion = match joint.kind {
@@ -38,7 +44,7 @@ pub(super) fn step(joint: &Joint, value: f64) -> Transform {
     transform(&joint.origin) * motion
 }
 
-/// Rotation that takes z to the joint's axis.
+/// Returns the rotation that takes z to the joint's axis.
 fn z_to_axis(joint: &Joint) -> Transform {
     let axis = Vector3::from(joint.axis);
     let rotation = Rotation3::rotation_between(&Vector3::z(), &axis)
@@ -59,21 +65,27 @@ pub(super) fn pose(transform: &Transform) -> Pose {
     }
 }
 
-/// Moving joints and the bodies between them, frames not yet rotated.
+/// Moving joints and the rigid bodies between them, with frames as in the file.
 pub(super) struct Bodies {
+    /// Moving joints, those of the path first.
     pub(super) slots: Vec<Slot>,
+    /// Number of moving joints on the path.
     pub(super) path: usize,
+    /// Pose of the anchor link in the base.
     pub(super) base: Transform,
+    /// Pose of the tool in the frame after the last joint of the path.
     pub(super) tool: Transform,
+    /// Mass that moves with each slot [kg].
     pub(super) mass: Vec<f64>,
+    /// Mass times centre of mass that moves with each slot [kg·m], in the frame after the joint.
     pub(super) moment: Vec<Vector3<f64>>,
 }
 
-/// Traverses the subtree of `anchor`: first the path, then everything attached to it.
+/// Collects moving joints and masses in the subtree of `anchor`: first along the path, then everything attached to it.
 pub(super) fn collect(tree: &Tree, anchor: usize, base: Transform, path: &[usize], roles: &[Role]) -> Result<Bodies> {
     let mut bodies =
         Bodies { slots: Vec::new(), path: 0, base, tool: Transform::identity(), mass: Vec::new(), moment: Vec::new() };
-    // Slot that carries each path joint's child; joints of the path keep their slots in the second traversal.
+    // Slot of each moving joint, so that the second traversal does not add it again.
     let mut slot_of: BTreeMap<usize, usize> = BTreeMap::new();
     let (mut slot, mut here) = (None, Transform::identity());
     for &j in path {
@@ -97,7 +109,8 @@ pub(super) fn collect(tree: &Tree, anchor: usize, base: Transform, path: &[usize
 }
 
 impl Bodies {
-    /// Crosses joint `j`: returns the slot that carries its child, and the child's pose in that slot's frame.
+    /// Adds joint `j` if it moves; returns the slot that carries its child link, and the child's pose in that slot's
+    /// frame.
     fn pass(
         &mut self,
         tree: &Tree,

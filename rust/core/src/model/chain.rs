@@ -1,4 +1,4 @@
-//! Chain from base to tip with all bodies that it carries, as constant arrays for the control step.
+//! Kinematic chain from base to tip with all bodies that it carries, as constant arrays for the control step.
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
@@ -14,72 +14,75 @@ use crate::{JointVec, MAX_JOINTS};
 /// One kinematic chain with all bodies that it carries, in the layout of the control step.
 ///
 /// Moving joints are numbered base → tip; after them come joints beside the path that follow one of its coordinates.
-/// Frames are rotated once, when the robot is read, so that every joint moves about or along its own z and the rotation
-/// from one joint to the next is a tilt about x followed by the joint's own angle.
+/// When the robot is read, every frame is rotated so that its joint moves about or along z, and the rotation from one
+/// joint to the next is a tilt about x followed by the joint's own angle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
-    /// Independent coordinates.
+    /// Number of independent coordinates.
     pub(crate) n: usize,
-    /// Moving joints between base and tip.
+    /// Number of moving joints between base and tip.
     pub(crate) path: usize,
-    /// Total number of moving joints.
+    /// Total number of moving joints, those beside the path included.
     pub(crate) total: usize,
-    /// Frame before the first joint, in the base.
+    /// Pose in the base of the frame before the first joint.
     pub(crate) base: Pose,
-    /// Tool in the frame of the last joint of the path.
+    /// Pose of the tool in the frame after the last joint of the path.
     pub(crate) tool: Pose,
-    /// Coordinate that drives each joint.
+    /// Index of the coordinate that drives each joint.
     pub(crate) driver: [usize; MAX_JOINTS],
-    /// Moving joint that carries each joint; `MAX_JOINTS` for the base.
+    /// Index of the moving joint that carries each joint; `MAX_JOINTS` for the base.
     pub(crate) parent: [usize; MAX_JOINTS],
-    /// Rotation about z of the parent's frame before the tilt; the identity on the path.
+    /// Rotation about z from the parent's frame to the frame in which the tilt is applied; the identity on the path.
     pub(crate) turn: [[[f64; 3]; 3]; MAX_JOINTS],
     /// Origin of each joint in its parent's frame [m].
     pub(crate) offset: [[f64; 3]; MAX_JOINTS],
-    /// Sine and cosine of the tilt about x.
+    /// Sine and cosine of the tilt about x that precedes each joint.
     pub(crate) tilt: [(f64, f64); MAX_JOINTS],
-    /// Joint angle = `angle_per_q · q + angle_offset`; 0 and a constant for prismatic joints.
+    /// Angle of each joint per coordinate; 0 for prismatic joints.
     pub(crate) angle_per_q: JointVec,
+    /// Angle of each joint at coordinate 0 [rad]; the constant angle of a prismatic joint.
     pub(crate) angle_offset: JointVec,
-    /// Joint displacement = `slide_per_q · q + slide_offset`; 0 and 0 for revolute joints.
+    /// Displacement of each joint per coordinate; 0 for revolute joints.
     pub(crate) slide_per_q: JointVec,
+    /// Displacement of each joint at coordinate 0 [m]; 0 for revolute joints.
     pub(crate) slide_offset: JointVec,
     /// True for prismatic joints.
     pub(crate) slides: [bool; MAX_JOINTS],
-    /// True if every coordinate drives one joint of the path, in order and with factor 1.
+    /// True if every coordinate drives exactly one joint of the path, in order and with factor 1, and no joint is
+    /// prismatic.
     pub(crate) simple: bool,
     /// Mass of the rigid group after each joint [kg], without payload.
     pub(crate) mass: JointVec,
-    /// Mass times centre of mass of that group [kg·m], in the frame after the joint.
+    /// Mass times centre of mass of the rigid group after each joint [kg·m], in the frame after the joint.
     pub(crate) moment: [[f64; 3]; MAX_JOINTS],
 }
 
-/// The chain and its properties for [`Model`](super::Model).
+/// A chain with the properties that [`Model`](super::Model) stores beside it.
 pub(super) struct Assembly {
     pub(super) chain: Chain,
-    /// Joint (index into the tree) of each coordinate.
+    /// Index into the tree of the joint of each coordinate.
     pub(super) coordinates: Vec<usize>,
-    /// Coordinates that move a rigid group without mass.
+    /// Indices of the coordinates whose rigid group has no mass.
     pub(super) massless: Vec<usize>,
-    /// Largest distance of the tool from the first joint's origin [m].
+    /// Upper bound on the distance of the tool from the first joint's origin [m].
     pub(super) reach: f64,
 }
 
 impl Chain {
-    /// Number of independent coordinates.
+    /// Returns the number of independent coordinates.
     pub const fn n(&self) -> usize {
         self.n
     }
 }
 
-/// Chooses the coordinates, locks the other joints and rotates the frames.
+/// Builds the chain from `base` to `tip`: chooses its coordinates, locks the other joints and rotates the frames.
 pub(super) fn assemble(tree: &mut Tree, base: usize, tip: usize, options: &ModelOptions) -> Result<Assembly> {
     let (anchor, above_base) = anchor(tree, base, tip);
     let path = tree.joints_between(anchor, tip);
     let roles = roles(tree, &path, &options.locked)?;
     let coordinates = roles.coordinates;
 
-    // From the anchor up to the base all joints must be fixed, otherwise the base would move with the arm.
+    // All joints between anchor and base must be fixed, otherwise the base would move with the arm.
     let mut anchor_from_base = Transform::identity();
     for &joint in &above_base {
         let Role::Still(value) = roles.of[joint] else {
@@ -100,7 +103,7 @@ pub(super) fn assemble(tree: &mut Tree, base: usize, tip: usize, options: &Model
     Ok(turn_frames(tree, &bodies, coordinates))
 }
 
-/// Returns the deepest link above both `base` and `tip`, and the joints from `base` up to it.
+/// Returns the deepest common ancestor of the links `base` and `tip`, and the joints from `base` up to it.
 fn anchor(tree: &Tree, base: usize, tip: usize) -> (usize, Vec<usize>) {
     let mut above_tip = vec![false; tree.links.len()];
     let mut link = Some(tip);
@@ -117,15 +120,15 @@ fn anchor(tree: &Tree, base: usize, tip: usize) -> (usize, Vec<usize>) {
     (link, joints)
 }
 
-/// `F = Rz(a) · Rx(tilt) · Rz(c)`.
+/// Decomposition of a rotation, `F = Rz(a) · Rx(tilt) · Rz(c)`; the tilt as sine and cosine.
 struct Zxz {
     a: f64,
     tilt: (f64, f64),
     c: f64,
 }
 
-/// If the tilt is almost 0 or π, `a` is arbitrary. `c` is computed from the remainder after `a` and the tilt, so that
-/// the product is `F` up to rounding in every case.
+/// Decomposes a rotation F. If the tilt is almost 0 or π, `a` is arbitrary and set to 0. `c` is computed from the
+/// rotation that remains after `a` and the tilt, so that the product is F up to rounding in every case.
 fn zxz(rotation: &Rotation3<f64>) -> Zxz {
     let f = rotation.matrix();
     let sine = f[(0, 2)].hypot(f[(1, 2)]);
@@ -141,11 +144,12 @@ fn z_turn(angle: f64) -> Rotation3<f64> {
     Rotation3::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
-/// Rotates every frame about its z so that the next joint's rotation begins with a tilt about x.
+/// Rotates every frame about its z axis so that the next joint's rotation begins with a tilt about x; fills the arrays
+/// of the chain.
 fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembly {
     let forms: Vec<Zxz> = bodies.slots.iter().map(|slot| zxz(&slot.before.rotation)).collect();
     let on_path = bodies.path.min(MAX_JOINTS);
-    // The rotation of a frame is the `a` of the next joint on the path.
+    // A frame is rotated by the `a` of the next joint on the path.
     let turn_after = |k: usize| if k + 1 < on_path { forms[k + 1].a } else { 0.0 };
     let base_turn = forms.first().map_or(0.0, |form| form.a);
 
@@ -204,7 +208,7 @@ fn turn_frames(tree: &Tree, bodies: &Bodies, coordinates: Vec<usize>) -> Assembl
     Assembly { chain, coordinates, massless, reach }
 }
 
-/// Largest displacement of a prismatic joint [m]; 0 for other joints and without known limits.
+/// Returns the largest displacement of a prismatic joint [m]; 0 for other joints and for unknown limits.
 fn travel(tree: &Tree, slot: &Slot, driver: usize) -> f64 {
     if tree.joints[slot.joint].kind != JointKind::Prismatic {
         return 0.0;
@@ -213,8 +217,8 @@ fn travel(tree: &Tree, slot: &Slot, driver: usize) -> f64 {
     end(tree.joints[driver].lower).max(end(tree.joints[driver].upper))
 }
 
-/// Mass of the group that a coordinate's own joint moves [kg]; if that joint carries no part of the arm, the mass for
-/// its first mimic joint.
+/// Returns the mass of the group that a coordinate's own joint moves [kg]; if that joint carries no part of the arm,
+/// that of the first joint that mimics it.
 fn group_mass(bodies: &Bodies, coordinate: usize, driver: usize) -> f64 {
     let own = bodies.slots.iter().position(|slot| slot.joint == driver);
     let slot = own.or_else(|| bodies.slots.iter().position(|slot| slot.coordinate == coordinate));

@@ -1,7 +1,7 @@
-//! URDF text → immutable, validated robot.
+//! Immutable, validated robot model, read from URDF text.
 //!
 //! [`Model`] is one kinematic chain, base → tip, with all bodies that it carries. Meshes are never opened. Values
-//! absent from the file are `None`, never zero; invalid values are errors with file, line and remedy.
+//! absent from the file are `None`, not zero. Errors in the file name the file, the line and a remedy.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -26,7 +26,7 @@ use options::{need_limits, override_limits};
 use tree::Tree;
 use urdf::text::{self, Source};
 
-/// One kinematic chain with all bodies that it carries; immutable.
+/// Robot model: one kinematic chain with all bodies that it carries; immutable.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
     tree: Tree,
@@ -74,14 +74,14 @@ impl Model {
         let path = path.as_ref();
         let name = path.display().to_string();
         let unreadable = |message: String| Error::Urdf { source_name: name.clone(), at: Position(None), message };
-        // Reading a pipe without a writer would block forever.
+        // Reading from a named pipe without a writer would block forever.
         if std::fs::metadata(path).is_ok_and(|data| !data.is_file()) {
             return Err(unreadable(
                 "cannot be read: it is not a file; for text from a pipe there is from_urdf_str".into(),
             ));
         }
         let mut bytes = Vec::new();
-        // Read one byte more than allowed, to detect a file that is too long.
+        // Read one byte more than allowed, so that a file that is too long is detected.
         std::fs::File::open(path)
             .and_then(|file| file.take(text::MAX_BYTES as u64 + 1).read_to_end(&mut bytes))
             .map_err(|error| unreadable(format!("cannot be read: {error}")))?;
@@ -156,101 +156,102 @@ impl Model {
         })
     }
 
-    /// The robot's name.
+    /// Returns the name of the robot.
     pub fn name(&self) -> &str {
         &self.tree.name
     }
 
-    /// Number of independent joints.
+    /// Returns the number n of independent joints.
     pub const fn n(&self) -> usize {
         self.chain.n()
     }
 
-    /// Names of the independent joints, base → tip, without mimic joints.
+    /// Returns the names of the independent joints, base → tip, without mimic joints.
     pub fn joint_names(&self) -> &[String] {
         &self.joint_names
     }
 
-    /// Lower position limits [rad or m]; −∞ for continuous joints.
+    /// Returns the lower position limits [rad or m]; −∞ for continuous joints.
     pub fn lower(&self) -> &[f64] {
         &self.lower
     }
 
-    /// Upper position limits [rad or m]; +∞ for continuous joints.
+    /// Returns the upper position limits [rad or m]; +∞ for continuous joints.
     pub fn upper(&self) -> &[f64] {
         &self.upper
     }
 
-    /// Speed limits [rad/s or m/s]; `None` if absent.
+    /// Returns the speed limits of the file [rad/s or m/s]; `None` if absent.
     pub fn velocity_limit(&self) -> &[Option<f64>] {
         &self.velocity_limit
     }
 
-    /// Torque limits [N·m or N]; `None` if absent.
+    /// Returns the torque limits of the file [N·m or N]; `None` if absent.
     pub fn effort_limit(&self) -> &[Option<f64>] {
         &self.effort_limit
     }
 
-    /// True for prismatic independent joints.
+    /// Returns, for each independent joint, whether it is prismatic.
     pub fn prismatic(&self) -> &[bool] {
         &self.prismatic
     }
 
-    /// Names of all links of the robot; each can be base or tip.
+    /// Returns the names of all links of the robot; each can be named as base or tip.
     pub fn frames(&self) -> Vec<&str> {
         self.tree.links.iter().map(|link| link.name.as_str()).collect()
     }
 
-    /// Frame of reference of poses.
+    /// Returns the name of the link in whose frame poses are expressed.
     pub fn base(&self) -> &str {
         &self.tree.links[self.base].name
     }
 
-    /// The tool frame.
+    /// Returns the name of the link that is the tool frame.
     pub fn tip(&self) -> &str {
         &self.tree.links[self.tip].name
     }
 
-    /// Payload at the tool.
+    /// Returns the payload at the tool; `None` without one.
     pub const fn payload(&self) -> Option<&Payload> {
         self.payload.as_ref()
     }
 
-    /// Gravity in the base frame [m/s²].
+    /// Returns gravity in the base frame [m/s²].
     pub const fn gravity_vector(&self) -> [f64; 3] {
         self.gravity
     }
 
-    /// Sum of the distances between joint origins from the first joint to the tool, plus the largest displacements of
-    /// prismatic joints [m].
+    /// Returns the largest distance [m] that the tool could have from the first joint: the sum of the distances between
+    /// joint origins up to the tool, plus the largest displacements of prismatic joints.
     pub const fn reach(&self) -> f64 {
         self.reach
     }
 
-    /// Independent joints that move a rigid group without mass: their gravity torque is unknown.
+    /// Returns the indices of the independent joints that move a rigid group without mass, whose gravity torque is
+    /// unknown.
     ///
-    /// A link without `<inertial>` is massless; it counts as missing data only if the whole group has no mass.
+    /// A single link without `<inertial>` is massless; data is missing only if the whole group has no mass.
     pub fn unknown_mass_joints(&self) -> &[usize] {
         &self.unknown_mass
     }
 
-    /// All links of the robot, for simulators.
+    /// Returns all links of the robot, for example for a simulator.
     pub fn links(&self) -> &[Link] {
         &self.tree.links
     }
 
-    /// All joints of the robot, for simulators.
+    /// Returns all joints of the robot, for example for a simulator.
     pub fn joints(&self) -> &[Joint] {
         &self.tree.joints
     }
 
-    /// The data of the control step.
+    /// Returns the kinematic chain, in the arrays that the control step uses.
     pub const fn chain(&self) -> &Chain {
         &self.chain
     }
 }
 
-/// Default tip: the only link below the base without child links.
+/// Returns the default tip, the only link below the base that has no child; an error if there are several.
 fn only_tip(tree: &Tree, base: usize) -> Result<usize> {
     let (mut leaves, mut stack) = (Vec::new(), vec![base]);
     while let Some(link) = stack.pop() {

@@ -1,11 +1,11 @@
-//! Lists of names for messages: shortened, most similar name first.
+//! Lists of names for messages: limited in length, most similar name first.
 
 use std::fmt::Write as _;
 
 /// Maximum number of names in a message.
 pub(super) const SHOWN: usize = 40;
 
-/// Joins names with commas, shortened.
+/// Joins at most [`SHOWN`] names with commas; a remark tells how many more there are.
 pub(super) fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
     let rest = names.len().saturating_sub(SHOWN);
     let mut list = names.take(SHOWN).collect::<Vec<_>>().join(", ");
@@ -15,18 +15,18 @@ pub(super) fn some<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String 
     list
 }
 
-/// Lists names, those similar to `wanted` first.
+/// Returns the names of `things` for a message, those most similar to `wanted` first.
 pub(super) fn listed<T>(things: &[T], name: impl Fn(&T) -> &String, wanted: &str) -> String {
     some(likeliest(things.iter().map(|thing| name(thing).as_str()).collect(), wanted).into_iter())
 }
 
-/// Sorts names by similarity to `wanted`.
+/// Returns the names sorted by similarity to `wanted`, the most similar first.
 pub(super) fn likeliest<'a>(mut names: Vec<&'a str>, wanted: &str) -> Vec<&'a str> {
     names.sort_by_cached_key(|candidate| distance(candidate, wanted));
     names
 }
 
-/// Levenshtein distance of two names without case, from their first hundred characters.
+/// Returns the Levenshtein distance of two names, ignoring case; compares their first hundred characters.
 fn distance(a: &str, b: &str) -> usize {
     let start = |name: &str| name.chars().take(100).collect::<String>().to_ascii_lowercase();
     strsim::levenshtein(&start(a), &start(b))

@@ -1,4 +1,4 @@
-//! Model options that a URDF file does not contain, and their checks against the file.
+//! Options of a model that a URDF file does not contain, and their checks against the file.
 
 use std::collections::BTreeMap;
 
@@ -8,21 +8,22 @@ use super::tree::Tree;
 use crate::error::{Error, Result};
 use crate::pose::COORDINATE_BOUND;
 
-/// Options of a model: part of the robot, payload, direction of gravity.
+/// Options of a model: base and tip, locked joints, payload, gravity and position limits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelOptions {
-    /// Frame of reference of poses; default: the root link. Must be rigidly fixed to a link above the tip.
+    /// Link in whose frame poses are expressed; `None` for the root link. Must be rigidly fixed to a link above the
+    /// tip.
     pub base: Option<String>,
-    /// The tool frame; optional if only one link of the robot has no child.
+    /// Link that is the tool frame; `None` for the only link below the base that has no child.
     pub tip: Option<String>,
-    /// Joints locked at a value [rad or m]. Other actuated joints beside the chain are locked at 0, or at the limit
-    /// nearest to 0.
+    /// Values [rad or m] at which joints are locked, by joint name. Other actuated joints beside the chain are locked
+    /// at 0, or at the limit nearest to 0.
     pub locked: BTreeMap<String, f64>,
-    /// Payload at the tool.
+    /// Payload at the tool; `None` for no payload.
     pub payload: Option<Payload>,
-    /// Gravity in the base frame [m/s²].
+    /// Gravity in the base frame [m/s²]; default 9.81 along −z.
     pub gravity: [f64; 3],
-    /// Position limits [rad or m] (lower, upper) by joint, instead of the file's.
+    /// Position limits (lower, upper) [rad or m] by joint name, which replace those of the file.
     pub limits: BTreeMap<String, (f64, f64)>,
 }
 
@@ -39,7 +40,7 @@ impl Default for ModelOptions {
     }
 }
 
-/// A point mass in the tool frame.
+/// A payload: a point mass fixed in the tool frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Payload {
     /// Mass [kg], ≥ 0.
@@ -49,7 +50,7 @@ pub struct Payload {
 }
 
 impl Payload {
-    /// Checks that the numbers are a valid payload.
+    /// Checks that mass and centre of mass are finite and within ±1e6, and the mass not negative.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] names the entry.
@@ -94,7 +95,7 @@ pub(super) fn override_limits(tree: &mut Tree, limits: &BTreeMap<String, (f64, f
     Ok(())
 }
 
-/// Requires limits for all joints except continuous ones: absent limits would read as 0…0 or ±∞.
+/// Returns an error for a joint whose position range is unknown or empty, unless it is continuous.
 pub(super) fn need_limits(tree: &Tree, j: usize) -> Result<()> {
     let joint = &tree.joints[j];
     let remedy = format!("pass limits = {{\"{}\": (lower, upper)}}", joint.name);

@@ -1,29 +1,30 @@
-//! Links and joints as in the file; simulators build their robot from them.
+//! Links and joints of the kinematic tree, as parsed from the robot description.
 
 use crate::error::Position;
 use crate::pose::Pose;
 
-/// Mass, centre of mass and inertia of a link.
+/// Inertial parameters of a link.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Inertial {
     /// Mass [kg], finite, ≥ 0.
     pub mass: f64,
     /// Centre of mass in the link's frame [m].
     pub com: [f64; 3],
-    /// Axes in which the inertia is given: `link_from_inertia`, row-major.
+    /// Rotation of the axes in which `inertia` is given: `link_from_inertia`, row-major.
     pub rotation: [[f64; 3]; 3],
-    /// Inertia about the centre of mass, in those axes [kg·m²].
+    /// Inertia about the centre of mass [kg·m²], in the axes that `rotation` defines.
     pub inertia: [[f64; 3]; 3],
 }
 
-/// A rigid body, or a frame without mass.
+/// A link of the tree: a rigid body, or a frame without mass.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Link {
-    /// Unique, not empty.
+    /// Name of the link; unique, not empty.
     pub name: String,
-    /// Joint above it; `None` for the root.
+    /// Joint between this link and its parent (index into [`Model::joints`](super::Model::joints)); `None` for the
+    /// root.
     pub parent_joint: Option<usize>,
-    /// `None` without `<inertial>`: a massless link.
+    /// Inertial parameters; `None` without `<inertial>`, for a massless link.
     pub inertial: Option<Inertial>,
 }
 
@@ -38,46 +39,46 @@ pub enum JointKind {
     Prismatic,
     /// No motion.
     Fixed,
-    /// Floating, planar, spherical: held at its zero pose, and refused between base and tip.
+    /// Floating, planar or spherical: fixed at its zero pose; an error between base and tip.
     Other,
 }
 
 impl JointKind {
-    /// Returns true if the joint has one coordinate.
+    /// Returns true if a joint of this type has one coordinate: revolute, continuous or prismatic.
     pub const fn is_actuated(self) -> bool {
         matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
     }
 }
 
-/// Mimic of a joint: its coordinate is `multiplier · q + offset`.
+/// Parameters of a mimic joint, whose value is `multiplier · q + offset` at the value q of `joint`.
 ///
-/// Resolved: `joint` itself is never a mimic joint, also if the file chains several.
+/// `joint` itself is never a mimic joint, even if the file chains several.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mimic {
     /// The driving joint (index into [`Model::joints`](super::Model::joints)).
     pub joint: usize,
-    /// Ratio, finite, not 0.
+    /// Ratio to the value of `joint`; finite, not 0.
     pub multiplier: f64,
-    /// Offset [rad or m].
+    /// Value of the mimic joint at the value 0 of `joint` [rad or m].
     pub offset: f64,
 }
 
 /// A joint of the tree.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Joint {
-    /// Unique, not empty.
+    /// Name of the joint; unique, not empty.
     pub name: String,
     /// Type of the joint.
     pub kind: JointKind,
-    /// Name of the type in the file.
+    /// Name of the joint's type in the file.
     pub type_name: String,
     /// Parent link (index into [`Model::links`](super::Model::links)).
     pub parent: usize,
-    /// Child link.
+    /// Child link (index into [`Model::links`](super::Model::links)).
     pub child: usize,
-    /// `parent_from_child` at zero.
+    /// `parent_from_child` at the joint value 0.
     pub origin: Pose,
-    /// Unit axis in the joint's frame; z for joints without an axis.
+    /// Unit axis in the joint's frame; the z axis for types without an axis.
     pub axis: [f64; 3],
     /// Lower position limit [rad or m]; `None` if absent.
     pub lower: Option<f64>,
@@ -87,22 +88,23 @@ pub struct Joint {
     pub velocity: Option<f64>,
     /// Torque or force limit [N·m or N]; `None` if absent, 0 or infinite.
     pub effort: Option<f64>,
-    /// Damping [N·m·s/rad or N·s/m].
+    /// Viscous damping [N·m·s/rad or N·s/m]; `None` if absent.
     pub damping: Option<f64>,
-    /// Dry friction [N·m or N].
+    /// Dry friction [N·m or N]; `None` if absent.
     pub friction: Option<f64>,
-    /// Mimic parameters, for a mimic joint.
+    /// Mimic parameters; `None` if the joint mimics no other.
     pub mimic: Option<Mimic>,
-    /// Coordinate of the chain that drives it, directly or by mimic.
+    /// Index of the chain's coordinate that drives the joint, directly or by mimic; `None` if it does not move with the
+    /// chain.
     pub q_index: Option<usize>,
-    /// Value at which it is locked [rad or m], for actuated joints without a coordinate.
+    /// Value at which the joint is locked [rad or m]; `None` for a joint that moves with the chain or cannot move.
     pub locked_at: Option<f64>,
-    /// Line and column of the joint's element.
+    /// Position of the joint's element in the file, for messages.
     pub(crate) at: Position,
 }
 
 impl Joint {
-    /// Default value of a locked joint: 0, or the limit nearest to 0.
+    /// Returns the default value of a locked joint: 0, or the limit nearest to 0.
     pub(super) fn resting_value(&self) -> f64 {
         0.0_f64.max(self.lower.unwrap_or(f64::NEG_INFINITY)).min(self.upper.unwrap_or(f64::INFINITY))
     }

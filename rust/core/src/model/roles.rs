@@ -1,4 +1,4 @@
-//! Roles of the joints of a tree: driven by a coordinate, or locked at a value.
+//! Role of each joint in a tree: driven by a coordinate, or locked at a value.
 
 use std::collections::BTreeMap;
 
@@ -12,18 +12,20 @@ use crate::pose::COORDINATE_BOUND;
 /// Role of a joint of the tree for the chosen base, tip and locks.
 #[derive(Clone, Copy)]
 pub(super) enum Role {
-    /// Locked at this value.
+    /// Locked at this value [rad or m].
     Still(f64),
-    /// Driven by a coordinate: `multiplier · q + offset`.
+    /// Driven by the coordinate q of index `coordinate`: joint value `multiplier · q + offset`.
     Moves { coordinate: usize, multiplier: f64, offset: f64 },
 }
 
 pub(super) struct Roles {
+    /// Role of each joint of the tree.
     pub(super) of: Vec<Role>,
+    /// Index into the tree of the joint of each coordinate.
     pub(super) coordinates: Vec<usize>,
 }
 
-/// Determines the moving joints and their coordinates.
+/// Determines the role of each joint and the coordinates, and stores them in the joints of the tree.
 pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f64>) -> Result<Roles> {
     let mut fixed_at: Vec<Option<f64>> = vec![None; tree.joints.len()];
     for (name, &value) in locked {
@@ -105,7 +107,7 @@ pub(super) fn roles(tree: &mut Tree, path: &[usize], locked: &BTreeMap<String, f
     Ok(Roles { of, coordinates })
 }
 
-/// Returns the index of a joint, after checking that it may be locked at this value.
+/// Returns the index of the joint of this name; an error if it cannot be locked at this value.
 fn lockable(tree: &Tree, name: &str, value: f64) -> Result<usize> {
     let key = || format!("locked.{name}");
     let Some(j) = tree.joints.iter().position(|joint| joint.name == name) else {

@@ -1,4 +1,4 @@
-//! Tree of links and joints with one root, mimics resolved.
+//! Tree of links and joints with one root; mimic joints are resolved.
 
 use std::collections::HashMap;
 
@@ -8,20 +8,23 @@ use super::urdf::text::Source;
 use super::urdf::{guard, reader};
 use crate::error::{Error, Position, Result};
 
-/// All links and joints; a tree with one root, mimics resolved.
+/// All links and joints of a robot: a tree with one root, in which each mimic joint refers to its driving joint.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tree {
+    /// Name of the robot.
     pub(super) name: String,
+    /// Name of the file or text, for messages.
     pub(super) source_name: String,
     pub(super) links: Vec<Link>,
     pub(super) joints: Vec<Joint>,
-    /// Joints below each link, in the file's order.
+    /// Joints whose parent is each link (indices into `joints`), in the file's order.
     pub(super) children: Vec<Vec<usize>>,
+    /// Index of the link without a parent joint.
     pub(super) root: usize,
 }
 
 impl Tree {
-    /// Reads a text, resolves names and checks that the links form one tree.
+    /// Reads a URDF text, resolves names and checks that the links form one tree.
     pub(super) fn read(source: &Source) -> Result<Self> {
         let document = source.parse()?;
         let checked = guard::check(source, &document)?;
@@ -95,10 +98,10 @@ impl Tree {
         Ok(root)
     }
 
-    /// Resolves chains of mimic joints to their driving joint.
+    /// Sets the driving joint of each mimic joint, also where the file chains several.
     fn resolve_mimics(&mut self, raw: &[urdf_rs::Joint]) -> Result<()> {
         let index: HashMap<&str, usize> = raw.iter().enumerate().map(|(j, joint)| (joint.name.as_str(), j)).collect();
-        // Direct drivers first, so that a chain can be followed by index.
+        // First the joint that each mimics directly, so that chains can be followed by index.
         let mut direct: Vec<Option<Mimic>> = vec![None; raw.len()];
         for (j, raw) in raw.iter().enumerate() {
             let Some(mimic) = raw.mimic.as_ref().filter(|_| self.joints[j].kind.is_actuated()) else { continue };
@@ -115,7 +118,7 @@ impl Tree {
             }
             direct[j] = Some(Mimic { joint, multiplier, offset: mimic.offset.unwrap_or(0.0) });
         }
-        // A driver is resolved before its followers: each joint is visited once, however long the chains are.
+        // A joint is resolved before those that mimic it: each is visited once, however long the chains are.
         let mut resolved: Vec<Option<Mimic>> = vec![None; raw.len()];
         for start in 0..direct.len() {
             let mut waiting = Vec::new();
@@ -148,12 +151,12 @@ impl Tree {
         Ok(())
     }
 
-    /// Link above a link.
+    /// Returns the parent of a link; `None` for the root.
     pub(super) fn parent_link(&self, link: usize) -> Option<usize> {
         self.links[link].parent_joint.map(|j| self.joints[j].parent)
     }
 
-    /// Joints from `top` down to `bottom`, which is below it.
+    /// Returns the joints from the link `top` down to the link `bottom`, a descendant of it.
     pub(super) fn joints_between(&self, top: usize, bottom: usize) -> Vec<usize> {
         let (mut joints, mut link) = (Vec::new(), bottom);
         while link != top {
@@ -165,10 +168,10 @@ impl Tree {
         joints
     }
 
-    /// Index of a link by name.
+    /// Returns the index of the link of this name.
     pub(super) fn frame(&self, name: &str) -> Result<usize> {
         self.links.iter().position(|link| link.name == name).ok_or_else(|| {
-            // Most similar name first, at most one screenful.
+            // Most similar names first, at most as many as a message shows.
             let available = likeliest(self.links.iter().map(|link| link.name.as_str()).collect(), name);
             let available = available.into_iter().take(SHOWN).map(str::to_owned).collect();
             Error::FrameNotFound { frame: name.to_owned(), available }

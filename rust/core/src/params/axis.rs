@@ -1,4 +1,4 @@
-//! Task axes, their keys, and the settings of each axis.
+//! Task axes: their names and keys, their frame, and the settings of each axis.
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
@@ -8,23 +8,23 @@ use crate::pose::Pose;
 /// Names of the task axes, in the order of every 6-vector: linear first, then angular.
 pub const AXIS_NAMES: [&str; MAX_AXES] = ["x", "y", "z", "roll", "pitch", "yaw"];
 
-/// Largest plausible stiffness and damping.
+/// Largest plausible stiffness and damping of an axis, in their units.
 const IMPEDANCE_BOUND: f64 = 1e9;
 
-/// Axes in which the task is expressed.
+/// Frame whose axes are the task axes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Frame {
-    /// The base's axes.
+    /// Axes of the base.
     #[default]
     Base,
-    /// The tool's axes, turning with it.
+    /// Axes of the tool, which turn with it.
     Tool,
-    /// Fixed axes: the columns of `base_from_task` (row-major rotation matrix).
+    /// Axes fixed in the base: the columns of this rotation matrix `base_from_task` (row-major).
     Rotation([[f64; 3]; 3]),
 }
 
 impl Frame {
-    /// Returns the axes as columns, for a given rotation of the tool.
+    /// Returns the task axes as columns, in the base, for this rotation of the tool.
     pub(crate) fn base_from_task(&self, tool: &Mat3) -> Mat3 {
         match self {
             Self::Base => Pose::IDENTITY.rotation,
@@ -34,14 +34,15 @@ impl Frame {
     }
 }
 
-/// Controlled axes and the frame in which they are defined.
+/// The controlled axes and the frame in which they are defined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Task {
-    /// Selects x, y, z, roll, pitch, yaw.
+    /// True for each of x, y, z, roll, pitch, yaw that is controlled.
     pub axes: [bool; MAX_AXES],
     /// Frame of the axes.
     pub frame: Frame,
-    /// Length [m] that makes translations comparable with rotations; needed only with more axes than joints.
+    /// Length [m] by which translations are divided to compare them with rotations; required only with more axes than
+    /// joints, else ignored.
     pub length: Option<f64>,
 }
 
@@ -60,7 +61,7 @@ impl Task {
         Ok(Self { axes: parse_axes("task.axes", axes)?, ..Self::default() })
     }
 
-    /// Number of axes.
+    /// Returns the number of controlled axes.
     pub fn len(&self) -> usize {
         self.axes.iter().filter(|&&on| on).count()
     }
@@ -70,7 +71,7 @@ impl Task {
         self.len() == 0
     }
 
-    /// Checks frame and length.
+    /// Checks axes, frame and length.
     ///
     /// # Errors
     /// [`Error::Config`] for an empty task or an invalid rotation as frame, [`Error::OutOfRange`] for the length.
@@ -133,18 +134,18 @@ pub fn parse_axes(key: &str, text: &str) -> Result<[bool; MAX_AXES]> {
 /// Side toward which an axis is compliant, named by the direction of the push.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CompliantSide {
-    /// Compliant in both directions.
+    /// Compliant when pushed in either direction.
     Both,
     /// Compliant only when pushed toward + (the tool is beyond its target, `e < 0`).
     Plus,
-    /// Compliant only when pushed toward −.
+    /// Compliant only when pushed toward − (the tool is short of its target, `e > 0`).
     Minus,
-    /// Not compliant.
+    /// Not compliant in either direction.
     None,
 }
 
 impl CompliantSide {
-    /// Returns whether the axis is compliant when pushed toward (−, +).
+    /// Returns whether the axis is compliant when pushed toward −, and when pushed toward +.
     pub(crate) fn sides(self) -> [bool; 2] {
         match self {
             Self::Both => [true, true],
@@ -158,7 +159,7 @@ impl CompliantSide {
 /// Strength of a yielding axis as a function of the deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Profile {
-    /// From `soft` below `soft_until` to `firm` above `firm_from`: the paper's (9).
+    /// From `soft` below `soft_until` to `firm` above `firm_from`, as in (9) of the paper.
     #[default]
     Hardening,
     /// `soft` at every deviation.
@@ -168,7 +169,7 @@ pub enum Profile {
 }
 
 impl Profile {
-    /// Returns the strength at a small and at a large deviation.
+    /// Returns the strength at a small deviation and at a large deviation.
     pub(crate) fn ends(self, soft: f64, firm: f64) -> [f64; 2] {
         match self {
             Self::Hardening => [soft, firm],
@@ -181,48 +182,50 @@ impl Profile {
 /// Behaviour of the target when a stiff axis exceeds its deviation limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OnDeviationLimit {
-    /// The target follows the tool along this axis: the arm yields with the force of the limit and returns after the
-    /// release.
+    /// The target follows the tool along this axis: the arm yields with the force that it exerts at the limit, and
+    /// returns after the release.
     #[default]
     Yield,
     /// The whole target stops until the axis is within its limit again.
     Wait,
 }
 
-/// Settings of one task axis. `None` selects the default, which for the strengths depends on law and arm.
+/// Settings of one task axis. `None` selects the default; the defaults of the strengths depend on law and arm.
 ///
 /// Strengths are forces [N] ([N·m] for rotations) under the laws `cap` and `impedance`, torque budgets [N·m] under law
 /// `paper`; pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Axis {
-    /// Strength of the yielding axis at a small deviation, τ⁻ of (9).
+    /// Strength of the yielding axis at a small deviation, τ⁻ of (9), per side.
     pub soft: Option<[f64; 2]>,
-    /// Strength of the yielding axis at a large deviation, τ⁺ of (9).
+    /// Strength of the yielding axis at a large deviation, τ⁺ of (9), per side.
     pub firm: Option<[f64; 2]>,
-    /// Strength of a side that does not yield.
+    /// Strength toward a side that does not yield.
     pub hold: Option<f64>,
-    /// Law `impedance`: spring [N/m or N·m/rad]; default 0 for a side that yields, else derived from the arm.
+    /// Law `impedance`: stiffness of the axis [N/m or N·m/rad]; default 0 for a side that yields, else derived from the
+    /// arm.
     pub stiffness: Option<[f64; 2]>,
-    /// Law `impedance`: damper [N·s/m or N·m·s/rad]; default 0.
+    /// Law `impedance`: damping of the axis [N·s/m or N·m·s/rad]; default 0.
     pub damping: Option<[f64; 2]>,
-    /// Sides that yield; default both if `soft` or `firm` is given, else none.
+    /// Sides that yield; default both if `soft` or `firm` is set, else none.
     pub yields: Option<CompliantSide>,
     /// Target adaptation η of (12), 0 ≤ η < 1.
     pub adaptation: f64,
-    /// Deviation [m or rad] below which compliance is 1, d⁻ of (8).
+    /// Deviation [m or rad] below which the compliance is 1, d⁻ of (8); default 0.01 m or 0.04 rad.
     pub soft_until: Option<f64>,
-    /// Deviation [m or rad] above which compliance is 0, d⁺ of (8).
+    /// Deviation [m or rad] above which the compliance is 0, d⁺ of (8); default 0.1 m or 0.4 rad.
     pub firm_from: Option<f64>,
-    /// Strength profile between these two deviations.
+    /// Profile of the strength between `soft_until` and `firm_from`.
     pub profile: Profile,
-    /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for no limit. Law `impedance` has
-    /// no limit.
+    /// Limit of the commanded task velocity while the axis is stiff [m/s or rad/s]; ∞ for no limit; default 0.4 m/s or
+    /// 2 rad/s. Law `impedance` ignores it.
     pub max_velocity: Option<f64>,
-    /// Limit of the commanded task velocity while the axis yields [m/s or rad/s].
+    /// Limit of the commanded task velocity while the axis yields [m/s or rad/s]; default ∞, under law `paper` 0.1 m/s
+    /// or 0.5 rad/s. Law `impedance` ignores it.
     pub soft_step_limit: Option<f64>,
-    /// Largest deviation [m or rad] toward a side that does not yield; `None` for no limit.
+    /// Largest deviation [m or rad] while pushed toward a side that does not yield; `None` for no limit.
     pub deviation_limit: Option<f64>,
-    /// Behaviour beyond the deviation limit.
+    /// Behaviour of the target when the axis exceeds its deviation limit.
     pub on_deviation_limit: OnDeviationLimit,
 }
 
@@ -232,7 +235,7 @@ impl Axis {
         Self::default()
     }
 
-    /// Returns the sides that yield, default filled in.
+    /// Returns the sides that yield; both if `yields` is `None` and `soft` or `firm` is set, else none.
     pub fn compliant_side(&self) -> CompliantSide {
         let compliant = self.soft.is_some() || self.firm.is_some();
         self.yields.unwrap_or(if compliant { CompliantSide::Both } else { CompliantSide::None })

@@ -1,15 +1,16 @@
-//! Parameters of the task axes, defaults filled in.
+//! Parameters of the task axes, with defaults filled in.
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
 use crate::math::rounding;
 use crate::model::Model;
 use crate::params::impedance::default_stiffness;
-use crate::params::workspace::WorkspaceStats;
+use crate::params::joint_space::JointSpaceStats;
 use crate::params::{AXIS_NAMES, Axis, CompliantSide, OnDeviationLimit, Profile, ServoArrays, Settings};
 
-/// Largest η without a known `k_p` or a captured gravity offset: above it a gravity error makes the arm drift.
-const ETA_UNPROVEN: f64 = 0.95;
+/// Largest adaptation η without a known `k_p` or a captured gravity offset: above it a gravity error would make the arm
+/// drift.
+const MAX_UNVERIFIED_ETA: f64 = 0.95;
 
 /// Strengths of one task axis [N, N·m; N·m under law `paper`]; pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,47 +26,59 @@ pub struct AxisStrength {
 /// Spring and damper of one task axis under law `impedance`; pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AxisImpedance {
-    /// [N/m, N·m/rad]
+    /// Stiffness [N/m, N·m/rad].
     pub stiffness: [f64; 2],
-    /// [N·s/m, N·m·s/rad]
+    /// Damping [N·s/m, N·m·s/rad].
     pub damping: [f64; 2],
 }
 
-/// Parameters of one task axis, defaults filled in.
+/// Parameters of one task axis, with defaults filled in; pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisParams {
-    /// Index among x, y, z, roll, pitch, yaw.
+    /// Index of the axis among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
+    /// Strength of a yielding side at a small deviation [N, N·m; N·m under law `paper`].
     pub(crate) soft: [f64; 2],
+    /// Strength of a yielding side at a large deviation [N, N·m; N·m under law `paper`].
     pub(crate) firm: [f64; 2],
+    /// Strength of a side that does not yield [N, N·m; N·m under law `paper`].
     pub(crate) hold: f64,
-    /// The default of `hold` before soft and firm raised it.
+    /// Default of `hold` if a larger `firm` raised it, else `None`.
     pub(crate) default_hold: Option<f64>,
+    /// 1 for a side that yields, else 0.
     pub(crate) yields: [f64; 2],
-    /// Spring [N/m, N·m/rad] and damper [N·s/m, N·m·s/rad]; zero except under law `impedance`.
+    /// Stiffness [N/m, N·m/rad]; 0 except under law `impedance`.
     pub(crate) stiffness: [f64; 2],
+    /// Damping [N·s/m, N·m·s/rad]; 0 except under law `impedance`.
     pub(crate) damping: [f64; 2],
+    /// Target adaptation η.
     pub(crate) eta: f64,
+    /// Deviation [m or rad] below which the compliance is 1.
     pub(crate) soft_until: f64,
+    /// Deviation [m or rad] above which the compliance is 0.
     pub(crate) firm_from: f64,
-    /// Half-width [m or rad] of the transition between the sides.
+    /// Half-width [m or rad] of the deviations around zero over which the axis blends between its sides.
     pub(crate) band: f64,
+    /// Strength as a function of the deviation.
     pub(crate) profile: Profile,
+    /// Limit of the commanded velocity of the stiff axis [m/s or rad/s].
     pub(crate) step_limit: f64,
+    /// Limit of the commanded velocity of the yielding axis [m/s or rad/s].
     pub(crate) soft_step_limit: f64,
 }
 
-/// Deviation limit of one axis.
+/// Deviation limit of one task axis.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DeviationLimit {
-    /// Index among x, y, z, roll, pitch, yaw.
+    /// Index of the axis among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
-    /// Largest deviation [m or rad] when pushed toward (−, +); ∞ for a side that yields.
+    /// Largest deviation [m or rad] while pushed toward (−, +); ∞ for a side that yields.
     pub(crate) max: [f64; 2],
+    /// Behaviour of the target beyond the limit.
     pub(crate) reaction: OnDeviationLimit,
 }
 
-/// Returns the axes with a deviation limit; usually none.
+/// Returns the deviation limits of the axes that have one; usually none.
 pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<DeviationLimit> {
     let of = |&axis: &usize| {
         let user = &settings.axes[axis];
@@ -78,22 +91,23 @@ pub(super) fn deviation_limits(settings: &Settings, axes: &[usize]) -> Vec<Devia
     axes.iter().filter_map(of).collect()
 }
 
-/// Default strengths: soft, firm, hold of translations and rotations.
+/// Returns the default strengths soft, firm and hold, of translations and of rotations [N, N·m; N·m under law `paper`].
 fn default_strengths(
     model: &Model,
     settings: &Settings,
     servos: &ServoArrays,
-    workspace_stats: &mut WorkspaceStats,
+    joint_space_stats: &mut JointSpaceStats,
 ) -> [[f64; 3]; 2] {
     if !settings.law.by_force() {
         return [[0.5, 10.0, 10.0]; 2];
     }
-    let capacity = workspace_stats.static_capacity(model, &servos.torque);
+    let capacity = joint_space_stats.static_capacity(model, &servos.torque);
     let of = |shares: [f64; 3], capacity: f64| shares.map(|share| rounding::round_to_halves(share * capacity));
     [of([0.12, 0.45, 1.2], capacity[0]), of([0.105, 0.2, 0.53], capacity[1])]
 }
 
-/// Checks the default strengths: they are zero for an arm that cannot hold itself in most poses.
+/// Returns an error if a default strength is needed and zero, as for an arm that cannot hold itself in most
+/// configurations.
 fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2]) -> Result<()> {
     for &axis in axes {
         let (user, strengths) = (&settings.axes[axis], &defaults[usize::from(axis >= 3)]);
@@ -109,19 +123,20 @@ fn check_defaults(settings: &Settings, axes: &[usize], defaults: &[[f64; 3]; 2])
     Ok(())
 }
 
+/// Returns the parameters of each task axis, followed by spare rows; an error for inconsistent settings.
 pub(super) fn resolve_rows(
     model: &Model,
     settings: &Settings,
     servos: &ServoArrays,
     axes: &[usize],
     stiffness_known: bool,
-    workspace_stats: &mut WorkspaceStats,
+    joint_space_stats: &mut JointSpaceStats,
 ) -> Result<[AxisParams; MAX_AXES]> {
     let is_complete = |axis: &Axis| axis.soft.is_some() && axis.firm.is_some() && axis.hold.is_some();
     let defaults = if axes.iter().all(|&axis| is_complete(&settings.axes[axis])) {
         [[0.0; 3]; 2]
     } else {
-        default_strengths(model, settings, servos, workspace_stats)
+        default_strengths(model, settings, servos, joint_space_stats)
     };
     check_defaults(settings, axes, &defaults)?;
     let springs = default_stiffness(model, settings, servos);
@@ -144,7 +159,7 @@ fn resolve_row(
     let (user, name) = (&settings.axes[axis], AXIS_NAMES[axis]);
     let paper = !settings.law.by_force();
     let [soft, firm, hold] = defaults;
-    // Default values adapt to the given ones.
+    // Defaults are adjusted to the values that are set, so that soft ≤ firm ≤ hold.
     let soft = user.soft.unwrap_or_else(|| user.firm.map_or([soft; 2], |firm| firm.map(|f| f.min(soft))));
     let firm = user.firm.unwrap_or_else(|| soft.map(|s| s.max(firm)));
     let least = firm[0].max(firm[1]);
@@ -163,12 +178,12 @@ fn resolve_row(
             ));
         }
     }
-    if !paper && user.adaptation > ETA_UNPROVEN && !stiffness_known && !settings.accept_high_adaptation {
+    if !paper && user.adaptation > MAX_UNVERIFIED_ETA && !stiffness_known && !settings.accept_high_adaptation {
         return Err(Error::out_of_range(
             format!("axes.{name}.adaptation"),
             user.adaptation,
             format!(
-                "[0, {ETA_UNPROVEN}] while k_p is not known within 10 %: a gravity error would make the arm drift. \
+                "[0, {MAX_UNVERIFIED_ETA}] while k_p is not known within 10 %: a gravity error would make the arm drift. \
                  Identify k_p (Servos(..., stiffness_known=True)), capture gravity, or accept the risk: Settings(accept_high_adaptation=True)"
             ),
         ));

@@ -1,4 +1,4 @@
-//! The task axes in vector layout.
+//! Parameters of the task axes in vector layout.
 
 use crate::math::rotation::base_to_task;
 use crate::math::simd::{AxisScalar, LANES, RealOps, TaskVector};
@@ -7,33 +7,45 @@ use crate::params::axis_params::AxisParams;
 use crate::params::{Frame, Params};
 use crate::{AxisVec, MAX_AXES};
 
-/// One number per task row, then a padding value that keeps the spare lanes at zero.
+/// One number per task row; spare lanes hold a value that keeps the results in them at zero.
 pub(crate) type AxisArray = [f64; LANES];
 
-/// Every field of the [`AxisParams`]s as one vector; pairs are (pushed toward −, toward +).
+/// The fields of [`AxisParams`] as vectors over the task rows; pairs are (pushed toward −, pushed toward +).
 #[derive(Debug, Clone)]
 pub(crate) struct AxisParamsSimd {
-    /// Index among x, y, z, roll, pitch, yaw, 6 for a spare row.
+    /// Index of each row's axis among x, y, z, roll, pitch, yaw; 6 for a spare row.
     axis: [usize; MAX_AXES],
+    /// 1 for a side that yields, else 0.
     pub(crate) yields: [AxisArray; 2],
-    /// Strength at a small and at a large deviation.
+    /// Strength of a yielding side at a small deviation.
     pub(crate) strength_soft_until: [AxisArray; 2],
+    /// Strength of a yielding side at a large deviation.
     pub(crate) strength_firm_from: [AxisArray; 2],
+    /// Strength of a side that does not yield.
     pub(crate) hold: AxisArray,
+    /// Stiffness [N/m, N·m/rad]; 0 except under law `impedance`.
     pub(crate) stiffness: [AxisArray; 2],
+    /// Damping [N·s/m, N·m·s/rad]; 0 except under law `impedance`.
     pub(crate) damping: [AxisArray; 2],
+    /// Target adaptation η.
     pub(crate) eta: AxisArray,
+    /// Deviation [m, rad] above which the compliance is 0.
     pub(crate) firm_from: AxisArray,
-    /// 1 / (firm_from − soft_until), 1 / (2 band): precomputed, so that the step has no division for them.
+    /// 1 / (firm_from − soft_until), precomputed to save a division in the step.
     pub(crate) d_slope: AxisArray,
-    /// 1 / deviation at which a push is detected: soft_until, at least a tenth of firm_from.
+    /// 1 / deviation above which a push is detected: `soft_until`, at least a tenth of `firm_from`.
     pub(crate) push_slope: AxisArray,
+    /// Half-width [m, rad] of the deviations around zero over which an axis blends between its sides.
     pub(crate) band: AxisArray,
+    /// 1 / (2 band), precomputed to save a division in the step.
     pub(crate) band_slope: AxisArray,
+    /// Limit of the commanded velocity of a stiff axis [m/s, rad/s].
     pub(crate) step_limit: AxisArray,
+    /// Limit of the commanded velocity of a yielding axis [m/s, rad/s].
     pub(crate) soft_step_limit: AxisArray,
+    /// Factor on λ² of each row.
     pub(crate) damping_scale: AxisArray,
-    /// Columns of K_x.
+    /// Columns of the gain K_x [1/s].
     pub(crate) kx: [AxisArray; MAX_AXES],
 }
 
@@ -77,7 +89,7 @@ impl AxisParamsSimd {
 }
 
 impl Params {
-    /// Transforms a vector in base axes into one number per task row.
+    /// Transforms a 6-vector in base axes into the task frame and returns the entries of the task rows.
     #[inline(always)]
     pub(crate) fn to_task_rows<W: TaskVector>(
         &self,
@@ -90,14 +102,15 @@ impl Params {
         self.select_rows(&base_to_task::<W::Elem>(base_from_task, v))
     }
 
-    /// Selects the task's entries of a vector over x, y, z, roll, pitch, yaw, in the order of its rows.
+    /// Returns the entries of the task rows from a vector over x, y, z, roll, pitch, yaw.
     #[inline(always)]
     pub(crate) fn select_rows<W: TaskVector>(&self, v: &[AxisScalar<W>; MAX_AXES]) -> W {
         let all = W::from_axes(v);
         if self.k == MAX_AXES {
             return all;
         }
-        // Runtime indexing forces a spill. Spill a copy here so that the full-task path above stays in registers.
+        // Indexing at run time forces a spill to memory; a copy is spilled, so that the path for all six axes stays in
+        // registers.
         let (all, zero) = (all.to_axes(), W::Elem::splat(0.0));
         let mut out = [zero; MAX_AXES];
         for r in 0..MAX_AXES {

@@ -1,4 +1,4 @@
-//! Checks that settings, servos and model are consistent, before they are resolved.
+//! Checks that settings, servos and model are consistent, before they are resolved to [`Params`].
 
 use nalgebra::DMatrix;
 
@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::params::{Follow, ServoArrays, Settings};
 
-/// More axes than joints require a length that weights them.
+/// Returns an error for more axes than joints without a length that weights translations against rotations.
 pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> {
     if k <= n || settings.task.length.is_some() {
         return Ok(());
@@ -22,7 +22,7 @@ pub(super) fn check_axes(settings: &Settings, k: usize, n: usize) -> Result<()> 
     ))
 }
 
-/// A torque for null-space motion requires a null space.
+/// Returns an error under law `paper` if a torque for null-space motion is set but there is no null space.
 pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Result<()> {
     if settings.law.by_force() || k < n || settings.null_space.max_torque.is_none_or(|torque| torque <= 0.0) {
         return Ok(());
@@ -33,6 +33,7 @@ pub(super) fn check_null_torque(settings: &Settings, k: usize, n: usize) -> Resu
     ))
 }
 
+/// Returns an error if the gain K_x moves some direction away from its target, or exceeds the bound for the delay.
 pub(super) fn check_gain(settings: &Settings, params: &Params) -> Result<()> {
     let symmetric = DMatrix::from_fn(params.k, params.k, |r, c| 0.5 * (params.kx[r][c] + params.kx[c][r]));
     let shift = 1e-9 * (1.0 + symmetric.amax());
@@ -57,6 +58,8 @@ pub(super) fn check_gain(settings: &Settings, params: &Params) -> Result<()> {
     Ok(())
 }
 
+/// Returns an error if gravity is compensated at a joint that moves an unknown mass, unless a floor of the limits is
+/// set.
 pub(super) fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
     let unknown = model.unknown_mass_joints();
     if settings.gravity_use() == crate::params::GravityUse::Off
@@ -76,6 +79,7 @@ pub(super) fn check_gravity(model: &Model, settings: &Settings) -> Result<()> {
     ))
 }
 
+/// Returns an error if the settings require the servos' stiffness `k_p` but no servos are configured.
 pub(super) fn check_kp(settings: &Settings, servos: &ServoArrays, model: &Model) -> Result<()> {
     if servos.has_kp {
         return Ok(());

@@ -1,4 +1,4 @@
-//! Names of enum variants: identical in Rust, Python, configurations and logs.
+//! Names of enum variants, identical in Rust, Python, configurations and logs.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,11 +7,12 @@ use crate::error::Error;
 use crate::kinematics::Reference;
 use crate::params::{CompliantSide, Follow, Law, LimitRule, LimitType, OnDeviationLimit, Profile, Projector};
 
-/// Implements conversion between an enum and its names; `$key` is the setting's name for the message.
+/// Implements conversion between an enum and the names of its variants; `$key` is the name of the setting for the
+/// message.
 macro_rules! words {
     ($($choice:ident of $key:literal: $($word:literal is $variant:ident),+;)+) => { $(
         impl $choice {
-            /// All variants with their names.
+            /// All variants, each with its name.
             pub const NAMES: &'static [(&'static str, Self)] = &[$(($word, Self::$variant)),+];
         }
 

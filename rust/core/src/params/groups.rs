@@ -1,21 +1,21 @@
-//! Groups of related settings.
+//! Groups of settings: tracking, null space, compensation, torque limits, options of the paper.
 
 use super::settings::{Damping, Follow, Gain, GravityUse, LimitRule, Projector};
 
-/// Tracking of the target by the stiff axes.
+/// Settings of how the stiff axes track their target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tracking {
-    /// Gain K_x [1/s] of (5): a scalar, or one value per axis of the task.
+    /// Gain K_x [1/s] of (5): a scalar, one value per axis of the task, or a matrix.
     pub gain: Gain,
-    /// Damping of the inverse.
+    /// Damping of the inverse kinematics near singular poses.
     pub damping: Damping,
-    /// Time constant T_f [s] of the velocity filter.
+    /// Time constant T_f [s] of the filter of the joint velocity.
     pub velocity_filter: f64,
-    /// Slew limit of the goals [rad/s]; ∞ for no limit.
+    /// Limit of the rate at which the goals change [rad/s]; ∞ for no limit.
     pub goal_slew: f64,
-    /// Joint speed limit [rad/s] per joint; `None` for the model's.
+    /// Speed limit [rad/s] of each joint; `None` for the model's limits.
     pub joint_speed: Option<Vec<f64>>,
-    /// Rate [1/s] at which the goal of stiff axes integrates; 0 for no integration.
+    /// Rate [1/s] at which the lead (goal − q) of stiff axes is integrated into the goal; 0 for no integration.
     pub integrate: f64,
 }
 
@@ -32,23 +32,23 @@ impl Default for Tracking {
     }
 }
 
-/// Null-space motion: motion of the joints that leaves the task unchanged.
+/// Settings of the null-space motion, the motion of the joints that leaves the task unchanged.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NullSpace {
-    /// Rest posture [rad], one value per joint; `None` for q at reset.
+    /// Rest posture [rad], one value per joint; `None` for the joint positions at reset.
     pub posture: Option<Vec<f64>>,
-    /// Gain α of the null-space motion [1/s]; `None` for the tracking gain.
+    /// Gain α of the null-space motion [1/s]; `None` for the largest entry of the tracking gain.
     pub gain: Option<f64>,
-    /// Largest total torque of the null-space motion over all joints [N·m], `Σ k_p |null| ≤ τ₀`, and its budget under
-    /// law `paper`; `None`: 2 if the arm is redundant for the task.
+    /// Bound τ₀ on the torque of the null-space motion summed over all joints [N·m], and its budget under law `paper`;
+    /// `None`: 2 if the arm is redundant for the task, else 0.
     pub max_torque: Option<f64>,
-    /// Law `impedance`: stiffness of the null-space motion [N·m/rad], instead of `gain`; `None` to use `gain`.
+    /// Law `impedance`: stiffness of the null-space motion [N·m/rad], which replaces `gain`; `None` to use `gain`.
     pub stiffness: Option<f64>,
-    /// Speed limit of the null-space motion [rad/s per joint]; ∞ for no limit.
+    /// Speed limit of the null-space motion of each joint [rad/s]; ∞ for no limit.
     pub max_speed: f64,
-    /// Weight of the joint-limit cost `½ Σ ((q − mid)/half-range)²`.
+    /// Weight of the joint-limit cost `½ Σ ((q − mid)/half-range)²`; 0 for none.
     pub limit_avoidance: f64,
-    /// Null-space projector.
+    /// Projector into the null space of the task.
     pub projector: Projector,
 }
 
@@ -66,14 +66,14 @@ impl Default for NullSpace {
     }
 }
 
-/// Compensation of known servo properties by feed-forward and prediction.
+/// Shares of friction, damping and delay that feed-forward and prediction compensate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compensation {
-    /// Share b_f of the friction in the feed-forward.
+    /// Share b_f of the servos' dry friction that is fed forward, 0 to 1.
     pub friction: f64,
-    /// Share b_d of the damping in the feed-forward.
+    /// Share b_d of the servos' damping that is fed forward, 0 to 1.
     pub damping: f64,
-    /// Share b_p of the delay in the prediction.
+    /// Share b_p of the delay over which positions are predicted, 0 to 1.
     pub delay: f64,
 }
 
@@ -83,16 +83,16 @@ impl Default for Compensation {
     }
 }
 
-/// Joint torque limits sent to the servos.
+/// Settings of the joint torque limits that are sent to the servos.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TorqueLimits {
-    /// Margin m of the limits as a share of the usable torque (at least twice the friction).
+    /// Margin of the limits above the law's demand, as a share of the usable torque; at least twice the friction.
     pub margin: f64,
-    /// Minimum of the torque limits [N·m] per joint; `None` for the servos' friction.
+    /// Minimum torque limit of each joint [N·m]; `None` for the servos' friction.
     pub floor: Option<Vec<f64>>,
-    /// Time [s] in which a limit may rise from zero to its ceiling; 0 for no bound.
+    /// Shortest time [s] in which a limit may rise from zero to the usable torque; 0 for no bound.
     pub stiffening_time: f64,
-    /// Largest force on a hand along the task's translations if the host dies [N]; `None` for no bound.
+    /// Largest force [N] that a hand may meet along the task's translations if the host stops; `None` for no bound.
     pub max_host_loss_force: Option<f64>,
 }
 
@@ -105,35 +105,35 @@ impl Default for TorqueLimits {
 /// Options of the published law and its variants, for studies; not needed to run an arm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PaperOptions {
-    /// Coupling of yielding axes in the solve; `None`: by law.
+    /// Coupling of yielding axes with the solve for the stiff ones; `None` for the law's default.
     pub follow: Option<Follow>,
-    /// Rule for the limits (not law `paper`).
+    /// Rule for the joint torque limits under the laws `cap` and `impedance`.
     pub limits: LimitRule,
     /// Horizon h [s] of the goal `q + h q̇`.
     pub horizon: f64,
-    /// Gain K_q of (5), law `paper` only.
+    /// Gain K_q of (5); law `paper` only.
     pub kq: Gain,
-    /// Law `paper`: weight of each joint in J⁺; `None` for 1.
+    /// Law `paper`: weight of each joint in J⁺; `None` for 1 on all joints.
     pub joint_weights: Option<Vec<f64>>,
-    /// Weight of each joint in the posture cost; `None` for 1.
+    /// Weight of each joint in the posture cost; `None` for 1 on all joints.
     pub posture_weights: Option<Vec<f64>>,
-    /// Weight of the manipulability cost `−ln √det(JJᵀ)`.
+    /// Weight of the manipulability cost `−ln √det(JJᵀ)`; 0 for none.
     pub manipulability: f64,
-    /// Places in which the gravity model is used, if enabled.
+    /// Places in which the gravity model is used, if [`Settings::gravity`](super::Settings::gravity) is set.
     pub gravity_use: GravityUse,
-    /// Factor s_g on gravity in the limits.
+    /// Factor s_g on the gravity torques in the torque limits.
     pub gravity_scale: f64,
     /// Speed v₀ [rad/s] at which the friction feed-forward saturates.
     pub friction_speed: f64,
-    /// Half-width of the band around zero in which an axis that yields to one side switches sides, as a share of
+    /// Half-width of the band of deviations around zero in which an axis blends between its sides, as a share of
     /// `soft_until`; `None`: 0.1, under law `paper` 0.
     pub direction_band: Option<f64>,
-    /// Computes the compliance from the raw instead of the adapted deviation.
+    /// Computes the compliance from the raw deviation if true, else from the adapted one.
     pub raw_deviation: bool,
-    /// Law `paper`: clamps each axis' step to its budget.
+    /// Law `paper`: clamps the step of each axis to its torque budget if true.
     pub budget_on_goal: bool,
-    /// Law `paper`: largest lead of a goal [rad]; `None`: the lead that the limit can use (0.3 rad if `k_p` is
-    /// unknown).
+    /// Law `paper`: largest lead of a goal (goal − q) [rad]; `None`: the lead that the torque limit can use, 0.3 rad if
+    /// `k_p` is unknown.
     pub lead_limit: Option<f64>,
 }
 

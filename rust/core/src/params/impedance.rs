@@ -7,45 +7,52 @@ use crate::math::simd::{JointVec16, JointVector, TaskVector};
 use crate::math::spectral::rho;
 use crate::model::Model;
 use crate::params::resolved::{GAIN_DELAY_BOUND, REFERENCE_REACH};
-use crate::params::{AXIS_NAMES, Params, ServoArrays, Settings, workspace};
+use crate::params::{AXIS_NAMES, Params, ServoArrays, Settings, joint_space};
 use crate::{AxisVec, MAX_AXES, Rows};
 
-/// Reference stiffness of translations [N/m] and rotations [N·m/rad], and the mean k_p of the arm used for tuning.
-const REFERENCE: [f64; 2] = [800.0, 20.0];
+/// Default stiffness of translations [N/m] and rotations [N·m/rad] of the arm for which it was tuned.
+const REFERENCE_STIFFNESS: [f64; 2] = [800.0, 20.0];
+/// Mean k_p of the arm for which the default stiffness was tuned [N·m/rad].
 const REFERENCE_KP: f64 = 780.0 / 7.0;
 
-/// Largest `ρ(D) (T_e + T_f)` [s²] at which dampers do not oscillate: their velocity is filtered.
+/// Largest `ρ(D) (T_e + T_f)` [s²] at which dampers do not oscillate: the velocity that they use is filtered and
+/// delayed.
 const DAMPING_DELAY_BOUND: f64 = 0.007;
 
-/// Largest delay [s] at which well damped servos allow a stiffness of `WELL_DAMPED`.
+/// Largest effective delay T_e [s] at which well damped servos allow a stiffness ρ of `WELL_DAMPED_RATIO`.
 const WELL_DAMPED_DELAY: f64 = 0.03;
-const WELL_DAMPED: f64 = 3.0;
+/// Largest stiffness ρ, relative to the servos' own, that well damped servos allow.
+const WELL_DAMPED_RATIO: f64 = 3.0;
 
-/// Returns the largest ρ at a delay [s], to which half a period is added: of stiffness `max(1, 0.03 s / T_e)`, at least
-/// 3 for well damped servos up to a T_e of 0.03 s; of damping `0.007 s² / (T_e + T_f)`.
+/// Returns the largest ρ of stiffness [1] and of damping [s] at a delay [s], ∞ if the settings accept the risk. With
+/// T_e = delay + half a period: `max(1, 0.03 s / T_e)` for stiffness, at least 3 for well damped servos up to a T_e of
+/// 0.03 s; `0.007 s² / (T_e + T_f)` for damping.
 pub(super) fn bounds(settings: &Settings, delay: f64, well_damped: bool) -> [f64; 2] {
     if settings.accept_high_stiffness {
         return [f64::INFINITY; 2];
     }
     let late = delay + 0.5 / settings.rate;
-    let least = if well_damped && late <= WELL_DAMPED_DELAY { WELL_DAMPED } else { 1.0 };
+    let least = if well_damped && late <= WELL_DAMPED_DELAY { WELL_DAMPED_RATIO } else { 1.0 };
     [(GAIN_DELAY_BOUND / late).max(least), DAMPING_DELAY_BOUND / (late + settings.tracking.velocity_filter)]
 }
 
-/// Stiffness of axes that do not yield, translations and rotations; zero under the other laws.
+/// Returns the default stiffness of axes that do not yield, of translations [N/m] and rotations [N·m/rad]; zero under
+/// other laws.
 pub(super) fn default_stiffness(model: &Model, settings: &Settings, servos: &ServoArrays) -> [f64; 2] {
     if !settings.law.has_springs() {
         return [0.0; 2];
     }
     let stiffer = servos.kp_mean / REFERENCE_KP;
     let longer = if model.reach() > 0.0 { model.reach() / REFERENCE_REACH } else { 1.0 };
-    [REFERENCE[0] * stiffer / (longer * longer), REFERENCE[1] * stiffer].map(rounding::round_to_halves)
+    [REFERENCE_STIFFNESS[0] * stiffer / (longer * longer), REFERENCE_STIFFNESS[1] * stiffer]
+        .map(rounding::round_to_halves)
 }
 
-/// Refuses given stiffness and damping that would ring in more than half of the poses.
+/// Returns an error if stiffness or damping that the user has set would oscillate in more than half of the
+/// configurations.
 ///
-/// The step reduces the gains further if a pose requires it, see [`rho`]. It also reduces the default stiffness of
-/// other axes.
+/// The step reduces the gains further where a configuration requires it, also the default stiffness of other axes; see
+/// [`rho`].
 pub(super) fn check(model: &Model, settings: &Settings, params: &Params) -> Result<()> {
     let [max_stiffness, max_damping] = params.impedance_bounds;
     if let Some(stiffness) = settings.null_space.stiffness {
@@ -89,16 +96,17 @@ pub(super) fn check(model: &Model, settings: &Settings, params: &Params) -> Resu
     Ok(())
 }
 
-/// Returns ρ of these gains in the median pose, divided by its bound.
+/// Returns the median over the joint space of ρ of these gains, divided by its bound `max`; 0 if `max` is infinite.
 fn overshoot(model: &Model, params: &Params, gains: &AxisVec, max: f64) -> f64 {
     if max.is_infinite() || gains.iter().all(|&gain| gain <= 0.0) {
         return 0.0;
     }
     let compliance = JointVec16::load(&params.servos.compliance);
     let of = |rows: &Rows| rho(&load_rows(rows), compliance, TaskVector::from_axes(gains));
-    workspace::median_over_rows(model, &params.axes, &params.frame, of) / max
+    joint_space::median_over_rows(model, &params.axes, &params.frame, of) / max
 }
 
+/// Returns the reason for a bound, for the message.
 fn why(settings: &Settings) -> String {
     format!("with a delay of {} s at {} Hz a stiffer loop oscillates", settings.delay, settings.rate)
 }

@@ -7,6 +7,7 @@ mod checks;
 mod enum_names;
 mod groups;
 mod impedance;
+pub(crate) mod joint_space;
 mod pacing;
 mod presets;
 mod resolved;
@@ -14,7 +15,6 @@ mod scales;
 mod servos;
 mod settings;
 mod validate;
-pub(crate) mod workspace;
 
 pub use axis::{AXIS_NAMES, Axis, CompliantSide, Frame, OnDeviationLimit, Profile, Task, parse_axes};
 pub use axis_params::{AxisImpedance, AxisStrength};

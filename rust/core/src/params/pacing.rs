@@ -1,37 +1,38 @@
-//! Reference tracking of the stiff axes: damping and inertia of each task axis.
+//! Reference tracking of the stiff axes: damping and inertia per task axis.
 
 use crate::math::simd::LANES;
 use crate::model::Model;
-use crate::params::workspace::WorkspaceStats;
+use crate::params::joint_space::JointSpaceStats;
 use crate::params::{AxisArray, ServoArrays, Settings};
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS};
 
-/// Decay rate [1/s] of the velocity error between tool and reference.
+/// Decay rate [1/s] of the velocity error between tool and reference; lower if the delay requires it.
 const DECAY: f64 = 20.0;
 
-/// Largest product of `DECAY` and the age [s] of the velocity at which the damper does not oscillate.
+/// Largest product of decay rate and age [s] of the velocity at which the damper does not oscillate.
 const DECAY_DELAY_BOUND: f64 = 0.5;
 
-/// Share of the servo damping cancelled by the feed-forward that the damper restores. Less than one: axes that share
-/// joints would count it twice.
-const RESTORED: f64 = 0.5;
+/// Share of the servo damping cancelled by the feed-forward that the damper restores. It is less than one, because axes
+/// that share joints would restore it twice.
+const RESTORED_SHARE: f64 = 0.5;
 
-/// Bound on the acceleration feed-forward [m/s², rad/s²]: the arm is not accelerated after a target that stops
-/// abruptly.
-const DRIVEN: [f64; 2] = [3.0, 12.0];
+/// Bound on the acceleration feed-forward, linear and angular [m/s², rad/s²], so that a target that stops abruptly does
+/// not jolt the arm.
+const MAX_FEEDFORWARD_ACCELERATION: [f64; 2] = [3.0, 12.0];
 
-/// Per task row, in units of the servos' stiffness along it; zero if a reference has no velocity of its own.
+/// Inertia and damping of each task row relative to the servos' stiffness along it; zero for rows whose reference has
+/// no velocity.
 #[derive(Debug, Clone)]
 pub(crate) struct PacingParams {
-    /// True if any row is nonzero.
+    /// True if any row has an inertia, that is a reference with a velocity.
     pub(crate) on: bool,
-    /// Squared time constant `Λ_j C_jj` [s²] of each axis on its servos.
+    /// Squared time constant `Λ_j C_jj` [s²] of each axis on the servos' springs: inertia divided by stiffness.
     pub(crate) inertia: AxisArray,
-    /// Bound on the acceleration [m/s², rad/s²].
-    pub(crate) driven: AxisArray,
-    /// Time constant [s] of the damper at the present delay.
+    /// Bound on the acceleration feed-forward [m/s², rad/s²].
+    pub(crate) max_acceleration: AxisArray,
+    /// Time constant [s] of the damper of each axis at the present delay: damping divided by stiffness.
     pub(crate) damping: AxisArray,
-    /// Part of it that restores the damping cancelled by the feed-forward [s].
+    /// Part of `damping` that restores the servo damping cancelled by the feed-forward [s].
     restored: f64,
 }
 
@@ -41,15 +42,15 @@ impl PacingParams {
         settings: &Settings,
         servos: &ServoArrays,
         axes: &[usize],
-        workspace_stats: &mut WorkspaceStats,
+        joint_space_stats: &mut JointSpaceStats,
     ) -> Self {
         let governed = |axis: usize| settings.max_tool_speed[usize::from(axis >= 3)].is_finite();
-        let (mut inertia, mut driven) = ([0.0; LANES], [0.0; LANES]);
+        let (mut inertia, mut max_acceleration) = ([0.0; LANES], [0.0; LANES]);
         if servos.has_kp && axes.iter().any(|&axis| governed(axis)) {
-            let found: AxisVec = workspace_stats.squared_periods(model, servos, axes, &settings.task.frame);
+            let found: AxisVec = joint_space_stats.squared_time_constants(model, servos, axes, &settings.task.frame);
             for (r, &axis) in axes.iter().enumerate().take(MAX_AXES) {
                 inertia[r] = if governed(axis) { found[r] } else { 0.0 };
-                driven[r] = DRIVEN[usize::from(axis >= 3)];
+                max_acceleration[r] = MAX_FEEDFORWARD_ACCELERATION[usize::from(axis >= 3)];
             }
         }
         let n = model.n().min(MAX_JOINTS);
@@ -57,12 +58,12 @@ impl PacingParams {
         let taken =
             if settings.law.by_force() { settings.compensation.damping * resisted / n.max(1) as f64 } else { 0.0 };
         let on = inertia.iter().any(|&t| t > 0.0);
-        let mut pace = Self { on, inertia, driven, damping: [0.0; LANES], restored: RESTORED * taken };
+        let mut pace = Self { on, inertia, max_acceleration, damping: [0.0; LANES], restored: RESTORED_SHARE * taken };
         pace.update_gain_scale(settings, settings.delay);
         pace
     }
 
-    /// Sets the damper for a measured delay [s].
+    /// Updates the damper for a measured delay [s].
     pub(super) fn update_gain_scale(&mut self, settings: &Settings, delay: f64) {
         let late = delay + 0.5 / settings.rate + settings.tracking.velocity_filter;
         let rate = DECAY.min(DECAY_DELAY_BOUND / late);

@@ -5,33 +5,33 @@ use crate::params::{
     AXIS_NAMES, Axis, CompliantSide, Law, NullSpace, PaperOptions, Profile, Settings, TorqueLimits, Tracking,
 };
 
-/// η of axes that a person or a mechanism moves.
+/// Target adaptation η of an axis that a person or a mechanism moves.
 const ETA_SOFT: f64 = 0.9;
 
-/// η of a door: the handle leads, and the target pulls back only weakly.
+/// η of a door: the handle moves the tool, and the target pulls it back only weakly.
 const ETA_DOOR: f64 = 0.999;
 
-/// η of a plug: with a larger value friction leads it past the hole, with a smaller one the walls push harder.
+/// η of a plug: with a larger value friction moves it past the hole, with a smaller one the walls push harder.
 const ETA_PLUG: f64 = 0.5;
 
 /// η of hand guiding: the largest that does not require a known `k_p`.
-const ETA_GUIDED: f64 = 0.95;
+const ETA_HAND_GUIDING: f64 = 0.95;
 
-/// α [1/s] if the arm is led far from its posture: a quarter of the default K_x.
-const ALPHA_LOOSE: f64 = 1.0;
+/// Null-space gain α [1/s] for an arm that is moved far from its posture: a quarter of the default K_x.
+const ALPHA_WEAK_POSTURE: f64 = 1.0;
 
-/// d⁻, d⁺ [m] of an axis that exerts the arm's `firm` at any deviation: no servo reaches that force within the first
-/// millimetre.
-const FIRM_FROM: [f64; 2] = [0.001, 0.002];
+/// `soft_until` and `firm_from` [m] of an axis that exerts one force at any deviation: no servo reaches that force
+/// within the first millimetre.
+const CAPPED_DEVIATIONS: [f64; 2] = [0.001, 0.002];
 
-/// d⁻, d⁺ [m] over which the strength falls when a person takes the object.
-const TAKEN: [f64; 2] = [0.01, 0.05];
+/// `soft_until` and `firm_from` [m] between which the strength falls while a person takes the object.
+const HAND_OVER_DEVIATIONS: [f64; 2] = [0.01, 0.05];
 
 impl Settings {
-    /// Law `paper` as published: no gravity model and no limits beyond those of the paper.
+    /// Returns law `paper` as published: no gravity model and no limits beyond those of the paper.
     ///
-    /// Strengths are budgets [N·m], soft 0.5, firm = hold = 10; no axis yields by default. The remaining limits are the
-    /// paper's per-axis step and the model's joint speed.
+    /// Strengths are torque budgets [N·m] with the defaults soft 0.5, firm = hold = 10; no axis yields by default. The
+    /// remaining limits are the paper's limit on the step of each axis and the joint speeds of the model.
     pub fn paper() -> Self {
         Self {
             law: Law::Paper,
@@ -44,7 +44,8 @@ impl Settings {
         }
     }
 
-    /// The named axes yield in both directions with the arm's default strengths and η = 0.9; the others hold.
+    /// Returns settings under which the named axes yield in both directions with the arm's default strengths and η =
+    /// 0.9; the others hold.
     ///
     /// # Errors
     /// [`Error::Config`] for an invalid key.
@@ -54,43 +55,45 @@ impl Settings {
         Ok(settings)
     }
 
-    /// No axis yields.
+    /// Returns settings under which no axis yields: the defaults.
     pub fn firm() -> Self {
         Self::default()
     }
 
-    /// Opens and closes doors: lateral and yaw follow the handle (η = 0.999, accepted), the others hold.
+    /// Returns settings for opening and closing doors: lateral (y) and yaw follow the handle with η = 0.999, for which
+    /// `accept_high_adaptation` is set; the others hold.
     ///
-    /// The posture task is a quarter as strong as usual: a handle on its arc takes the arm far from its start.
+    /// The posture task is a quarter as strong as by default, because a handle moves the arm on an arc far from its
+    /// start.
     pub fn door() -> Self {
-        let mut settings = Self { null_space: loose(), accept_high_adaptation: true, ..Self::default() };
+        let mut settings = Self { null_space: weak_posture(), accept_high_adaptation: true, ..Self::default() };
         (settings.axes[1], settings.axes[5]) = (yielding(ETA_DOOR), yielding(ETA_DOOR));
         settings
     }
 
-    /// Pulls a drawer open, or pushes it shut, along `axis`, with at most the force `pull` [N] (default: the arm's
-    /// `firm`).
+    /// Returns settings for pulling a drawer open or pushing it shut along `axis`, with at most the force `pull` [N]
+    /// (default: the arm's `firm`).
     ///
-    /// The direction of a slide is seldom known exactly: the other translations follow it (η = 0.95, the largest that
-    /// does not require a known `k_p`). Rotations hold, because a rotated drawer jams. At the end stop the force is at
-    /// most `pull`.
+    /// The direction of a slide is rarely known exactly, so the other translations follow it (η = 0.95, the largest
+    /// that does not require a known `k_p`). Rotations hold, because a rotated drawer jams. At the end stop the force
+    /// is at most `pull`.
     ///
     /// # Errors
     /// [`Error::Config`] for an axis other than x, y, z, [`Error::OutOfRange`] for the force.
     pub fn drawer(axis: &str, pull: Option<f64>) -> Result<Self> {
         let along = translation("axis", axis)?;
-        let mut settings = Self { null_space: loose(), ..Self::default() };
-        settings.axes[..3].fill(yielding(ETA_GUIDED));
+        let mut settings = Self { null_space: weak_posture(), ..Self::default() };
+        settings.axes[..3].fill(yielding(ETA_HAND_GUIDING));
         settings.axes[along] = capped("pull [N]", pull, CompliantSide::Both)?;
         Ok(settings)
     }
 
-    /// Presses on a surface along its normal `axis` with the force `press` [N] (default: the arm's `soft`) while the
-    /// tool moves along it.
+    /// Returns settings for pressing on a surface along its normal `axis` with the force `press` [N] (default: the
+    /// arm's `soft`) while the tool moves along the surface.
     ///
     /// Place the target behind the surface by at least `press` divided by the arm's stiffness, plus the unevenness of
-    /// the surface; the force is then `press` at any height. Rotations about the other two axes yield, so that a flat
-    /// tool stays flat on the surface.
+    /// the surface; the force then is `press` regardless of the surface's height. Rotations about the other two axes
+    /// yield, so that a flat tool stays flat on the surface.
     ///
     /// # Errors
     /// As [`Settings::drawer`].
@@ -106,27 +109,27 @@ impl Settings {
         Ok(settings)
     }
 
-    /// Presents an object and yields to a person who takes it.
+    /// Returns settings for presenting an object and yielding to a person who takes it.
     ///
     /// Near the target, translations resist with up to the arm's `firm`, so that the object's weight and an accidental
-    /// touch move little. Once a person has drawn the object 0.05 m away they resist with `soft`. Rotations yield. The
-    /// caller opens the gripper when the deviation shows a pull.
+    /// touch move the tool little. Once a person has pulled the object 0.05 m away, they resist with `soft`. Rotations
+    /// yield. The caller opens the gripper when the deviation indicates a pull.
     pub fn hand_over() -> Self {
-        let [near, far] = TAKEN;
+        let [near, far] = HAND_OVER_DEVIATIONS;
         let taken = Axis { profile: Profile::Softening, soft_until: Some(near), firm_from: Some(far), ..yielding(0.0) };
         let turned = yielding(ETA_SOFT);
         Self { axes: [taken, taken, taken, turned, turned, turned], ..Self::default() }
     }
 
-    /// Inserts a plug into a hole along `axis`, with a sign (`"-z"`), pushing with at most the force `push` [N] (by
-    /// default the arm's `firm`).
+    /// Returns settings for inserting a plug into a hole along `axis`, with a sign (`"-z"`), with at most the force
+    /// `push` [N] (default: the arm's `firm`).
     ///
-    /// The other translations and the rotations follow the hole by half (η = 0.5). Pulling out may use all of `hold`.
+    /// The other translations and the rotations yield with η = 0.5. Pulling the plug out may use all of `hold`.
     ///
     /// # Errors
     /// As [`Settings::drawer`].
     pub fn plug(axis: &str, push: Option<f64>) -> Result<Self> {
-        // The resistance to the insertion pushes the tool in the opposite direction.
+        // The hole resists the insertion, so it pushes the tool in the opposite direction.
         let (name, resists) = match axis.split_at_checked(1) {
             Some(("-", name)) => (name, CompliantSide::Plus),
             Some(("+", name)) => (name, CompliantSide::Minus),
@@ -138,23 +141,26 @@ impl Settings {
         Ok(settings)
     }
 
-    /// A person leads the tool: all axes yield with η = 0.95, and the posture task is a quarter as strong as usual.
+    /// Returns settings for hand guiding: all axes yield with η = 0.95, and the posture task is a quarter as strong as
+    /// by default.
     pub fn hand_guiding() -> Self {
-        Self { axes: [yielding(ETA_GUIDED); 6], null_space: loose(), ..Self::default() }
+        Self { axes: [yielding(ETA_HAND_GUIDING); 6], null_space: weak_posture(), ..Self::default() }
     }
 }
 
-fn loose() -> NullSpace {
-    NullSpace { gain: Some(ALPHA_LOOSE), ..NullSpace::default() }
+/// Returns null-space settings with a weaker posture task.
+fn weak_posture() -> NullSpace {
+    NullSpace { gain: Some(ALPHA_WEAK_POSTURE), ..NullSpace::default() }
 }
 
+/// Returns an axis that yields to both sides with this adaptation η.
 fn yielding(adaptation: f64) -> Axis {
     Axis { yields: Some(CompliantSide::Both), adaptation, ..Axis::default() }
 }
 
-/// An axis that is as stiff as its servos up to one force, and yields beyond it.
+/// Returns an axis that is as stiff as its servos up to one force, `max` or the arm's default, and yields beyond it.
 fn capped(what: &str, max: Option<f64>, yields: CompliantSide) -> Result<Axis> {
-    let [soft_until, firm_from] = FIRM_FROM.map(Some);
+    let [soft_until, firm_from] = CAPPED_DEVIATIONS.map(Some);
     let axis = Axis { yields: Some(yields), soft_until, firm_from, ..Axis::default() };
     match max {
         Some(max) => Ok(Axis { soft: Some(strength(what, max)?), profile: Profile::Constant, ..axis }),
@@ -162,11 +168,12 @@ fn capped(what: &str, max: Option<f64>, yields: CompliantSide) -> Result<Axis> {
     }
 }
 
+/// Returns a positive force as the strength of both sides, else an error.
 fn strength(what: &str, value: f64) -> Result<[f64; 2]> {
     if value > 0.0 && value.is_finite() { Ok([value; 2]) } else { Err(Error::out_of_range(what, value, "(0, ∞)")) }
 }
 
-/// Returns the index of x, y or z.
+/// Returns the index of the axis x, y or z; an error for any other name.
 fn translation(key: &str, name: &str) -> Result<usize> {
     AXIS_NAMES[..3].iter().position(|&known| known == name).ok_or_else(|| {
         Error::config(

@@ -11,9 +11,9 @@ use crate::model::Model;
 use crate::params::axis_params::{AxisParams, DeviationLimit, deviation_limits, resolve_rows};
 use crate::params::axis_params_simd::AxisParamsSimd;
 use crate::params::checks::{check_axes, check_gain, check_gravity, check_kp, check_null_torque};
+use crate::params::joint_space::JointSpaceStats;
 use crate::params::pacing::PacingParams;
 use crate::params::scales::clearance;
-use crate::params::workspace::WorkspaceStats;
 use crate::params::{
     AXIS_NAMES, Damping, Follow, Frame, Gain, GravityUse, Law, LimitRule, Projector, ServoArrays, Servos, Settings,
     impedance, scales,
@@ -21,116 +21,139 @@ use crate::params::{
 use crate::pose::{Pose, TargetRegion};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Reach [m] of the arm for which the damping constants were tuned; for other arms they are scaled.
+/// Reach [m] of the arm for which the damping constants were tuned; they are scaled for other arms.
 pub(super) const REFERENCE_REACH: f64 = 0.71;
 
-/// Smallest λ of the redistribution solve, if the settings have no singularity damping.
+/// Smallest increase of λ in the redistribution solve: used if the settings have no singularity damping.
 const MIN_REDISTRIBUTION_DAMPING: f64 = 0.05;
 
-/// Largest `K_x h T_e` or `ρ T_e` [s] at which the stiff axes do not oscillate.
+/// Largest `K_x h T_e` or `ρ T_e` [s] at which the stiff axes do not oscillate; T_e is the delay plus half a period.
 pub(super) const GAIN_DELAY_BOUND: f64 = 0.03;
 
-/// Damping of the inverse, in the units of the scaled rows: `λ² = λ₀² + (1 − (σ/σ₀)²) λ_max²` if σ < σ₀, else λ₀².
+/// Damping of the inverse kinematics, in the units of the scaled rows: `λ² = λ₀² + (1 − (σ/σ₀)²) λ_max²` for a smallest
+/// singular value σ < σ₀, else λ₀².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DampingParams {
     /// λ₀: λ away from singular poses.
     pub lambda_0: f64,
-    /// σ₀: smallest singular value below which the damping grows.
+    /// σ₀: value of the smallest singular value σ below which the damping increases.
     pub sigma_0: f64,
-    /// λ_max: increase at σ = 0, in squares.
+    /// λ_max: square root of the increase of λ² at σ = 0.
     pub lambda_max: f64,
 }
 
-/// Parts of the null-space cost that depend on the arm alone.
+/// Weights and centres of the null-space cost.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NullSpaceCost {
-    /// Weight of each joint in `½ Σ w (q − q_rest)²`.
+    /// Weight w of each joint in the posture cost `½ Σ w (q − q_rest)²`.
     pub(crate) posture: JointVec,
-    /// Middle of each joint's range [rad].
+    /// Middle of each joint's range [rad]; 0 for continuous joints.
     pub(crate) middle: JointVec,
-    /// `weight / (half range)²`; 0 for continuous joints.
+    /// Weight of each joint in the joint-limit cost: `weight / (half range)²`; 0 for continuous joints.
     pub(crate) limits: JointVec,
-    /// Weight of `−ln √det(JJᵀ)`.
+    /// Weight of the manipulability cost `−ln √det(JJᵀ)`.
     pub(crate) manipulability: f64,
 }
 
-/// Constants of all steps.
+/// Constants of the control step, resolved from settings, servos and model.
 #[derive(Debug, Clone)]
 pub(crate) struct Params {
+    /// Number of joints.
     pub(crate) n: usize,
+    /// Number of task axes.
     pub(crate) k: usize,
     pub(crate) law: Law,
     pub(crate) follow: Follow,
+    /// Rule for the joint torque limits under the laws `cap` and `impedance`.
     pub(crate) limits: LimitRule,
     pub(crate) projector: Projector,
+    /// Law `paper`: true if the step of each axis is clamped to its torque budget.
     pub(crate) budget_on_goal: bool,
     pub(crate) frame: Frame,
-    /// The task's axes as columns, unless they turn with the tool. Stored also for constant axes: building them in
-    /// registers and storing them would stall the following load.
+    /// The task's axes as columns, in the base, unless they turn with the tool. Also stored if they are those of the
+    /// base: building them in registers and storing them in the step would stall the load that follows.
     pub(super) fixed_axes: Mat3,
-    /// Axis index of each row.
+    /// Index of each task row's axis among x, y, z, roll, pitch, yaw.
     pub(crate) axes: Vec<usize>,
+    /// Parameters of each task axis, then of spare rows.
     pub(crate) per_axis: [AxisParams; MAX_AXES],
-    /// The axis parameters in vector layout.
+    /// Parameters of the task axes in vector layout.
     pub(crate) axis_simd: AxisParamsSimd,
+    /// Inertia and damping with which the stiff axes track the velocity of their reference.
     pub(crate) pace: PacingParams,
-    /// Axes with a deviation limit; empty if there are none, which skips that part of the step.
+    /// Axes with a deviation limit; if there are none, the step skips that part.
     pub(crate) deviation_limits: Vec<DeviationLimit>,
-    /// 1 / length for translations, 1 for rotations: makes singular values of mixed rows comparable.
+    /// Factor on each task row, 1 / length for translations and 1 for rotations, which makes the singular values of
+    /// mixed rows comparable.
     pub(crate) row_scale: AxisVec,
-    /// Factor on λ² of each row.
+    /// Factor on λ² of each task row, which gives it the squared unit of the row.
     pub(crate) damping_scale: AxisVec,
+    /// Gain K_x over the task rows [1/s].
     pub(crate) kx: [[f64; MAX_AXES]; MAX_AXES],
-    /// Columns of K_q.
+    /// Columns of the gain K_q.
     pub(crate) kq_columns: [JointVec; MAX_JOINTS],
-    /// K_q if it is a scalar.
+    /// The gain K_q if it is a scalar, else `None`.
     pub(crate) kq_scalar: Option<f64>,
-    /// Factor ≤ 1 on K_x that keeps it within the bound of the present delay.
+    /// Factor ≤ 1 on K_x that keeps it within the bound for the present delay.
     pub(crate) gain_scale: f64,
-    /// Largest ρ of stiffness and of damping [s] of law `impedance` at the present delay; ∞ if the settings accept the
-    /// risk.
+    /// Largest ρ of stiffness [1] and of damping [s] under law `impedance` at the present delay; ∞ if the settings
+    /// accept the risk.
     pub(crate) impedance_bounds: [f64; 2],
-    /// Stiffness of the null-space motion [N·m/rad], instead of α.
+    /// Stiffness of the null-space motion under law `impedance` [N·m/rad], used instead of α; `None` to use α.
     pub(crate) null_stiffness: Option<f64>,
+    /// Gain α of the null-space motion [1/s].
     pub(crate) alpha: f64,
+    /// Damping of the inverse kinematics.
     pub(crate) damping: DampingParams,
-    /// Damping λ² of the redistribution solve. Uses the near-singular value: without its locked joints the arm often is
-    /// singular.
+    /// Damping λ² of each row in the redistribution solve. It is that of a singular pose, because the arm often is
+    /// singular without its locked joints.
     pub(crate) redistribution_damping: AxisVec,
+    /// Parameters of the servos.
     pub(crate) servos: ServoArrays,
+    /// Weights and centres of the null-space cost.
     pub(crate) cost: NullSpaceCost,
-    /// Rest posture; `None` for q at reset.
+    /// Rest posture [rad]; `None` for the joint positions at reset.
     pub(crate) posture: Option<JointVec>,
-    /// True if a step depends on the singular values of its rows.
+    /// True if a step depends on the singular values of its task rows.
     pub(crate) tracks_sigma: bool,
-    /// True if a step uses the gravity torques.
+    /// True if a step needs the gravity torques.
     pub(crate) uses_gravity: bool,
+    /// Bound on the torque of the null-space motion summed over all joints [N·m].
     pub(crate) null_torque: f64,
+    /// Speed limit of the null-space motion of each joint [rad/s].
     pub(crate) null_speed: f64,
-    /// 1 / w of law `paper`'s pseudo-inverse; 1 under the other laws, which weight joints by the servos' stiffness.
+    /// 1 / weight of each joint in law `paper`'s pseudo-inverse; 1 under the other laws, which weight joints by the
+    /// servos' stiffness.
     pub(crate) joint_weight_inv: JointVec,
+    /// Speed limit of each joint [rad/s]; ∞ for none.
     pub(crate) joint_speed: JointVec,
+    /// Lower position limits [rad or m]; −∞ for continuous joints.
     pub(crate) lower: JointVec,
+    /// Upper position limits [rad or m]; ∞ for continuous joints.
     pub(crate) upper: JointVec,
-    /// Smallest and largest plausible position readings.
+    /// Smallest and largest plausible position readings [rad or m].
     pub(crate) q_plausible: [JointVec; 2],
-    /// Smallest and largest joint targets [rad or m].
+    /// Smallest and largest plausible joint targets [rad or m].
     pub(crate) joint_targets: [JointVec; 2],
-    /// Bounds on the tool's target.
+    /// Region of plausible target positions.
     pub(crate) target_region: TargetRegion,
-    /// Distance by which goals may exceed the position limits [rad]: the lead at the servo's full torque.
+    /// Distance by which goals may exceed the position limits [rad]: the lead (goal − q) at which a servo exerts its
+    /// full torque.
     pub(crate) overtravel: JointVec,
-    /// Largest fade of a force-exerting lead per rad that its joint is beyond the limits.
+    /// Largest slope, lead per overtravel [rad/rad], with which a lead that exerts a force fades while its joint is
+    /// beyond a position limit.
     pub(crate) limit_fade_slope: f64,
-    /// Distance of a joint to its limit [rad or m] below which the posture task fades; −∞ for never.
+    /// Distance of each joint to its limit [rad or m] below which the posture task fades; −∞ if it never does.
     pub(crate) clearance: JointVec,
+    /// Minimum torque limit of each joint [N·m].
     pub(crate) min_torque_limit: JointVec,
+    /// Margin of each torque limit above the law's demand [N·m].
     pub(crate) limit_margin: JointVec,
-    /// Largest force on a hand along a translation if the host dies [N].
+    /// Largest force [N] that a hand may meet along a translation if the host stops; `None` for no bound.
     pub(crate) max_host_loss_force: Option<f64>,
-    /// Largest rise of the limits per second; ∞ for no bound.
+    /// Largest rate at which each torque limit may rise [N·m/s]; ∞ for no bound.
     pub(crate) max_limit_rate: JointVec,
-    /// 1/k_g of the gravity offset.
+    /// Compliance 1/k_g of each joint that converts gravity torque to an offset of the goal [rad/(N·m)].
     pub(crate) gravity_compliance: JointVec,
 }
 
@@ -140,7 +163,7 @@ impl Params {
         settings: &Settings,
         servos: Option<&Servos>,
         captured: bool,
-        workspace_stats: &mut WorkspaceStats,
+        joint_space_stats: &mut JointSpaceStats,
     ) -> Result<Self> {
         settings.validate()?;
         let n = model.n();
@@ -152,14 +175,15 @@ impl Params {
         check_gravity(model, settings)?;
         check_kp(settings, &arrays, model)?;
         let known = captured || servos.is_some_and(|s| s.stiffness_known);
-        let rows = resolve_rows(model, settings, &arrays, &axes, known, workspace_stats)?;
+        let rows = resolve_rows(model, settings, &arrays, &axes, known, joint_space_stats)?;
         let unit = settings.task.length.filter(|_| k > n).unwrap_or_else(|| scale_length(model.reach()));
-        // λ as printed in (3) adds to rows in mixed units; with more axes than joints it must weight them.
+        // A constant λ is added to rows in mixed units, as printed in (3); with more axes than joints it must weight
+        // them.
         let as_printed = matches!(settings.tracking.damping, Damping::Fixed(_)) && k <= n;
         let row_scale = of_translations(&axes, 1.0 / unit);
         let damping_scale = of_translations(&axes, if as_printed { 1.0 } else { unit * unit });
         let redundant = k < n;
-        let damping = resolve_damping(model, settings, &axes, unit, workspace_stats)?;
+        let damping = resolve_damping(model, settings, &axes, unit, joint_space_stats)?;
         check_null_torque(settings, k, n)?;
         let kx = settings
             .tracking
@@ -180,7 +204,7 @@ impl Params {
             frame: settings.task.frame,
             fixed_axes: settings.task.frame.base_from_task(&Pose::IDENTITY.rotation),
             axis_simd: AxisParamsSimd::new(&rows[..k], &damping_scale, &kx),
-            pace: PacingParams::new(model, settings, &arrays, &axes, workspace_stats),
+            pace: PacingParams::new(model, settings, &arrays, &axes, joint_space_stats),
             per_axis: rows,
             deviation_limits: deviation_limits(settings, &axes),
             row_scale,
@@ -245,17 +269,19 @@ impl Params {
         Ok(params)
     }
 
-    /// Returns the largest K_x h at the present delay.
+    /// Returns the largest K_x h at which the stiff axes do not oscillate, for this delay and period [s].
     pub(crate) fn gain_bound(&self, delay: f64, period: f64) -> f64 {
         gain_bound(self.servos.well_damped(self.n), delay, period)
     }
 
-    /// Returns the largest K_x h in any direction of the task: the largest singular value.
+    /// Returns the largest K_x h over all directions of the task: the largest singular value of K_x times the horizon
+    /// [s].
     pub(crate) fn gain(&self, horizon: f64) -> f64 {
         horizon * crate::math::svd::singular_values(&DMatrix::from_fn(self.k, self.k, |r, c| self.kx[r][c])).max()
     }
 
-    /// Sets the factor on K_x that a measured delay [s] requires; law `paper` has no such bound.
+    /// Updates the bounds that depend on the measured delay [s]: the factor on K_x (1 under laws without such a bound),
+    /// and the bounds of springs, dampers, fades and pacing.
     pub(crate) fn update_gain_scale(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.paper_options.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.gain_scale = if self.law.bounds_gain() && gain > bound { bound / gain } else { 1.0 };
@@ -269,19 +295,19 @@ fn gain_bound(well_damped: bool, delay: f64, period: f64) -> f64 {
     if well_damped { 3.0 } else { (GAIN_DELAY_BOUND / (delay + 0.5 * period)).clamp(1.0, 3.0) }
 }
 
-/// Returns the lead at a servo's full torque [rad].
+/// Returns the lead (goal − q) [rad] at which a servo exerts its full torque; 0 if `k_p` is unknown.
 fn overtravel(servos: &ServoArrays, i: usize) -> f64 {
     if servos.has_kp { servos.torque[i] * servos.compliance[i] } else { 0.0 }
 }
 
-/// Returns the margin of a joint's limit above the law's demand [N·m].
+/// Returns the margin of a joint's torque limit above the law's demand [N·m].
 fn margin(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
     let usable = servos.torque[i];
     let share = if usable.is_finite() { settings.torque_limits.margin * usable } else { 0.0 };
     share.max(2.0 * servos.friction[i])
 }
 
-/// Returns the largest rise of a joint's limit [N·m/s].
+/// Returns the largest rate at which a joint's torque limit may rise [N·m/s]; ∞ for no bound.
 fn max_limit_rate(settings: &Settings, servos: &ServoArrays, i: usize) -> f64 {
     if settings.torque_limits.stiffening_time > 0.0 {
         servos.torque[i] / settings.torque_limits.stiffening_time
@@ -295,7 +321,7 @@ fn resolve_weight(settings: &Settings, n: usize) -> Result<JointVec> {
     Ok(if settings.law.by_force() { [1.0; MAX_JOINTS] } else { weight.map(|w| 1.0 / w) })
 }
 
-/// Returns `scale` for rows of translations, 1 for the others.
+/// Returns `scale` for each row that is a translation, 1 for the others.
 fn of_translations(axes: &[usize], scale: f64) -> AxisVec {
     let mut out = [1.0; MAX_AXES];
     for (slot, _) in out.iter_mut().zip(axes).filter(|(_, axis)| **axis < 3) {
@@ -304,7 +330,7 @@ fn of_translations(axes: &[usize], scale: f64) -> AxisVec {
     out
 }
 
-/// Returns one number for each of `n` joints, then `rest` as padding.
+/// Returns `of(i)` for each of `n` joints, then `rest` as padding.
 fn joints(n: usize, rest: f64, of: impl Fn(usize) -> f64) -> JointVec {
     std::array::from_fn(|i| if i < n { of(i) } else { rest })
 }
@@ -321,7 +347,7 @@ fn compact(full: &[[f64; MAX_AXES]; MAX_AXES], k: usize) -> [[f64; MAX_AXES]; MA
     out
 }
 
-/// Transposes rows of a matrix into columns.
+/// Returns the columns of a matrix that is given by its rows.
 fn columns(rows: &[JointVec; MAX_JOINTS]) -> [JointVec; MAX_JOINTS] {
     std::array::from_fn(|i| rows.map(|row| row[i]))
 }
@@ -331,13 +357,13 @@ fn resolve_damping(
     settings: &Settings,
     axes: &[usize],
     length: f64,
-    workspace_stats: &mut WorkspaceStats,
+    joint_space_stats: &mut JointSpaceStats,
 ) -> Result<DampingParams> {
     Ok(match settings.tracking.damping {
         Damping::Fixed(lambda) => DampingParams { lambda_0: lambda, sigma_0: 0.0, lambda_max: 0.0 },
         Damping::Adaptive { lambda_0, sigma_0, lambda_max } => DampingParams { lambda_0, sigma_0, lambda_max },
         Damping::Auto => {
-            let sigma_0 = 2.0 * workspace_stats.median_sigma(model, axes, &settings.task.frame, length);
+            let sigma_0 = 2.0 * joint_space_stats.median_sigma(model, axes, &settings.task.frame, length);
             if sigma_0 < 1e-6 {
                 let names: Vec<&str> = axes.iter().map(|&axis| AXIS_NAMES[axis]).collect();
                 return Err(Error::config(

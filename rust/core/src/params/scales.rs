@@ -1,4 +1,4 @@
-//! Scalings and bounds of the step that are constants of the plan.
+//! Scalings and bounds of the control step that are constant between changes of the settings.
 
 use crate::error::Result;
 use crate::math::simd::{JointVector, RealOps, TaskVector};
@@ -8,20 +8,23 @@ use crate::params::{DampingParams, Frame, Params, Projector, Settings};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Largest distance of a plausible reading beyond a joint's position limits [rad]: half a turn. A larger one is in
-/// degrees, or from another robot.
+/// Largest distance of a plausible reading beyond a joint's position limits [rad]: half a turn. A reading farther out
+/// is in degrees, or from another robot.
 const MAX_OVERTRAVEL: f64 = std::f64::consts::PI;
 
-/// Distance to the limit [rad] below which the posture task fades: upper bound, and share of the joint's range for
-/// short ranges.
-const CLEARANCE: (f64, f64) = (0.05, 0.05);
+/// Largest distance to a position limit [rad or m] below which the posture task fades.
+const MAX_CLEARANCE: f64 = 0.05;
 
-/// Distance to the limit [rad or m] of each joint below which the posture task fades.
+/// Distance to a position limit below which the posture task fades, as a share of a short joint range.
+const CLEARANCE_SHARE: f64 = 0.05;
+
+/// Returns the distance of each joint to its limit [rad or m] below which the posture task fades.
 pub(super) fn clearance(lower: &JointVec, upper: &JointVec) -> JointVec {
-    std::array::from_fn(|i| CLEARANCE.0.min(CLEARANCE.1 * (upper[i] - lower[i])))
+    std::array::from_fn(|i| MAX_CLEARANCE.min(CLEARANCE_SHARE * (upper[i] - lower[i])))
 }
 
-/// Returns the bounds of plausible positions, ±1 as padding; a prismatic joint may exceed its limits by its travel.
+/// Returns the smallest and the largest plausible position reading of each joint [rad or m], ±1 in the padding. A
+/// prismatic joint may exceed its limits by its travel.
 pub(super) fn q_plausible(model: &Model) -> [JointVec; 2] {
     let mut out = [[-1.0; MAX_JOINTS], [1.0; MAX_JOINTS]];
     for (i, (&lower, &upper)) in model.lower().iter().zip(model.upper()).enumerate().take(MAX_JOINTS) {
@@ -33,7 +36,7 @@ pub(super) fn q_plausible(model: &Model) -> [JointVec; 2] {
     out
 }
 
-/// Returns true if a step depends on the singular values of its rows.
+/// Returns true if a step depends on the singular values of its task rows.
 pub(super) fn tracks_sigma(settings: &Settings, damping: &DampingParams) -> bool {
     settings.law.by_force()
         || damping.sigma_0 > 0.0
@@ -42,13 +45,14 @@ pub(super) fn tracks_sigma(settings: &Settings, damping: &DampingParams) -> bool
 }
 
 impl Params {
-    /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
+    /// Checks that joint positions are finite and no farther beyond the position limits than a real joint can be; pads
+    /// them.
     pub(crate) fn positions(&self, model: &Model, what: &str, values: &[f64]) -> Result<JointVec> {
         let [lowest, highest] = &self.q_plausible;
         model.joints_between(what, values, lowest, highest)
     }
 
-    /// Returns true if positions are plausible for a real arm, by the bounds of [`Params::positions`].
+    /// Returns true if positions are within the bounds of [`Params::positions`].
     #[inline(always)]
     pub(crate) fn is_plausible<J: JointVector>(&self, q: J) -> bool {
         let (zero, one) = (J::splat(0.0), J::splat(1.0));
@@ -56,7 +60,7 @@ impl Params {
         !zero.is_any_lt(J::select_lt(J::load(&self.q_plausible[0]), q, below, one))
     }
 
-    /// Returns the task's axes as columns, for a given pose of the tool.
+    /// Returns the task's axes as columns, in the base, for this pose of the tool.
     #[inline(always)]
     pub(crate) fn base_from_task<A: RealOps>(&self, tool: &Pose<A::Real>) -> Mat3<A::Real> {
         match self.frame {
@@ -65,7 +69,7 @@ impl Params {
         }
     }
 
-    /// Task rows with translations divided by the arm's length.
+    /// Returns the task rows with translations divided by the arm's length scale.
     #[inline(always)]
     pub(crate) fn scale_rows<J: JointVector>(&self, rows: &[J; MAX_AXES]) -> [J; MAX_AXES] {
         let mut out = *rows;
@@ -75,19 +79,19 @@ impl Params {
         out
     }
 
-    /// λ² of each row per mean stiffness, `λ²/k̄`.
+    /// Returns λ² of each row divided by the servos' mean stiffness, `λ²/k̄`.
     #[inline(always)]
     pub(crate) fn per_stiffness<W: TaskVector>(&self, squared: W) -> W {
         squared / W::splat(self.servos.kp_mean)
     }
 
-    /// Returns the largest motion of each joint within a horizon [rad].
+    /// Returns the largest motion of each joint within `horizon` [s] at its speed limit [rad].
     #[inline(always)]
     pub(crate) fn reach<J: JointVector>(&self, horizon: f64) -> J {
         J::load(&self.joint_speed) * J::splat(horizon)
     }
 
-    /// Scales a null-space motion [rad] to its speed limit.
+    /// Scales a null-space motion [rad] down to the null-space speed limit over `horizon` [s], if it exceeds it.
     #[inline(always)]
     pub(crate) fn bound_null_speed<J: JointVector>(&self, null: J, horizon: f64) -> J {
         let highest = self.null_speed * horizon;

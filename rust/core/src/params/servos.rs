@@ -1,40 +1,42 @@
-//! Parameters of the servos.
+//! Parameters of position servos, for the settings and for the control step.
 
 use crate::error::{Error, Result};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Smallest value of positive parameters, and largest value of all: keeps reciprocals and products finite.
+/// Smallest value of parameters that must be positive: keeps reciprocals finite.
 const MIN: f64 = 1e-6;
+/// Largest value of any parameter: keeps products finite.
 const MAX: f64 = 1e9;
 
-/// Quantity that a servo's torque limit limits.
+/// Quantity that a servo's torque limit register limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LimitType {
-    /// Motor current, hence torque at any speed.
+    /// Motor current, which limits the torque at any speed.
     #[default]
     Current,
-    /// PWM duty: the available torque falls with speed, so back-EMF acts as damping `torque / no_load_speed`.
+    /// PWM duty: the available torque decreases with speed, so that back-EMF acts as a damping of
+    /// `max_torque / no_load_speed`.
     Pwm,
 }
 
-/// Position servos of the `n` joints of a chain, base → tip. Units: N·m, rad (N, m for prismatic joints).
+/// Position servos of the `n` joints of a chain, base → tip. Units are N·m and rad; N and m for prismatic joints.
 ///
-/// One entry per joint, or a single entry for all joints.
+/// Each list has one entry per joint, or a single entry for all joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Servos {
     /// Stiffness of the position loop, `k_p` [N·m/rad] > 0.
     pub kp: Vec<f64>,
-    /// Usable torque at the present voltage [N·m] > 0: the ceiling of every torque limit.
+    /// Usable torque at the present voltage [N·m] > 0; no torque limit exceeds it.
     pub max_torque: Vec<f64>,
     /// Dry friction of gears and motor [N·m] ≥ 0.
     pub friction: Vec<f64>,
-    /// Additional dry friction per N·m of load torque [1] ≥ 0, for gears whose friction grows with the load.
+    /// Additional dry friction per N·m of load torque [1] ≥ 0, for gears whose friction increases with the load.
     pub load_friction: Vec<f64>,
-    /// Additional static friction [N·m] ≥ 0, which vanishes in fast motion (Stribeck).
+    /// Additional static friction [N·m] ≥ 0, which vanishes at high speed (Stribeck).
     pub stribeck: Vec<f64>,
-    /// Additional static friction per N·m of load torque [1] ≥ 0.
+    /// Additional static friction per N·m of load torque [1] ≥ 0, which vanishes at high speed.
     pub load_stribeck: Vec<f64>,
-    /// Speed at which a third of the additional static friction is left [rad/s] > 0.
+    /// Speed at which a third of the additional static friction remains [rad/s] > 0.
     pub stribeck_speed: Vec<f64>,
     /// Viscous damping of gears and back-EMF that acts outside the torque limit [N·m·s/rad] ≥ 0.
     pub damping: Vec<f64>,
@@ -42,9 +44,9 @@ pub struct Servos {
     pub kv: Vec<f64>,
     /// Rotor inertia at the joint [kg·m²] ≥ 0; used by the contact estimator, the descent and simulators.
     pub armature: Vec<f64>,
-    /// Encoder step [rad] ≥ 0; 0 to neglect it.
+    /// Angle of one encoder count [rad] ≥ 0; 0 to neglect it.
     pub encoder_step: Vec<f64>,
-    /// Quantity that the limit register limits.
+    /// Quantity that the servo's torque limit register limits.
     pub limit_type: LimitType,
     /// No-load speed [rad/s] > 0, required for [`LimitType::Pwm`].
     pub no_load_speed: Option<Vec<f64>>,
@@ -53,7 +55,8 @@ pub struct Servos {
 }
 
 impl Servos {
-    /// Creates servos with the given stiffness and usable torque; everything else is zero.
+    /// Creates servos with the given stiffness and usable torque, `stribeck_speed` 1 rad/s, and all other parameters 0
+    /// or unset.
     pub fn new(kp: Vec<f64>, max_torque: Vec<f64>) -> Self {
         Self {
             kp,
@@ -76,8 +79,8 @@ impl Servos {
     /// Checks every value.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] names field, index and bound; [`Error::Config`] a missing no-load speed. Under
-    /// [`LimitType::Current`] a given no-load speed is checked but has no effect.
+    /// [`Error::OutOfRange`] names field, index and bound; [`Error::Config`] for [`LimitType::Pwm`] without a no-load
+    /// speed. Under [`LimitType::Current`] a given no-load speed is checked but has no effect.
     pub fn validate(&self) -> Result<()> {
         for (name, values, low) in self.fields() {
             for (i, &value) in values.iter().enumerate() {
@@ -106,7 +109,7 @@ impl Servos {
     /// As [`Servos::validate`]; [`Error::Shape`] for a field with neither 1 nor `n` entries.
     pub fn for_joints(&self, n: usize) -> Result<Self> {
         self.validate()?;
-        let spread = |name: &str, values: &[f64]| match values {
+        let expand = |name: &str, values: &[f64]| match values {
             [one] => Ok(vec![*one; n]),
             many if many.len() == n => Ok(many.to_vec()),
             other => Err(Error::Shape {
@@ -116,24 +119,24 @@ impl Servos {
             }),
         };
         Ok(Self {
-            kp: spread("kp", &self.kp)?,
-            max_torque: spread("max_torque", &self.max_torque)?,
-            friction: spread("friction", &self.friction)?,
-            load_friction: spread("load_friction", &self.load_friction)?,
-            stribeck: spread("stribeck", &self.stribeck)?,
-            load_stribeck: spread("load_stribeck", &self.load_stribeck)?,
-            stribeck_speed: spread("stribeck_speed", &self.stribeck_speed)?,
-            damping: spread("damping", &self.damping)?,
-            kv: spread("kv", &self.kv)?,
-            armature: spread("armature", &self.armature)?,
-            encoder_step: spread("encoder_step", &self.encoder_step)?,
-            no_load_speed: self.no_load_speed.as_deref().map(|w| spread("no_load_speed", w)).transpose()?,
+            kp: expand("kp", &self.kp)?,
+            max_torque: expand("max_torque", &self.max_torque)?,
+            friction: expand("friction", &self.friction)?,
+            load_friction: expand("load_friction", &self.load_friction)?,
+            stribeck: expand("stribeck", &self.stribeck)?,
+            load_stribeck: expand("load_stribeck", &self.load_stribeck)?,
+            stribeck_speed: expand("stribeck_speed", &self.stribeck_speed)?,
+            damping: expand("damping", &self.damping)?,
+            kv: expand("kv", &self.kv)?,
+            armature: expand("armature", &self.armature)?,
+            encoder_step: expand("encoder_step", &self.encoder_step)?,
+            no_load_speed: self.no_load_speed.as_deref().map(|w| expand("no_load_speed", w)).transpose()?,
             limit_type: self.limit_type,
             stiffness_known: self.stiffness_known,
         })
     }
 
-    /// Returns every list of numbers, with its name and the smallest allowed value.
+    /// Returns name, values and smallest allowed value of every list.
     fn fields(&self) -> Vec<(&'static str, &[f64], f64)> {
         let mut fields: Vec<(&'static str, &[f64], f64)> = vec![
             ("kp", &self.kp, MIN),
@@ -158,33 +161,39 @@ impl Servos {
 /// Servo parameters of the control step: one entry per joint, neutral values in the padding.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ServoArrays {
-    /// True if `k_p` is known (otherwise `kp` is 1).
+    /// True if `k_p` is known; otherwise `kp` is 1.
     pub(crate) has_kp: bool,
+    /// Stiffness of the position loop [N·m/rad].
     pub(crate) kp: JointVec,
-    /// 1/`kp`.
+    /// 1 / `kp` [rad/(N·m)].
     pub(crate) compliance: JointVec,
-    /// Mean of `kp`, k̄.
+    /// Mean k̄ of `kp` over the joints [N·m/rad].
     pub(crate) kp_mean: f64,
-    /// Ceiling of the limits; ∞ if unknown.
+    /// Usable torque, the ceiling of the torque limits [N·m]; ∞ if unknown.
     pub(crate) torque: JointVec,
+    /// Dry friction [N·m].
     pub(crate) friction: JointVec,
-    /// Friction per load torque, additional static friction, the latter per load torque, and 1 / Stribeck speed.
+    /// Additional dry friction per N·m of load torque [1].
     pub(crate) load_friction: JointVec,
+    /// Additional static friction [N·m].
     pub(crate) stribeck: JointVec,
+    /// Additional static friction per N·m of load torque [1].
     pub(crate) load_stribeck: JointVec,
+    /// 1 / speed at which a third of the additional static friction remains [s/rad]; 0 without servos.
     pub(crate) inv_stribeck_speed: JointVec,
-    /// Total viscous damping: gears, the servo's own damping, back-EMF.
+    /// Total viscous damping of gears, the servo's own loop and back-EMF [N·m·s/rad].
     pub(crate) damping: JointVec,
-    /// Damping outside the torque limit: all but the servo's own.
+    /// Viscous damping outside the torque limit [N·m·s/rad]: all but that of the servo's own loop.
     pub(crate) drag: JointVec,
     /// Rotor inertia at the joint [kg·m²].
     pub(crate) armature: JointVec,
+    /// Angle of one encoder count [rad].
     pub(crate) encoder_step: JointVec,
 }
 
 impl ServoArrays {
-    /// Returns true if the damping of every joint allows the stiff axes three times the servos' stiffness, `d/k_p ≥
-    /// 0.04 s`.
+    /// Returns true if every joint has a damping `d/k_p ≥ 0.04 s`, which lets the stiff axes be three times as stiff as
+    /// the servos.
     pub(crate) fn well_damped(&self, n: usize) -> bool {
         (0..n.min(MAX_JOINTS)).all(|i| self.damping[i] * self.compliance[i] >= 0.04)
     }
@@ -194,21 +203,22 @@ impl ServoArrays {
         self.friction[i] + self.stribeck[i] + (self.load_friction[i] + self.load_stribeck[i]) * torque.abs()
     }
 
-    /// Returns 1/k_g of each joint of an arm at rest: `lead / g` within 0.3…3 × the configured `k_p` if |g| exceeds three
-    /// times the torque that friction and one encoder count can hide, else the configured 1/`k_p`.
+    /// Returns the compliance 1/k_g [rad/(N·m)] of each joint of an arm at rest: `(goal − q) / holding`, within 0.3…3 ×
+    /// the configured `k_p`, where |holding| exceeds three times the torque that friction and one encoder count can
+    /// hide, else the configured 1/`k_p`.
     pub(crate) fn captured_compliance(&self, n: usize, q: &JointVec, goal: &JointVec, holding: &JointVec) -> JointVec {
         let mut captured = self.compliance;
         for i in 0..n {
             if holding[i].abs() > 3.0 * self.friction[i].max(self.kp[i] * self.encoder_step[i]) {
-                let (compliance, believed) = ((goal[i] - q[i]) / holding[i], self.compliance[i]);
-                captured[i] = compliance.clamp(believed / 3.0, believed / 0.3);
+                let (compliance, configured) = ((goal[i] - q[i]) / holding[i], self.compliance[i]);
+                captured[i] = compliance.clamp(configured / 3.0, configured / 0.3);
             }
         }
         captured
     }
 
-    /// Creates the arrays from servos expanded by [`Servos::for_joints`]; without servos from the effort limits of the
-    /// model.
+    /// Creates the arrays from servos expanded by [`Servos::for_joints`]; without servos, the usable torques are the
+    /// effort limits of the model.
     pub(crate) fn new(n: usize, servos: Option<&Servos>, effort: &[Option<f64>]) -> Self {
         let mut arrays = Self {
             has_kp: servos.is_some(),

@@ -1,4 +1,4 @@
-//! Settings of the controller, validated once.
+//! Settings of the controller and of its control law.
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
@@ -7,24 +7,24 @@ use crate::params::{Axis, Compensation, NullSpace, PaperOptions, Task, TorqueLim
 /// Control law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Law {
-    /// The paper's equations (3)–(12): torque budgets per task axis.
+    /// The paper's equations (3)–(12): a torque budget per task axis.
     Paper,
-    /// Force caps per task axis; the default.
+    /// A force cap per task axis; the default.
     #[default]
     Cap,
-    /// A spring and a damper per task axis, with force caps.
+    /// A spring, a damper and a force cap per task axis.
     Impedance,
 }
 
-/// What the resolution of the settings and the stages around the law must know of it.
+/// Properties of a law on which the resolution of the settings and the stages around the law depend.
 struct LawProperties {
-    /// Strengths are forces at the tool, which requires `k_p`; else torque budgets.
+    /// True if strengths are forces at the tool, which requires `k_p`; false if they are torque budgets.
     by_force: bool,
-    /// Uses the springs and dampers of the axes.
+    /// True if the law uses the springs and dampers of the axes.
     has_springs: bool,
-    /// Its gain K_x is bounded by the delay.
+    /// True if the delay bounds the gain K_x.
     bounds_gain: bool,
-    /// Default coupling of yielding axes.
+    /// Default of [`PaperOptions::follow`].
     follow: Follow,
 }
 
@@ -57,26 +57,27 @@ impl Law {
     }
 }
 
-/// Coupling of yielding axes with the inverse kinematics of the stiff ones.
+/// Coupling of the yielding axes with the inverse kinematics of the stiff ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Follow {
-    /// Yielding axes leave the solve and exert exactly their force; the default of law `cap`.
+    /// Yielding axes are left out of the solve and exert exactly their force; the default of the laws `cap` and
+    /// `impedance`.
     Free,
-    /// All axes stay in one solve; the default of law `paper`.
+    /// All axes stay in one solve, yielding ones with clamped steps; the default of law `paper`.
     Hold,
 }
 
 /// Rule of the laws `cap` and `impedance` for the joint torque limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LimitRule {
-    /// The law's demand in this step, plus a margin.
+    /// The torque that the law demands in this step, plus a margin.
     #[default]
     Demand,
-    /// The sum over all axes of their largest demands.
+    /// The sum of the largest torques that the axes can demand.
     Sum,
 }
 
-/// Null-space projector.
+/// Choice of the projector into the null space of the task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Projector {
     /// `I − Jᵀ(JJᵀ + μ²I)⁻¹J` with μ = 0 away from singular poses.
@@ -89,14 +90,14 @@ pub enum Projector {
 /// Places in which the gravity model is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum GravityUse {
-    /// In goals and limits.
+    /// As offset of the goals and in the torque limits.
     #[default]
     Both,
     /// Only as offset of the goals.
     Goal,
-    /// Only in the limits.
+    /// Only in the torque limits.
     Limits,
-    /// Not used, as in the paper.
+    /// Gravity is not compensated, as in the paper.
     Off,
 }
 
@@ -110,21 +111,22 @@ impl GravityUse {
     }
 }
 
-/// Damping λ of the inverse.
+/// Damping λ of the inverse kinematics.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Damping {
-    /// Derived from the arm: σ₀ = 2 × its median over 512 poses, λ_max = σ₀, λ₀ = 0.13 σ₀; rounded to two digits.
+    /// Derived from the arm: σ₀ is twice the median of the smallest singular value σ over 512 configurations, λ_max =
+    /// σ₀, λ₀ = 0.13 σ₀; rounded to two digits.
     #[default]
     Auto,
-    /// Constant λ.
+    /// A constant λ.
     Fixed(f64),
-    /// λ² = λ₀² + (1 − (σ/σ₀)²) λ_max² if σ < σ₀.
+    /// λ² = λ₀² + (1 − (σ/σ₀)²) λ_max² for a smallest singular value σ < σ₀, else λ₀².
     Adaptive {
         /// λ away from singular poses.
         lambda_0: f64,
-        /// σ below which damping grows.
+        /// Smallest singular value σ below which the damping increases.
         sigma_0: f64,
-        /// Increase (in squares) at σ = 0.
+        /// Square root of the increase of λ² at σ = 0.
         lambda_max: f64,
     },
 }
@@ -132,9 +134,9 @@ pub enum Damping {
 /// Gain K_x [1/s] or K_q: a scalar, one value per axis or joint, or a matrix (row-major).
 #[derive(Debug, Clone, PartialEq)]
 pub enum Gain {
-    /// One value for all.
+    /// One value for all axes or joints.
     Scalar(f64),
-    /// A diagonal matrix.
+    /// The diagonal of a matrix: one value per axis or joint.
     Diagonal(Vec<f64>),
     /// A full matrix, one inner vector per row.
     Matrix(Vec<Vec<f64>>),
@@ -160,7 +162,7 @@ impl Gain {
         Ok(out)
     }
 
-    /// Returns all entries.
+    /// Returns all values that the user has set.
     pub(crate) fn values(&self) -> Vec<f64> {
         match self {
             Self::Scalar(k) => vec![*k],
@@ -169,7 +171,7 @@ impl Gain {
         }
     }
 
-    /// Returns the largest entry, the default gain of the null-space motion.
+    /// Returns the largest entry, at least 0: the default gain of the null-space motion.
     pub(crate) fn max_entry(&self) -> f64 {
         self.values().into_iter().fold(0.0, f64::max)
     }
@@ -178,34 +180,34 @@ impl Gain {
 /// All settings of a controller. Create them with [`Settings::default`] or a preset and change fields.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// Controlled axes and their frame.
+    /// The controlled axes and their frame.
     pub task: Task,
-    /// Settings of x, y, z, roll, pitch, yaw.
+    /// Settings of the axes x, y, z, roll, pitch, yaw.
     pub axes: [Axis; MAX_AXES],
     /// Control law.
     pub law: Law,
-    /// Nominal control rate [Hz]: the default `dt` of a step.
+    /// Nominal control rate [Hz]; its period is the default `dt` of a step.
     pub rate: f64,
-    /// Delay T_d [s] from reading to arrival of the goal.
+    /// Delay T_d [s] from the reading of the positions to the arrival of the goal.
     pub delay: f64,
-    /// Uses the gravity model in goals and limits.
+    /// Uses the gravity model in goals and torque limits if true.
     pub gravity: bool,
-    /// Speed limit of the target that the law tracks [m/s, rad/s]; ∞ for no limit. The tool may be faster for a short
-    /// time after it was stuck by friction.
+    /// Limit of the speed, linear and angular [m/s, rad/s], of the reference that the law tracks; ∞ for no limit. The
+    /// tool may be faster for a short time after it was stuck by friction.
     pub max_tool_speed: [f64; 2],
-    /// Acceleration of the tool's target [m/s², rad/s²].
+    /// Limit of the acceleration, linear and angular [m/s², rad/s²], of the reference that the law tracks.
     pub max_tool_acceleration: [f64; 2],
-    /// Accepts an adaptation η above the bound for unknown stiffness.
+    /// Accepts an adaptation η above the bound for a stiffness `k_p` that is not known.
     pub accept_high_adaptation: bool,
-    /// Law `impedance`: accepts springs and dampers above the bounds from rate and delay.
+    /// Law `impedance`: accepts stiffness and damping above the bounds that follow from rate and delay.
     pub accept_high_stiffness: bool,
-    /// Tracking of the target by the stiff axes.
+    /// Settings of how the stiff axes track their target.
     pub tracking: Tracking,
-    /// Motion of the joints that leaves the task unchanged.
+    /// Settings of the motion of the joints that leaves the task unchanged.
     pub null_space: NullSpace,
-    /// Feed-forward of friction and damping, and prediction over the delay.
+    /// Shares of friction, damping and delay that are compensated.
     pub compensation: Compensation,
-    /// Joint torque limits sent to the servos.
+    /// Settings of the joint torque limits sent to the servos.
     pub torque_limits: TorqueLimits,
     /// Options for studies of the law.
     #[doc(hidden)]
@@ -235,7 +237,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Sets the axes that `key` names (see [`parse_axes`]).
+    /// Assigns `axis` to every axis that `key` names (see [`parse_axes`]).
     ///
     /// # Errors
     /// [`Error::Config`] for an invalid key.
@@ -248,12 +250,12 @@ impl Settings {
         Ok(())
     }
 
-    /// Returns the coupling of yielding axes, default filled in.
+    /// Returns the coupling of yielding axes with the solve for the stiff ones; the law's default if it is not set.
     pub fn effective_follow(&self) -> Follow {
         self.paper_options.follow.unwrap_or(self.law.properties().follow)
     }
 
-    /// Returns the places in which the gravity model is used.
+    /// Returns the places in which the gravity model is used; [`GravityUse::Off`] if `gravity` is false.
     pub fn gravity_use(&self) -> GravityUse {
         if self.gravity { self.paper_options.gravity_use } else { GravityUse::Off }
     }

@@ -1,4 +1,4 @@
-//! Validation of all settings that needs neither arm nor servos.
+//! Validation of the settings by themselves, without arm and servos.
 
 use crate::error::{Error, Result};
 use crate::params::{
@@ -37,7 +37,8 @@ impl Settings {
         self.paper_options.validate()
     }
 
-    /// Springs and dampers require law `impedance`, which has no solve for `Follow::Hold`.
+    /// Checks that springs and dampers are set only under law `impedance`, and [`Follow::Hold`] not under it, because
+    /// it has no solve.
     fn validate_impedance(&self) -> Result<()> {
         if self.law.has_springs() {
             return match self.paper_options.follow {

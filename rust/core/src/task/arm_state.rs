@@ -1,4 +1,4 @@
-//! State of the arm at the predicted positions: line 2 of the control step.
+//! State of the arm at the predicted positions, in the rows of the task.
 
 use crate::MAX_AXES;
 use crate::kinematics::KinematicState;
@@ -6,17 +6,20 @@ use crate::math::simd::{JointVector, Scalar};
 use crate::params::{Params, Settings};
 use crate::task::rows_in;
 
-/// Line 2: state of the arm at the predicted positions.
+/// State of the arm at the predicted positions q̂.
 #[derive(Clone, Copy)]
 pub(crate) struct ArmState<'a, J: JointVector> {
-    /// q̂ [rad].
+    /// Predicted joint positions q̂ at the arrival of the goal [rad].
     pub(crate) q: J,
-    /// Pose of the tool, Jacobian, gravity torques.
+    /// Tool pose, Jacobian and gravity torques at q̂.
     pub(crate) view: &'a KinematicState<J>,
+    /// Task axes as columns, in the base.
     pub(crate) base_from_task: [[Scalar<J>; 3]; 3],
-    /// Jacobian rows of the task's axes, in the task frame (k × n).
+    /// Jacobian rows of the task's axes, in the task frame (k × n); zeros after the last row.
     pub(crate) rows: &'a [J; MAX_AXES],
+    /// Gravity torques that the goals compensate [N·m]; 0 if the settings exclude it.
     pub(crate) gravity_in_goal: J,
+    /// Gravity torques that the torque limits include [N·m]; 0 if the settings exclude it.
     pub(crate) gravity_in_limit: J,
 }
 

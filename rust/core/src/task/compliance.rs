@@ -3,14 +3,15 @@
 use crate::math::simd::{BaselineF64, RealOps};
 use crate::params::Profile;
 
-/// Compliance c ∈ [0, 1] of (8) for a deviation of any sign: 1 below `soft_until`, 0 above `firm_from`, linear between.
+/// Returns the compliance c ∈ [0, 1] of (8): 1 if the absolute deviation is below `soft_until`, 0 above `firm_from`,
+/// linear between.
 ///
-/// The paper prints d without absolute value, which would make every negative deviation fully compliant.
+/// (8) is printed without the absolute value, which would make every negative deviation fully compliant.
 pub fn compliance(deviation: f64, soft_until: f64, firm_from: f64) -> f64 {
     compliance_by::<BaselineF64>(deviation, firm_from, 1.0 / (firm_from - soft_until))
 }
 
-/// [`compliance`] of one axis or of a vector of axes; `slope` is 1 / (firm_from − soft_until).
+/// Computes [`compliance`] for one axis or for a vector of axes; `slope` is 1 / (firm_from − soft_until).
 #[inline(always)]
 pub(crate) fn compliance_by<A: RealOps>(deviation: A::Real, firm_from: A::Real, slope: A::Real) -> A::Real {
     clamp01::<A>((firm_from - A::abs(deviation)) * slope)
@@ -22,19 +23,20 @@ pub(crate) fn clamp01<A: RealOps>(value: A::Real) -> A::Real {
     A::min(A::max(value, A::splat(0.0)), A::splat(1.0))
 }
 
-/// Linear interpolation `share · there + (1 − share) · here`.
+/// Interpolates linearly: `share · there + (1 − share) · here`.
 #[inline(always)]
 pub(crate) fn lerp<A: RealOps>(share: A::Real, here: A::Real, there: A::Real) -> A::Real {
     A::fma(share, there, (A::splat(1.0) - share) * here)
 }
 
-/// Strength of a yielding axis, (9): `c soft + (1 − c) firm`, or another profile with the same two values.
+/// Returns the strength of a yielding axis at the compliance `c`: `c soft + (1 − c) firm` as in (9), or that of another
+/// profile.
 pub fn strength(c: f64, soft: f64, firm: f64, profile: Profile) -> f64 {
     let [near, far] = profile.ends(soft, firm);
     lerp::<BaselineF64>(c, far, near)
 }
 
-/// Holding torque of one axis as in (9): interpolated if the axis is compliant, else `hold`.
+/// Returns the holding torque of one axis as in (9): `c soft + (1 − c) firm` if the axis is compliant, else `hold`.
 pub fn holding_torque(c: f64, soft: f64, firm: f64, hold: f64, compliant: bool) -> f64 {
     if compliant { strength(c, soft, firm, Profile::Hardening) } else { hold }
 }

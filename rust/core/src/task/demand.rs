@@ -1,4 +1,4 @@
-//! Demand of each axis in one step: lines 3 to 6 of the control step.
+//! Demand of each task axis in one step: deviation, softness, compliance, strength and step.
 
 use crate::MAX_AXES;
 use crate::math::simd::TaskVector;
@@ -6,35 +6,36 @@ use crate::params::{AxisArray, Params, Settings};
 use crate::task::adapt::{adapt_deviation, push_side_blend};
 use crate::task::compliance::{compliance_by, lerp};
 
-/// Deviation and its products with softness, compliance and gains; one lane per task row, zeros after the last.
+/// Deviation of each task axis and the quantities that follow from it; one lane per task row, zeros after the last.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxisDemand<W> {
-    /// e [m, rad].
+    /// Deviation e = target − tool [m, rad].
     pub(crate) deviation: W,
-    /// ẽ = (1 − η w) e.
+    /// Adapted deviation ẽ = (1 − η w) e [m, rad].
     pub(crate) adapted: W,
-    /// w ∈ [0, 1].
+    /// Softness w ∈ [0, 1]: 1 if the axis yields to the push, 0 if not, between within the direction band.
     pub(crate) softness: W,
-    /// c ∈ [0, 1].
+    /// Compliance c ∈ [0, 1] of (8).
     pub(crate) compliance: W,
-    /// F: strength of the yielding axis.
+    /// Strength F of a yielding axis [N, N·m; N·m under law `paper`].
     pub(crate) strength: W,
-    /// w F + (1 − w) hold.
+    /// Largest strength w F + (1 − w) hold, in the unit of F.
     pub(crate) max_strength: W,
-    /// K [N/m, N·m/rad] for the side from which it is pushed.
+    /// Stiffness K per axis [N/m, N·m/rad], for the side on which the deviation lies.
     pub(crate) stiffness: W,
-    /// D [N·s/m, N·m·s/rad] for that side.
+    /// Damping D per axis [N·s/m, N·m·s/rad], for the side on which the deviation lies.
     pub(crate) damping: W,
-    /// Velocity of the target [m/s, rad/s].
+    /// Velocity of the target, fed forward [m/s, rad/s].
     pub(crate) twist: W,
-    /// s = h (K_x ẽ + twist), within the limit of soft axes.
+    /// Step s = h (K_x ẽ + twist) [m, rad], within the step limits of soft axes.
     pub(crate) displacement: W,
-    /// s, also within the limits of stiff axes.
+    /// Step s = h (K_x ẽ + twist) [m, rad], within the step limits of soft and of stiff axes.
     pub(crate) clamped_displacement: W,
 }
 
 impl<W: TaskVector> AxisDemand<W> {
-    /// Computes the demand from the deviation `e` and the target's velocity, per task row.
+    /// Computes the demand from the deviation `e` [m, rad] and the target's velocity `twist` [m/s, rad/s] of each task
+    /// row.
     #[inline(always)]
     pub(crate) fn new(params: &Params, settings: &Settings, e: W, twist: W) -> Self {
         let rows = &params.axis_simd;
@@ -67,13 +68,14 @@ impl<W: TaskVector> AxisDemand<W> {
     }
 }
 
-/// Blends a pair of values by the side from which an axis is pushed.
+/// Returns the value for the side from which each axis is pushed: `pair[0]` toward −, `pair[1]` toward +, blended by
+/// the weight `plus`.
 #[inline(always)]
 fn blend_sides<W: TaskVector>(plus: W, pair: &[AxisArray; 2]) -> W {
     lerp::<W>(plus, W::constant(&pair[0]), W::constant(&pair[1]))
 }
 
-/// `K_x ẽ`.
+/// Returns `K_x ẽ`.
 #[inline(always)]
 fn apply_kx<W: TaskVector>(params: &Params, adapted: W) -> W {
     let (adapted, mut pull) = (adapted.to_axes(), W::splat(0.0));
@@ -83,8 +85,8 @@ fn apply_kx<W: TaskVector>(params: &Params, adapted: W) -> W {
     pull
 }
 
-/// Per-axis limits of the step of line 6. A vector is never scaled by its norm: a large soft step would reduce the
-/// stiff axes' step.
+/// Returns the limit of each axis' step [m, rad]. A vector is never scaled by its norm: a large soft step would reduce
+/// the step of the stiff axes.
 #[inline(always)]
 fn max_displacement<W: TaskVector>(w: W, stiff: W, soft: W) -> W {
     let (zero, one, endless) = (W::splat(0.0), W::splat(1.0), W::splat(f64::INFINITY));

@@ -1,7 +1,7 @@
 //! Deviation limits of stiff axes.
 //!
-//! The limiter moves the reference instead of clipping the deviation. The reference has a bounded speed and a state, so
-//! that after a release the tool moves at its own speed and does not jump.
+//! The limiter moves the reference instead of clipping the deviation. The reference has a state and a bounded speed, so
+//! that after a release the tool returns at that speed and does not jump.
 
 use crate::math::rotation::{base_to_task, rotation_matrix, rotation_vector, task_to_base};
 use crate::math::simd::BaselineF64;
@@ -12,47 +12,50 @@ use crate::task::pose_error;
 use crate::task::reference_governor::ReferenceGovernor;
 use crate::{AxisVec, MAX_AXES};
 
-/// Change of a deviation [m or rad] that counts as no change: rounding must not release a stopped target.
+/// Change of a deviation [m or rad] up to which it counts as unchanged: rounding must not release a stopped target.
 const MIN_CHANGE: f64 = 1e-9;
 
 impl DeviationLimit {
-    /// Clamps the deviation `e` to the limit: e > 0 if the axis is pushed toward −.
+    /// Clamps the deviation `e` [m or rad] to the limit; e > 0 if the axis is pushed toward −.
     fn limited(&self, e: f64) -> f64 {
         e.clamp(-self.max[1], self.max[0])
     }
 }
 
-/// Tool and reference poses of one step.
+/// Poses from which the deviation limits of one step are computed.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DeviationLimiter<'a> {
+    /// Pose of the tool at the predicted positions, `base_from_tool`.
     pub(crate) tool: &'a Pose,
+    /// Task axes as columns, in the base.
     pub(crate) base_from_task: &'a [[f64; 3]; 3],
-    /// Reference of the last step.
+    /// Reference of the last step, `base_from_tool`.
     pub(crate) before: &'a Pose,
 }
 
-/// Reference after the deviation limits.
+/// Reference after the deviation limits were applied.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LimitedReference {
+    /// The moved reference, `base_from_tool`.
     pub(crate) reference: Pose,
-    /// Deviation (6,) from this reference, in the task frame.
+    /// Deviation (6,) of the moved reference from the tool [m, rad], in the task frame.
     pub(crate) error: AxisVec,
-    /// Share of the reference's motion that the axes with [`OnDeviationLimit::Wait`] allow.
+    /// Share of the reference's motion in this step, 0 to 1, that the axes with [`OnDeviationLimit::Wait`] allow.
     pub(crate) progress: f64,
-    /// Which of x, y, z, roll, pitch, yaw is at its limit.
+    /// True for each of x, y, z, roll, pitch, yaw that is at its limit.
     pub(crate) active: [bool; MAX_AXES],
 }
 
 impl DeviationLimiter<'_> {
-    /// Returns the deviation (6,) from a reference, in the task frame.
+    /// Returns the deviation (6,) of `reference` from the tool [m, rad], in the task frame.
     fn error(&self, reference: &Pose) -> AxisVec {
         base_to_task::<BaselineF64>(self.base_from_task, &pose_error(self.tool, reference))
     }
 
-    /// Bounds the deviation from `reference`; `None` if no axis exceeds its limit.
+    /// Bounds the deviation of `reference` from the tool; `None` if no axis exceeds its limit.
     ///
-    /// First stops the whole reference if its motion would increase the excess of a `Wait` axis. Then moves the
-    /// reference along the `Yield` axes to within their limit of the tool.
+    /// First stops the whole reference where its motion would increase the excess of a `Wait` axis. Then moves the
+    /// reference along each `Yield` axis to within its limit of the tool.
     pub(crate) fn limit(&self, limits: &[DeviationLimit], reference: &Pose) -> Option<LimitedReference> {
         let (mut active, mut progress) = ([false; MAX_AXES], 1.0_f64);
         let (from, to) = (self.error(self.before), self.error(reference));
@@ -61,7 +64,7 @@ impl DeviationLimiter<'_> {
             if (limit.limited(e1) - e1).abs() > 0.0 {
                 active[limit.axis] = true;
                 if limit.reaction == OnDeviationLimit::Wait {
-                    // A deviation that a push has made need not decrease; it must only not grow.
+                    // A deviation beyond the limit, caused by a push, need not decrease but must not grow.
                     let allowed = e1.clamp(e0.min(-limit.max[1]), e0.max(limit.max[0]));
                     let share = if (e1 - e0).abs() > MIN_CHANGE { (allowed - e0) / (e1 - e0) } else { 0.0 };
                     progress = progress.min(share.clamp(0.0, 1.0));
@@ -85,7 +88,7 @@ impl DeviationLimiter<'_> {
         Some(LimitedReference { reference, error, progress, active })
     }
 
-    /// Returns the pose whose deviation is `error` (6,), in the task frame.
+    /// Returns the pose whose deviation from the tool is `error` (6,) [m, rad], in the task frame.
     fn beside_tool(&self, error: &AxisVec) -> Pose {
         let e = task_to_base(self.base_from_task, error);
         let mut pose = *self.tool;
@@ -97,7 +100,8 @@ impl DeviationLimiter<'_> {
     }
 }
 
-/// Bounds the deviation of stiff axes by moving the reference, and sets its velocity along these axes to zero.
+/// Bounds the deviation of stiff axes by moving the reference of `governor`. Sets the reference's velocity along axes
+/// at their limit to zero and scales it along the others like its motion. `None` if no axis exceeds its limit.
 #[cold]
 #[inline(never)]
 pub(crate) fn limit_deviation(
@@ -114,7 +118,7 @@ pub(crate) fn limit_deviation(
     Some(limited)
 }
 
-/// Interpolates two poses: straight line, and rotation about one axis.
+/// Returns the pose at `share` of the way between two poses: on a straight line, rotated about one fixed axis.
 fn interpolate(from: &Pose, to: &Pose, share: f64) -> Pose {
     let mut pose = *from;
     for (value, end) in pose.position.iter_mut().zip(to.position) {
@@ -171,7 +175,7 @@ mod tests {
         assert!((limited.progress - 0.25).abs() < 1e-12);
         assert!((limited.error[0] - 0.02).abs() < 1e-15 && (limited.error[1] - 0.1).abs() < 1e-12);
         assert!((limited.error[5] - 0.1).abs() < 1e-12);
-        // A push moved the tool beyond the limit: the reference may only move back.
+        // The tool was pushed beyond the limit: the reference may only move back.
         let outside = DeviationLimiter { before: &at(0.05, 0.0, 0.0), ..limiter };
         assert!(outside.limit(&limits, &at(0.06, 0.1, 0.0)).unwrap().progress.abs() < 1e-15);
         assert!((outside.limit(&limits, &at(0.04, 0.1, 0.0)).unwrap().progress - 1.0).abs() < 1e-15);

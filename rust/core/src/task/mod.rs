@@ -1,4 +1,4 @@
-//! From pose to deviation, softness, compliance and strength: lines 3–6 of the control step.
+//! Task axes: from the tool's pose to deviation, softness, compliance and strength of each axis.
 
 pub mod adapt;
 mod arm_state;
@@ -19,7 +19,8 @@ use crate::math::simd::{JointVector, Scalar};
 use crate::math::spatial::Mat3;
 use crate::params::Frame;
 
-/// [`task_rows`](crate::kinematics::task_rows) of a task in `frame`; written to `room` unless they equal those of `j_base`.
+/// Returns the [`task_rows`](crate::kinematics::task_rows) of a task in `frame`, stored in `room`; `j_base` itself if
+/// the task has all six base axes.
 #[inline(always)]
 fn rows_in<'a, J: JointVector>(
     frame: &Frame,
@@ -29,7 +30,6 @@ fn rows_in<'a, J: JointVector>(
     room: &'a mut Option<[J; MAX_AXES]>,
 ) -> &'a [J; MAX_AXES] {
     match frame {
-        // All six base axes: the rows are those of `j_base`.
         Frame::Base if axes.len() == MAX_AXES => j_base,
         Frame::Base => {
             let mut out = [J::splat(0.0); MAX_AXES];

@@ -6,16 +6,16 @@ use crate::math::spatial::{mul_tr, sub};
 use crate::pose::Pose;
 use crate::{AxisVec, MAX_AXES};
 
-/// Deviation `e = x_d − x` in base axes: `[m, m, m, rad, rad, rad]`.
+/// Returns the deviation `e = x_d − x` in base axes: `[m, m, m, rad, rad, rad]`.
 ///
-/// Linear part: difference of the positions. Angular part: rotation vector of `R_d Rᵀ` on the shortest branch; at an
-/// angle of exactly π the axis of the quaternion with non-negative scalar part.
+/// Linear part: difference of the positions. Angular part: rotation vector of `R_d Rᵀ`, of length at most π. At exactly
+/// π, where its sign is ambiguous, it follows the quaternion with non-negative scalar part.
 #[inline(always)]
 pub fn pose_error(actual: &Pose, target: &Pose) -> AxisVec {
     pose_error_by::<BaselineF64>(actual, target)
 }
 
-/// [`pose_error`] of one configuration or of several.
+/// Computes [`pose_error`] for one configuration or for several.
 #[inline(always)]
 pub(crate) fn pose_error_by<A: RealOps>(actual: &Pose<A::Real>, target: &Pose<A::Real>) -> [A::Real; MAX_AXES] {
     let (p, d) = (&actual.position, &target.position);

@@ -1,4 +1,4 @@
-//! Reference governor: bounds speed and acceleration of the tool's target.
+//! Reference governor: follows the target within speed and acceleration bounds, and waits for an arm at its limits.
 
 use crate::math::rotation::{rotation_matrix, rotation_matrix_by, task_to_base};
 use crate::math::simd::{BaselineF64, RealOps};
@@ -8,25 +8,27 @@ use crate::pose::Pose;
 use crate::task::{pose_error, pose_error_by};
 use crate::{AxisVec, MAX_AXES};
 
-/// Distance to the reference [m, rad] above which a target counts as a jump.
-const LAG_THRESHOLD: [f64; 2] = [0.05, 0.2];
+/// Distance between target and reference [m, rad] above which the reference may be held back.
+const FAR_THRESHOLD: [f64; 2] = [0.05, 0.2];
 
-/// Deceleration with which a reference stops to wait [m/s², rad/s²]. An abrupt stop would shake the arm.
+/// Largest deceleration with which the reference is held back [m/s², rad/s²]: an abrupt stop would shake the arm.
 const MAX_HOLD_DECELERATION: [f64; 2] = [3.0, 12.0];
 
-/// Trace of a rotation by the second value of `LAG_THRESHOLD`, 1 + 2 cos.
-const TRACE_LAG_THRESHOLD: f64 = 2.960_133_155_682_483;
+/// Trace, 1 + 2 cos, of a rotation by `FAR_THRESHOLD[1]`.
+const TRACE_FAR_THRESHOLD: f64 = 2.960_133_155_682_483;
 
 /// Reference pose between the start and the target, with its velocity; bounded in speed and acceleration.
 ///
-/// Small enough to be copied without a call to memcpy.
+/// Small enough to be copied without a call of memcpy.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ReferenceGovernor {
+    /// The reference, `base_from_tool`.
     pub(crate) pose: Pose,
-    /// Linear [m/s] and angular [rad/s], base axes; zero if no speed limit is set.
+    /// Velocity of the reference, linear [m/s] and angular [rad/s], base axes; zero if the speed limits are infinite.
     pub(crate) velocity: [f64; 6],
-    /// Target of the last step and its speed [m/s, rad/s].
+    /// Target of the last step.
     pub(crate) target: Pose,
+    /// Speed of the target in the last step, linear and angular [m/s, rad/s]; 0 for a jump.
     pub(crate) target_speed: [f64; 2],
 }
 
@@ -36,17 +38,17 @@ impl ReferenceGovernor {
         Self { pose, velocity: [0.0; 6], target: pose, target_speed: [0.0; 2] }
     }
 
-    /// The reference.
+    /// Returns the reference pose.
     pub(crate) fn pose(&self) -> Pose {
         self.pose
     }
 
-    /// Sets the reference and its velocity (6,), base axes.
+    /// Sets the reference pose and its velocity (6,) [m/s, rad/s], base axes.
     pub(crate) fn set(&mut self, pose: Pose, velocity: [f64; 6]) {
         (self.pose, self.velocity) = (pose, velocity);
     }
 
-    /// Returns whether the reference is at the target of the last step: position, rotation.
+    /// Returns whether the reference is exactly at the target of the last step, for position and rotation.
     #[inline(always)]
     pub(crate) fn arrived(&self) -> [bool; 2] {
         let (mut position, mut rotation) = (0, 0);
@@ -59,8 +61,8 @@ impl ReferenceGovernor {
         [position == 0, rotation == 0]
     }
 
-    /// Returns whether the target is farther than [`LAG_THRESHOLD`] from the reference: position, rotation. False if
-    /// `speed` is infinite, since the reference then equals the target.
+    /// Returns whether the target is farther than [`FAR_THRESHOLD`] from the reference, for position and rotation.
+    /// False if `speed` is infinite, since the reference then equals the target.
     #[inline(always)]
     pub(crate) fn lags(&self, speed: [f64; 2]) -> [bool; 2] {
         let (mut squared, mut trace) = (0.0, 0.0);
@@ -71,17 +73,18 @@ impl ReferenceGovernor {
             }
         }
         [
-            squared > LAG_THRESHOLD[0].powi(2) && speed[0].is_finite(),
-            trace < TRACE_LAG_THRESHOLD && speed[1].is_finite(),
+            squared > FAR_THRESHOLD[0].powi(2) && speed[0].is_finite(),
+            trace < TRACE_FAR_THRESHOLD && speed[1].is_finite(),
         ]
     }
 
-    /// Takes back `share` of the motion along the deviation `lag` (6,), base axes, that the last step, from `before`,
-    /// made. Decelerates with at most [`MAX_HOLD_DECELERATION`], plus the `acceleration` that the step may have applied.
+    /// Takes back `share` of the motion from `before` to the reference along the deviation `lag` (6,), base axes. The
+    /// bounds are speed [m/s, rad/s] and acceleration [m/s², rad/s²], each linear and angular. It decelerates with at
+    /// most [`MAX_HOLD_DECELERATION`] plus the acceleration bound, which the step may have used.
     ///
-    /// Motion sideways and backward is unchanged: an arm that is pressed against an object slides along it, and an arm
-    /// that lags is not pulled further. Nothing is taken back while the target is near: an arm whose target lies
-    /// slightly inside an object shall press on it.
+    /// Motion perpendicular to `lag` and against it is unchanged: an arm that is pressed against an object slides along
+    /// it, and an arm that lags is not pulled further. Nothing is taken back while the target is near, so that an arm
+    /// whose target lies slightly inside an object presses on it.
     pub(crate) fn hold_back(
         &mut self,
         before: &Pose,
@@ -96,7 +99,7 @@ impl ReferenceGovernor {
             let (d, m) = (part(lag), part(&moved));
             let gained = d[0] * m[0] + d[1] * m[1] + d[2] * m[2];
             let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-            // A lag whose square underflows counts as zero; dividing by it is not possible.
+            // Division by a lag whose square underflows is not possible; it counts as zero.
             if !behind[b] || gained <= 0.0 || squared < f64::MIN_POSITIVE {
                 continue;
             }
@@ -115,13 +118,13 @@ impl ReferenceGovernor {
         }
     }
 
-    /// Velocity of the reference itself (6,), base axes.
+    /// Returns the velocity of the reference (6,) [m/s, rad/s], base axes.
     pub(crate) fn reference_velocity(&self) -> [f64; 6] {
         self.velocity
     }
 
-    /// Velocity of the reference (6,), base axes: the target's `twist` once the reference has reached it, within
-    /// `speed`.
+    /// Returns the velocity to feed forward (6,) [m/s, rad/s], base axes: the target's `twist` bounded by `speed` once
+    /// the reference has reached the target, until then the velocity of the reference.
     pub(crate) fn velocity(&self, twist: &[f64; 6], speed: [f64; 2]) -> [f64; 6] {
         let mut out = self.velocity;
         for (block, (&arrived, &max)) in self.arrived().iter().zip(&speed).enumerate() {
@@ -136,8 +139,9 @@ impl ReferenceGovernor {
 
     /// Moves the reference toward `target` for `dt` [s] and returns it.
     ///
-    /// A target that moves within the bounds is passed through unchanged. Otherwise translation and rotation each
-    /// follow it and brake so that they can stop at it, v ≤ √(2 a d). An infinite speed passes every target through.
+    /// A reference at its target follows it exactly while the target moves within the bounds. Otherwise translation and
+    /// rotation each approach the target and brake so that they can stop at it, v ≤ √(2 a d). With infinite speeds the
+    /// reference is the target.
     #[inline(always)]
     pub(crate) fn update<A: RealOps<Real = f64>>(
         &mut self,
@@ -156,7 +160,7 @@ impl ReferenceGovernor {
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
             let (target_velocity_now, fast) = target_velocity(part(&moved), speed[b], dt);
-            // The reference may brake as hard as its target does, so that it does not overshoot.
+            // The reference may decelerate as fast as its target, so that it does not overshoot.
             let braked = (self.target_speed[b] - fast).max(0.0);
             self.target_speed[b] = fast;
             *block =
@@ -182,30 +186,32 @@ impl ReferenceGovernor {
     }
 }
 
-/// Missing share of the stiff axes' wrench at which the reference stops completely.
+/// Missing share of the stiff axes' wrench at and above which the reference stops completely.
 const HOLD_THRESHOLD: f64 = 0.2;
 
-/// Returns how much the reference is held back, 0 to 1, if the arm can exert this `share` of its stiff axes' wrench.
+/// Returns the degree to which the reference is held back, 0 to 1, for an arm that can exert `share` of its stiff axes'
+/// wrench.
 #[inline(always)]
 pub(crate) fn hold_fraction(share: f64) -> f64 {
     ((1.0 - share) / HOLD_THRESHOLD).min(1.0)
 }
 
-/// Holds back a reference that runs ahead of an arm whose stiff axes are at their limits.
+/// Inputs for holding back a reference that runs ahead of an arm whose stiff axes are at their limits.
 pub(crate) struct ReferenceHold<'a> {
     pub(crate) params: &'a Params,
-    /// Bounds of the tool, linear and angular: speed [m/s, rad/s] and acceleration [m/s², rad/s²].
+    /// Bounds on the reference: speed [m/s, rad/s], then acceleration [m/s², rad/s²], each linear and angular.
     pub(crate) bounds: [[f64; 2]; 2],
     pub(crate) base_from_task: &'a [[f64; 3]; 3],
-    /// Deviation of each row, times its stiffness share [m, rad].
+    /// Deviation of each task row times its stiffness 1 − w [m, rad].
     pub(crate) lag: &'a AxisVec,
     /// Degree to which the reference is held back, 0 to 1.
     pub(crate) hold_fraction: f64,
+    /// Period of the step [s].
     pub(crate) dt: f64,
 }
 
 impl ReferenceHold<'_> {
-    /// Takes back the lead over the arm that the reference has gained since `before`.
+    /// Takes back the motion along the deviation that the reference has made since `before`.
     #[cold]
     #[inline(never)]
     pub(crate) fn apply(&self, before: &Pose, governor: &mut ReferenceGovernor) {
@@ -217,7 +223,8 @@ impl ReferenceHold<'_> {
     }
 }
 
-/// Velocity of a target that moved by `moved` in `dt`, and its norm; zero for a jump, which is faster than `speed`.
+/// Returns the velocity of a target that moved by `moved` in `dt` [s], and its norm; zero for a jump, a motion faster
+/// than `speed`.
 #[inline(always)]
 fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
     let velocity = add_scaled(&[0.0; 3], 1.0 / dt, &moved);
@@ -225,10 +232,10 @@ fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
     if size <= speed { (velocity, size) } else { ([0.0; 3], 0.0) }
 }
 
-/// Velocity of the next period toward a point at distance `d` that moves with `own`, and whether it is reached in this
-/// period.
+/// Returns the velocity of the reference for this period toward a target at the offset `d`, and whether it reaches the
+/// target in this period. `v` is its present velocity, `target_velocity_now` that of the target.
 ///
-/// `max` holds the acceleration and an additional change of velocity allowed in this period.
+/// `max` holds the largest acceleration, and an additional change of velocity that is allowed in this period.
 #[inline(always)]
 fn approach(
     d: [f64; 3],
@@ -241,12 +248,12 @@ fn approach(
     if !speed.is_finite() {
         return ([0.0; 3], true);
     }
-    // A speed limit that is lowered during motion takes effect at once.
+    // A speed limit that was lowered during the motion takes effect at once.
     let v = clamp_norm(v, speed);
     let behind = add_scaled(&d, -dt, &target_velocity_now);
     let distance = norm(behind);
-    // Speed from which `periods` of braking end exactly at the point: the discrete √(2 a d). Clamp ∞ to f64::MAX: 0 · ∞
-    // would be NaN.
+    // Speed from which braking for `periods` ends exactly at the target: the discrete √(2 a d). ∞ is clamped to
+    // f64::MAX, because 0 · ∞ would be NaN.
     let step = (max[0] * dt).min(f64::MAX);
     let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
     let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);
@@ -258,7 +265,7 @@ fn approach(
     (next, norm(miss) <= 1e-12 + 1e-9 * norm(d))
 }
 
-/// Scales `v` to a norm of at most `max`.
+/// Returns `v`, scaled down to the norm `max` if it is longer.
 #[inline(always)]
 fn clamp_norm(v: [f64; 3], max: f64) -> [f64; 3] {
     // Compute the root only if the vector is too long.
@@ -316,7 +323,7 @@ mod tests {
             let target = at(f64::from(tick) * 0.01);
             let x = governor.update::<BaselineF64>(&target, [0.25, 1.0], [1.0, 4.0], 0.01).position[0];
             assert!(x <= target.position[0] + 1e-12, "tick {tick}: {x}");
-            // From rest the reference needs 0.1 s to reach the target's speed, and more time to catch up.
+            // From rest the reference needs 0.1 s to reach the target's speed, and longer to close the gap.
             assert!(tick < 40 || (x - target.position[0]).abs() < 1e-9, "tick {tick}: {x}");
         }
     }

@@ -1,4 +1,4 @@
-//! Eight numbers in an array, for any architecture.
+//! Vector of eight numbers in an array, for architectures without hand-written SIMD types.
 #![forbid(unsafe_code)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -6,7 +6,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use super::scalar::{BaselineF64, rotate_quadrant};
 use super::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, ScalarVec3, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
-/// Eight numbers in an array, vectorized by the compiler: for architectures without hand-written SIMD types.
+/// Eight numbers in an array, which the compiler may vectorize. x86-64 uses its own SIMD types.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
@@ -140,9 +140,9 @@ impl F64x8 for ArrayF64x8 {
     type Vec3 = ScalarVec3<BaselineF64>;
 
     #[inline(always)]
-    fn hsum4(to_array: [Self; 4]) -> [f64; 4] {
+    fn hsum4(vectors: [Self; 4]) -> [f64; 4] {
         let mut out = [0.0; 4];
-        for (sum, Self(n)) in out.iter_mut().zip(to_array) {
+        for (sum, Self(n)) in out.iter_mut().zip(vectors) {
             *sum = ((n[0] + n[4]) + (n[1] + n[5])) + ((n[2] + n[6]) + (n[3] + n[7]));
         }
         out
@@ -179,11 +179,11 @@ impl SoaLanes for ArrayF64x8 {
     }
 
     #[inline(always)]
-    fn store_transposed(to_array: &[Self; LANES], rows: &mut [f64], stride: usize) {
+    fn store_transposed(columns: &[Self; LANES], rows: &mut [f64], stride: usize) {
         for i in 0..LANES {
             if let Some(row) = chunk8_mut(rows, i * stride) {
                 for j in 0..LANES {
-                    row[j] = to_array[j].0[i];
+                    row[j] = columns[j].0[i];
                 }
             }
         }

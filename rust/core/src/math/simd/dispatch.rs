@@ -19,22 +19,22 @@ pub(crate) use super::Sse2x8 as BaselineF64x8;
 use super::{Avx2x4, Avx2x8, Avx512x8, FmaF64};
 use super::{BaselineF64, Broadcast, F64x8, RealOps, SoaLanes};
 
-/// Environment variable that selects a slower instruction set: `baseline`, `avx2` or `avx512`.
-const FORCED: &str = "PLIANT_INSTRUCTIONS";
+/// Environment variable that selects an instruction set by name: `baseline`, `avx2` or `avx512`.
+const INSTRUCTIONS_VARIABLE: &str = "PLIANT_INSTRUCTIONS";
 
-/// Number types of one instruction set.
+/// The number types of one instruction set.
 pub(crate) trait Isa {
-    /// Scalar.
+    /// Scalar operations of the instruction set.
     type Elem: RealOps<Real = f64> + Broadcast<f64>;
-    /// Eight values of one configuration, one per joint or per task axis.
+    /// Vector of eight values of one configuration, one per joint or per task axis.
     type F64x8: F64x8<Elem = Self::Elem>;
-    /// One value of each of several configurations.
+    /// Vector with one value of each of several configurations.
     type F64xN: SoaLanes;
 }
 
-/// Code that is compiled for every instruction set; `run` and everything that it calls must be `#[inline(always)]`.
+/// Code that is compiled for every instruction set. `run` and everything that it calls must be `#[inline(always)]`.
 pub(crate) trait Kernel {
-    /// Result.
+    /// Result of [`Kernel::run`].
     type Output;
 
     /// Runs the code with the number types of one instruction set.
@@ -60,14 +60,15 @@ impl Isa for Avx2x8 {
 #[cfg(target_arch = "x86_64")]
 impl Isa for Avx512x8 {
     type Elem = FmaF64;
-    // One configuration is never stepped on AVX-512, see `dispatch_narrow`.
+    // Single configurations use AVX2 types also here, see `dispatch_narrow`.
     type F64x8 = Avx2x8;
     type F64xN = Avx512x8;
 }
 
 /// An instruction set that this processor has.
 ///
-/// Results differ between sets by rounding: below 1e-11 of their size at λ ≥ 0.02. On one set they are bit-identical.
+/// Results differ between sets by rounding: by less than 1e-11, relative, at λ ≥ 0.02. On one set they are
+/// bit-identical.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SimdLevel(Set);
 
@@ -84,7 +85,7 @@ impl SimdLevel {
     /// The instruction set that every processor of this architecture has.
     pub const BASELINE: Self = Self(Set::Baseline);
 
-    /// All sets that this processor has, slowest first.
+    /// Returns all sets that this processor has, slowest first.
     pub fn available() -> Vec<Self> {
         #[allow(unused_mut, reason = "other architectures have one set")]
         let mut all = vec![Self::BASELINE];
@@ -108,18 +109,19 @@ impl SimdLevel {
         all
     }
 
-    /// Returns the set in use: the widest one, or the one named by `PLIANT_INSTRUCTIONS` if this processor has it.
+    /// Returns the set in use: the one that the environment variable `PLIANT_INSTRUCTIONS` names if this processor has
+    /// it, else the widest one.
     pub fn detect() -> Self {
         static CHOSEN: OnceLock<SimdLevel> = OnceLock::new();
         *CHOSEN.get_or_init(|| {
             let all = Self::available();
-            let forced = std::env::var(FORCED).unwrap_or_default();
-            let found = all.iter().find(|set| set.name() == forced).or_else(|| all.last());
+            let requested = std::env::var(INSTRUCTIONS_VARIABLE).unwrap_or_default();
+            let found = all.iter().find(|set| set.name() == requested).or_else(|| all.last());
             found.copied().unwrap_or(Self::BASELINE)
         })
     }
 
-    /// `baseline`, `avx2` or `avx512`.
+    /// Returns the name: `baseline`, `avx2` or `avx512`.
     pub fn name(self) -> &'static str {
         match self.0 {
             Set::Baseline => "baseline",
@@ -130,15 +132,15 @@ impl SimdLevel {
         }
     }
 
-    /// Runs code for single configurations: as [`SimdLevel::dispatch`], but at most with AVX2.
+    /// Runs code for single configurations with this instruction set, but at most with AVX2.
     ///
-    /// Arrays of seven or eight numbers gain nothing from wider registers (kinematics even lose a tenth), and a third
-    /// copy of the control step would be a third of the wheel's size.
+    /// Vectors of seven or eight numbers gain nothing from wider registers (kinematics even become a tenth slower), and
+    /// a third copy of the control step would add a third to the size of the Python wheel.
     #[inline]
     pub(crate) fn dispatch_narrow<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             Set::Baseline => baseline(kernel),
-            // SAFETY: as in `run`; a processor with AVX-512 has AVX2, see `available`.
+            // SAFETY: as in `dispatch`; a processor with AVX-512 has AVX2, see `available`.
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 | Set::Avx512 => unsafe { avx2(kernel) },
         }
@@ -149,7 +151,7 @@ impl SimdLevel {
     pub(crate) fn dispatch<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             Set::Baseline => baseline(kernel),
-            // SAFETY: values of this kind are made in `available` alone, which checks the processor for all required
+            // SAFETY: `available` alone creates this value, after it has checked that the processor has all required
             // features.
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 => unsafe { avx2(kernel) },
@@ -166,7 +168,8 @@ impl fmt::Display for SimdLevel {
     }
 }
 
-/// Not inlined, like the others: the caller may be optimised for size.
+/// Runs code with the baseline instruction set. Not inlined, like `avx2` and `avx512`: the caller may be optimized for
+/// size.
 #[inline(never)]
 fn baseline<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Baseline>()

@@ -1,5 +1,4 @@
-//! Elementary functions of one number without calls to the system's library: vectorizable over joints, and identical on
-//! every system.
+//! Elementary functions without calls of the system's library: vectorizable over joints, and identical on every system.
 #![forbid(unsafe_code)]
 
 use super::{ROUND, RealOps};
@@ -7,7 +6,8 @@ use super::{ROUND, RealOps};
 /// tan(π/8): boundary between the two expansion points of the arctangent series.
 const TAN_EIGHTH: f64 = 0.414_213_562_373_095_05;
 
-/// `(atan √u / √u − 1) / u` for u up to tan²(π/8), best uniform fit: error at most 1.2e-18.
+/// Coefficients of a polynomial in u for `(atan √u / √u − 1) / u`, lowest power first: the best uniform fit up to u =
+/// tan²(π/8), with an error of at most 1.2e-18.
 const ARC: [f64; 12] = [
     -0.333_333_333_333_333_3,
     0.199_999_999_999_998_04,
@@ -23,12 +23,12 @@ const ARC: [f64; 12] = [
     0.016_283_572_356_395_895,
 ];
 
-/// Angle [rad] of the point (x, y) in the first quadrant, to 3e-16; 0 for the origin.
+/// Returns the angle [rad] of the point (x, y) in the first quadrant, with an error of at most 3e-16; 0 for the origin.
 #[inline(always)]
 pub(crate) fn atan2_first_quadrant<A: RealOps>(y: A::Real, x: A::Real) -> A::Real {
     let c = A::splat;
     let (small, large) = (A::min(y, x), A::max(y, x));
-    // Above tan(π/8) the angle is measured from the diagonal, so that one division serves both cases.
+    // Above tan(π/8) the angle is computed relative to the diagonal, so that one division serves both cases.
     let edge = c(TAN_EIGHTH) * large;
     let up = A::select_lt(edge, small, small - large, small);
     let down = A::select_lt(edge, small, small + large, large);
@@ -39,9 +39,9 @@ pub(crate) fn atan2_first_quadrant<A: RealOps>(y: A::Real, x: A::Real) -> A::Rea
     A::select_lt(x, y, c(std::f64::consts::FRAC_PI_2) - angle, angle)
 }
 
-/// Angle of the point (y, x) divided by y, `atan(y/x) / y`, given `squared = y²`, with y up to x tan(π/8), for x > 0.
+/// Returns `atan(y/x) / y`, given `squared = y²`, for x > 0 and y at most x tan(π/8).
 ///
-/// Needs neither a square root nor a division by y.
+/// It needs neither a square root nor a division by y.
 #[inline(always)]
 pub(crate) fn atan_over_y<A: RealOps>(squared: A::Real, x: A::Real) -> A::Real {
     let per_x = A::splat(1.0) / x;
@@ -55,7 +55,7 @@ pub(crate) fn is_small_angle<A: RealOps>(squared: A::Real, x: A::Real) -> bool {
     !A::any_lt(A::splat(TAN_EIGHTH * TAN_EIGHTH) * (x * x), squared)
 }
 
-/// `(atan √u / √u − 1) / u`, in groups of four terms that are computed in parallel.
+/// Returns `(atan √u / √u − 1) / u` for u up to tan²(π/8), in groups of four terms that are computed in parallel.
 #[inline(always)]
 fn arc_series<A: RealOps>(u: A::Real) -> A::Real {
     let c = A::splat;
@@ -68,7 +68,7 @@ fn arc_series<A: RealOps>(u: A::Real) -> A::Real {
     A::fma(u4, A::fma(u4, fours[2], fours[1]), fours[0])
 }
 
-/// Hyperbolic tangent, to 5e-16 absolute; NaN if `x` is NaN.
+/// Returns the hyperbolic tangent, with an absolute error of at most 5e-16; NaN if `x` is NaN.
 #[inline(always)]
 pub(crate) fn tanh<A: RealOps>(x: A::Real) -> A::Real {
     const LN_2: [f64; 2] = [6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10];

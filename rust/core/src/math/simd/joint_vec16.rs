@@ -1,4 +1,5 @@
-//! Vector with one number per joint of any arm, for any processor: for code that is compiled once.
+//! Vector of one number per joint, padded to 16, for the baseline instruction set: used by code that has no version per
+//! instruction set.
 #![forbid(unsafe_code)]
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -8,13 +9,14 @@ use super::scalar::{BaselineF64, rotate_quadrant};
 use super::{Broadcast, JointVector, PaddedVec3, RealOps, ScalarVec3, SingleArmJoints};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Sixteen numbers, for arms with more joints than [`LANES`](super::LANES) and for rare code.
+/// One number per joint, padded to 16: for arms with more than [`LANES`](super::LANES) joints and for code that runs
+/// rarely.
 ///
-/// Each operation is a call: inlined, the step of a large arm alone was a sixth of the wheel's size.
+/// Each operation is a call: inlined, the step of a large arm alone took a sixth of the size of the Python wheel.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct JointVec16(JointVec, #[expect(dead_code, reason = "a larger value is copied by a call")] u64);
 
-/// Defines an outlined elementwise operation.
+/// Evaluates an elementwise operation as a call.
 macro_rules! each {
     ($of_one:path, $first:ident $(, $argument:ident)*) => {{
         #[inline(never)]
@@ -60,7 +62,7 @@ impl Neg for JointVec16 {
     }
 }
 
-/// Defines functions of [`RealOps`], joint by joint.
+/// Defines elementwise functions of [`RealOps`].
 macro_rules! by_joint {
     ($($function:ident($first:ident $(, $argument:ident)*);)*) => {
         $(#[inline(always)]
@@ -155,11 +157,11 @@ impl JointVector for JointVec16 {
     }
 
     #[inline(always)]
-    fn sum4(to_array: [Self; 4]) -> [f64; 4] {
+    fn sum4(vectors: [Self; 4]) -> [f64; 4] {
         #[inline(never)]
         fn sum(of: &JointVec16) -> f64 {
             let mut sums = of.0;
-            // By halves: this order can be vectorized.
+            // Sum by halves, an order that can be vectorized.
             for half in [8, 4, 2, 1] {
                 for i in 0..half {
                     sums[i] += sums[i + half];
@@ -167,7 +169,7 @@ impl JointVector for JointVec16 {
             }
             sums[0]
         }
-        let [a, b, c, d] = &to_array;
+        let [a, b, c, d] = &vectors;
         [sum(a), sum(b), sum(c), sum(d)]
     }
 

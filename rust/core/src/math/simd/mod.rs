@@ -1,18 +1,17 @@
-//! Numbers of the control step: formulas are written once, for one configuration or several, and compiled per
+//! Number types of the control step. Formulas are written once, for one configuration or several, and compiled per
 //! instruction set.
 //!
-//! [`RealOps`] defines the operations: with one `f64` or with several lanes, with or without fused multiply-add.
-//! Rust never fuses by itself, and `mul_add` without the instruction is a slow call, so the type decides. [`Isa`]
-//! is the set of number types of one instruction set, and [`SimdLevel`] the instruction sets of the processor.
+//! [`RealOps`] defines the operations, on one `f64` or on several lanes, with or without fused multiply-add. Rust never
+//! fuses by itself, and `mul_add` without the instruction is a slow call, so the type decides. [`Isa`] is the set of
+//! number types of one instruction set, and [`SimdLevel`] an instruction set that the processor has.
 //!
 //! In the control step the lanes of a register hold the joints or the task axes of one configuration ([`F64x8`],
 //! [`JointVec16`]). In batches they hold several configurations ([`SoaLanes`]), with one register per joint or axis
-//! ([`SoaVec`]). Laws are written over [`JointVector`], which covers both. Rare code uses [`JointVec16`] and is compiled
-//! once.
+//! ([`SoaVec`]). Laws are written over [`JointVector`], which covers both. Code that runs rarely uses [`JointVec16`]
+//! and is compiled once.
 //!
-//! Everything between an entry of [`SimdLevel::dispatch`] and its last formula is `#[inline(always)]`: a function that is
-//! not inlined would be compiled for the baseline instruction set. Formulas over [`RealOps`] use loops, not
-//! closures, for the same reason.
+//! Everything that [`SimdLevel::dispatch`] runs is `#[inline(always)]`: a function that is not inlined would be
+//! compiled for the baseline instruction set. For the same reason formulas over [`RealOps`] use loops, not closures.
 
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -51,17 +50,18 @@ use x86::{
     avx512::Avx512x8,
 };
 
-/// Positions [rad, m] and velocities below this are flushed to 0: a decaying filter would reach denormal numbers and
-/// stay there, and some processors need a hundred cycles for each product with them.
+/// Positions [rad, m] and velocities below this are flushed to 0: a decaying filter would reach subnormal numbers and
+/// stay there, and some processors need a hundred cycles per product with them.
 pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 
-/// Maximum number of lanes in vector layouts.
+/// Number of values in a vector of one configuration, and maximum number of lanes of a register.
 pub(crate) const LANES: usize = 8;
 
-/// Maximum number of joints of interleaved arms: each joint has its own register, used or not.
+/// Maximum number of joints of arms that are computed several configurations at once: each joint takes a register, used
+/// or not.
 pub(crate) const SOA_MAX_JOINTS: usize = 7;
 
-/// Types with `+ − * /` and negation.
+/// A type with `+ − * /` and negation.
 pub(crate) trait Number:
     Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
@@ -83,73 +83,74 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     /// The number type: one value per configuration.
     type Real: Number;
 
-    /// True if a number holds several values, of joints, axes or configurations.
+    /// True if a number holds several values: of joints, of axes or of configurations.
     const WIDE: bool;
 
     /// Copies a value to every lane.
     fn splat(value: f64) -> Self::Real;
 
-    /// `a b + c`, fused if the instruction set can.
+    /// Returns `a b + c`, fused if the instruction set can.
     fn fma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
 
-    /// `c − a b`, fused if the instruction set can.
+    /// Returns `c − a b`, fused if the instruction set can.
     fn fnma(a: Self::Real, b: Self::Real, c: Self::Real) -> Self::Real;
 
-    /// `√value`.
+    /// Returns `√value`.
     fn sqrt(value: Self::Real) -> Self::Real;
 
-    /// `|value|`.
+    /// Returns `|value|`.
     fn abs(value: Self::Real) -> Self::Real;
 
-    /// The larger of two numbers; NaN if `value` is NaN.
+    /// Returns the larger of two numbers; NaN if `value` is NaN.
     fn max(value: Self::Real, bound: Self::Real) -> Self::Real;
 
-    /// The smaller of two numbers; NaN if `value` is NaN.
+    /// Returns the smaller of two numbers; NaN if `value` is NaN.
     fn min(value: Self::Real, bound: Self::Real) -> Self::Real;
 
-    /// Clamps `value` to ± `bound`; NaN if `value` is NaN, no panic if `bound` is NaN.
+    /// Returns `value` clamped to ± `bound`; NaN if `value` is NaN, and no panic if `bound` is NaN.
     #[inline(always)]
     fn clamp_abs(value: Self::Real, bound: Self::Real) -> Self::Real {
         Self::min(Self::max(value, -bound), bound)
     }
 
-    /// `size` with the sign of `sign`.
+    /// Returns `size` with the sign of `sign`.
     fn copy_sign(size: Self::Real, sign: Self::Real) -> Self::Real;
 
-    /// Selects `then` if `a < b`, else `otherwise`, per lane.
+    /// Selects per lane: returns `then` if `a < b`, else `otherwise`.
     fn select_lt(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
 
     /// Returns true if `a < b` in any lane.
     fn any_lt(a: Self::Real, b: Self::Real) -> bool;
 
-    /// Two to the power of the integer in the last bits of `sum`.
+    /// Returns two to the power of the integer in the last bits of `sum`, a number to which [`ROUND`] was added.
     fn exp2_int(sum: Self::Real) -> Self::Real;
 
-    /// Rotates `(s, c)` by as many quarter turns as the integer in the last bits of `turns`.
+    /// Rotates `(s, c)`, sine and cosine, by as many quarter turns as the integer in the last bits of `turns`, a number
+    /// to which [`ROUND`] was added.
     fn rotate_quadrant(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
 }
 
-/// Broadcast of one `R` to all joints or task axes; identity for `R` itself.
+/// Broadcast of one value of type `R` to all joints or task axes; the identity for `R` itself.
 pub(crate) trait Broadcast<R>: RealOps {
     /// Copies the value to all elements.
     fn broadcast(value: R) -> Self::Real;
 }
 
-/// SIMD vector in registers.
+/// A SIMD vector in registers.
 pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
-    /// Number of elements, at most [`LANES`].
+    /// Number of lanes, at most [`LANES`].
     const COUNT: usize;
 
-    /// Loads the first [`SimdVec::COUNT`] numbers.
+    /// Loads the first [`SimdVec::COUNT`] numbers of `values`.
     fn from_array(values: &[f64; LANES]) -> Self;
 
-    /// Loads all numbers of the slice, zeros after them.
+    /// Loads the first numbers of the slice, zeros in lanes after its end.
     fn load_partial(values: &[f64]) -> Self;
 
-    /// Stores into the first [`SimdVec::COUNT`] numbers.
+    /// Stores the lanes into the first [`SimdVec::COUNT`] entries of `values`.
     fn store_array(self, values: &mut [f64; LANES]);
 
-    /// Returns an array, zeros after the last element.
+    /// Returns the lanes as an array, zeros after the last lane.
     #[inline(always)]
     fn to_array(self) -> [f64; LANES] {
         let mut out = [0.0; LANES];
@@ -158,17 +159,18 @@ pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
     }
 }
 
-/// Register with one value of each of several configurations.
+/// A vector with one value of each of several configurations.
 pub(crate) trait SoaLanes: SimdVec + Broadcast<Self> {
-    /// Loads eight numbers of each configuration, from rows that begin `stride` apart; 0 for a row that is incomplete.
+    /// Loads eight numbers of each configuration from rows that begin `stride` apart; result i holds number i of every
+    /// row. A row that is incomplete counts as zeros.
     fn load_transposed(rows: &[f64], stride: usize) -> [Self; LANES];
 
-    /// Stores eight numbers of each configuration into rows that begin `stride` apart, the first row first; skips a row
-    /// that does not fit.
-    fn store_transposed(to_array: &[Self; LANES], rows: &mut [f64], stride: usize);
+    /// Stores eight numbers of each configuration into rows that begin `stride` apart, the first row first;
+    /// `columns[i]` holds number i of every row. A row that does not fit is skipped.
+    fn store_transposed(columns: &[Self; LANES], rows: &mut [f64], stride: usize);
 }
 
-/// Returns the eight numbers from index `at` on.
+/// Returns the eight numbers from index `at` on; zeros if there are fewer.
 #[inline(always)]
 fn chunk8(values: &[f64], at: usize) -> &[f64; LANES] {
     match values.get(at..) {
@@ -177,40 +179,43 @@ fn chunk8(values: &[f64], at: usize) -> &[f64; LANES] {
     }
 }
 
-/// Returns the eight numbers from index `at` on, for writing.
+/// Returns the eight numbers from index `at` on, for writing; `None` if there are fewer.
 #[inline(always)]
 fn chunk8_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
     values.get_mut(at..)?.first_chunk_mut()
 }
 
-/// Eight values of one configuration: one per joint or per task axis.
+/// A vector of eight values of one configuration: one per joint or per task axis.
 pub(crate) trait F64x8: SimdVec + Broadcast<f64> {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps<Real = f64> + Broadcast<f64>;
 
     /// 3-vector of the same instruction set.
     type Vec3: StoreVec3<Elem = Self::Elem>;
 
-    /// Returns the sum of each vector.
-    fn hsum4(to_array: [Self; 4]) -> [f64; 4];
+    /// Returns the sum of the lanes of each vector.
+    fn hsum4(vectors: [Self; 4]) -> [f64; 4];
 
-    /// Returns the dot product of each pair.
+    /// Returns the dot product of each pair of vectors.
     fn hdot4(a: [Self; 4], b: [Self; 4]) -> [f64; 4];
 
-    /// The three components of the vectors in the first [`LANES`] cells.
+    /// Returns the three components of the vectors in `cells`, one vector per lane.
     fn components(cells: &[PaddedVec3; LANES]) -> [Self; 3];
 }
 
-/// π/2 in three parts. The first two have 33 bits, so that their products with an integer below 2²⁰ are exact.
+/// π/2 as a sum of three parts. The first two have 33 bits, so that their products with an integer below 2²⁰ are exact.
 const HALF_PI: [f64; 3] = [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_795_950_6e-21];
 
-/// Adding and subtracting 1.5·2⁵² rounds to the nearest integer, whose last bits are then the last bits of the sum.
+/// 1.5·2⁵²: adding it rounds to the nearest integer, which then is in the last bits of the sum; subtracting it again
+/// returns that integer.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
-/// Sine and cosine of `angle` [rad] to 2.3e-16 for |angle| up to [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND).
+/// Returns sine and cosine of `angle` [rad], with an error of at most 2.3e-16 for |angle| up to
+/// [`COORDINATE_BOUND`](crate::pose::COORDINATE_BOUND).
 ///
-/// Without branches, tables and calls, so that a loop over joints can be vectorized; identical on every system.
-/// Reduction to |r| ≤ π/4 after Cody and Waite, then the Taylor series: the first omitted term is below 5e-17.
+/// It has no branches, tables or calls, so that a loop over joints can be vectorized, and gives identical results on
+/// every system. The angle is reduced to |r| ≤ π/4 after Cody and Waite; the first omitted term of the Taylor series is
+/// below 5e-17.
 #[inline(always)]
 pub(crate) fn sin_cos<A: RealOps>(angle: A::Real) -> (A::Real, A::Real) {
     let c = A::splat;
@@ -221,7 +226,7 @@ pub(crate) fn sin_cos<A: RealOps>(angle: A::Real) -> (A::Real, A::Real) {
     let r2 = r * r;
     let r4 = r2 * r2;
     let r8 = r4 * r4;
-    // Pairs of terms, so that the additions of one series run in parallel.
+    // Terms in pairs, so that the additions of one series run in parallel.
     let low = A::fma(r2, c(1.0 / 120.0), c(-1.0 / 6.0));
     let low = A::fma(r4, A::fma(r2, c(1.0 / 362_880.0), c(-1.0 / 5_040.0)), low);
     let high = A::fma(r2, c(1.0 / 6_227_020_800.0), c(-1.0 / 39_916_800.0));
@@ -239,7 +244,7 @@ pub(crate) fn sin_cos<A: RealOps>(angle: A::Real) -> (A::Real, A::Real) {
 mod tests {
     use super::*;
 
-    /// Sines and cosines of eight angles.
+    /// Kernel: sines and cosines of eight angles, by the scalar and by the vector type.
     struct Sines<'a>(&'a [f64; LANES]);
 
     impl Kernel for Sines<'_> {
@@ -253,7 +258,7 @@ mod tests {
         }
     }
 
-    /// Largest difference from the system's functions over a dense sequence with irrational step.
+    /// Returns the largest difference from the system's functions over a dense sequence of angles within ±`largest`.
     fn worst(simd_level: SimdLevel, largest: f64) -> f64 {
         let mut off: f64 = 0.0;
         for i in 0..20_000 {
@@ -294,7 +299,7 @@ mod tests {
         }
     }
 
-    /// Loads eight numbers of each configuration from rows of `stride`, and stores them again.
+    /// Kernel: loads eight numbers of each configuration from rows of the given stride, and stores them again.
     struct Turned<'a>(&'a [f64], usize);
 
     impl Kernel for Turned<'_> {

@@ -1,17 +1,17 @@
-//! Non-temporal stores: results written to memory past the caches.
+//! Non-temporal stores, which write results to memory without filling the caches.
 #![cfg_attr(target_arch = "x86_64", expect(unsafe_code, reason = "stores that bypass the caches have no safe form"))]
 
 use std::marker::PhantomData;
 
-/// Size of results [bytes] above which they are written past the caches: a cached store first reads the line that it
-/// overwrites, and evicts data that is used sooner.
+/// Size of results [bytes] at and above which they are written past the caches: a cached store first reads the line
+/// that it overwrites, and evicts data that is needed sooner.
 pub(crate) const NONTEMPORAL_MIN_BYTES: usize = 1 << 25;
 
-/// Copies with non-temporal stores; created by [`with_nontemporal`] only. `'a` is invariant: the destination stays borrowed
-/// for all of it.
+/// Writer with non-temporal stores; only [`with_nontemporal`] creates it. `'a` is invariant: the destination stays
+/// borrowed for all of it.
 pub(crate) struct NonTemporalWriter<'a>(PhantomData<fn(&'a ()) -> &'a ()>);
 
-/// On drop, orders the copies of a [`NonTemporalWriter`] before everything that follows.
+/// Guard that, when dropped, orders the copies of a [`NonTemporalWriter`] before all later stores.
 struct Fence;
 
 impl Drop for Fence {
@@ -27,10 +27,10 @@ impl Drop for Fence {
     }
 }
 
-/// Runs `work` with a stream if `wanted`, and fences before returning or unwinding.
+/// Runs `work` with a writer if `wanted`, else with `None`, and fences before returning or unwinding.
 ///
-/// The fence is in this function's frame: `work` gets a reference and cannot leak it past the fence. `'a` outlives this
-/// call, so other threads read the destination only after the fence.
+/// The fence is a local of this function: `work` gets only a reference to the writer, which cannot outlive the fence.
+/// `'a` outlives this call, so other threads read the destination only after the fence.
 #[inline(always)]
 pub(crate) fn with_nontemporal<'a, T>(wanted: bool, work: impl FnOnce(Option<&NonTemporalWriter<'a>>) -> T) -> T {
     if !wanted {
@@ -42,12 +42,12 @@ pub(crate) fn with_nontemporal<'a, T>(wanted: bool, work: impl FnOnce(Option<&No
 
 #[expect(clippy::unused_self, reason = "a stream is the proof that a fence follows")]
 impl<'a> NonTemporalWriter<'a> {
-    /// Copies whole cache lines with non-temporal stores.
+    /// Copies `from` to `to`, whole cache lines with non-temporal stores and the rest with ordinary ones.
     #[cfg(target_arch = "x86_64")]
     #[inline(always)]
     pub(crate) fn copy(&self, from: &[f64], to: &'a mut [f64]) {
         use std::arch::x86_64::{_mm_loadu_pd, _mm_stream_pd};
-        /// Numbers per cache line.
+        /// Number of `f64` per cache line.
         const LINE: usize = 8;
         assert!(from.len() == to.len(), "each number has its place");
         let before = to.as_ptr().align_offset(64).min(to.len());
@@ -65,7 +65,7 @@ impl<'a> NonTemporalWriter<'a> {
         last.copy_from_slice(rest);
     }
 
-    /// Copies with ordinary stores on other architectures.
+    /// Copies `from` to `to` with ordinary stores, on architectures other than x86-64.
     #[cfg(not(target_arch = "x86_64"))]
     pub(crate) fn copy(&self, from: &[f64], to: &'a mut [f64]) {
         to.copy_from_slice(from);
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     thread_local! {
-        /// Fences of this thread.
+        /// Number of fences that this thread has executed.
         pub(super) static FENCES: Cell<usize> = const { Cell::new(0) };
     }
 

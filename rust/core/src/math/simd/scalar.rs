@@ -1,22 +1,23 @@
-//! Scalars of one configuration: `f64`, with and without fused multiply-add.
+//! Scalar operations on `f64`, with and without fused multiply-add.
 #![forbid(unsafe_code)]
 
 use super::{Broadcast, RealOps};
 
-/// `f64` with the baseline of the architecture: on aarch64 with fused multiply-add, elsewhere without.
+/// Operations on `f64` with the baseline instruction set of the architecture: with fused multiply-add on aarch64,
+/// elsewhere without.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BaselineF64;
 
-/// `f64` on x86-64 processors with fused multiply-add.
+/// Operations on `f64` with fused multiply-add, for x86-64 processors that have it.
 #[cfg(target_arch = "x86_64")]
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FmaF64;
 
-/// Swaps and negates sine and cosine for the quadrant in the last bits of `turns`.
+/// Swaps and negates sine and cosine for the quadrant in the last two bits of `turns`.
 #[inline(always)]
 pub(super) fn rotate_quadrant(turns: f64, sine: f64, cosine: f64) -> (f64, f64) {
     let quadrant = turns.to_bits();
-    // Odd quadrants swap the two; the sign bits follow from the quadrant.
+    // Odd quadrants swap sine and cosine; the signs follow from the quadrant.
     let swap = (quadrant & 1).wrapping_neg();
     let (s, c) = (sine.to_bits(), cosine.to_bits());
     let exchanged = (s ^ c) & swap;

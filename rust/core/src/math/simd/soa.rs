@@ -1,4 +1,4 @@
-//! Several configurations interleaved: one register per joint or per task axis.
+//! Vectors of several configurations: one register per joint or per task axis, one configuration per lane.
 #![forbid(unsafe_code)]
 #![expect(
     clippy::manual_memcpy,
@@ -10,12 +10,12 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use super::{Broadcast, JointVector, LANES, RealOps, SOA_MAX_JOINTS, SoaLanes, TaskVector};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// `N` values per configuration, one register each.
+/// `N` values of each of several configurations: one register per value, one configuration per lane.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SoaVec<W, const N: usize>([W; N]);
 
 impl<W: SoaLanes> SoaVec<W, SOA_MAX_JOINTS> {
-    /// Returns a number per joint, zeros in the padding.
+    /// Returns one register per joint, zeros in the padding.
     #[inline(always)]
     pub(crate) fn to_array(self) -> [W; LANES] {
         let mut out = [W::splat(0.0); LANES];
@@ -80,8 +80,8 @@ impl<W: SoaLanes> JointVector for SoaVec<W, SOA_MAX_JOINTS> {
     }
 
     #[inline(always)]
-    fn sum4(to_array: [Self; 4]) -> [W; 4] {
-        [to_array[0].sum(), to_array[1].sum(), to_array[2].sum(), to_array[3].sum()]
+    fn sum4(vectors: [Self; 4]) -> [W; 4] {
+        [vectors[0].sum(), vectors[1].sum(), vectors[2].sum(), vectors[3].sum()]
     }
 
     #[inline(always)]
@@ -138,7 +138,7 @@ impl<W: SoaLanes, const N: usize> Broadcast<W> for SoaVec<W, N> {
     }
 }
 
-/// Defines elementwise functions.
+/// Defines elementwise functions of [`RealOps`].
 macro_rules! by_column {
     ($($function:ident($first:ident $(, $argument:ident)*);)*) => {
         $(#[inline(always)]

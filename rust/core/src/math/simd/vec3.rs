@@ -1,51 +1,51 @@
-//! 3-vector: in one register for a single configuration, else component by component.
+//! 3-vectors: in one register for a single configuration, else one register per component.
 #![forbid(unsafe_code)]
 
 use super::{Number, RealOps};
 
-/// Memory of a [`Vec3Ops`] of one configuration; the last number is padding.
+/// A 3-vector of one configuration in memory; the last number is padding.
 pub(crate) type PaddedVec3 = [f64; 4];
 
-/// 3-vector operations.
+/// A 3-vector of one configuration or of several.
 pub(crate) trait Vec3Ops: Copy {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps;
 
-    /// Creates it from its components.
+    /// Creates the vector from its components.
     fn from_components(components: [Real<Self>; 3]) -> Self;
 
-    /// Returns its components.
+    /// Returns the three components.
     fn components(self) -> [Real<Self>; 3];
 
-    /// `f v`.
+    /// Returns `f v`.
     fn scaled(self, factor: Real<Self>) -> Self;
 
-    /// `v + f w`.
+    /// Returns `v + f w`.
     fn add_scaled(self, factor: Real<Self>, w: Self) -> Self;
 
-    /// `v − f w`.
+    /// Returns `v − f w`.
     fn sub_scaled(self, factor: Real<Self>, w: Self) -> Self;
 
-    /// Copies a vector to every configuration.
+    /// Broadcasts a constant vector to all configurations.
     #[inline(always)]
     fn constant(v: &[f64; 3]) -> Self {
         Self::from_components([Self::Elem::splat(v[0]), Self::Elem::splat(v[1]), Self::Elem::splat(v[2])])
     }
 }
 
-/// A [`Vec3Ops`] of one configuration that can be stored.
+/// A 3-vector of one configuration that can be stored to memory.
 pub(crate) trait StoreVec3: Vec3Ops<Elem: RealOps<Real = f64>> {
-    /// Stores to memory.
+    /// Stores the vector to memory.
     fn store(self, cell: &mut PaddedVec3);
 
-    /// Loads from memory.
+    /// Loads the vector from memory.
     fn load(cell: &PaddedVec3) -> Self;
 }
 
-/// Component type of a [`Vec3Ops`].
+/// Type of one component of the 3-vector `T`: one number per configuration.
 pub(crate) type Real<T> = <<T as Vec3Ops>::Elem as RealOps>::Real;
 
-/// Three separate components.
+/// A 3-vector as three separate numbers, each of one configuration or of several.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ScalarVec3<A: RealOps>([A::Real; 3]);
 
@@ -93,15 +93,15 @@ impl<A: RealOps<Real = f64>> StoreVec3 for ScalarVec3<A> {
     }
 }
 
-/// Registers of four numbers, the last of which is padding.
+/// A 3-vector of one configuration in registers of four numbers, the last of which is padding.
 pub(crate) trait Vec3Register: RealOps<Real = Self> + Number {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps<Real = f64>;
 
-    /// Loads from memory.
+    /// Loads the vector from memory.
     fn load_cell(cell: &PaddedVec3) -> Self;
 
-    /// Stores to memory.
+    /// Stores the vector to memory.
     fn store_cell(self, cell: &mut PaddedVec3);
 }
 

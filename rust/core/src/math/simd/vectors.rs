@@ -1,105 +1,106 @@
-//! Vectors with one number per joint of an arm, or one per task axis.
+//! Vector types with one number per joint of an arm, or one per task axis.
 #![forbid(unsafe_code)]
 
 use super::{Broadcast, F64x8, JointVec16, LANES, Number, PaddedVec3, RealOps, StoreVec3};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Scalar type of `L`: one value for all joints or axes.
+/// Scalar type of the joint vector `L`: one value for all joints, per configuration.
 pub(crate) type Scalar<L> = <<L as JointVector>::Elem as RealOps>::Real;
 
-/// Scalar type of `W`.
+/// Scalar type of the task vector `W`: one value for all axes, per configuration.
 pub(crate) type AxisScalar<W> = <<W as TaskVector>::Elem as RealOps>::Real;
 
-/// One number per joint of an arm, padding included; elementwise arithmetic.
+/// A vector of one number per joint of an arm, padding included; arithmetic is elementwise.
 ///
-/// For one configuration ([`SingleArmJoints`]) or for several ([`SoaVec`](super::Columns)).
+/// It holds one configuration ([`SingleArmJoints`]) or several ([`SoaVec`](super::SoaVec)).
 pub(crate) trait JointVector: RealOps<Real = Self> + Number + Broadcast<Scalar<Self>> {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps + Broadcast<Scalar<Self>>;
 
-    /// One number per task axis.
+    /// Task vector of the same instruction set.
     type Axes: TaskVector<Elem = Self::Elem>;
 
-    /// Elements computed together: all joints of one configuration, or one joint of several.
+    /// Elements that one operation computes: all joints of one configuration, or one joint of several.
     type Group: Broadcast<Scalar<Self>, Real: Number>;
 
-    /// Number of groups.
+    /// Number of groups that make up the vector.
     const GROUPS: usize;
 
-    /// Outlines whole formulas, as each operation is (code size): the type does not fit in registers and runs on the
-    /// baseline instruction set.
+    /// True to compile whole formulas as calls, for smaller code: for a type that does not fit in registers and runs on
+    /// the baseline instruction set.
     const OUTLINED: bool = false;
 
-    /// Group `i`.
+    /// Returns group `i`.
     fn group(&self, i: usize) -> <Self::Group as RealOps>::Real;
 
-    /// Sets group `i`.
+    /// Sets group `i` to `value`.
     fn set_group(&mut self, i: usize, value: <Self::Group as RealOps>::Real);
 
-    /// Loads values, the same for every configuration; elements that the type does not hold must be 0.
+    /// Loads one number per joint, broadcast to all configurations; numbers for which the type has no element must be
+    /// 0.
     fn load(values: &JointVec) -> Self;
 
-    /// Creates it from one number per joint; elements that the type does not hold must be 0.
+    /// Creates the vector from one scalar per joint; scalars for which the type has no element must be 0.
     fn from_joints(values: &[Scalar<Self>; MAX_JOINTS]) -> Self;
 
-    /// Returns one number per joint, zeros after the last.
+    /// Returns one scalar per joint, zeros after the last.
     fn to_joints(self) -> [Scalar<Self>; MAX_JOINTS];
 
-    /// Returns the largest number, at least 0.
+    /// Returns the largest element, at least 0.
     fn max_element(self) -> Scalar<Self>;
 
-    /// Returns the sum over the joints of each vector.
-    fn sum4(to_array: [Self; 4]) -> [Scalar<Self>; 4];
+    /// Returns the sum over the joints of each of four vectors.
+    fn sum4(vectors: [Self; 4]) -> [Scalar<Self>; 4];
 
-    /// Returns the dot product over the joints of each pair.
+    /// Returns the dot product over the joints of each of four pairs.
     fn dot4(a: [&Self; 4], b: [&Self; 4]) -> [Scalar<Self>; 4];
 
-    /// Returns true if any element is less than the other's.
+    /// Returns true if any element is less than the same element of `other`.
     #[inline(always)]
     fn is_any_lt(self, other: Self) -> bool {
         Self::any_lt(self, other)
     }
 
-    /// Returns the sum over the joints.
+    /// Returns the sum of the elements over the joints.
     #[inline(always)]
     fn sum(self) -> Scalar<Self> {
         Self::sum4([self; 4])[0]
     }
 }
 
-/// One number per task axis; elementwise arithmetic.
+/// A vector of one number per task axis; arithmetic is elementwise.
 pub(crate) trait TaskVector: RealOps<Real = Self> + Number + Broadcast<AxisScalar<Self>> {
-    /// Scalar of the same instruction set.
+    /// Scalar operations of the same instruction set.
     type Elem: RealOps + Broadcast<AxisScalar<Self>>;
 
-    /// Loads values, the same for every configuration.
+    /// Loads one number per axis, broadcast to all configurations.
     fn constant(values: &[f64; LANES]) -> Self;
 
-    /// Creates it from one number per axis.
+    /// Creates the vector from one scalar per axis.
     fn from_axes(values: &[AxisScalar<Self>; MAX_AXES]) -> Self;
 
-    /// Returns one number per axis.
+    /// Returns one scalar per axis.
     fn to_axes(self) -> [AxisScalar<Self>; MAX_AXES];
 }
 
-/// One number per joint of one configuration.
+/// A vector of one number per joint of one configuration.
 pub(crate) trait SingleArmJoints: JointVector<Elem: RealOps<Real = f64>, Axes: F64x8> {
     /// 3-vector of the same instruction set.
     type Vec3: StoreVec3<Elem = Self::Elem>;
 
-    /// Loads the numbers of an arm's joints, zeros in the padding.
+    /// Loads one number per joint of the arm, zeros in the padding.
     fn load_slice(values: &[f64]) -> Self;
 
-    /// Returns the three components of one vector per joint.
+    /// Returns the three components of 3-vectors in memory, one vector per joint.
     fn components(cells: &[PaddedVec3]) -> [Self; 3];
 
-    /// Returns the first numbers, zeros after the last joint.
+    /// Returns the first `N` numbers, zeros after the last joint.
     fn prefix<const N: usize>(self) -> [f64; N];
 
-    /// Stores to memory; elements that the type does not hold are unchanged.
+    /// Stores to memory; entries for which the type has no element are unchanged.
     fn store(self, values: &mut JointVec);
 
-    /// Converts to the type of code that is compiled once.
+    /// Converts to [`JointVec16`], for code that is compiled once.
     #[inline(always)]
     fn to_joint_vec16(self) -> JointVec16 {
         JointVec16::load(&self.to_joints())
@@ -166,7 +167,7 @@ impl<W: F64x8> JointVector for W {
     #[inline(always)]
     fn max_element(self) -> f64 {
         let mut n = self.to_array();
-        // By halves: a sequential sum would be one long dependency chain.
+        // By halves: a sequential maximum would be one long dependency chain.
         for half in [4, 2, 1] {
             for i in 0..half {
                 n[i] = Self::Elem::max(n[i], n[i + half]);
@@ -176,8 +177,8 @@ impl<W: F64x8> JointVector for W {
     }
 
     #[inline(always)]
-    fn sum4(to_array: [Self; 4]) -> [f64; 4] {
-        W::hsum4(to_array)
+    fn sum4(vectors: [Self; 4]) -> [f64; 4] {
+        W::hsum4(vectors)
     }
 
     #[inline(always)]

@@ -1,7 +1,7 @@
-//! Checks every link and joint, and writes the text that urdf-rs parses.
+//! Checks of every link and joint, and the reduced text that urdf-rs parses.
 //!
-//! urdf-rs takes an absent value for 0, drops words that are not numbers, accepts NaN, and refuses a robot for a flaw of
-//! a visual. It is therefore given links, joints, inertials and complete attributes only, see [`JOINT`] and
+//! urdf-rs reads an absent value as 0, drops words that are not numbers, accepts NaN, and refuses a robot for an error
+//! in a visual. It is therefore given only links, joints and inertials with complete attributes, see [`JOINT`] and
 //! [`INERTIAL`].
 
 use std::collections::HashMap;
@@ -14,32 +14,32 @@ use crate::error::{Position, Result};
 
 const JOINT_TYPES: [&str; 7] = ["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical"];
 
-/// Longest name [bytes].
+/// Maximum length of a name [bytes].
 const MAX_NAME: usize = 256;
 
-/// Value of an attribute.
+/// Kind of value that an attribute must have.
 #[derive(Clone, Copy)]
 enum Form {
     Name,
-    /// So many finite numbers.
+    /// This many finite numbers, separated by spaces.
     Numbers(usize),
-    /// A number, or an infinity.
+    /// One finite number or an infinity.
     Bound,
 }
 
-/// An attribute that is read.
+/// An attribute that is passed on to urdf-rs.
 struct Attribute {
     name: &'static str,
     form: Form,
-    /// Text that urdf-rs reads for an absent attribute; `None` if the attribute is required.
+    /// Text that is written for an absent attribute; `None` if the attribute is required.
     absent: Option<&'static str>,
 }
 
-/// A child element that is read.
+/// A child element that is passed on to urdf-rs.
 struct Part {
     name: &'static str,
     attributes: &'static [Attribute],
-    /// Message for a required part that is absent.
+    /// Message if the element is absent; `None` if it is optional.
     missing: Option<&'static str>,
 }
 
@@ -55,7 +55,8 @@ const fn part(name: &'static str, attributes: &'static [Attribute]) -> Part {
     Part { name, attributes, missing: None }
 }
 
-/// urdf-rs ignores the quaternion, because the text that it reads has no version; the reader reads it itself.
+/// Pose of a joint or inertial. urdf-rs ignores the quaternion, because the reduced text has no version; the reader
+/// reads it from the original text.
 const ORIGIN: Part = part(
     "origin",
     &[
@@ -65,7 +66,7 @@ const ORIGIN: Part = part(
     ],
 );
 
-/// Parts of a joint. Absent limits are written as infinite, absent damping and friction as NaN.
+/// Child elements of a joint. Absent limits are written as infinite, absent damping and friction as NaN.
 const JOINT: [Part; 7] = [
     ORIGIN,
     Part { missing: Some("<parent link=\"...\"/> is missing"), ..part("parent", &[required("link", Form::Name)]) },
@@ -91,6 +92,7 @@ const JOINT: [Part; 7] = [
     part("dynamics", &[optional("damping", Form::Numbers(1), "nan"), optional("friction", Form::Numbers(1), "nan")]),
 ];
 
+/// Child elements of an inertial.
 const INERTIAL: [Part; 3] = [
     ORIGIN,
     Part {
@@ -116,14 +118,17 @@ const INERTIAL: [Part; 3] = [
     },
 ];
 
-/// Links and joints that passed, for the positions of later errors, and the text for urdf-rs.
+/// Links and joints that passed the checks, and the reduced text for urdf-rs.
 pub(in crate::model) struct Checked<'n, 'i> {
+    /// Elements of the links, for the positions of later errors.
     pub(in crate::model) links: Vec<Node<'n, 'i>>,
+    /// Elements of the joints, for the positions of later errors.
     pub(in crate::model) joints: Vec<Node<'n, 'i>>,
+    /// URDF text with the checked elements only.
     pub(super) text: String,
 }
 
-/// Checks the elements of a document.
+/// Checks all links and joints of a document and writes the reduced text.
 pub(in crate::model) fn check<'n, 'i>(source: &Source, document: &'n Document<'i>) -> Result<Checked<'n, 'i>> {
     let root = document.root_element();
     let mut text = format!("<robot name=\"{}\">", escaped(root.attribute("name").unwrap_or_default()));
@@ -149,7 +154,7 @@ pub(in crate::model) fn check<'n, 'i>(source: &Source, document: &'n Document<'i
     Ok(Checked { links, joints, text })
 }
 
-/// Child element of this name, in the parent's namespace.
+/// Returns the first child element of this name, in the parent's namespace.
 pub(super) fn child<'n, 'i>(parent: Node<'n, 'i>, name: &str) -> Option<Node<'n, 'i>> {
     parent.children().find(|node| is(*node, name))
 }
@@ -178,7 +183,7 @@ fn escaped(name: &str) -> String {
 }
 
 impl Source<'_> {
-    /// Checks and writes a link or joint.
+    /// Checks a link or joint and appends it to the reduced text.
     fn element(&self, node: Node, what: &str, text: &mut String) -> Result<()> {
         let name = match self.name_of(node, "name")? {
             Some(name) if is_xacro(name) => return Err(self.error_at(node, xacro(&format!("the name '{name}'")))),
@@ -212,7 +217,7 @@ impl Source<'_> {
             let node = self.only_child(parent, part.name, owner)?;
             match (node, part.missing) {
                 (None, Some(missing)) => return Err(self.error_at(parent, format!("{owner}: {missing}"))),
-                // A part with required attributes is absent as a whole.
+                // An optional element with required attributes is left out as a whole.
                 (None, None) if part.attributes.iter().any(|attribute| attribute.absent.is_none()) => continue,
                 _ => {}
             }
@@ -233,7 +238,7 @@ impl Source<'_> {
         Ok(())
     }
 
-    /// Child element of this name; at most one is allowed.
+    /// Returns the child element of this name; `None` if absent, an error if there is a second one.
     fn only_child<'n, 'i>(&self, parent: Node<'n, 'i>, name: &str, owner: &str) -> Result<Option<Node<'n, 'i>>> {
         let mut found = parent.children().filter(|node| is(*node, name));
         let first = found.next();
@@ -243,7 +248,7 @@ impl Source<'_> {
         }
     }
 
-    /// Checked text of an attribute; `None` if absent.
+    /// Returns the text of an attribute after checking it; `None` if absent.
     fn value<'n>(&self, node: Node<'n, '_>, attribute: &Attribute, owner: &str) -> Result<Option<&'n str>> {
         let value = node.attribute(attribute.name);
         match attribute.form {
@@ -255,7 +260,7 @@ impl Source<'_> {
         Ok(value)
     }
 
-    /// Returns a name, after limiting its length: names appear in messages.
+    /// Returns the name in an attribute; an error if it is too long for a message.
     fn name_of<'n>(&self, node: Node<'n, '_>, attribute: &str) -> Result<Option<&'n str>> {
         let name = node.attribute(attribute);
         if let Some(name) = name.filter(|name| name.len() > MAX_NAME) {
@@ -265,7 +270,7 @@ impl Source<'_> {
         Ok(name)
     }
 
-    /// Requires exactly `expected` finite numbers, unless the attribute is absent.
+    /// Returns an error unless the attribute has exactly `expected` finite numbers or is absent.
     fn finite_numbers(&self, node: Node, attribute: &str, owner: &str, expected: usize) -> Result<()> {
         let Some(value) = node.attribute(attribute) else { return Ok(()) };
         let count = value.split_whitespace().count();

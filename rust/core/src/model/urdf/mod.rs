@@ -1,4 +1,4 @@
-//! URDF text → links and joints: our guard checks the text, urdf-rs parses it, the reader converts its types.
+//! Reading of URDF text: the guard checks it, urdf-rs parses it, the reader converts links and joints.
 
 pub(super) mod guard;
 pub(super) mod reader;

@@ -1,4 +1,4 @@
-//! Types of urdf-rs → ours, with the checks of their values.
+//! Conversion of urdf-rs' links and joints to those of this crate, with checks of their values.
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion};
 use roxmltree::Node;
@@ -10,13 +10,14 @@ use crate::error::{Position, Result};
 use crate::model::parts::{Inertial, Joint, JointKind};
 use crate::pose::{COORDINATE_BOUND, Pose};
 
-/// Parses a checked text. Its errors carry no place and no name, and their formatting is 17 kB of code.
+/// Parses a checked text. Errors of urdf-rs are not passed on: they name neither place nor element, and formatting them
+/// takes 17 kB of code.
 pub(in crate::model) fn parse(source: &Source, checked: &Checked) -> Result<urdf_rs::Robot> {
     urdf_rs::read_from_string(&checked.text)
         .map_err(|_| source.error(Position(None), "urdf-rs cannot parse the links and joints; report this file"))
 }
 
-/// Converts the inertial of a link; `None` if the file has none, which urdf-rs does not tell from mass 0.
+/// Converts the inertial of a link; `None` if the file has none, which urdf-rs reports as mass 0.
 pub(in crate::model) fn inertial(source: &Source, node: Node, link: &urdf_rs::Link) -> Result<Option<Inertial>> {
     let Some(node) = child(node, "inertial") else { return Ok(None) };
     let owner = format!("link '{}'", link.name);
@@ -39,7 +40,7 @@ pub(in crate::model) fn inertial(source: &Source, node: Node, link: &urdf_rs::Li
     }))
 }
 
-/// Converts a joint between the links of these indices; its mimic is resolved later.
+/// Converts a joint between the links of these indices; its mimic parameters are resolved later.
 pub(in crate::model) fn joint(
     source: &Source,
     node: Node,
@@ -58,7 +59,7 @@ pub(in crate::model) fn joint(
     };
     let limit = &joint.limit;
     let position = |value: f64| Some(value).filter(|value| value.is_finite() && kind != JointKind::Continuous);
-    // 0, negative and infinite values all mean that the limit was not filled in.
+    // Values that are 0, negative or infinite mean that the limit was not filled in.
     let positive = |value: f64| Some(value).filter(|&value| value > 0.0 && value.is_finite());
     let (lower, upper) = (position(limit.lower), position(limit.upper));
     if let (Some(lower), Some(upper)) = (lower, upper)
@@ -96,7 +97,7 @@ pub(in crate::model) fn joint(
     })
 }
 
-/// Unit axis in the joint's frame.
+/// Returns the unit axis in the joint's frame; an error if `xyz` is nearly zero.
 fn axis(source: &Source, joint: Node, xyz: [f64; 3], owner: &str) -> Result<[f64; 3]> {
     let length = xyz[0].hypot(xyz[1]).hypot(xyz[2]);
     if !(1e-6..=COORDINATE_BOUND).contains(&length) {
@@ -106,7 +107,7 @@ fn axis(source: &Source, joint: Node, xyz: [f64; 3], owner: &str) -> Result<[f64
     Ok(xyz.map(|x| x / length))
 }
 
-/// Pose of an `<origin>`; the identity if absent.
+/// Returns the pose of an `<origin>`; the identity if absent.
 fn pose(source: &Source, origin: Option<Node>, pose: &urdf_rs::Pose, owner: &str) -> Result<Pose> {
     let Some(origin) = origin else { return Ok(Pose::IDENTITY) };
     let position = *pose.xyz;
@@ -122,9 +123,9 @@ fn pose(source: &Source, origin: Option<Node>, pose: &urdf_rs::Pose, owner: &str
     Ok(Pose { rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation[(i, j)])), position })
 }
 
-/// Unit quaternion x y z w of an `<origin>`, if given.
+/// Returns the unit quaternion x y z w of an `<origin>`; `None` if not given.
 ///
-/// Read here: urdf-rs converts it to roll, pitch and yaw, with errors up to 4.5 mrad near a pitch of ±90°.
+/// Read here, because urdf-rs converts it to roll, pitch and yaw with errors of up to 4.5 mrad near a pitch of ±90°.
 fn quaternion(source: &Source, origin: Node, owner: &str) -> Result<Option<[f64; 4]>> {
     let Some(text) = origin.attribute("quat_xyzw") else { return Ok(None) };
     if !quaternions_allowed(origin) {
@@ -149,7 +150,8 @@ fn quaternion(source: &Source, origin: Node, owner: &str) -> Result<Option<[f64;
     Ok(Some(entries.map(|x| x / norm)))
 }
 
-/// URDF 1.1 added `quat_xyzw`; a file without a version, or with version "1", is 1.0.
+/// Returns true if the file's URDF version is 1.1 or later, which added `quat_xyzw`; a file without a version, or with
+/// version "1", is 1.0.
 fn quaternions_allowed(node: Node) -> bool {
     let version = node.document().root_element().attribute("version").and_then(|v| v.trim().split_once('.'));
     let number = version.and_then(|(major, minor)| Some((major.parse::<u32>().ok()?, minor.parse::<u32>().ok()?)));

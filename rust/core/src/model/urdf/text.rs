@@ -1,4 +1,4 @@
-//! XML layer: size, depth, entities and root of a text, and its lines and columns.
+//! XML of a URDF text: checks of size, depth, entities and root element; line and column of an offset.
 
 use std::cell::Cell;
 
@@ -6,10 +6,10 @@ use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::error::{Error, Position, Result};
 
-/// Largest text [bytes]. Real robots stay below 1 MB.
+/// Largest size of a text [bytes]. Real robots stay below 1 MB.
 pub(in crate::model) const MAX_BYTES: usize = 16 << 20;
 
-/// Maximum nesting depth. Real robots stay below 10; urdf-rs recurses, and thousands of levels would overflow its stack,
+/// Maximum nesting depth. Real robots stay below 10. urdf-rs recurses: thousands of levels would overflow the stack,
 /// which aborts the process.
 const MAX_DEPTH: usize = 64;
 
@@ -17,18 +17,21 @@ const MAX_DEPTH: usize = 64;
 /// others.
 const MAX_ATTRIBUTES: usize = 64;
 
-/// Maximum numbers of XML nodes and of links: both bound the time for a hostile text to about a second.
+/// Maximum number of XML nodes: bounds the time for a hostile text to about a second.
 const MAX_NODES: u32 = 2_000_000;
+/// Maximum number of links and of joints: bounds the time for a hostile text to about a second.
 pub(super) const MAX_LINKS: usize = 10_000;
 
-/// A text with its name, for messages with line and column.
+/// A URDF text with its name, for messages with line and column.
 #[derive(Debug)]
 pub(in crate::model) struct Source<'a> {
+    /// Name of the file, or `<string>`.
     name: &'a str,
     text: &'a str,
+    /// Byte offset at which each line starts.
     line_starts: Vec<usize>,
-    /// Last offset requested, with its line's start and its column: in a single-line file the next count continues from
-    /// there.
+    /// Last offset requested, the start of its line and its column. In a file of one line the next count continues
+    /// there instead of at the start.
     last: Cell<(usize, usize, usize)>,
 }
 
@@ -42,7 +45,7 @@ impl<'a> Source<'a> {
         self.name
     }
 
-    /// Returns line and column of a byte; the column counts characters.
+    /// Returns line and column, from 1, of a byte offset; the column counts characters.
     pub(in crate::model) fn at(&self, offset: usize) -> Position {
         let line = self.line_starts.partition_point(|&start| start <= offset);
         let start = self.line_starts.get(line.wrapping_sub(1)).copied().unwrap_or(0);
@@ -60,12 +63,13 @@ impl<'a> Source<'a> {
         Error::Urdf { source_name: self.name.to_owned(), at, message: message.into() }
     }
 
-    /// Creates an error at the start of an element.
+    /// Creates an error at the position of an element.
     pub(in crate::model) fn error_at(&self, node: Node, message: impl Into<String>) -> Error {
         self.error(self.at(node.range().start), message)
     }
 
-    /// Parses a text after checking its size and depth, that it is not xacro, and that its root is a robot.
+    /// Parses the text. Refuses texts that are too large or too deep, unexpanded xacro, and a root element other than
+    /// `<robot>`.
     pub(in crate::model) fn parse(&self) -> Result<Document<'a>> {
         if self.text.len() > MAX_BYTES {
             let message = format!("{} bytes of text, at most {MAX_BYTES}", self.text.len());
@@ -116,7 +120,8 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// Counts `="` and `='` between one `<` and the next, an upper bound on the attributes of that element.
+    /// Refuses elements with too many attributes. Counts `="` and `='` between one `<` and the next, an upper bound on
+    /// the attributes of that element.
     fn refuse_wide(&self) -> Result<()> {
         let (mut tag, mut attributes, mut equals) = (0, 0, false);
         for (offset, byte) in self.text.bytes().enumerate() {
@@ -138,7 +143,7 @@ impl<'a> Source<'a> {
     }
 
     fn refuse_deep(&self, document: &Document) -> Result<()> {
-        // In the order of the text, so no node before the first one too deep has more ancestors to count.
+        // In document order: nodes before the first one that is too deep have few ancestors, so the search is fast.
         let is_deep = |node: &Node| node.is_element() && node.ancestors().nth(MAX_DEPTH + 1).is_some();
         match document.descendants().find(is_deep) {
             Some(node) => Err(self.error_at(node, format!("elements nested deeper than {MAX_DEPTH} levels"))),
@@ -167,17 +172,17 @@ impl<'a> Source<'a> {
     }
 }
 
-/// Message for an xacro file, with the command that converts it.
+/// Returns the message for an unexpanded xacro file, with the command that expands it.
 pub(super) fn xacro(what: &str) -> String {
     format!("{what} shows that xacro was not run; expand the file first: xacro robot.urdf.xacro > robot.urdf")
 }
 
-/// Returns true for a text that xacro would replace.
+/// Returns true if a value contains an expression that xacro would replace.
 pub(super) fn is_xacro(value: &str) -> bool {
     value.contains("${") || value.contains("$(")
 }
 
-/// Truncates a text, so that a message stays readable.
+/// Returns a text, truncated to `most` characters so that a message stays readable.
 pub(super) fn shortened(value: &str, most: usize) -> String {
     if value.chars().count() <= most { value.to_owned() } else { value.chars().take(most).chain(['…']).collect() }
 }

@@ -1,4 +1,4 @@
-//! Registers of four numbers, with fused multiply-add.
+//! Vector types in registers of four numbers, for processors with AVX2 and fused multiply-add.
 
 // SAFETY of every `unsafe` below: see the module above.
 
@@ -17,15 +17,15 @@ use super::{hsum_of_four as sum4, transpose_4x4};
 use crate::math::simd::vec3::Vec3Register;
 use crate::math::simd::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
-to_array! {
-    /// Eight numbers in two registers, with fused multiply-add.
+simd_type! {
+    /// A vector of eight numbers in two registers, with fused multiply-add.
     Avx2x8, 8 in registers of 4: 0 1
 }
 
 f64x8! { Avx2x8 beside FmaF64 and Avx2x4 }
 
-to_array! {
-    /// Four numbers in one register, with fused multiply-add.
+simd_type! {
+    /// A vector of four numbers in one register, with fused multiply-add.
     Avx2x4, 4 in registers of 4: 0
 }
 
@@ -33,12 +33,12 @@ soa_lanes! { Avx2x4, each row an Avx2x8: 0 1 2 3 }
 
 vec3_register! { Avx2x4 beside FmaF64, registers of 4: 0 }
 
-/// Loads the first of `count` numbers, zeros after the last.
+/// Loads up to four of `count` numbers, zeros in lanes after the last.
 #[inline(always)]
-unsafe fn first_of(to_array: *const f64, count: usize) -> Register {
+unsafe fn first_of(values: *const f64, count: usize) -> Register {
     const MASKS: [i64; 8] = [-1, -1, -1, -1, 0, 0, 0, 0];
-    // SAFETY: as above; `to_array` has `count`, and the mask is set for no more.
-    unsafe { _mm256_maskload_pd(to_array, _mm256_loadu_si256(MASKS.as_ptr().add(4 - count.min(4)).cast())) }
+    // SAFETY: as above; `values` points to `count` numbers, and the mask is set for no more.
+    unsafe { _mm256_maskload_pd(values, _mm256_loadu_si256(MASKS.as_ptr().add(4 - count.min(4)).cast())) }
 }
 
 #[inline(always)]
@@ -85,7 +85,7 @@ fn reduce_halves(n: [Register; 2]) -> Register {
     unsafe { add(n[0], n[1]) }
 }
 
-/// Products with the upper half added to the lower.
+/// Returns the products of the two vectors, the upper half added to the lower.
 #[inline(always)]
 fn dot_halves(a: [Register; 2], b: [Register; 2]) -> Register {
     // SAFETY: as above.
@@ -105,7 +105,7 @@ fn transposed_back([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Reg
     [a, b, c, d, e, f, g, h]
 }
 
-/// Returns the components of the four vectors from `first` on.
+/// Returns the three components of the four vectors from index `first` on.
 #[inline(always)]
 fn components_of_four(cells: &[PaddedVec3; LANES], first: usize) -> [Register; 3] {
     // SAFETY: as above; a cell has four.

@@ -1,4 +1,4 @@
-//! Registers of eight numbers, with masks.
+//! Vector type in registers of eight numbers with masks, for processors with AVX-512.
 
 // SAFETY of every `unsafe` below: see the module above.
 
@@ -16,20 +16,20 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::math::simd::{Broadcast, LANES, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
-to_array! {
-    /// Eight numbers in one register.
+simd_type! {
+    /// A vector of eight numbers in one register, with fused multiply-add.
     Avx512x8, 8 in registers of 8: 0
 }
 
 soa_lanes! { Avx512x8, each row an Avx512x8: 0 1 2 3 4 5 6 7 }
 
-/// Loads the first of `count` numbers, zeros after the last.
+/// Loads up to eight of `count` numbers, zeros in lanes after the last.
 #[inline(always)]
-unsafe fn first_of(to_array: *const f64, count: usize) -> Register {
-    // Separate case: a shift by the full width of the mask overflows.
+unsafe fn first_of(values: *const f64, count: usize) -> Register {
+    // Separate case for 0: a shift by the full width of the mask would overflow.
     let mask = if count == 0 { 0 } else { Mask::MAX >> (LANES - count.min(LANES)) };
-    // SAFETY: as above; `to_array` has `count`, and the mask is set for no more.
-    unsafe { _mm512_maskz_loadu_pd(mask, to_array) }
+    // SAFETY: as above; `values` points to `count` numbers, and the mask is set for no more.
+    unsafe { _mm512_maskz_loadu_pd(mask, values) }
 }
 
 #[inline(always)]
@@ -70,22 +70,22 @@ unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Registe
     }
 }
 
-/// Transposes an 8 × 8 block.
+/// Transposes an 8 × 8 matrix, one row per register.
 #[inline(always)]
-fn turned_eight(n: [Register; LANES]) -> [Register; LANES] {
+fn transpose_8x8(n: [Register; LANES]) -> [Register; LANES] {
     // SAFETY: as above.
     unsafe {
-        // First pairs (numbers 0, 2, 4, 6, or 1, 3, 5, 7), then quarters of these.
+        // First transpose pairs of numbers (even and odd columns), then quarters of registers.
         let even = [low(n[0], n[1]), low(n[2], n[3]), low(n[4], n[5]), low(n[6], n[7])];
         let odd = [high(n[0], n[1]), high(n[2], n[3]), high(n[4], n[5]), high(n[6], n[7])];
-        let ([a, c, e, g], [b, d, f, h]) = (quarters(even), quarters(odd));
+        let ([a, c, e, g], [b, d, f, h]) = (transpose_quarters(even), transpose_quarters(odd));
         [a, b, c, d, e, f, g, h]
     }
 }
 
-/// Transposes a 4 × 4 block of quarters.
+/// Transposes a 4 × 4 matrix whose entries are quarters of a register, two numbers each.
 #[inline(always)]
-unsafe fn quarters(n: [Register; 4]) -> [Register; 4] {
+unsafe fn transpose_quarters(n: [Register; 4]) -> [Register; 4] {
     // SAFETY: as above.
     unsafe {
         let (a, b) = (shuffle::<0x88>(n[0], n[1]), shuffle::<0xdd>(n[0], n[1]));
@@ -96,11 +96,11 @@ unsafe fn quarters(n: [Register; 4]) -> [Register; 4] {
 
 #[inline(always)]
 fn transposed(n: [Register; LANES]) -> [[Register; 1]; LANES] {
-    let n = turned_eight(n);
+    let n = transpose_8x8(n);
     [[n[0]], [n[1]], [n[2]], [n[3]], [n[4]], [n[5]], [n[6]], [n[7]]]
 }
 
 #[inline(always)]
 fn transposed_back([[a], [b], [c], [d], [e], [f], [g], [h]]: [[Register; 1]; LANES]) -> [Register; LANES] {
-    turned_eight([a, b, c, d, e, f, g, h])
+    transpose_8x8([a, b, c, d, e, f, g, h])
 }

@@ -1,4 +1,4 @@
-//! Eight numbers in the vector registers of x86-64: four of two, two of four or one of eight.
+//! Vector types of x86-64: in registers of two, four or eight numbers.
 #![expect(unsafe_code, reason = "vector instructions; they are entered only through `SimdLevel::dispatch`")]
 
 use std::arch::x86_64::__m256d;
@@ -6,14 +6,14 @@ use std::arch::x86_64::__m256d;
 // SAFETY of every `unsafe` below: values of these types are created only in code entered through `SimdLevel::dispatch`,
 // that is on a processor with the instructions; memory is accessed only through references of the right size.
 
-/// Defines a SIMD type over registers, from the instructions that the enclosing module imports under common names.
-macro_rules! to_array {
+/// Defines a vector type over registers, from the instructions that the calling module imports under common names.
+macro_rules! simd_type {
     ($(#[$doc:meta])* $name:ident, $count:literal in registers of $width:literal: $($i:literal)*) => {
         $(#[$doc])*
         #[derive(Debug, Clone, Copy)]
         pub(crate) struct $name([Register; $count / $width]);
 
-        to_array!(@operators $name ($($i)*) Add add, Sub sub, Mul mul, Div div);
+        simd_type!(@operators $name ($($i)*) Add add, Sub sub, Mul mul, Div div);
 
         impl Neg for $name {
             type Output = Self;
@@ -130,7 +130,7 @@ macro_rules! to_array {
         }
     };
     (@operators $name:ident $indices:tt $($trait:ident $method:ident),*) => {
-        $(to_array!(@operator $name $indices $trait $method);)*
+        $(simd_type!(@operator $name $indices $trait $method);)*
     };
     (@operator $name:ident ($($i:literal)*) $trait:ident $method:ident) => {
         impl $trait for $name {
@@ -145,7 +145,7 @@ macro_rules! to_array {
     };
 }
 
-/// Eight numbers of one configuration.
+/// Implements [`F64x8`] for a vector of eight numbers.
 macro_rules! f64x8 {
     ($name:ident beside $one:ident and $vec3_register:ident) => {
         impl F64x8 for $name {
@@ -183,7 +183,7 @@ macro_rules! f64x8 {
     };
 }
 
-/// Defines the registers of a 3-vector.
+/// Implements [`Vec3Register`] for a vector of four numbers.
 macro_rules! vec3_register {
     ($name:ident beside $one:ident, registers of $width:literal: $($i:literal)*) => {
         impl Vec3Register for $name {
@@ -204,7 +204,7 @@ macro_rules! vec3_register {
     };
 }
 
-/// Defines a register with one value of each of several configurations.
+/// Implements [`SoaLanes`] for a single register.
 macro_rules! soa_lanes {
     ($name:ident, each row an $row:ident: $($i:literal)*) => {
         impl SoaLanes for $name {
@@ -246,7 +246,7 @@ pub(super) mod avx2;
 pub(super) mod avx512;
 pub(super) mod sse2;
 
-/// Returns the sum of each of four registers.
+/// Returns the sum of the lanes of each of four registers.
 #[inline(always)]
 fn hsum_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
     use std::arch::x86_64::{_mm256_add_pd, _mm256_hadd_pd, _mm256_permute2f128_pd, _mm256_storeu_pd};
@@ -260,7 +260,7 @@ fn hsum_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
     out
 }
 
-/// Transposes a 4 × 4 block.
+/// Transposes a 4 × 4 matrix, one row per register.
 #[inline(always)]
 fn transpose_4x4(r: [__m256d; 4]) -> [__m256d; 4] {
     use std::arch::x86_64::{_mm256_permute2f128_pd, _mm256_unpackhi_pd, _mm256_unpacklo_pd};

@@ -1,4 +1,4 @@
-//! Registers of two numbers, available on every x86-64 processor.
+//! Vector types in registers of two numbers, for every x86-64 processor.
 
 // SAFETY of every `unsafe` below: see the module above.
 
@@ -15,36 +15,36 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use crate::math::simd::vec3::Vec3Register;
 use crate::math::simd::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
-to_array! {
-    /// Eight numbers in four registers; there is no fused multiply-add.
+simd_type! {
+    /// A vector of eight numbers in four registers, without fused multiply-add.
     Sse2x8, 8 in registers of 2: 0 1 2 3
 }
 
 f64x8! { Sse2x8 beside BaselineF64 and Sse2x4 }
 
-to_array! {
-    /// Two numbers in one register; there is no fused multiply-add.
+simd_type! {
+    /// A vector of two numbers in one register, without fused multiply-add.
     Sse2x2, 2 in registers of 2: 0
 }
 
 soa_lanes! { Sse2x2, each row an Sse2x8: 0 1 }
 
-to_array! {
-    /// Four numbers in two registers; there is no fused multiply-add.
+simd_type! {
+    /// A vector of four numbers in two registers, without fused multiply-add.
     Sse2x4, 4 in registers of 2: 0 1
 }
 
 vec3_register! { Sse2x4 beside BaselineF64, registers of 2: 0 1 }
 
-/// Loads the first of `count` numbers, zeros after the last.
+/// Loads up to two of `count` numbers, zeros in lanes after the last.
 #[inline(always)]
-unsafe fn first_of(to_array: *const f64, count: usize) -> Register {
-    // SAFETY: as above; `to_array` has `count`, and no more are read.
+unsafe fn first_of(values: *const f64, count: usize) -> Register {
+    // SAFETY: as above; `values` points to `count` numbers, and no more are read.
     unsafe {
         match count {
             0 => set1(0.0),
-            1 => _mm_load_sd(to_array),
-            _ => loadu(to_array),
+            1 => _mm_load_sd(values),
+            _ => loadu(values),
         }
     }
 }
@@ -88,7 +88,7 @@ unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Registe
     unsafe {
         let quadrant = _mm_castpd_si128(turns);
         let one = _mm_set1_epi64x(1);
-        // 0 − 1 has all bits set.
+        // 0 − 1 has all bits set, as the mask requires; 0 − 0 has none.
         let odd = _mm_castsi128_pd(_mm_sub_epi64(_mm_set1_epi64x(0), _mm_and_si128(quadrant, one)));
         let top = _mm_set1_epi64x(i64::MIN);
         let sine_sign = _mm_and_si128(_mm_slli_epi64::<62>(quadrant), top);
@@ -103,7 +103,7 @@ fn reduce_halves(n: [Register; 4]) -> Register {
     unsafe { add(add(n[0], n[2]), add(n[1], n[3])) }
 }
 
-/// Products with the upper half added to the lower.
+/// Returns the products of the two vectors, the upper half added to the lower.
 #[inline(always)]
 fn dot_halves(a: [Register; 4], b: [Register; 4]) -> Register {
     // SAFETY: as above.

@@ -1,4 +1,4 @@
-//! Medians over the arm's joint space: scales for the defaults.
+//! Medians over the arm's joint space, from which default settings are scaled.
 
 use nalgebra::DMatrix;
 
@@ -12,25 +12,29 @@ use crate::model::Model;
 use crate::params::{Frame, ServoArrays};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Number of poses.
+/// Number of configurations that sample the joint space.
 const CONFIGURATIONS: u32 = 512;
 
-/// Number of poses for the time constants of the axes.
-const PERIOD_CONFIGURATIONS: usize = 64;
+/// Number of configurations for the time constants of the axes.
+const TIME_CONSTANT_CONFIGURATIONS: usize = 64;
 
-/// Results of a survey of one arm with one set of servos.
+/// Cached medians over the joint space of one arm with one set of servos.
 ///
-/// A survey takes milliseconds, longer than a step may. The controller caches it, so that a change of settings that
-/// needs the same results costs nothing.
+/// Computing them takes milliseconds, longer than a control step may take. The controller keeps them, so that a change
+/// of settings that needs the same medians costs nothing.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct WorkspaceStats {
+pub(crate) struct JointSpaceStats {
+    /// Axes, frame and length, and the median smallest singular value for them.
     sigma: Option<(Vec<usize>, Frame, f64, f64)>,
+    /// Usable torques [N·m], and the median static force [N] and torque [N·m] for them.
     capacity: Option<(JointVec, [f64; 2])>,
-    periods: Option<(Vec<usize>, Frame, [JointVec; 2], AxisVec)>,
+    /// Axes, frame and the servos' `kp` and `armature`, and the squared time constants [s²] for them.
+    time_constants: Option<(Vec<usize>, Frame, [JointVec; 2], AxisVec)>,
 }
 
-impl WorkspaceStats {
-    /// Returns [`median_sigma`], cached for these axes, frame and length.
+impl JointSpaceStats {
+    /// Returns the median smallest singular value of the task rows, see [`median_sigma`]; cached for these axes, frame
+    /// and length.
     pub(crate) fn median_sigma(&mut self, model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
         if let Some((of, within, unit, sigma)) = &self.sigma
             && of == axes
@@ -44,8 +48,9 @@ impl WorkspaceStats {
         sigma
     }
 
-    /// Returns [`squared_periods`], cached for these axes, frame and servos.
-    pub(crate) fn squared_periods(
+    /// Returns the median squared time constants [s²] of the task rows, see [`squared_time_constants`]; cached for
+    /// these axes, frame and servos.
+    pub(crate) fn squared_time_constants(
         &mut self,
         model: &Model,
         servos: &ServoArrays,
@@ -53,19 +58,20 @@ impl WorkspaceStats {
         frame: &Frame,
     ) -> AxisVec {
         let joints = [servos.kp, servos.armature];
-        if let Some((of, within, with, periods)) = &self.periods
+        if let Some((of, within, with, time_constants)) = &self.time_constants
             && of == axes
             && within == frame
             && with.map(|v| v.map(f64::to_bits)) == joints.map(|v| v.map(f64::to_bits))
         {
-            return *periods;
+            return *time_constants;
         }
-        let periods = squared_periods(model, servos, axes, frame);
-        self.periods = Some((axes.to_vec(), *frame, joints, periods));
-        periods
+        let time_constants = squared_time_constants(model, servos, axes, frame);
+        self.time_constants = Some((axes.to_vec(), *frame, joints, time_constants));
+        time_constants
     }
 
-    /// Returns [`static_capacity`] with the model's own payload and gravity, cached for these torques.
+    /// Returns the median static force [N] and torque [N·m] of the arm with the model's own payload and gravity, see
+    /// [`static_capacity`]; cached for these usable torques.
     pub(crate) fn static_capacity(&mut self, model: &Model, usable: &JointVec) -> [f64; 2] {
         if let Some((of, capacity)) = &self.capacity
             && of.map(f64::to_bits) == usable.map(f64::to_bits)
@@ -79,15 +85,16 @@ impl WorkspaceStats {
     }
 }
 
-/// Median over a few poses of `C_jj Λ_jj` [s²] of each task row, with `C = J K_p⁻¹ Jᵀ` and `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`:
-/// the squared time constant of the axis on the servos' springs. Zero if the masses are unknown.
-fn squared_periods(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame) -> AxisVec {
+/// Returns the median over a few configurations of `C_jj Λ_jj` [s²] for each task row, with `C = J K_p⁻¹ Jᵀ` and
+/// `Λ_jj = 1 / (J M⁻¹ Jᵀ)_jj`: the squared time constant of the axis on the servos' springs. 0 if the masses are
+/// unknown.
+fn squared_time_constants(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &Frame) -> AxisVec {
     let (n, chain) = (model.n(), model.chain());
     let masses = chain.masses(model.payload());
     let (mut frames, mut j_base) = (JointFrames::default(), [[0.0; MAX_JOINTS]; MAX_AXES]);
     let mut inertia: JointMatrix = [[0.0; MAX_JOINTS]; MAX_JOINTS];
     let mut samples: [Vec<f64>; MAX_AXES] = std::array::from_fn(|_| Vec::new());
-    for q in sample_configurations(model).take(PERIOD_CONFIGURATIONS) {
+    for q in sample_configurations(model).take(TIME_CONSTANT_CONFIGURATIONS) {
         chain.forward(&q, &mut frames);
         chain.jacobian(&frames, &mut j_base);
         chain.mass_matrix(&frames, &masses, &mut inertia);
@@ -106,15 +113,12 @@ fn squared_periods(model: &Model, servos: &ServoArrays, axes: &[usize], frame: &
     samples.map(|mut values| median(&mut values))
 }
 
-/// The first 512 Halton points inside the position limits (±π for continuous joints).
+/// Returns the first 512 Halton points inside the position limits (±π for continuous joints) [rad or m].
 pub(crate) fn sample_configurations(model: &Model) -> impl Iterator<Item = JointVec> + '_ {
     (1..=CONFIGURATIONS).map(|index| halton::joints(model.lower(), model.upper(), index))
 }
 
-/// Median over the poses of the smallest singular value of the task rows, with translations divided by `length`.
-///
-/// Uses base axes also for a task in the tool's axes: rows of a full translation or rotation differ by a rotation only,
-/// which does not change the singular values.
+/// Returns the median of the smallest singular value of the task rows, with translations divided by `length`.
 fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f64 {
     let n = model.n();
     median_over_rows(model, axes, frame, |rows| {
@@ -123,7 +127,7 @@ fn median_sigma(model: &Model, axes: &[usize], frame: &Frame, length: f64) -> f6
     })
 }
 
-/// Median over the poses of a function of the task rows.
+/// Returns the median of a function of the task rows over the sampled configurations.
 pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of: impl Fn(&Rows) -> f64) -> f64 {
     let mut frames = JointFrames::default();
     let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
@@ -137,8 +141,8 @@ pub(crate) fn median_over_rows(model: &Model, axes: &[usize], frame: &Frame, of:
     median(&mut values)
 }
 
-/// Median static capacity of the arm: the force [N] and the torque [N·m] that its joint torques can hold, over the
-/// poses, the three base axes and both signs: `min_i (usable_i + s_i g_i) / |J_ji|`.
+/// Returns the median force [N] and the median torque [N·m] that the joint torques can hold,
+/// `min_i (usable_i + s_i g_i) / |J_ji|`, over the sampled configurations, the base axes and both signs.
 fn static_capacity(model: &Model, usable: &JointVec, masses: &GroupMasses, gravity: [f64; 3]) -> [f64; 2] {
     let mut frames = JointFrames::default();
     let mut j_base: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
@@ -160,10 +164,12 @@ fn static_capacity(model: &Model, usable: &JointVec, masses: &GroupMasses, gravi
     [median(&mut forces), median(&mut moments)]
 }
 
-/// Refuses an arm that its servos cannot hold in any of the poses: a mass in grams, or wrong servo data.
+/// Returns an error for an arm that its servos cannot hold in any sampled configuration: a mass in grams, or wrong
+/// servo data.
 pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &GroupMasses, gravity: [f64; 3]) -> Result<()> {
     let (mut frames, mut holding) = (JointFrames::default(), [0.0; MAX_JOINTS]);
-    // Pose with the smallest maximum of torque / usable torque, and the joint with this maximum.
+    // Smallest maximum of |torque| / usable torque over the configurations, with the joint and the torque [N·m] of that
+    // maximum.
     let mut best = (f64::INFINITY, 0, 0.0);
     for q in sample_configurations(model) {
         model.chain().forward(&q, &mut frames);
@@ -195,6 +201,7 @@ pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &GroupMass
     ))
 }
 
+/// Returns the median of `values`, which it sorts; 0 if there are none.
 pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
