@@ -301,7 +301,7 @@ class Link:
 
     @property
     def parent_joint(self) -> int | None:
-        """Index of its parent joint in `Model.joints`; None for the root."""
+        """Index of the parent joint in `Model.joints`; None for the root."""
 
     @property
     def inertial(self) -> Inertial | None:
@@ -337,11 +337,11 @@ class Joint:
 
     @property
     def parent(self) -> int:
-        """Index of its parent link in `Model.links`."""
+        """Index of the parent link in `Model.links`."""
 
     @property
     def child(self) -> int:
-        """Index of its child link in `Model.links`."""
+        """Index of the child link in `Model.links`."""
 
     @property
     def origin(self) -> Pose:
@@ -1417,7 +1417,7 @@ class Settings:
 
     @classmethod
     def soft(cls, axes: str, /, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset in which the named axes yield both ways: default strengths, adaptation 0.9."""
+        """Preset in which the named axes yield both ways: default strengths, eta 0.9."""
 
     @classmethod
     def firm(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
@@ -1425,7 +1425,7 @@ class Settings:
 
     @classmethod
     def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for doors: y and yaw follow the handle (adaptation 0.999); null-space gain 1/s."""
+        """Preset for doors: y and yaw follow the handle (eta 0.999); null-space gain 1 [1/s]."""
 
     @classmethod
     def drawer(
@@ -1471,7 +1471,7 @@ class Settings:
 
     @classmethod
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for guiding by hand: all axes yield with adaptation 0.95; null-space gain 1/s."""
+        """Preset for guiding by hand: all axes yield (eta 0.95); null-space gain 1 [1/s]."""
 
     def raise_soft(
         self, model: Model, path: ArrayLike | None = None, *, servos: Servos | None = None
@@ -1630,44 +1630,47 @@ class AxisReport:
 
     @property
     def static_force(self) -> tuple[float, float]:
-        """Largest static push that the present limits hold; negative: cannot hold its weight."""
+        """Largest static push that the present torque limits hold [N, N m].
+
+        Negative if the arm cannot hold its own weight.
+        """
 
     @property
     def capacity(self) -> tuple[float, float]:
-        """Largest static push that the servos hold at full torque."""
+        """Largest static push that the servos hold at full torque [N, N m]."""
 
     @property
     def yields(self) -> tuple[bool, bool]:
-        """True for sides that yield."""
+        """True for sides that yield: pushed toward (-, +)."""
 
     @property
     def yield_force(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Force at which a side yields, without friction, at a small and at a large deviation.
+        """Force [N, N m] at which a side yields without friction, at a small and a large deviation.
 
         The deviations are `thresholds`, at most 0.15 m or 0.4 rad.
         """
 
     @property
     def thresholds(self) -> tuple[float, float]:
-        """Deviations between which the strength changes: d-/(1 - eta), d+/(1 - eta).
+        """Deviations between which the strength changes [m, rad]: d-/(1 - eta), d+/(1 - eta).
 
         d- is `Axis.soft_until`, d+ is `Axis.firm_from`, eta is `Axis.adaptation`.
         """
 
     @property
     def friction(self) -> float:
-        """Dry friction of the joints along the axis, which a push from rest must also overcome."""
+        """Dry friction along the axis [N, N m], which a push from rest must also overcome."""
 
     @property
     def friction_left(self) -> float:
-        """Friction along the axis in steady motion that the feed-forward does not compensate.
+        """Friction in steady motion that the feed-forward does not compensate [N, N m].
 
         The axis keeps moving only if its strength exceeds this friction.
         """
 
     @property
     def coupling(self) -> tuple[float, float]:
-        """Strength that would remain if the axis itself had none.
+        """Strength that would remain if the axis itself had none [N, N m].
 
         The other axes cause it: they raise the torque limits of the same joints.
         """
@@ -1678,15 +1681,15 @@ class AxisReport:
 
     @property
     def hold(self) -> float:
-        """Strength of sides that do not yield."""
+        """Strength of sides that do not yield [N, N m]."""
 
     @property
     def default_hold(self) -> float | None:
-        """Default of `hold` before `soft` or `firm` raised it; None if they did not."""
+        """Default of `hold` before `soft` or `firm` raised it [N, N m]; None if they did not."""
 
     @property
     def host_loss_force(self) -> tuple[float, float]:
-        """Largest force on a hand that pushes along the axis if the host is lost now.
+        """Largest force on a hand that pushes along the axis if the host is lost now [N, N m].
 
         Over 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s, from the arm's equilibrium, with gear
         friction and damping; inf if the arm cannot be moved so far, because it is stretched out or
@@ -1702,7 +1705,7 @@ class AxisReport:
 
     @property
     def path_friction(self) -> tuple[float, float]:
-        """Largest joint friction along the axis on the path of a push, up to the stop.
+        """Largest joint friction along the axis on the path of a push, up to the stop [N, N m].
 
         Many times `friction` if the path passes a singular pose.
         """
@@ -1713,11 +1716,11 @@ class AxisReport:
 
     @property
     def path_distance(self) -> tuple[float, float]:
-        """Displacement of the axis at the place of `path_friction`."""
+        """Displacement of the axis at the place of `path_friction` [m, rad]."""
 
     @property
     def deviation_limit(self) -> tuple[float, float]:
-        """Deviation beyond which the target waits or follows the tool; inf: no limit."""
+        """Deviation [m, rad] beyond which the target waits or follows the tool; inf: no limit."""
 
     @property
     def on_deviation_limit(self) -> Literal["yield", "wait"]:
@@ -2140,7 +2143,7 @@ class Diagnostics:
 
     @property
     def wrench(self) -> _Array:
-        """Wrench on the target (k,) [N, N m]; 0 under law paper."""
+        """Wrench that the arm exerts under the law (k,) [N, N m]; 0 under law paper."""
 
     @property
     def activation(self) -> _Array:
@@ -2171,7 +2174,7 @@ class Diagnostics:
 
     @property
     def gravity(self) -> _Array:
-        """Torques that hold the arm at rest (n,) [N m]."""
+        """Torques that hold the arm at rest at `q_predicted` (n,) [N m]."""
 
     @property
     def feed_forward(self) -> _Array:
@@ -2241,11 +2244,11 @@ class WrenchEstimate:
 
     @property
     def force(self) -> _Array:
-        """Force and torque (6,) along the axes of the task frame; 0 along axes not estimated."""
+        """Force and torque (6,) [N, N m] along the axes of the task frame; 0 if not estimated."""
 
     @property
     def uncertainty(self) -> _Array:
-        """Bound (6,) on the error of `force`, if the options describe the arm; inf: unknown."""
+        """Bound (6,) [N, N m] on the error of `force`, if the options hold; inf: unknown."""
 
     @property
     def force_base(self) -> _Array:
@@ -2577,8 +2580,8 @@ def adapt_target(
 ) -> _Array:
     """Compute the intermediate target of (12) as a pose (4, 4).
 
-    target + eta (actual - target) on the compliant axes, in the base. Rotations scale the
-    components of the rotation vector; angles are never blended.
+    target + eta (actual - target) on the compliant axes, in base axes. For rotations, eta scales
+    the components of the rotation vector.
 
     Args:
         actual: Actual pose of the tool.
@@ -2799,7 +2802,7 @@ class ThermalModel:
         """Temperature at which a torque limit reaches zero [deg C]."""
 
     def set_temperature(self, servo: int, temperature: float) -> None:
-        """Store the measured temperature of a servo [deg C]."""
+        """Store the measured temperature of a servo [deg C]; an index beyond N is ignored."""
 
     def update(self, torque: ArrayLike, dt: float) -> None:
         """Update the heat with torques (N,) [N m] exerted over dt [s]."""
