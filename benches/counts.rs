@@ -1,7 +1,7 @@
-//! The hot path stage by stage, for counting instructions: `counts STAGE` runs one of them, `counts --stages` names them.
+//! Stages of the control step for counting instructions: `counts STAGE` runs one stage, `counts --stages` lists them.
 //!
-//! `benches/counts.py` starts it under callgrind and counts what happens inside [`counted`] alone. Without a stage all of
-//! them run once, so that tests keep them in order.
+//! `benches/counts.py` runs it under callgrind and counts the instructions inside [`counted`] only. Without an argument
+//! every stage runs once, so that a test can check them.
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a bench that cannot be set up has nothing to say")]
 
 use std::hint::black_box;
@@ -18,13 +18,13 @@ mod setup;
 
 use setup::{STATES, arm, paper, servos, states};
 
-/// One way of using the hot path, over all states.
+/// One stage of the bench: runs it over all states.
 type Work = Box<dyn FnMut()>;
 
-/// Positions, and a target for each.
+/// Joint positions [rad], each with a target pose.
 type States = Vec<(Vec<f64>, Pose)>;
 
-/// States as `benches/tail.py` has them, that a step should not take longer for than for others.
+/// Returns the unusual states of `benches/tail.py`, in which a step should take no longer than in others.
 fn rare(model: &Model) -> Vec<(&'static str, States)> {
     let (low, high) = (model.lower(), model.upper());
     let at = |s: usize, i: usize| (std::f64::consts::TAU * s as f64 / STATES as f64 + 0.9 * i as f64).sin();
@@ -62,7 +62,7 @@ fn soft_y(law: Law) -> Settings {
     settings
 }
 
-/// Options that a step should take little longer for than without.
+/// Returns settings with options that should make a step only slightly slower.
 fn options(settings: &Settings, n: usize) -> Vec<(&'static str, Settings)> {
     let task = |axes: &str, frame| Task { frame, ..Task::parse(axes).expect("axes") };
     let weights = (1..=n).map(|i| 0.5 + 0.1 * i as f64).collect::<Vec<f64>>();
@@ -160,7 +160,7 @@ fn stages() -> Vec<(String, Work)> {
             steps.push((format!("step {law}, {option}"), settings, states.clone()));
         }
     }
-    // Without a gradient the shares of the null space are the lengths of its projector's rows.
+    // Without a gradient, the null-space column holds the row norms of the projector.
     let waiting = Settings { null_space: NullSpace { limit_avoidance: 0.0, ..paper().null_space }, ..paper() };
     steps.push(("step paper, as it started".into(), waiting, vec![states[0].clone(); STATES]));
     for (name, settings, at) in steps {
@@ -200,7 +200,7 @@ fn stages() -> Vec<(String, Work)> {
     stages
 }
 
-/// What callgrind counts: one round over all states. Its name is asked for by `benches/counts.py`.
+/// Runs one round over all states, which callgrind counts; `benches/counts.py` finds the function by its name.
 #[inline(never)]
 fn counted(work: &mut Work) {
     black_box(work)();

@@ -1,4 +1,4 @@
-//! Time of each stage of the kinematics, natively, on the bench arm; 64 states in turn, so that nothing is remembered.
+//! Time of each stage of the kinematics on the bench arm; 64 states in turn, so that no result can be reused.
 #![expect(clippy::expect_used, reason = "a bench without its robot cannot go on")]
 
 use std::hint::black_box;
@@ -14,7 +14,7 @@ fn arm() -> Model {
     Model::from_urdf_file(path, &ModelOptions::default()).expect("the bench arm is part of the repository")
 }
 
-/// States spread over the joint ranges by a golden-ratio sequence.
+/// Returns states spread over the joint ranges by a golden-ratio sequence.
 fn states(model: &Model) -> Vec<JointVec> {
     (0..STATES)
         .map(|i| {

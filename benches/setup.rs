@@ -1,4 +1,4 @@
-//! What the benches of the step share: the arm, its servos, states and the paper's settings.
+//! Shared by the benches of the control step: arm, servos, states and the paper's settings.
 #![expect(clippy::expect_used, reason = "a bench that cannot be set up has nothing to say")]
 
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use pliant_core::params::{Axis, CompliantSide, Damping, NullSpace, Projector, Tracking};
 use pliant_core::{Model, ModelOptions, Pose, Servos, Settings};
 
-/// States of one round.
+/// Number of states in one round.
 pub(crate) const STATES: usize = 64;
 
 pub(crate) fn arm() -> Arc<Model> {
@@ -26,7 +26,7 @@ pub(crate) fn servos() -> Servos {
     }
 }
 
-/// A closed path through the middle of the joint ranges, and targets a few centimetres off.
+/// Returns a closed path through the middle of the joint ranges, and targets a few centimetres from it.
 pub(crate) fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
     let at = |s: usize, phase: f64| -> Vec<f64> {
         let turn = std::f64::consts::TAU * s as f64 / STATES as f64;
@@ -41,7 +41,7 @@ pub(crate) fn states(model: &Model) -> Vec<(Vec<f64>, Pose)> {
     (0..STATES).map(|s| (at(s, 0.0), pose(&at(s, 0.05)))).collect()
 }
 
-/// Law `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits.
+/// Returns settings of law `paper`: fixed λ, printed projector, posture and limit cost, no gravity, no step limits.
 pub(crate) fn paper() -> Settings {
     let endless = Axis { max_velocity: Some(f64::INFINITY), soft_step_limit: Some(f64::INFINITY), ..Axis::default() };
     let mut settings = Settings {

@@ -118,7 +118,7 @@ class FrameNotFoundError(PliantError, LookupError):
 
     Attributes:
         frame: Requested name.
-        available: Existing names.
+        available: Names of the existing links.
     """
 
     frame: str | None
@@ -142,7 +142,7 @@ class ShapeError(PliantError, ValueError):
 
     Attributes:
         what: Name of the argument.
-        got: Its shape, as text.
+        got: Shape of the argument, as text.
         expected: Expected shape, as text.
     """
 
@@ -154,7 +154,7 @@ class ConfigError(PliantError, ValueError):
     """Settings, servos and model are inconsistent, or a name is unknown.
 
     Attributes:
-        key: Setting, e.g. ``axes.y.adaptation``.
+        key: Name of the setting or argument, e.g. ``axes.y.adaptation``.
     """
 
     key: str | None
@@ -227,7 +227,7 @@ class Pose:
         """Rotation vector (3,) [rad], of length pi at most."""
 
     def inverse(self) -> Pose:
-        """Return `b_from_a` of `a_from_b`."""
+        """Return the inverse pose: `b_from_a` for a pose `a_from_b`."""
 
     def __matmul__(self, other: Pose, /) -> Pose: ...
     def __rmatmul__(self, other: Pose, /) -> Pose: ...
@@ -245,8 +245,8 @@ def as_pose(pose: _PoseLike, /) -> Pose:
             Math.
 
     Raises:
-        ShapeError: Another shape. Seven numbers are rejected, since the order of the quaternion is
-            ambiguous.
+        ShapeError: `pose` has another shape. Seven numbers are rejected, since the order of a
+            quaternion is ambiguous.
     """
 
 @final
@@ -301,7 +301,7 @@ class Link:
 
     @property
     def parent_joint(self) -> int | None:
-        """Index of its parent joint in `Model.joints`; None for the root."""
+        """Index of the parent joint in `Model.joints`; None for the root."""
 
     @property
     def inertial(self) -> Inertial | None:
@@ -309,7 +309,7 @@ class Link:
 
 @final
 class Mimic:
-    """Mimic of a joint: its position is ``multiplier * q + offset``."""
+    """Coupling to a driving joint at position q: the joint is at ``multiplier * q + offset``."""
 
     @property
     def joint(self) -> int:
@@ -321,11 +321,11 @@ class Mimic:
 
     @property
     def offset(self) -> float:
-        """Offset [rad or m]."""
+        """Position of the joint when the driving joint is at 0 [rad or m]."""
 
 @final
 class Joint:
-    """A joint of the robot, on the chain or beside it; absent limits are None."""
+    """A joint of the robot, on the chain or beside it."""
 
     @property
     def name(self) -> str:
@@ -337,15 +337,15 @@ class Joint:
 
     @property
     def parent(self) -> int:
-        """Index of its parent link in `Model.links`."""
+        """Index of the parent link in `Model.links`."""
 
     @property
     def child(self) -> int:
-        """Index of its child link in `Model.links`."""
+        """Index of the child link in `Model.links`."""
 
     @property
     def origin(self) -> Pose:
-        """`parent_from_child` at zero."""
+        """Pose `parent_from_child` when the joint is at 0."""
 
     @property
     def axis(self) -> _Array:
@@ -353,55 +353,55 @@ class Joint:
 
     @property
     def lower(self) -> float | None:
-        """Lower position limit [rad or m]."""
+        """Lower position limit [rad or m]; None without one."""
 
     @property
     def upper(self) -> float | None:
-        """Upper position limit [rad or m]."""
+        """Upper position limit [rad or m]; None without one."""
 
     @property
     def velocity(self) -> float | None:
-        """Speed limit [rad/s or m/s]."""
+        """Speed limit [rad/s or m/s]; None without one."""
 
     @property
     def effort(self) -> float | None:
-        """Torque or force limit [N m or N]."""
+        """Torque or force limit [N m or N]; None without one."""
 
     @property
     def damping(self) -> float | None:
-        """Damping [N m s/rad or N s/m]."""
+        """Damping [N m s/rad or N s/m]; None if the URDF gives none."""
 
     @property
     def friction(self) -> float | None:
-        """Dry friction [N m or N]."""
+        """Dry friction [N m or N]; None if the URDF gives none."""
 
     @property
     def mimic(self) -> Mimic | None:
-        """Mimic of the joint, if it follows another one."""
+        """Coupling to the driving joint; None if the joint is independent."""
 
     @property
     def q_index(self) -> int | None:
-        """Index in `q` of the coordinate that drives it, directly or by mimic."""
+        """Index in `q` of the coordinate that moves the joint, also by mimic; None without one."""
 
     @property
     def locked_at(self) -> float | None:
-        """Position at which it is locked [rad or m], for actuated joints without a coordinate."""
+        """Position [rad or m] of a locked actuated joint without a coordinate; else None."""
 
 @final
 class IkResult:
-    """Closest joint positions found, and their errors; true if converged."""
+    """Result of a search by inverse kinematics; true if it converged."""
 
     @property
     def q(self) -> _Array:
-        """Joint positions (n,) inside the limits [rad or m]."""
+        """Closest joint positions found (n,), inside the limits [rad or m]."""
 
     @property
     def converged(self) -> bool:
-        """True if both errors are within tolerance."""
+        """True if `position_error` and `rotation_error` are within their tolerances."""
 
     @property
     def iterations(self) -> int:
-        """Total number of iterations."""
+        """Number of iterations, summed over all starts."""
 
     @property
     def position_error(self) -> float:
@@ -471,7 +471,7 @@ class Model:
         limits: Mapping[str, tuple[float, float]] | None = None,
         servos: Servos | None = None,
     ) -> Model:
-        """Read URDF text; arguments and exceptions as `from_urdf`."""
+        """Create a model from URDF text; options and exceptions as in `from_urdf`."""
 
     @property
     def source(self) -> tuple[str, dict[str, Any]]:
@@ -518,7 +518,7 @@ class Model:
 
     @property
     def base(self) -> str:
-        """Link in which poses are given."""
+        """Name of the link in which poses are given."""
 
     @property
     def tip(self) -> str:
@@ -526,7 +526,7 @@ class Model:
 
     @property
     def reach(self) -> float:
-        """Sum of distances between joint origins up to the tool, with prismatic travel [m]."""
+        """Sum of distances from the first joint origin to the tool, plus prismatic travel [m]."""
 
     @property
     def reach_origin(self) -> _Array:
@@ -538,14 +538,14 @@ class Model:
 
     @property
     def payload(self) -> Payload | None:
-        """Payload of the tool."""
+        """Payload of the tool; None without one."""
 
     @property
     def servos(self) -> Servos | None:
-        """Servos of the joints, one entry per joint."""
+        """Servos with one entry per joint; None if none were given."""
 
     def with_servos(self, servos: Servos) -> Model:
-        """Return the same robot with other servos.
+        """Return a copy of the model with other servos.
 
         Raises:
             ShapeError: `servos` has neither one entry nor one per joint.
@@ -567,7 +567,8 @@ class Model:
 
         Args:
             q: Joint positions (n,) [rad or m]. Position limits are not enforced.
-            reference: Axes of the Jacobian's rows: of the base, or `"local"`: of the tool.
+            reference: Axes of the Jacobian's rows: `"world_aligned"`: those of the base;
+                `"local"`: those of the tool.
             out: Two writable float64 arrays (4, 4) and (6, n) for the results.
 
         Raises:
@@ -581,13 +582,16 @@ class Model:
         self, q: ArrayLike, reference: _Reference = "world_aligned", *, out: tuple[_Array, _Array]
     ) -> tuple[_Array, _Array]: ...
     def forward_kinematics(self, q: ArrayLike) -> _Array:
-        """Compute the pose `base_from_tool` (4, 4) at `q` (n,); see `kinematics`."""
+        """Compute the pose `base_from_tool` (4, 4) at joint positions `q` (n,) [rad or m]."""
 
     def jacobian(self, q: ArrayLike, reference: _Reference = "world_aligned") -> _Array:
-        """Compute the Jacobian (6, n) at the tool, linear rows first; see `kinematics`."""
+        """Compute the Jacobian (6, n) of the tool at `q` (n,) [rad or m], linear rows first.
+
+        The rows refer to the axes of the base, or with ``reference="local"`` to those of the tool.
+        """
 
     def gravity(self, q: ArrayLike) -> _Array:
-        """Compute the torques (n,) [N m or N] that hold the arm at rest; see `kinematics`."""
+        """Compute the torques (n,) [N m or N] that hold the arm at rest at `q` (n,) [rad or m]."""
 
     def inverse_kinematics(
         self,
@@ -651,11 +655,12 @@ class Model:
         """Compute poses (N, 4, 4) and Jacobians (N, 6, n) of configurations (N, n).
 
         Large batches run on all cores with the GIL released; other threads must not write to the
-        arrays meanwhile. Each row is bit-identical to the single call.
+        arrays meanwhile. Each row is bit-identical to the result of `kinematics`.
 
         Args:
             Q: Configurations (N, n) [rad or m]; a C-ordered float64 array is not copied.
-            reference: Axes of the Jacobians' rows.
+            reference: Axes of the Jacobians' rows: `"world_aligned"`: those of the base;
+                `"local"`: those of the tool.
             out: Arrays (N, 4, 4) and (N, 6, n) for the results; saves up to a fifth of the time.
 
         Raises:
@@ -664,15 +669,24 @@ class Model:
         """
 
     def forward_kinematics_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
-        """Compute poses (N, 4, 4) of configurations `Q` (N, n); see `kinematics_batch`."""
+        """Compute poses (N, 4, 4) of configurations `Q` (N, n) [rad or m].
+
+        Arguments and exceptions as `kinematics_batch`; runs on all cores with the GIL released.
+        """
 
     def jacobian_batch(
         self, Q: ArrayLike, reference: _Reference = "world_aligned", out: _Array | None = None
     ) -> _Array:
-        """Compute Jacobians (N, 6, n) of configurations `Q` (N, n); see `kinematics_batch`."""
+        """Compute Jacobians (N, 6, n) of configurations `Q` (N, n) [rad or m].
+
+        Arguments and exceptions as `kinematics_batch`; runs on all cores with the GIL released.
+        """
 
     def gravity_batch(self, Q: ArrayLike, out: _Array | None = None) -> _Array:
-        """Compute holding torques (N, n) of configurations `Q` (N, n); see `kinematics_batch`."""
+        """Compute holding torques (N, n) [N m or N] at configurations `Q` (N, n) [rad or m].
+
+        Arguments and exceptions as `kinematics_batch`; runs on all cores with the GIL released.
+        """
 
 class _ServoFields(TypedDict, total=False):
     kp: ArrayLike
@@ -744,11 +758,11 @@ class Servos:
 
     @property
     def max_torque(self) -> _Array:
-        """Usable torque (n,) [N m]."""
+        """Usable torque at the present voltage (n,) [N m]: ceiling of every torque limit."""
 
     @property
     def friction(self) -> _Array:
-        """Dry friction (n,) [N m]."""
+        """Dry friction of gears and motor (n,) [N m]."""
 
     @property
     def load_friction(self) -> _Array:
@@ -756,7 +770,7 @@ class Servos:
 
     @property
     def stribeck(self) -> _Array:
-        """Additional dry friction at rest (n,) [N m]."""
+        """Additional dry friction at rest (n,) [N m]; it vanishes in fast motion."""
 
     @property
     def load_stribeck(self) -> _Array:
@@ -768,11 +782,11 @@ class Servos:
 
     @property
     def damping(self) -> _Array:
-        """Damping outside the torque limit (n,) [N m s/rad]."""
+        """Damping of gears and back-EMF, outside the torque limit (n,) [N m s/rad]."""
 
     @property
     def kv(self) -> _Array:
-        """Damping inside the torque limit (n,) [N m s/rad]."""
+        """Damping of the servo's own loop, inside the torque limit (n,) [N m s/rad]."""
 
     @property
     def armature(self) -> _Array:
@@ -780,15 +794,15 @@ class Servos:
 
     @property
     def encoder_step(self) -> _Array:
-        """Angle of one encoder count (n,) [rad]."""
+        """Angle of one encoder count (n,) [rad]; 0: neglected."""
 
     @property
     def limit_type(self) -> Literal["current", "pwm"]:
-        """Quantity that the limit register limits."""
+        """Quantity that the limit register limits: `"current"` or `"pwm"`."""
 
     @property
     def no_load_speed(self) -> _Array | None:
-        """Speed without load (n,) [rad/s]."""
+        """Speed without load (n,) [rad/s]; None if unknown."""
 
     @property
     def stiffness_known(self) -> bool:
@@ -831,8 +845,8 @@ class Task:
     """Controlled axes and their frame. Frozen.
 
     Args:
-        axes: Axis key: names separated by spaces, a word of the letters x y z, ``"rpy"``, ``"xyz
-            rpy"``, ``"all"``.
+        axes: Axis key: words separated by spaces, each the name of an axis, letters of x y z,
+            ``"rpy"`` or ``"all"``; e.g. ``"xyz rpy"`` or ``"xz yaw"``.
         frame: `"base"`, `"tool"` (moving with it), or a rotation matrix (3, 3) whose columns are
             the task's axes in the base.
         length: Length [m] that weighs as much as one radian; needed only with more axes than
@@ -851,7 +865,7 @@ class Task:
     ) -> Task: ...
     @property
     def axes(self) -> str:
-        """Axis key."""
+        """Axis key, e.g. ``"xyz rpy"``."""
 
     @property
     def names(self) -> tuple[_AxisName, ...]:
@@ -859,11 +873,11 @@ class Task:
 
     @property
     def frame(self) -> str | _Array:
-        """`"base"`, `"tool"`, or a rotation matrix (3, 3)."""
+        """Frame of the axes: `"base"`, `"tool"`, or a rotation matrix `base_from_task` (3, 3)."""
 
     @property
     def length(self) -> float | None:
-        """Length [m] that weighs as much as one radian."""
+        """Length [m] that weighs as much as one radian; None without one."""
 
     def replace(self, **changes: Unpack[_TaskFields]) -> Task:
         """Return a copy with some fields changed."""
@@ -909,18 +923,18 @@ class Axis:
         adaptation: Target adaptation of (12), 0 <= eta < 1.
         soft_until: Deviation below which compliance is 1, (8) [m or rad]; default 0.01 m, 0.04 rad.
         firm_from: Deviation above which compliance is 0, (8) [m or rad]; default 0.10 m, 0.40 rad.
-        profile: Strength between these deviations: `"hardening"`: soft to firm; `"constant"`: soft;
-            `"softening"`: firm to soft.
-        max_velocity: Largest commanded velocity while stiff [m/s, rad/s]; default 0.4 m/s, 2 rad/s;
-            inf: no limit. Law impedance has no limit.
-        soft_step_limit: Largest commanded velocity while it yields [m/s, rad/s]; default no limit,
-            under law `"paper"` 0.1 m/s, 0.5 rad/s.
+        profile: Strength for deviations from `soft_until` to `firm_from`: `"hardening"`: from soft
+            to firm; `"constant"`: soft; `"softening"`: from firm to soft.
+        max_velocity: Largest commanded velocity while the axis is stiff [m/s, rad/s]; default 0.4
+            m/s, 2 rad/s; inf: no limit. Law impedance has no limit.
+        soft_step_limit: Largest commanded velocity while the axis yields [m/s, rad/s]; default no
+            limit, under law `"paper"` 0.1 m/s, 0.5 rad/s.
         deviation_limit: Largest deviation toward a side that does not yield [m or rad]; None: no
             limit.
-        on_deviation_limit: Behaviour of the target at that limit. `"yield"`: the target of this
-            axis follows the tool, the arm gives way with the force of the limit, and the target
-            returns at the tool's speed after the release. `"wait"`: the whole target waits until
-            the axis is within its limit again.
+        on_deviation_limit: Behaviour of the target beyond `deviation_limit`. `"yield"`: the target
+            of this axis follows the tool, the arm gives way with the force of the limit, and the
+            target returns at the tool's speed after the release. `"wait"`: the whole target waits
+            until the axis is within its limit again.
 
     Raises:
         ConfigError, OutOfRangeError: A field is unknown, invalid or without effect.
@@ -946,59 +960,59 @@ class Axis:
     ) -> Axis: ...
     @property
     def soft(self) -> tuple[float, float] | None:
-        """Strength at a small deviation, pushed toward -, + [N, N m]."""
+        """Strength at a small deviation, pushed toward (-, +) [N, N m]; None: default."""
 
     @property
     def firm(self) -> tuple[float, float] | None:
-        """Strength at a large deviation, pushed toward -, + [N, N m]."""
+        """Strength at a large deviation, pushed toward (-, +) [N, N m]; None: default."""
 
     @property
     def hold(self) -> float | None:
-        """Strength of a side that does not yield [N, N m]."""
+        """Strength of a side that does not yield [N, N m]; None: default."""
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
-        """Spring of law impedance, pushed toward -, + [N/m or N m/rad]."""
+        """Spring of law impedance, pushed toward (-, +) [N/m or N m/rad]; None: default."""
 
     @property
     def damping(self) -> tuple[float, float] | None:
-        """Damper of law impedance, pushed toward -, + [N s/m or N m s/rad]."""
+        """Damper of law impedance, pushed toward (-, +) [N s/m or N m s/rad]; None: 0."""
 
     @property
     def yields(self) -> Literal["both", "+", "-", "none"] | None:
-        """Sides that yield, by the direction of the push."""
+        """Sides that yield, by the direction of the push; None: default."""
 
     @property
     def adaptation(self) -> float:
-        """Target adaptation."""
+        """Target adaptation eta of (12), 0 <= eta < 1."""
 
     @property
     def soft_until(self) -> float | None:
-        """Deviation below which compliance is 1 [m or rad]."""
+        """Deviation below which compliance is 1 [m or rad]; None: default."""
 
     @property
     def firm_from(self) -> float | None:
-        """Deviation above which compliance is 0 [m or rad]."""
+        """Deviation above which compliance is 0 [m or rad]; None: default."""
 
     @property
     def profile(self) -> Literal["hardening", "constant", "softening"]:
-        """Strength as a function of the deviation."""
+        """Strength as a function of the deviation, from `soft_until` to `firm_from`."""
 
     @property
     def max_velocity(self) -> float | None:
-        """Largest commanded velocity while stiff [m/s, rad/s]."""
+        """Largest commanded velocity while the axis is stiff [m/s, rad/s]; None: default."""
 
     @property
     def soft_step_limit(self) -> float | None:
-        """Largest commanded velocity while it yields [m/s, rad/s]."""
+        """Largest commanded velocity while the axis yields [m/s, rad/s]; None: default."""
 
     @property
     def deviation_limit(self) -> float | None:
-        """Largest deviation toward a side that does not yield [m or rad]."""
+        """Largest deviation toward a side that does not yield [m or rad]; None: no limit."""
 
     @property
     def on_deviation_limit(self) -> Literal["yield", "wait"]:
-        """Behaviour of the target at the deviation limit."""
+        """Behaviour of the target beyond `deviation_limit`."""
 
     def replace(self, **changes: Unpack[_AxisFields]) -> Axis:
         """Return a copy with some fields changed."""
@@ -1021,7 +1035,7 @@ class _TrackingFields(TypedDict, total=False):
 
 @final
 class Tracking:
-    """How stiff axes follow the target. Frozen; `replace` makes variants.
+    """Tracking of the target by the stiff axes. Frozen; `replace` makes variants.
 
     Fields that are not given keep the values of the preset or of the replaced settings.
 
@@ -1030,8 +1044,8 @@ class Tracking:
         damping: Damping of the inverse: lambda; or (lambda_0, sigma_0, lambda_max); None: derived
             from the arm.
         velocity_filter: Time constant of the velocity filter [s].
-        goal_slew: Speed limit of the goals [rad/s]; None: no limit. All goals move the same share
-            of their distance; their gravity part moves first and independently.
+        goal_slew: Speed limit of the goals [rad/s]; None: no limit. In a step, all goals move the
+            same share of their distance; the gravity offset in them moves first and independently.
         joint_speed: Joint speed limits (n,) [rad/s]; None: those of the model.
         integrate: Rate at which the goal of stiff axes integrates [1/s]; 0: no integration.
 
@@ -1087,12 +1101,13 @@ class NullSpace:
         posture: Rest posture (n,) [rad]; None: q at reset.
         gain: Gain alpha of the null-space motion [1/s]; None: `Tracking.gain`.
         max_torque: Largest torque of the null-space motion, summed over all joints [N m]; None: 2
-            if the arm is redundant.
+            if the arm is redundant for the task, else 0.
         stiffness: Law impedance: stiffness of the null-space motion [N m/rad] instead of `gain`;
             None: use `gain`.
         max_speed: Speed limit of the null-space motion [rad/s]; None: no limit.
-        limit_avoidance: Weight of the joint-limit cost.
-        projector: `"exact"`, or `"paper"`: I - J+ J with the damped J+, as printed.
+        limit_avoidance: Weight of the joint-limit cost ``sum(((q - mid) / half_range)^2) / 2``.
+        projector: `"exact"`: orthogonal, faded close to singular poses; `"paper"`: I - J+ J with
+            the damped J+, as printed.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
@@ -1142,9 +1157,9 @@ class Compensation:
     Fields that are not given keep the values of the preset or of the replaced settings.
 
     Args:
-        friction: Share of the friction in the feed-forward.
-        damping: Share of the damping in the feed-forward.
-        delay: Share of the delay in the prediction.
+        friction: Share of the friction that the feed-forward compensates.
+        damping: Share of the damping that the feed-forward compensates.
+        delay: Share of the delay that the prediction compensates.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
@@ -1183,12 +1198,13 @@ class TorqueLimits:
     Fields that are not given keep the values of the preset or of the replaced settings.
 
     Args:
-        margin: Margin of the limits as a share of the usable torque.
+        margin: Margin of the limits over the demand, as a share of the usable torque; it is at
+            least twice the friction.
         floor: Minimum of the torque limits (n,) [N m]; None: the servos' friction.
         stiffening_time: Time in which a limit may rise from zero to its ceiling [s]; 0: no bound.
         max_host_loss_force: Largest force on a hand along the task's translations after a host loss
-            [N]; None: no bound. The limits give up their margin first, then what exceeds the arm's
-            weight. Takes about 0.3 ms per step, 1 ms when it acts.
+            [N]; None: no bound. To keep it, the limits lose first their margin, then what exceeds
+            the arm's weight. Takes about 0.3 ms per step, 1 ms when limits are reduced.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
@@ -1241,9 +1257,9 @@ class PaperOptions:
     that are not given keep the values of the preset or of the replaced settings.
 
     Args:
-        follow: `"free"`: yielding axes leave the solve and exert exactly their force; `"hold"`: one
-            solve for all axes; None: `"hold"` under law paper, else `"free"`. Law impedance has no
-            solve.
+        follow: `"free"`: the inverse kinematics leave out yielding axes, which exert exactly their
+            force; `"hold"`: they contain all axes; None: `"hold"` under law paper, else `"free"`.
+            Law impedance has no inverse kinematics.
         limits: Rule of the laws cap and impedance for the joint torque limits: `"demand"` of the
             present step, or the `"sum"` over all axes of their largest demands.
         horizon: Horizon h of the goal q + h dq [s].
@@ -1252,14 +1268,14 @@ class PaperOptions:
         posture_weights: Weight of each joint in the posture cost (n,); None: 1.
         manipulability: Weight of the manipulability cost.
         gravity_use: Places in which the gravity model is used if `Settings.gravity` is True.
-        gravity_scale: Factor on gravity in the limits.
+        gravity_scale: Factor on the gravity torques in the torque limits.
         friction_speed: Speed at which the friction feed-forward saturates [rad/s].
         direction_band: Half-width of the band in which an axis that yields to one side switches
             sides, as a share of `soft_until`; None: 0.1, under law paper 0.
         raw_deviation: Compute the compliance from the raw instead of the adapted deviation.
         budget_on_goal: Law paper: clamp the step of each axis to its budget.
-        lead_limit: Law paper: largest lead of a goal [rad]; None: the lead that the limit can use;
-            inf: no limit.
+        lead_limit: Law paper: largest lead goal - q [rad]; None: the lead that the torque limit
+            can use; inf: no limit.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: A field is unknown, or its value is invalid.
@@ -1352,16 +1368,16 @@ class Settings:
         rate: Nominal control rate [Hz]: the default `dt` of a step is 1 / rate.
         delay: Time from reading the positions to the arrival of the goal [s].
         gravity: Use the gravity model in goals and limits.
-        max_tool_speed: Speed limit of the `reference` [m/s], or a pair [m/s, rad/s]; a single
-            number implies 4 rad/s per m/s; None: no limit. After friction has held the tool back,
-            it can be faster by up to 0.1 m/s.
-        max_tool_acceleration: Acceleration limit of the `reference` [m/s^2, rad/s^2], as
-            `max_tool_speed`.
+        max_tool_speed: Speed limit of `Diagnostics.reference` [m/s], or a pair [m/s, rad/s]; a
+            single number implies 4 rad/s per m/s; None: no limit. A tool that friction has held
+            back can be faster by up to 0.1 m/s.
+        max_tool_acceleration: Acceleration limit of `Diagnostics.reference` [m/s^2], or a pair
+            [m/s^2, rad/s^2]; a single number implies 4 rad/s^2 per m/s^2; None: no limit.
         accept_high_adaptation: Accept an `Axis.adaptation` above 0.95 if the servos' stiffness is
-            not known within 10 %: a gravity error can make the arm drift away.
+            not known within 10 %, so that a gravity error can make the arm drift away.
         accept_high_stiffness: Law impedance: accept springs and dampers above the bounds from rate
-            and delay: the arm may oscillate.
-        tracking: How stiff axes follow the target.
+            and delay, at which the arm may oscillate.
+        tracking: Tracking of the target by the stiff axes.
         null_space: Motion of the joints that leaves the task unchanged.
         compensation: Shares of friction, damping and delay that are compensated.
         torque_limits: Joint torque limits sent to the servos.
@@ -1401,7 +1417,7 @@ class Settings:
 
     @classmethod
     def soft(cls, axes: str, /, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset in which the named axes yield both ways, with default strengths and eta 0.9."""
+        """Preset in which the named axes yield both ways: default strengths, eta 0.9."""
 
     @classmethod
     def firm(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
@@ -1409,7 +1425,7 @@ class Settings:
 
     @classmethod
     def door(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for doors: y and yaw follow the handle, eta 0.999; null-space gain 1."""
+        """Preset for doors: y and yaw follow the handle (eta 0.999); null-space gain 1 [1/s]."""
 
     @classmethod
     def drawer(
@@ -1419,7 +1435,7 @@ class Settings:
 
         Args:
             axis: `"x"`, `"y"` or `"z"`.
-            pull: Largest force along it [N]; None: the arm's `firm`.
+            pull: Largest force along `axis` [N]; None: the default `Axis.firm` of the arm.
             **overrides: Further settings.
         """
 
@@ -1430,8 +1446,8 @@ class Settings:
         """Preset for wiping: press on a surface with a constant force and tilt with it.
 
         Args:
-            press: Force on the surface [N], if the target is far enough behind it; None: the arm's
-                `soft`.
+            press: Force on the surface [N], if the target is far enough behind it; None: the
+                default `Axis.soft` of the arm.
             axis: Normal of the surface, `"x"`, `"y"` or `"z"`.
             **overrides: Further settings.
         """
@@ -1448,23 +1464,23 @@ class Settings:
 
         Args:
             axis: Direction of insertion with its sign, `"-z"`, `"x"`, ...; pulling out may use all
-                of `hold`.
-            push: Largest force of insertion [N]; None: the arm's `firm`.
+                of `Axis.hold`.
+            push: Largest force of insertion [N]; None: the default `Axis.firm` of the arm.
             **overrides: Further settings.
         """
 
     @classmethod
     def hand_guiding(cls, **overrides: Unpack[_SettingsFields]) -> Settings:
-        """Preset for guiding by hand: all axes yield with eta 0.95; null-space gain 1."""
+        """Preset for guiding by hand: all axes yield (eta 0.95); null-space gain 1 [1/s]."""
 
     def raise_soft(
         self, model: Model, path: ArrayLike | None = None, *, servos: Servos | None = None
     ) -> Settings:
-        """Return settings with `soft` of yielding axes raised to at least three times the friction.
+        """Return settings with `soft` of yielding axes raised to three times their static friction.
 
         At this strength, the error on a sinusoid is below a tenth of its amplitude if friction is
         known within 30 % and the delay is one tick each way. A softer axis may not start or
-        reverse.
+        reverse. A larger `soft` stays; `firm` and `hold` are raised to at least `soft`.
 
         Args:
             model: The arm.
@@ -1583,7 +1599,7 @@ class JointStop:
     def distance(self) -> float:
         """Displacement of the axis at which the limit is met [m, rad].
 
-        Beyond it the stop carries part of a push, and a cap is not kept.
+        Beyond it the stop carries part of a push, and the force cap of the axis is not kept.
         """
 
     @property
@@ -1614,54 +1630,66 @@ class AxisReport:
 
     @property
     def static_force(self) -> tuple[float, float]:
-        """Largest static force that the present limits hold; negative: cannot hold itself."""
+        """Largest static push that the present torque limits hold [N, N m].
+
+        Negative if the arm cannot hold its own weight.
+        """
 
     @property
     def capacity(self) -> tuple[float, float]:
-        """Largest static force at the servos' full torque."""
+        """Largest static push that the servos hold at full torque [N, N m]."""
 
     @property
     def yields(self) -> tuple[bool, bool]:
-        """True for sides that yield."""
+        """True for sides that yield: pushed toward (-, +)."""
 
     @property
     def yield_force(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Force at which a side yields, without friction, at a small and at a large deviation.
+        """Force [N, N m] at which a side yields without friction, at a small and a large deviation.
 
         The deviations are `thresholds`, at most 0.15 m or 0.4 rad.
         """
 
     @property
     def thresholds(self) -> tuple[float, float]:
-        """Deviations between which the strength changes: d-/(1 - eta), d+/(1 - eta)."""
+        """Deviations between which the strength changes [m, rad]: d-/(1 - eta), d+/(1 - eta).
+
+        d- is `Axis.soft_until`, d+ is `Axis.firm_from`, eta is `Axis.adaptation`.
+        """
 
     @property
     def friction(self) -> float:
-        """Joint friction along the axis: additional force of a push at rest."""
+        """Dry friction along the axis [N, N m], which a push from rest must also overcome."""
 
     @property
     def friction_left(self) -> float:
-        """Friction left by the feed-forward; an axis softer than this cannot keep moving."""
+        """Friction in steady motion that the feed-forward does not compensate [N, N m].
+
+        The axis keeps moving only if its strength exceeds this friction.
+        """
 
     @property
     def coupling(self) -> tuple[float, float]:
-        """Strength of the axis at strength 0, because other axes use the same joints."""
+        """Strength that would remain if the axis itself had none [N, N m].
+
+        The other axes cause it: they raise the torque limits of the same joints.
+        """
 
     @property
     def coupled_to(self) -> tuple[_AxisName | None, _AxisName | None]:
-        """Axis with the largest share of `coupling`."""
+        """Other axis that contributes most to `coupling`; None if there is none."""
 
     @property
     def hold(self) -> float:
-        """Strength toward sides that do not yield."""
+        """Strength of sides that do not yield [N, N m]."""
 
     @property
     def default_hold(self) -> float | None:
-        """The default of `hold`, if soft or firm raised it."""
+        """Default of `hold` before `soft` or `firm` raised it [N, N m]; None if they did not."""
 
     @property
     def host_loss_force(self) -> tuple[float, float]:
-        """Largest force on a hand after a host loss now.
+        """Largest force on a hand that pushes along the axis if the host is lost now [N, N m].
 
         Over 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s, from the arm's equilibrium, with gear
         friction and damping; inf if the arm cannot be moved so far, because it is stretched out or
@@ -1670,33 +1698,33 @@ class AxisReport:
 
     @property
     def stop(self) -> tuple[JointStop | None, JointStop | None]:
-        """First position limit on the path of a push, the other axes fixed.
+        """First position limit on the path of a push along the axis, the other axes fixed.
 
         None if no joint meets one within 0.15 m or 0.4 rad.
         """
 
     @property
     def path_friction(self) -> tuple[float, float]:
-        """Largest joint friction along the axis on that path, up to the stop.
+        """Largest joint friction along the axis on the path of a push, up to the stop [N, N m].
 
         Many times `friction` if the path passes a singular pose.
         """
 
     @property
     def path_sigma(self) -> tuple[float, float]:
-        """Smallest singular value at the place of `path_friction`, as `PoseReport.sigma_min`."""
+        """Smallest singular value, as `PoseReport.sigma_min`, at the place of `path_friction`."""
 
     @property
     def path_distance(self) -> tuple[float, float]:
-        """Displacement of the axis at the place of `path_friction`."""
+        """Displacement of the axis at the place of `path_friction` [m, rad]."""
 
     @property
     def deviation_limit(self) -> tuple[float, float]:
-        """Deviation beyond which the target waits or follows; inf: no limit."""
+        """Deviation [m, rad] beyond which the target waits or follows the tool; inf: no limit."""
 
     @property
     def on_deviation_limit(self) -> Literal["yield", "wait"]:
-        """Behaviour of the target beyond the deviation limit."""
+        """Behaviour of the target beyond `deviation_limit`, as `Axis.on_deviation_limit`."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
@@ -1726,19 +1754,19 @@ class PoseReport:
 
     @property
     def gravity_margin(self) -> _Array:
-        """Torque limits beyond gravity (n, 2) [N m]: L - g, L + g; negative: the joint falls."""
+        """Torque limit L beyond gravity g (n, 2) [N m]: L - g, L + g; negative: the joint falls."""
 
     @property
     def sigma_min(self) -> float:
-        """Smallest singular value of the task rows, translations over the arm's length."""
+        """Smallest singular value of the task Jacobian, translations over the arm's length."""
 
     @property
     def condition(self) -> float:
-        """Largest singular value over the smallest."""
+        """Condition number: largest singular value over the smallest."""
 
     @property
     def sigma_0(self) -> float:
-        """Singular value below which damping grows."""
+        """Singular value below which the damping of the inverse kinematics grows."""
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
@@ -1750,11 +1778,14 @@ class PoseReport:
 
     @property
     def max_host_loss_force(self) -> float | None:
-        """Bound of the settings on `AxisReport.host_loss_force` along translations [N]."""
+        """Bound on the `host_loss_force` of translations [N], from the settings; None: no bound."""
 
     @property
     def gain_factor(self) -> float:
-        """Factor <= 1 on K_x, law impedance: on the stiffness, required by delay and pose."""
+        """Factor <= 1 on K_x, required by the delay.
+
+        Under law impedance on the stiffness, required by delay and pose.
+        """
 
     @property
     def damping_factor(self) -> float:
@@ -1768,7 +1799,7 @@ class PoseReport:
 
 @final
 class Issue:
-    """One requirement that a pose cannot meet."""
+    """One requirement of the settings that the arm cannot fulfil in a pose."""
 
     @property
     def pose(self) -> int:
@@ -1776,15 +1807,15 @@ class Issue:
 
     @property
     def about(self) -> str:
-        """Axis with its side, or joint."""
+        """Axis with its side, e.g. `+y`, or joint."""
 
     @property
     def required(self) -> bool:
-        """True if the settings request it explicitly; an unmet default is a note."""
+        """True if the settings give the value explicitly; an unmet default is only a note."""
 
     @property
     def reason(self) -> str:
-        """Required and available value."""
+        """Required and available value, as text."""
 
     @property
     def setting(self) -> str | None:
@@ -1792,18 +1823,18 @@ class Issue:
 
     @property
     def value(self) -> float | None:
-        """Nearest value that works."""
+        """Nearest value of `setting` that works; None if there is none."""
 
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
 
 @final
 class FeasibilityReport:
-    """Result of a feasibility check; true if achievable. `str` gives the reasons."""
+    """Result of a feasibility check; true if `achievable`. `str` gives the reasons."""
 
     @property
     def achievable(self) -> bool:
-        """True if every explicit request of the settings can be met."""
+        """True if the arm can realize all values that the settings give explicitly."""
 
     @property
     def poses(self) -> int:
@@ -1819,27 +1850,33 @@ class FeasibilityReport:
 
     @property
     def capacity(self) -> _Array:
-        """Smallest static force at the servos' full torque (k, 2), per side [N, N m]."""
+        """Smallest `AxisReport.capacity` of the poses (k, 2), pushed toward (-, +) [N, N m]."""
 
     @property
     def worst_pose(self) -> list[tuple[int, int]]:
-        """Indices of the poses with this `capacity`, per side."""
+        """Indices of the poses with the smallest `capacity`, per axis: pushed toward (-, +)."""
 
     @property
     def friction_left(self) -> _Array:
-        """Largest `friction_left` of the poses (k,) [N, N m]: the least `soft` that can track."""
+        """Largest `AxisReport.friction_left` of the poses (k,) [N, N m].
+
+        A yielding axis with a smaller `Axis.soft` cannot keep moving.
+        """
 
     @property
     def stop_distance(self) -> _Array:
-        """Smallest `JointStop.distance` of the yielding sides (k, 2) [m, rad]; inf: no stop."""
+        """Smallest `JointStop.distance` of the poses (k, 2) [m, rad], pushed toward (-, +).
+
+        inf if no joint meets a limit within 0.15 m or 0.4 rad, and for sides that do not yield.
+        """
 
     @property
     def sigma_min(self) -> float:
-        """Smallest singular value of all poses; small near a singular pose."""
+        """Smallest `PoseReport.sigma_min` of the poses; small near a singular pose."""
 
     @property
     def sigma_pose(self) -> int:
-        """Index of the pose with `sigma_min`."""
+        """Index of the pose with the smallest singular value `sigma_min`."""
 
     @property
     def path_sigma(self) -> _Array:
@@ -1975,7 +2012,7 @@ class Controller:
         """
 
     def reset(self, q: ArrayLike) -> None:
-        """Clear velocity, slew and gamma; the goals start from `q` (n,) [rad].
+        """Clear velocity, goal slew and gamma; the goals start from `q` (n,) [rad].
 
         `q` becomes the rest posture unless the settings have one. A captured gravity offset stays.
         """
@@ -2011,7 +2048,7 @@ class Controller:
         """
 
     def report(self, q: ArrayLike | None = None) -> PoseReport:
-        """Report forces per axis and side in a pose, margins, and the force of a host loss.
+        """Report the forces per axis and side, the torque margins and the force of a host loss.
 
         Args:
             q: Posture (n,) [rad], with the arm at rest on its target; None: pose and limits of the
@@ -2024,16 +2061,16 @@ class Controller:
     def check(
         self, path_or_pose: _PoseLike | ArrayLike, *, q0: ArrayLike | None = None
     ) -> FeasibilityReport:
-        """Check that these settings can be met on a path or in a pose; see `check_path`.
+        """Check that the arm can realize these settings along a path or in a pose.
 
         Args:
-            path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool as in `step`, (4, 4)
-                with the last row 0 0 0 1; a position (3,) [m] for a task without rotations, unless
-                the arm has three joints.
-            q0: Start of the search for a pose (n,) [rad]; None: mid-range.
+            path_or_pose: One posture (n,) or a path (N, n) [rad]; or a pose `base_from_tool` as in
+                `step`, whose matrix (4, 4) has the last row 0 0 0 1. For a task without rotations
+                also a position (3,) [m]; for an arm of three joints, (3,) is read as a posture.
+            q0: Joint positions (n,) [rad] at which the search for a pose starts; None: mid-range.
 
         Returns:
-            Verdict and findings; true if all settings can be met.
+            Verdict, and the settings to change; true if the arm can realize all settings.
 
         Raises:
             ShapeError, OutOfRangeError, ConfigError, TypeError: An input is invalid; the message
@@ -2050,7 +2087,7 @@ class Controller:
 
     @property
     def servos(self) -> Servos | None:
-        """Servos, one entry per joint."""
+        """Servos, one entry per joint; None without servos."""
 
     @property
     def axes(self) -> dict[_AxisName, Axis]:
@@ -2071,7 +2108,7 @@ class Controller:
 
     @property
     def commands_made(self) -> int:
-        """Number of commands allocated; stays at 3 in a loop that keeps none."""
+        """Number of commands allocated so far; stays at 3 in a loop that keeps none."""
 
 @final
 class Diagnostics:
@@ -2106,7 +2143,7 @@ class Diagnostics:
 
     @property
     def wrench(self) -> _Array:
-        """Wrench on the target (k,) [N, N m]; not under law paper."""
+        """Wrench that the arm exerts under the law (k,) [N, N m]; 0 under law paper."""
 
     @property
     def activation(self) -> _Array:
@@ -2118,11 +2155,14 @@ class Diagnostics:
 
     @property
     def task_jacobian(self) -> _Array:
-        """Task rows (k, n) in the task frame; columns of locked joints are zero."""
+        """Task Jacobian (k, n) in the task frame; columns of locked joints are zero."""
 
     @property
     def singular_values(self) -> _Array:
-        """Singular values of the task rows, translations over the arm's length, largest first."""
+        """Singular values of the task Jacobian, largest first.
+
+        Its rows of translations are divided by the arm's length.
+        """
 
     @property
     def q_predicted(self) -> _Array:
@@ -2134,7 +2174,7 @@ class Diagnostics:
 
     @property
     def gravity(self) -> _Array:
-        """Torques that hold the arm at rest (n,) [N m]."""
+        """Torques that hold the arm at rest at `q_predicted` (n,) [N m]."""
 
     @property
     def feed_forward(self) -> _Array:
@@ -2150,19 +2190,22 @@ class Diagnostics:
 
     @property
     def sigma_max(self) -> float:
-        """Largest of `singular_values`; computed as `sigma_min`."""
+        """Largest of `singular_values`; computed on request if the step does not use it."""
 
     @property
     def damping(self) -> float:
-        """Damping lambda of the inverse."""
+        """Damping lambda of the inverse in this step."""
 
     @property
     def damping_constants(self) -> tuple[float, float, float]:
-        """Present lambda_0, sigma_0, lambda_max."""
+        """Present constants (lambda_0, sigma_0, lambda_max) of the damping."""
 
     @property
     def gain_factor(self) -> float:
-        """Factor <= 1 on K_x, due to the delay; law impedance: on the stiffness, last step."""
+        """Factor <= 1 on K_x, required by the delay.
+
+        Under law impedance on the stiffness, required by delay and pose.
+        """
 
     @property
     def gamma(self) -> float:
@@ -2170,7 +2213,10 @@ class Diagnostics:
 
     @property
     def factors(self) -> tuple[float, float, float]:
-        """Factors on null-space, soft and stiff part that keep the torque and speed limits."""
+        """Scale factors (0 to 1) of the null-space, soft and stiff parts of the motion.
+
+        They keep the motion within the torque and speed limits.
+        """
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
@@ -2198,19 +2244,19 @@ class WrenchEstimate:
 
     @property
     def force(self) -> _Array:
-        """Force and torque (6,) along the axes of the task frame; 0 along axes not estimated."""
+        """Force and torque (6,) [N, N m] along the axes of the task frame; 0 if not estimated."""
 
     @property
     def uncertainty(self) -> _Array:
-        """Bound (6,) on the error of `force`, if the options describe the arm; inf: unknown."""
+        """Bound (6,) [N, N m] on the error of `force`, if the options hold; inf: unknown."""
 
     @property
     def force_base(self) -> _Array:
-        """Force and torque (6,) in base axes."""
+        """Force and torque (6,) along base axes [N, N m]."""
 
     @property
     def uncertainty_base(self) -> _Array:
-        """Bound (6,) on the error of `force_base`."""
+        """Bound (6,) on the error of `force_base` [N, N m]; inf: unknown."""
 
     @property
     def torque_residual(self) -> _Array:
@@ -2337,16 +2383,16 @@ class ContactEstimator:
         """
 
     def uncertainty_at(self, q: ArrayLike) -> _Array:
-        """Compute the bound (6,) [N, N m] for the arm at rest in q (n,) [rad] under its weight."""
+        """Compute the error bound (6,) [N, N m] for the arm at rest at `q` (n,) [rad]."""
 
     def typical_uncertainty(self) -> _Array:
-        """Compute the median (6,) of `uncertainty_at` over 64 poses (a millisecond)."""
+        """Compute the median of `uncertainty_at` over 64 postures (6,) [N, N m]; takes 1 ms."""
 
     def reset(self) -> None:
         """Clear velocity, filter, commands and events; a tare stays."""
 
     def tare(self) -> None:
-        """Set the present force to zero; later estimates are relative to it.
+        """Define the present force as zero; later estimates are relative to it.
 
         Errors of k_p, gravity and payload then count relative to this state, plus the dry friction
         that the tare may contain.
@@ -2356,7 +2402,7 @@ class ContactEstimator:
         """
 
     def clear_tare(self) -> None:
-        """Remove the tare."""
+        """Remove the tare: later estimates are absolute again."""
 
     @property
     def tared(self) -> bool:
@@ -2364,23 +2410,23 @@ class ContactEstimator:
 
     @property
     def estimate(self) -> WrenchEstimate:
-        """Last estimate."""
+        """Estimate of the last `update`."""
 
     @property
     def guard(self) -> float:
-        """Factor on the uncertainty that a force must exceed to count."""
+        """Factor on the uncertainty that a force must exceed to count; 0 if `accept` removes it."""
 
     @property
     def latency(self) -> float:
-        """Delay of an event by design [s]: delay of the controller, low-pass, `min_time`."""
+        """Time from a contact to its event [s]: controller's delay + low-pass + `min_time`."""
 
     @property
     def axes(self) -> tuple[_AxisName, ...]:
-        """Estimated axes."""
+        """Names of the estimated axes."""
 
     @property
     def controller(self) -> Controller:
-        """The controller."""
+        """Controller that supplies model, payload, delay, task frame and commands."""
 
 def damped_pseudo_inverse(J: ArrayLike, damping: float) -> _Array:
     """Compute the damped pseudo-inverse of (3): J^T (J J^T + lambda^2 I)^-1, shape (n, k).
@@ -2445,22 +2491,25 @@ def check_path(
     servos: Servos | None = None,
     q0: ArrayLike | None = None,
 ) -> FeasibilityReport:
-    """Check that settings can be met on a path or in a pose; name those to change if not.
+    """Check that an arm can realize the settings along a path or in a pose.
+
+    If it cannot, the report names the settings to change.
 
     Equivalent to `Controller(model, settings, servos).check(path_or_pose, q0=q0)`.
 
     Args:
         model: The arm.
         settings: Settings to check.
-        path_or_pose: Postures (n,) or (N, n) [rad]; or a pose of the tool `base_from_tool`: (4, 4)
-            with the last row 0 0 0 1, `Pose`, or any object with a 4x4 accessor; a position (3,)
-            [m] for a task without rotations, unless the arm has three joints.
-        servos: None: those of the model.
-        q0: Start of the search for a pose (n,) [rad]; None: mid-range.
+        path_or_pose: One posture (n,) or a path (N, n) [rad]; or a pose `base_from_tool`: a `Pose`,
+            a (4, 4) matrix with last row 0 0 0 1, or an object that exposes one as `homogeneous`,
+            `as_matrix`, `matrix` or `A`. For a task without rotations also a position (3,) [m]; for
+            an arm of three joints, (3,) is read as a posture.
+        servos: Servos of the joints; None: those of the model.
+        q0: Joint positions (n,) [rad] at which the search for a pose starts; None: mid-range.
 
     Returns:
-        Verdict and findings; true if all settings can be met. A pose out of reach is a finding, not
-            an error.
+        Verdict and issues; true if the arm can realize all settings. A pose out of reach is an
+            issue, not an error.
 
     Raises:
         ConfigError, OutOfRangeError, ShapeError: Settings, servos and model are inconsistent, or a
@@ -2478,7 +2527,7 @@ def compliance(deviation: float, soft_until: float, firm_from: float) -> float:
         firm_from: Deviation above which compliance is 0 (k,), or one for all.
 
     Returns:
-        (k,), or a number for a number.
+        Compliance (k,), 0 to 1; a number if `deviation` is one.
 
     Raises:
         ShapeError, OutOfRangeError: Lengths differ, or not 0 <= soft_until < firm_from.
@@ -2498,7 +2547,7 @@ def holding_torque(c: float, soft: float, firm: float, hold: float, compliant: b
         compliant: True for compliant axes (k,), or one for all.
 
     Returns:
-        (k,), or a number for a number.
+        Holding torques (k,) [N m]; a number if `c` is one.
 
     Raises:
         ShapeError, OutOfRangeError: Lengths differ, c is outside [0, 1], or a value is not finite.
@@ -2531,8 +2580,8 @@ def adapt_target(
 ) -> _Array:
     """Compute the intermediate target of (12) as a pose (4, 4).
 
-    target + eta (actual - target) on the compliant axes, in the base. Rotations scale the
-    components of the rotation vector; angles are never blended.
+    target + eta (actual - target) on the compliant axes, in base axes. For rotations, eta scales
+    the components of the rotation vector.
 
     Args:
         actual: Actual pose of the tool.
@@ -2542,7 +2591,7 @@ def adapt_target(
     """
 
 def pose_error(actual: _PoseLike, target: _PoseLike) -> _Array:
-    """Compute target - actual (6,) in base axes [m, rad]; rotation vector of R_d R^T."""
+    """Compute target - actual (6,) in base axes [m, rad], with the rotation vector of R_d R^T."""
 
 @final
 class ArmPoints:
@@ -2560,7 +2609,7 @@ class ArmPoints:
         """Return the positions (m, 3) [m] at q (n,) [rad], base axes."""
 
     def velocity(self, q: ArrayLike, dq: ArrayLike) -> _Array:
-        """Return the velocities (m, 3) [m/s] for joint velocities dq (n,) [rad/s]."""
+        """Return the velocities (m, 3) [m/s] for joint velocities dq (n,) [rad/s], base axes."""
 
     def inertia(self, q: ArrayLike) -> _Array:
         """Return the joint-space inertia matrix with the rotors (n, n) [kg m^2]."""
@@ -2573,7 +2622,7 @@ class ArmPoints:
 
 @final
 class Lowering:
-    """One descent, from the present pose until the torque limits are zero.
+    """Controlled descent of an arm from its present pose until the torque limits are zero.
 
     The goals start at their present values and move toward the joints, in proportion to the
     measured distance between them, so the arm descends without an exact stiffness or payload:
@@ -2647,20 +2696,26 @@ class Lowering:
 SUPPORT: Final[float]
 
 def torque_margin(servos: Servos, gravity: ArrayLike) -> _Array:
-    """Return the torque margin (n,) [N m] of joints over their gravity torque (n,) [N m]."""
+    """Return the margin (n,) [N m] of holding torque limits over `gravity` (n,) [N m].
+
+    The largest of 10 % of the usable torque, twice the friction and 30 % of the gravity torque.
+    """
 
 @final
 class HandGuidingLaw:
-    """Goals that follow a weightless arm after its first swing; see `pliant.HandGuiding`.
+    """Goals that follow an arm guided by hand, so that it feels weightless.
+
+    Needs the result of the swing: a first motion of joints up and down that measures gravity lead
+    and friction. `pliant.HandGuiding` runs both.
 
     Args:
         model: The arm.
         servos: Assumed servo parameters, n entries.
         q: Positions at the end of the swing (n,) [rad].
         goal: Goals at the end of the swing (n,) [rad].
-        swung: Joints that swung (n,).
-        lead: Mean of the leads that move a joint up and down (n,) [rad].
-        friction: Half the difference of these leads (n,) [rad].
+        swung: True for joints that moved in the swing (n,).
+        lead: Mean of the leads goal - q that move a joint up and down (n,) [rad].
+        friction: Half the difference of the leads up and down (n,) [rad].
         damping: Viscous damping, derivative gain and back-EMF together (n,) [N m s/rad].
         stiffness_error: Factor by which k_p may be wrong in either direction, at least 1.
         delay: Time from the reading to the arrival of the goal [s].
@@ -2687,11 +2742,11 @@ class HandGuidingLaw:
     ) -> HandGuidingLaw: ...
     @property
     def stiffness(self) -> _Array:
-        """Interval of k_p after all rests so far (2, n) [N m/rad]."""
+        """Lower and upper bounds on k_p, narrowed at each rest so far (2, n) [N m/rad]."""
 
     @property
     def play(self) -> _Array:
-        """Play of each joint in this tick (n,) [rad]."""
+        """Present distance that a joint can move before its goal follows (n,) [rad]."""
 
     @property
     def speed(self) -> _Array:
@@ -2736,7 +2791,7 @@ class ThermalModel:
     ) -> ThermalModel: ...
     @property
     def heat(self) -> _Array:
-        """Share of the thermal budget in use (N,)."""
+        """Share of the thermal budget in use (N,); 1 in steady state at continuous torque."""
 
     @property
     def temperature(self) -> _Array:
@@ -2747,7 +2802,7 @@ class ThermalModel:
         """Temperature at which a torque limit reaches zero [deg C]."""
 
     def set_temperature(self, servo: int, temperature: float) -> None:
-        """Store the measured temperature of a servo [deg C]."""
+        """Store the measured temperature of a servo [deg C]; an index beyond N is ignored."""
 
     def update(self, torque: ArrayLike, dt: float) -> None:
         """Update the heat with torques (N,) [N m] exerted over dt [s]."""

@@ -1,4 +1,4 @@
-//! Arms that are stepped side by side do what single arms do, up to rounding.
+//! Batch steps that process several arms in parallel SIMD lanes give the commands of single steps, up to rounding.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -16,7 +16,7 @@ mod seeded;
 use many::{ARMS, Arms, Out, single};
 use seeded::Random;
 
-/// Settings of the law as printed, which many arms are stepped side by side with.
+/// Settings of law `paper` as printed, for which batch steps process several arms at once.
 fn printed(random: &mut Random, model: &Arc<Model>) -> Settings {
     let settings = cases::settings(random, model, Law::Paper);
     Settings {
@@ -29,7 +29,7 @@ fn printed(random: &mut Random, model: &Arc<Model>) -> Settings {
         null_space: NullSpace { projector: Projector::Paper, ..settings.null_space },
         paper_options: PaperOptions {
             follow: Some(Follow::Hold),
-            budget_on_goal: false, // A direction that switches at zero deviation switches by rounding.
+            budget_on_goal: false, // Off: its switch at zero deviation would depend on rounding.
             direction_band: random.pick(&[None, Some(0.5)]),
             ..settings.paper_options
         },
@@ -48,7 +48,7 @@ fn arms_side_by_side_are_single_arms_up_to_rounding() {
         let settings = cases::tamed(&model, printed(&mut random, &model), Some(&servos));
         let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
         let mut arms = Arms::new(&mut random, &model, ARMS);
-        // What single steps refuse is left to them.
+        // Invalid rows: a NaN position and a NaN target.
         let bad = random.below(ARMS);
         arms.q[n * bad] = f64::NAN;
         arms.flat[16 * (bad / 2) + random.below(12)] = f64::NAN;

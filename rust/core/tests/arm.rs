@@ -1,4 +1,4 @@
-//! Points, descent, hand guiding and thermal budget of an arm, without physics: a quasi-static arm and hostile inputs.
+//! Points, descent, hand guiding and thermal model of an arm: tests with a quasi-static arm and with invalid inputs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 mod common;
@@ -33,7 +33,7 @@ fn lowering(model: &Arc<Model>, servos: &Servos, start: &LoweringStart<'_>) -> L
     Lowering::new(Arc::clone(model), servos, points, start).unwrap()
 }
 
-/// Positions at which servos of stiffness `kp` hold the arm with these goals.
+/// Returns the positions at which servos of stiffness `kp` [N·m/rad] hold the arm with the goals `goal` [rad].
 fn held(model: &Model, goal: &[f64], kp: f64, q: &[f64]) -> Vec<f64> {
     let mut q = q.to_vec();
     for _ in 0..20 {
@@ -95,7 +95,7 @@ fn effective_mass_is_what_an_impulse_meets() {
     assert!(here.effective_mass(&here.velocity(&[0.0; MAX_JOINTS])).iter().all(|mass| *mass == 0.0));
 }
 
-/// Servos are stiffer or softer than believed: the descent relies on measured positions only.
+/// The servos are stiffer or softer than the servo table says; the descent relies on measured positions only.
 #[test]
 fn a_quasi_static_arm_comes_down_with_a_wrong_stiffness() {
     for factor in [0.6, 1.0, 2.0] {
@@ -170,7 +170,7 @@ fn a_swing_narrows_the_interval_of_the_stiffness() {
     let [low, high] = guiding.stiffness();
     for i in 0..7 {
         assert!(low[i] <= KP && KP <= high[i], "joint {i}: {} to {}", low[i], high[i]);
-        // A joint that carries much is known within a few per cent; one without load is not.
+        // The stiffness becomes known within a few per cent only for a joint that carries a load.
         if gravity[i].abs() > 1.0 {
             assert!(high[i] / low[i] < 1.5, "joint {i}: {} to {}", low[i], high[i]);
         }
@@ -234,7 +234,7 @@ fn any_number() -> impl Strategy<Value = f64> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Hostile readings and times give finite goals, limits within the servos', and no panic.
+    /// Invalid readings and times give finite goals and limits within the servos' torque, and no panic.
     #[test]
     fn hostile_ticks_give_finite_commands(
         ticks in proptest::collection::vec(

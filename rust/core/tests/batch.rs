@@ -1,5 +1,5 @@
-//! A batch step does what single steps do in every corner of the settings: bit for bit, or to rounding where arms are
-//! stepped side by side.
+//! A batch step gives the commands of single steps for random settings of all laws: bit for bit, or up to rounding
+//! where several arms are processed at once.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -19,7 +19,7 @@ mod seeded;
 use many::{ARMS, Arms, Out, bits, single};
 use seeded::Random;
 
-/// Controllers with random settings of all laws, for arms of seven and of five joints.
+/// Returns controllers with random settings of all laws, for arms of seven and of five joints.
 fn controllers(random: &mut Random, each: usize) -> Vec<Controller> {
     let mut all = Vec::new();
     for index in 0..3 {
@@ -104,7 +104,7 @@ fn without_a_state_every_row_is_a_first_step_without_slew() {
     }
 }
 
-/// A controller with defaults and some arms for it.
+/// Returns a controller with default settings, and `count` arms for it.
 fn usual(random: &mut Random, count: usize) -> (Controller, Arms) {
     let model = seeded::arm(0, &ModelOptions::default());
     let arms = Arms::new(random, &model, count);

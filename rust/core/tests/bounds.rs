@@ -1,4 +1,5 @@
-//! Bounds that no input may break, and continuity: a small change of the reading makes a small change of the command.
+//! Bounds on commands that hold for every input, and continuity: a small change of the reading changes the command
+//! little.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -76,7 +77,7 @@ fn caps_ceilings_and_floors_hold() {
 fn the_target_moves_within_its_bounds() {
     let model = arm(0);
     let mut random = Random::new(22);
-    // Of an arm that can follow: nothing that it lacks shall hold the target up.
+    // Strong servos without a goal slew, so that only the bounds under test hold the reference back.
     let settings = Settings {
         max_tool_speed: [0.2, 0.8],
         max_tool_acceleration: [1.5, 5.0],
@@ -104,7 +105,7 @@ fn the_target_moves_within_its_bounds() {
         assert!(size(&change) <= 1.5 * (1.0 + 1e-6), "tick {tick}: {change:?}");
         (before, last) = (velocity, now);
     }
-    // A target within the bounds passes as it is.
+    // A target that moves within the bounds is passed on unchanged.
     controller.reset(&q).unwrap();
     for tick in 0..200 {
         slow.position[1] = tool.position[1] + 0.05 * (1.0 - (0.02 * f64::from(tick)).cos());
@@ -114,7 +115,7 @@ fn the_target_moves_within_its_bounds() {
     }
 }
 
-/// Goals, limits and wrench of one step from rest.
+/// Runs single steps from rest in given positions.
 struct Probe {
     controller: Controller,
     target: Pose,
@@ -127,12 +128,13 @@ impl Probe {
         let posture = vec![0.1; q.len()];
         let input = StepInput { posture: Some(&posture), ..StepInput::default() };
         let command = *controller.step(q, &self.target, &input).unwrap();
-        // In units of comparable size: radians, and the torque that makes one.
+        // Torque limits are divided by a stiffness, so that they compare with goals [rad].
         let limits = command.torque_limit().iter().map(|t| t / 60.0);
         (command.goal().iter().copied().chain(limits).collect(), controller)
     }
 
-    /// Largest jump between `a` and `b`, by halving the interval that holds most of the change.
+    /// Returns the largest jump of the command between `a` and `b`: halves the interval with most of the change 24
+    /// times.
     fn jump(&self, a: &[f64], b: &[f64]) -> f64 {
         let between = |s: f64| a.iter().zip(b).map(|(x, y)| x + s * (y - x)).collect::<Vec<_>>();
         let (mut low, mut high) = (0.0, 1.0);
@@ -154,7 +156,8 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).fold(0.0, |most, (x, y)| most.max((x - y).abs()))
 }
 
-/// Walks from `a` to `b` and returns the jumps beyond `most`, with whether joints were locked or torque scaled there.
+/// Moves from `a` to `b` in small steps; returns each jump above `most`, and whether joints were locked or torques
+/// scaled there.
 fn jumps(probe: &Probe, a: &[f64], b: &[f64], most: f64) -> Vec<(f64, bool, bool)> {
     let steps: usize = 60;
     let at = |s: usize| a.iter().zip(b).map(|(x, y)| x + (y - x) * s as f64 / steps as f64).collect::<Vec<_>>();
@@ -204,7 +207,7 @@ fn commands_are_continuous() {
         };
         let controller = Controller::new(Arc::clone(&model), settings, Some(seeded::servos(index))).unwrap();
         let middle = random.joints(&model, 0.5);
-        // Through the target: every deviation changes its sign.
+        // The path passes the target, so that every deviation changes its sign.
         let probe = Probe { controller, target: model.forward_kinematics(&middle).unwrap() };
         let way = random.vector(7, 0.05);
         let (a, b): (Vec<f64>, Vec<f64>) = middle.iter().zip(&way).map(|(m, w)| (m - w, m + w)).unzip();
@@ -232,10 +235,10 @@ fn joints_leave_the_inverse_without_a_jump() {
                     ..one_sided(CompliantSide::Both, "y")
                 };
             }
-            // Ceilings out of the way: they have a test of their own.
+            // Torque ceilings are out of reach here; `at_the_ceilings_only_small_jumps_remain` tests them.
             let strong = Servos { max_torque: vec![1e3], ..seeded::servos(0) };
             let controller = Controller::new(Arc::clone(&model), settings, Some(strong)).unwrap();
-            // One joint walks to its limit.
+            // One joint moves to its limit.
             let mut a = random.joints(&model, 0.5);
             let joint = random.below(7);
             let mut b = a.clone();
@@ -271,7 +274,8 @@ fn a_task_of_few_axes_is_continuous_too() {
 
 #[test]
 fn at_the_ceilings_only_small_jumps_remain() {
-    // The soft part gives way before the stiff one: where it changes its sign in a saturated joint it comes back at once.
+    // The soft part is reduced before the stiff part. If it changes its sign in a saturated joint, it returns in one
+    // step.
     let mut random = Random::new(26);
     let mut found = Vec::new();
     for round in 0..60 {

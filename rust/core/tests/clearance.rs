@@ -1,4 +1,5 @@
-//! The posture lets go of an arm that a push has led to a position limit: what the push meets there is not the posture.
+//! Near a position limit, the rest posture no longer acts on an arm that a push displaces: the push does not have to
+//! overcome the null-space torque there.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -9,18 +10,19 @@ use pliant_core::{Controller, Model, ModelOptions, Settings, StepInput};
 #[path = "common/seeded.rs"]
 mod seeded;
 
-/// The grasp pose, and a posture that the arm might rather have; both clear of every limit.
+/// The grasp posture [rad]; clear of all position limits.
 const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
+/// Another rest posture [rad]; clear of all position limits.
 const RATHER: [f64; 7] = [0.2, -0.3, 0.4, -1.4, 0.6, 0.4, 0.1];
 
-/// A push along y whose deviation [m] is twice `soft_until`, with room to spare.
+/// Displacement of the tool along y [m], more than twice the default `soft_until`, so that it fully counts as a push.
 const PUSH: f64 = 0.03;
 
 fn arm() -> Arc<Model> {
     seeded::arm(0, &ModelOptions::default())
 }
 
-/// `settings` with a yielding y axis, and targets and goals that are there at once.
+/// Creates a controller with a yielding y axis, and without speed limits of target and goals.
 fn made(mut settings: Settings) -> Controller {
     settings.tracking.goal_slew = f64::INFINITY;
     (settings.max_tool_speed, settings.max_tool_acceleration) = ([f64::INFINITY; 2], [f64::INFINITY; 2]);
@@ -28,7 +30,7 @@ fn made(mut settings: Settings) -> Controller {
     Controller::new(arm(), settings, Some(seeded::servos(0))).unwrap()
 }
 
-/// A controller that wants a posture, or the one it is reset to.
+/// Creates a controller with this rest posture; `None`: the positions at reset.
 fn wants(law: Law, posture: Option<&[f64]>) -> Controller {
     made(Settings {
         law,
@@ -37,7 +39,7 @@ fn wants(law: Law, posture: Option<&[f64]>) -> Controller {
     })
 }
 
-/// Goals [rad] of the first step at `q`, the tool pushed away from its target along y by `push` [m].
+/// Returns the goals [rad] of the first step at `q`, with the tool displaced from its target along y by `push` [m].
 fn goals(controller: &mut Controller, q: &[f64], push: f64) -> Vec<f64> {
     controller.reset(q).unwrap();
     let mut target = controller.model().forward_kinematics(q).unwrap();
@@ -45,22 +47,23 @@ fn goals(controller: &mut Controller, q: &[f64], push: f64) -> Vec<f64> {
     controller.step(q, &target, &StepInput::default()).unwrap().goal().to_vec()
 }
 
-/// One that wants another posture, and one that is content with every one.
+/// Returns a controller with the rest posture `RATHER`, and one that is at its rest posture everywhere.
 fn pair(law: Law) -> (Controller, Controller) {
     (wants(law, Some(&RATHER)), wants(law, None))
 }
 
-/// How much the posture has to say in the goals at `q` under a push of `push` [m] [rad].
+/// Returns the largest difference in the goals [rad] of both controllers, the effect of the posture, at `q` with the
+/// tool displaced by `push` [m].
 fn say_under(push: f64, (one, other): &mut (Controller, Controller), q: &[f64]) -> f64 {
     goals(one, q, push).iter().zip(goals(other, q, push)).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }
 
-/// The same under a push that is felt.
+/// Returns the effect of the posture on the goals at `q` [rad] under the displacement `PUSH`.
 fn say(pair: &mut (Controller, Controller), q: &[f64]) -> f64 {
     say_under(PUSH, pair, q)
 }
 
-/// The grasp pose with joint i as far as `room` from a limit.
+/// Returns the grasp posture with joint `i` at a distance of `room` [rad] from one of its limits.
 fn beside(i: usize, upper: bool, room: f64) -> Vec<f64> {
     let (model, mut q) = (arm(), Q.to_vec());
     q[i] = if upper { model.upper()[i] - room } else { model.lower()[i] + room };
@@ -77,7 +80,7 @@ fn a_posture_has_no_say_with_a_joint_at_its_limit() {
             assert!(at < 1e-12 && clear > 1e-4, "{law:?}, joint {i}, upper {upper}: {at} {clear}");
         }
     }
-    // The paper knows no such thing.
+    // Law `paper` does not reduce the posture at limits.
     assert!(say(&mut pair(Law::Paper), &beside(0, true, 0.0)) > 5e-4);
 }
 
@@ -85,7 +88,7 @@ fn a_posture_has_no_say_with_a_joint_at_its_limit() {
 fn it_lets_go_evenly_from_a_twentieth_of_a_radian_on() {
     let mut posture = Q.map(|q| q + 0.01);
     posture[0] = 0.0;
-    // What joint 0 would rather do is left out: it is the one that comes nearer.
+    // Joint 0 itself has no weight in the posture cost: its distance from the posture changes in this test.
     let of = |posture: Option<Vec<f64>>| {
         let posture_weights = Some(vec![0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
         let settings = Settings {
@@ -130,7 +133,8 @@ fn without_a_push_it_leads_a_joint_away_from_its_limit() {
             let at = say_under(0.0, &mut pair, &beside(i, false, 0.0));
             assert!(at > 1e-4, "{law:?}, joint {i}: {at}");
         }
-        // It fades between the deviation at which compliance begins to fall and twice that; its torque is bounded before.
+        // The posture fades between a deviation of `soft_until` and twice that; its torque limit acts before, so half
+        // way it is below `none`.
         let q = beside(0, true, 0.0);
         let [none, half, whole] = [0.01, 0.0198, 0.02].map(|push| say_under(push, &mut pair, &q));
         assert!(none > 1e-4 && whole < 1e-12, "{law:?}: {none} {whole}");

@@ -1,4 +1,5 @@
-//! The contact estimate: equal to the truth where all is known, within its bound where not, unmoved by hostile input.
+//! The contact estimate equals the true wrench if the model is exact, stays within its bound otherwise, and rejects
+//! invalid input.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -27,7 +28,7 @@ fn controller() -> Controller {
     controller_with(Settings::default(), servos())
 }
 
-/// Everything known but what is changed.
+/// Options that state an exact model; tests change single errors.
 fn known() -> ContactOptions {
     ContactOptions {
         friction_error: 0.0,
@@ -42,12 +43,12 @@ fn noise(seed: usize) -> f64 {
     2.0 * (((seed + 1) as f64 * 12.9898).sin() * 43_758.545_3).fract().abs() - 1.0
 }
 
-/// Wrench in base axes, up to 10 N and 2 N·m.
+/// Returns a random wrench in base axes, up to 10 N and 2 N·m.
 fn wrench(seed: usize) -> [f64; 6] {
     std::array::from_fn(|k| noise(seed * 31 + k) * if k < 3 { 10.0 } else { 2.0 })
 }
 
-/// Torques of the servos [N·m] that hold the arm against a wrench, friction apart.
+/// Returns the servo torques [N·m] that hold the arm against gravity and a wrench, without friction.
 fn holding(model: &Model, q: &[f64], wrench: &[f64; 6]) -> Vec<f64> {
     let (jacobian, gravity) = (model.jacobian(q, Reference::WorldAligned).unwrap(), model.gravity(q).unwrap());
     (0..model.n()).map(|i| gravity[i] - (0..6).map(|k| jacobian[(k, i)] * wrench[k]).sum::<f64>()).collect()
@@ -57,7 +58,7 @@ fn goal(q: &[f64], torque: &[f64]) -> Vec<f64> {
     q.iter().zip(torque).zip(KP).map(|((q, torque), kp)| q + torque / kp).collect()
 }
 
-/// Force and bound, base axes, after readings of an arm at rest that was sent these goals and limits.
+/// Returns force and bound in base axes [N, N·m], after 100 readings of an arm at rest with these goals and limits.
 fn felt(
     contact: &mut ContactEstimator,
     ctl: &Controller,
@@ -121,7 +122,7 @@ fn friction_of_an_arm_at_rest_stays_within_the_bound() {
     for seed in 0..100 {
         let (q, truth) = (common::state(ctl.model(), seed), wrench(seed));
         let mut torque = holding(ctl.model(), &q, &truth);
-        // Dry friction holds the arm with anything up to its size; at the corners it does most.
+        // At rest, friction can have any value up to its maximum; the extreme values give the largest error.
         for (i, value) in torque.iter_mut().enumerate() {
             *value += FRICTION[i] * noise(seed * 17 + i).signum();
         }
@@ -141,7 +142,7 @@ fn wrong_k_p_gravity_and_payload_stay_within_the_bound_they_are_told_in() {
         let felt_truth = truth;
         truth[2] -= 0.3 * 9.81 * noise(seed + 7).abs();
         let believed = holding(ctl.model(), &q, &truth);
-        // The true stiffness is k_p (1 + share): the same lead gives that much more torque.
+        // The true stiffness is k_p (1 + share), so the same lead exerts more torque by that factor.
         let torque: Vec<f64> =
             believed.iter().enumerate().map(|(i, t)| t / (1.0 + 0.1 * noise(seed * 13 + i))).collect();
         contact.reset();
@@ -283,7 +284,7 @@ fn hostile_input_is_refused_and_leaves_no_trace() {
         }
     }
     assert_eq!(before, *contact.estimate());
-    // The largest numbers that are taken give finite answers, and a reset forgets them.
+    // The largest accepted numbers give finite results, and a reset removes their effect.
     let large = [1e6; 7];
     for dt in [1e-300, 1.0] {
         let input = ContactInput { load: Some(&large), dt: Some(dt), ..ContactInput::default() };

@@ -1,4 +1,4 @@
-//! Independent values of every intermediate of the control step (`tests/data/golden`, made with Pinocchio and NumPy).
+//! Intermediate values of the control step against `tests/data/golden`, computed with Pinocchio and NumPy.
 #![allow(clippy::unwrap_used, reason = "tests fail by panicking")]
 
 use std::sync::Arc;
@@ -35,7 +35,7 @@ fn number(value: &Value) -> f64 {
 fn arm7() -> Arc<Model> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/golden/arm7.urdf");
     let mut options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
-    // The independent values know no position limits.
+    // The reference values were computed without position limits.
     let joints = Model::from_urdf_file(path, &options).unwrap().joint_names().to_vec();
     options.limits = joints.into_iter().map(|name| (name, (-100.0, 100.0))).collect();
     Arc::new(Model::from_urdf_file(path, &options).unwrap())
@@ -45,7 +45,7 @@ fn close(what: &str, case: usize, got: f64, expected: f64, scale: f64) {
     assert!((got - expected).abs() <= TOLERANCE * scale.max(1.0), "case {case}, {what}: {got} instead of {expected}");
 }
 
-/// The case's settings in our conventions: `compliant_pos` there is `yields="-"` here.
+/// Returns the settings of a case in the conventions of this crate: its `compliant_pos` is `yields="-"` here.
 fn settings(case: &Value) -> Settings {
     let mut settings = Settings {
         law: Law::Paper,
@@ -82,7 +82,8 @@ fn settings(case: &Value) -> Settings {
             (false, true) => CompliantSide::Plus,
             (false, false) => CompliantSide::None,
         };
-        // Cases in which firm > hold are refused by `Axis`; the public functions cover their torques.
+        // `Axis` rejects firm > hold, so firm is reduced; the tests of the public equations cover the torques of such
+        // cases.
         let firm = firm[axis].min(hold[axis]);
         settings.axes[axis] = Axis {
             soft: Some([soft[axis]; 2]),
@@ -117,7 +118,7 @@ fn the_step_reproduces_every_quantity() {
         let firm_above_hold = vector(&case["tau_max"]).iter().zip(vector(&case["tau_stiff"])).any(|(f, h)| *f > h);
         let mut controller = Controller::new(Arc::clone(&model), settings(case), None).unwrap();
         let q = vector(&case["q"]);
-        // Their gradient is the ascent direction.
+        // The gradient in the file is the direction of ascent, hence the sign.
         let gradient: Vec<f64> = vector(&case["grad"]).iter().map(|g| -g).collect();
         let input = StepInput { gradient: Some(&gradient), ..StepInput::default() };
         let command = *controller.step(&q, &target(case), &input).unwrap();

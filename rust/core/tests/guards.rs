@@ -1,4 +1,4 @@
-//! Every guard around the URDF reader refuses its file, and says which thing, which value, and what would be right.
+//! Every check of the URDF reader rejects its file with a message that names the element, its value and the remedy.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -13,7 +13,7 @@ use common::data;
 use pliant_core::error::Error;
 use pliant_core::model::{Model, ModelOptions};
 
-/// Asserts that a file of `data/guards` is refused with a message that holds all these pieces.
+/// Asserts that a file of `data/guards` is rejected with a message that contains all `pieces`.
 #[track_caller]
 fn refused(file: &str, pieces: &[&str]) {
     let path = data("guards").join(file).with_extension("urdf");
@@ -121,7 +121,7 @@ fn guard_09_the_text_is_an_expanded_robot_that_moves() {
 
 #[test]
 fn guard_10_no_program_is_started_for_a_file_by_its_name() {
-    // A reader that goes by the extension would run `xacro` here; ours reads the text.
+    // The extension does not matter: other readers would run `xacro` on this file, this one reads its text.
     let path = std::env::temp_dir().join(format!("pliant-guard-{}.xacro", std::process::id()));
     std::fs::copy(data("guards/03_velocity_absent.urdf"), &path).unwrap();
     let model = Model::from_urdf_file(&path, &ModelOptions::default());

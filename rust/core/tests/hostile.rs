@@ -1,4 +1,4 @@
-//! Whatever text comes in, a model or an error comes out: no panic, no hang.
+//! Any text gives a model or an error, never a panic or an endless loop.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -15,7 +15,7 @@ use common::root;
 use pliant_core::model::{Model, ModelOptions};
 use proptest::prelude::*;
 
-/// Loads; where that works, the model must also compute.
+/// Reads the text; if that succeeds, also computes kinematics with the model.
 fn survives(text: &str) {
     if let Ok(model) = Model::from_urdf_str(text, &ModelOptions::default()) {
         let q = vec![0.3; model.n()];
@@ -24,7 +24,7 @@ fn survives(text: &str) {
     }
 }
 
-/// A small generator of our own (xorshift), so that ten thousand mutations are the same every time.
+/// Xorshift generator with a fixed seed, so that the mutations are the same in every run.
 struct Dice(u64);
 
 impl Dice {
@@ -127,7 +127,7 @@ proptest! {
     }
 }
 
-/// Bounds far above what was measured (about a second): a hang is found, a slow machine is not blamed.
+/// The time limits are far above the measured second, so that they detect a hang but not a slow machine.
 #[test]
 fn large_texts_end_soon() {
     let slots = |count: usize, one: &dyn Fn(usize) -> String| (0..count).map(one).collect::<String>();

@@ -1,6 +1,6 @@
-//! Whatever numbers come in, a finite command or a typed error comes out, and an error leaves no trace.
+//! Any input numbers give a finite command or a typed error, and an error does not change the controller.
 //!
-//! 10⁵ hostile inputs by default; `PLIANT_HOSTILE=10000000` for as many as one has time for.
+//! Runs 10⁵ random inputs by default; the environment variable `PLIANT_HOSTILE` sets another number.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -51,7 +51,7 @@ fn strange(random: &mut Random) -> f64 {
     random.pick(&STRANGE)
 }
 
-/// Usual numbers of which some are strange, in a vector that is sometimes too long or too short.
+/// Returns `usual` with a `share` of strange numbers, in a vector that is sometimes too long or too short.
 fn numbers(random: &mut Random, usual: &[f64], share: f64) -> Vec<f64> {
     let length = if random.chance(0.05) { random.below(20) } else { usual.len() };
     (0..length)
@@ -72,7 +72,7 @@ fn pose(random: &mut Random, usual: &Pose, share: f64) -> Pose {
     out
 }
 
-/// One call with strange inputs; returns whether it was refused.
+/// Calls the controller once with strange inputs; returns the error if the call was rejected.
 fn assault(random: &mut Random, controller: &mut Controller, q: &[f64], target: &Pose) -> Option<Error> {
     let share = random.pick(&[0.0, 0.02, 0.3]);
     let n = q.len();
@@ -175,7 +175,7 @@ fn hostile_inputs_leave_no_trace() {
             if let Some(error) = assault(random, &mut controller, &q, &target) {
                 named(&error);
                 refused += 1;
-                // The next step is bit for bit that of a controller that has never seen it.
+                // After an error, the next step is bit-identical to that of a copy made before the call.
                 let mut twin = untouched;
                 let a = *controller.step(&q, &target, &StepInput::default()).unwrap();
                 let b = *twin.step(&q, &target, &StepInput::default()).unwrap();
@@ -183,7 +183,7 @@ fn hostile_inputs_leave_no_trace() {
                 assert_eq!(format!("{:?}", controller.diagnostics()), format!("{:?}", twin.diagnostics()), "{error}");
             }
         }
-        // It still works: from here on usual readings make usual commands.
+        // After strange inputs, usual readings give usual commands again.
         controller.set_gravity([0.0, 0.0, -9.81]).unwrap();
         controller.set_payload(None).unwrap();
         controller.reset(&q).unwrap();
@@ -234,7 +234,7 @@ fn fuzz_damping(random: &mut Random, number: impl Fn(&mut Random) -> f64) -> Dam
     }
 }
 
-/// Any settings at all.
+/// Returns random settings, valid or not.
 fn fuzz(random: &mut Random, n: usize) -> Settings {
     let number = |random: &mut Random| if random.chance(0.05) { strange(random) } else { random.scale(1e-3, 20.0) };
     let list = |random: &mut Random| {
@@ -252,7 +252,7 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         _ => Gain::Scalar(if random.chance(0.1) { strange(random) } else { random.between(0.0, 6.0) }),
     };
     let law = random.pick(&[Law::Cap, Law::Impedance, Law::Paper]);
-    // Rarely where they do not belong.
+    // Springs are valid only under law `impedance`: rarely use them with other laws.
     let springs = law == Law::Impedance || random.chance(0.02);
     let axis = |random: &mut Random| Axis {
         soft: maybe(random, |r| [number(r), number(r)]),
@@ -315,7 +315,8 @@ fn fuzz(random: &mut Random, n: usize) -> Settings {
         torque_limits: TorqueLimits {
             stiffening_time: or(random, 0.2),
             floor: maybe(random, list),
-            margin: or(random, 0.1), // Follows a hand six ways at every step: rarely.
+            margin: or(random, 0.1),
+            // Rarely, because the bound is slow: each step simulates pushes along three axes, both ways.
             max_host_loss_force: if random.chance(0.02) { Some(number(random).abs()) } else { None },
         },
         paper_options: PaperOptions {

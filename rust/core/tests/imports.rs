@@ -1,6 +1,6 @@
-//! The order of the crate's modules: each imports only from those before it.
+//! Checks the order of the crate's modules: each imports only from modules before it.
 //!
-//! Reads every path that begins with `crate::` in the sources, test modules included; comments are left out, so that
+//! Reads every path that begins with `crate::` in the sources, including test modules. Comments are ignored, so that
 //! documentation may link to later modules.
 #![allow(clippy::unwrap_used, reason = "a test may fail loudly, its helpers too")]
 
@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Modules of the crate, the lowest first. The folder of a module counts as one.
+/// Modules of the crate, lowest first. A folder counts as one module.
 const ORDER: [&str; 15] = [
     "error",
     "math",
@@ -27,7 +27,7 @@ const ORDER: [&str; 15] = [
     "equations",
 ];
 
-/// Modules that must not import each other, although one stands before the other.
+/// Modules that must not import each other in either direction.
 const APART: [&str; 2] = ["analysis", "contact"];
 
 fn source_files(folder: &Path) -> Vec<PathBuf> {
@@ -82,7 +82,7 @@ fn imported(code: &str) -> Vec<String> {
     names
 }
 
-/// Returns the module of a file, by the first folder or the file's name.
+/// Returns the module of a file: its first folder below `root`, or its name without extension.
 fn module(file: &Path, root: &Path) -> String {
     let first = file.strip_prefix(root).unwrap().components().next().unwrap();
     Path::new(first.as_os_str()).file_stem().unwrap().to_string_lossy().into_owned()
@@ -122,7 +122,7 @@ fn every_module_has_a_place_in_the_order() {
     assert_eq!(modules, ORDER.iter().map(|name| (*name).to_string()).collect());
 }
 
-/// A path through the crate's root would hide from where a thing comes: only its constants and array types are there.
+/// Modules import only constants and array types from the root, so that the source of every other import is visible.
 #[test]
 fn the_root_is_used_for_constants_and_array_types_only() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
@@ -134,7 +134,7 @@ fn the_root_is_used_for_constants_and_array_types_only() {
     }
 }
 
-/// `super` in the file of a top module is the root.
+/// In the file of a top-level module, `super` is the root, which would hide an import from this check.
 #[test]
 fn no_top_module_imports_through_super() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");

@@ -1,4 +1,4 @@
-//! Every set of instructions comes to the same command; one set comes to the same bits, however often it is asked.
+//! All instruction sets give the same commands up to rounding; one instruction set gives the same bits in every run.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -16,7 +16,7 @@ fn arm() -> Arc<Model> {
     Arc::new(Model::from_urdf_file(path, &ModelOptions::default()).unwrap())
 }
 
-/// A slow walk through the middle of the joint ranges, and targets a little ahead.
+/// Returns positions on a slow path through the middle of the joint ranges, and a target slightly ahead.
 fn state(model: &Model, tick: usize) -> (Vec<f64>, Pose) {
     let at = |phase: f64| -> Vec<f64> {
         (0..model.n())
@@ -74,7 +74,7 @@ fn a_set_repeats_bit_for_bit() {
     }
 }
 
-/// A run of settings, readings and targets that exercises all of a controller.
+/// Runs the controller with changing settings, readings and targets; returns the bits of each command.
 fn run(controller: &mut Controller, ticks: std::ops::Range<u64>) -> Vec<[u64; 14]> {
     let model = Arc::clone(controller.model());
     ticks
@@ -116,7 +116,7 @@ fn same_inputs_same_bits() {
         };
         let all = run(&mut make(), 0..300);
         assert_eq!(all, run(&mut make(), 0..300));
-        // A clone in the middle goes on as the original does, and a reset starts anew.
+        // A clone made during the run continues like the original, and a reset starts the run again.
         let mut original = make();
         assert_eq!(all[..150], run(&mut original, 0..150));
         let mut clone = original.clone();

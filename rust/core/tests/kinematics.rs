@@ -1,4 +1,4 @@
-//! Poses, Jacobians and gravity against independent values and against each other.
+//! Poses, Jacobians and gravity torques against reference values and against each other.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -48,7 +48,7 @@ fn arm7_agrees_with_the_golden_values() {
     }
 }
 
-/// Values of another library, see `tests/data/robots/reference.json`.
+/// The reference values in `tests/data/robots/reference.json` were computed with Pinocchio.
 #[test]
 fn robots_agree_with_pinocchio() {
     let reference = json(&data("robots/reference.json"));
@@ -166,7 +166,7 @@ fn results_too_many_for_the_caches_are_the_same_bits() {
     let model = arm7();
     let (n, count) = (model.n(), 150_003);
     let q: Vec<f64> = (0..count * n).map(|i| (0.37 * i as f64).sin()).collect();
-    // Neither begins where a line of the cache does.
+    // Offset by one number, so that neither slice begins at a cache line.
     let (mut poses, mut jacobians) = (vec![0.0; 1 + 16 * count], vec![0.0; 1 + 6 * n * count]);
     let (poses, jacobians) = (&mut poses[1..], &mut jacobians[1..]);
     model.kinematics_batch(&q, Reference::WorldAligned, poses, jacobians).unwrap();
@@ -185,7 +185,7 @@ fn results_too_many_for_the_caches_are_the_same_bits() {
 fn inverse_kinematics_returns_to_poses_it_was_given() {
     for name in ["arm7", "twisted_6r", "sliding", "hobby_5dof"] {
         let model = if name == "arm7" { arm7() } else { robot(name) };
-        // Four or five joints cannot meet six axes from another start; positions they can.
+        // With four or five joints, a search from another start may miss a pose of six axes; a position can be reached.
         let six = model.n() >= 6;
         let axes = [true, true, true, six, six, six];
         let options = IkOptions { axes, restarts: 20, ..IkOptions::default() };
@@ -222,7 +222,7 @@ fn inverse_kinematics_says_why_not() {
     assert!(!solution.converged);
     assert!(matches!(solution.reason, IkStatus::OutOfReach { .. }));
     assert_eq!(solution.reason.to_string(), "out of reach: 2.000 m from the first joint, the arm reaches 0.710 m");
-    // Straight out it can still point: no pose is closer than the arm is long.
+    // The arm stretches toward the target: no position error is smaller than the distance minus the arm's length.
     assert!(solution.position_error >= 2.0 - 0.71, "{}", solution.position_error);
 
     let behind = Pose { position: [-0.3, 0.5, 0.2], ..far };
@@ -242,7 +242,7 @@ proptest! {
     #[test]
     fn fast_frames_equal_slow_ones_anywhere(which in 0..ROBOTS.len(), q in prop::collection::vec(-1e6..1e6, 6)) {
         let model = robot(ROBOTS[which]);
-        // At 1e6 rad a rounding of the angle alone is 1e-10.
+        // At 1e6 rad the rounding of the angle alone is 1e-10.
         for scale in [1e-12_f64, 1e-6, 1e-3, 1.0] {
             let q: Vec<f64> = q[..model.n()].iter().map(|x| x * scale).collect();
             let slow = slow_tool(&model, &q);

@@ -1,4 +1,4 @@
-//! Base, tip, locks, limits, mimics, masses: what a user chooses, and what a model then says.
+//! Options of a model (base, tip, locked joints, limits) and properties of the model (mimics, masses).
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -83,7 +83,7 @@ fn base_may_be_any_link_fixed_to_the_root_of_the_chain() {
     let want = common::isometry(&from_root.forward_kinematics(&q).unwrap());
     assert!((off.to_homogeneous() - want.to_homogeneous()).amax() < 1e-15);
 
-    // A mount beside the chain, as many industrial arms have one, and a base in mid-chain.
+    // A fixed mount beside the chain, as on many industrial arms, and a base in the middle of the chain.
     let text = std::fs::read_to_string(data("robots/planar_2r.urdf")).unwrap();
     let mounted = text.replace(
         "</robot>",
@@ -235,7 +235,7 @@ fn options_are_checked() {
 
 #[test]
 fn quaternions_are_used_as_they_stand() {
-    // Within 0.2° of pitch 90°, where a detour over roll, pitch, yaw would snap.
+    // A pitch within 0.2° of 90°, where a conversion through roll, pitch and yaw would be inaccurate.
     let half: f64 = (std::f64::consts::FRAC_PI_2 - 0.003) / 2.0;
     let text = std::fs::read_to_string(data("guards/14_quat_in_1_0.urdf")).unwrap();
     let text = text
@@ -248,7 +248,8 @@ fn quaternions_are_used_as_they_stand() {
 
 #[test]
 fn what_a_robot_does_not_need_cannot_break_it() {
-    // Unknown elements, broken visuals, comments, a byte-order mark, a default name space, Windows line ends, no XML head.
+    // A valid file with unknown elements, invalid visuals, comments, a byte-order mark, a default namespace and CRLF
+    // line ends, but no XML declaration.
     let text = "\u{feff}<!-- made by hand --><robot name=\"r &amp; s\" version=\"1.2\">\r\n<material/><gazebo><a/></gazebo><?go now?>\
         <link name=\"a b\"><visual><geometry/></visual><collision/>words<!-- note --></link>\r\n<link name=\"ü/1\"/>\
         <joint name=\"j\" type=\"revolute\"><parent link=\"a b\"/><child link=\"ü/1\"/><origin/><safety_controller/>\

@@ -1,6 +1,6 @@
-//! Names of types, functions, modules and constants: no invented words where the field has a term.
+//! Checks names of types, functions, modules and constants: no invented word where the field has a term.
 //!
-//! Reads all Rust sources of the workspace. Tests themselves are left out: their names are sentences.
+//! Reads all Rust sources of the workspace. Test functions are exempt: their names are sentences.
 #![allow(clippy::unwrap_used, reason = "a test may fail loudly, its helpers too")]
 
 use std::fs;
@@ -12,7 +12,7 @@ const BANNED: [&str; 18] = [
     "keeper", "desk", "truth", "merits", "mishaps",
 ];
 
-/// Words that are no name by themselves; within one they may have another meaning (`half_way`, a tap of a filter).
+/// Words that are not allowed as a complete name; as part of a name they may have another meaning (`half_way`).
 const BANNED_ALONE: [&str; 3] = ["way", "own", "tap"];
 
 const KEYWORDS: [&str; 9] = ["struct", "enum", "union", "trait", "type", "fn", "mod", "const", "static"];

@@ -1,4 +1,4 @@
-//! The control step asks the heap for nothing.
+//! Control steps and the laws of an arm allocate no heap memory.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 #![allow(unsafe_code, reason = "a counting allocator is an unsafe trait by nature")]
 
@@ -19,7 +19,7 @@ mod seeded;
 
 use seeded::Random;
 
-/// Counts what the present thread asks for.
+/// Allocator that counts the calls of the current thread.
 struct Counting;
 
 thread_local! {
@@ -27,33 +27,33 @@ thread_local! {
 }
 
 fn note() {
-    // During the end of a thread there is nothing left to count in.
+    // At the end of a thread its counter no longer exists, so the access may fail.
     let _ = COUNT.try_with(|count| count.set(count.get() + 1));
 }
 
-// SAFETY: every call goes to the system's allocator as it came; counting touches no memory of it.
+// SAFETY: every call is forwarded unchanged to the system's allocator; counting does not touch the allocated memory.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         note();
-        // SAFETY: as the caller promised.
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         note();
-        // SAFETY: as the caller promised.
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         note();
-        // SAFETY: as the caller promised.
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
         unsafe { System.realloc(pointer, layout, size) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         note();
-        // SAFETY: as the caller promised.
+        // SAFETY: the caller keeps the contract of `GlobalAlloc`, which is that of `System`.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -61,7 +61,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Calls to the allocator while `work` runs, frees included.
+/// Returns the number of allocator calls, including frees, while `work` runs.
 fn calls(work: impl FnOnce()) -> usize {
     let before = COUNT.get();
     work();
@@ -77,7 +77,7 @@ fn the_counter_counts() {
     assert_eq!(calls(|| ()), 0);
 }
 
-/// Settings that take every path of the step.
+/// Returns settings that together cover every branch of the step, with the index of the arm.
 fn variants() -> Vec<(usize, Settings)> {
     let mut all = Vec::new();
     let axis = |yields| Axis { yields: Some(yields), ..Axis::default() };
@@ -117,7 +117,7 @@ fn variants() -> Vec<(usize, Settings)> {
             }
         }
     }
-    // More axes than joints, and no gravity.
+    // More axes than joints, and no gravity model.
     let task = Task { length: Some(0.3), ..Task::default() };
     all.push((2, Settings { task, gravity: false, ..Settings::default() }));
     all
@@ -185,7 +185,7 @@ fn feeling_a_contact_asks_for_nothing_either() {
     assert!(contact.estimate().uncertainty[2].is_finite());
 }
 
-/// The laws beside the controller, in all phases of a descent, with positions and without.
+/// Descent, hand guiding and thermal model, in all phases of a descent, with positions and without.
 #[test]
 fn laws_of_an_arm_do_not_allocate() {
     let model = seeded::arm(0, &ModelOptions::default());

@@ -1,4 +1,4 @@
-//! The fast control step against the slow one of `oracle/`, over random settings, arms and multi-tick sequences.
+//! Compares the control step with the slow one of `oracle/`, over random settings, arms and sequences of ticks.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::cell::RefCell;
@@ -18,15 +18,15 @@ mod seeded;
 use oracle::{Oracle, Tick, Vector};
 use seeded::Random;
 
-/// Relative to the larger of the value and the scale of its vector.
+/// Relative tolerance, with respect to the larger of the value and the scale of its vector.
 const TOLERANCE: f64 = 1e-9;
 
-/// Compares one tick; the first quantity that differs is the one to look at.
+/// Compares one tick. Later quantities depend on earlier ones, so the first difference shows the cause.
 struct Judge<'a> {
     case: String,
-    /// 1 where nothing amplifies; near singular rows every digit of `JJᵀ` counts (1/σ²).
+    /// Factor on the tolerance: 1, but larger near singular rows, where rounding errors of `JJᵀ` grow by 1/σ².
     slack: f64,
-    /// Disagreements of all ticks.
+    /// Differences found in all ticks, as messages.
     found: &'a RefCell<Vec<String>>,
 }
 
@@ -35,7 +35,7 @@ impl Judge<'_> {
         self.to_scale(what, got, want, 1e-3);
     }
 
-    /// Within the tolerance of the largest entry, or of `least`.
+    /// Compares two vectors with a tolerance relative to the largest entry, or to `least` if that is larger.
     fn to_scale(&self, what: &str, got: &[f64], want: &Vector, least: f64) {
         let scale = want.iter().fold(least, |a, x| if x.is_finite() { a.max(x.abs()) } else { a });
         for (i, (g, w)) in got.iter().zip(want).enumerate() {
@@ -111,7 +111,7 @@ struct Observed {
     limited: usize,
 }
 
-/// One arm, one set of settings, a few ticks.
+/// Compares several ticks of one arm with one set of settings.
 fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, found: &RefCell<Vec<String>>) {
     let mut random = Random::new(seed);
     let random = &mut random;
@@ -129,7 +129,7 @@ fn sequence(index: usize, law: Law, seed: u64, observed: &mut Observed, found: &
     let mut oracle = Oracle::new(&model, &settings, servos.as_ref(), [lambda_0, sigma_0, lambda_max]);
     let mut q = random.joints(&model, if at_limits { 1.02 } else { 0.8 });
     if random.chance(0.2) {
-        // A straight arm.
+        // A nearly straight arm.
         q.iter_mut().skip(1).for_each(|value| *value *= 0.01);
     }
     if random.chance(0.7) {
@@ -197,7 +197,8 @@ fn both_transcriptions_agree() {
             wrong.extend(found.take().into_iter().next());
         }
         assert!(wrong.is_empty(), "{} sequences differ:\n{}", wrong.len(), wrong[..wrong.len().min(30)].join("\n"));
-        // The sequences must have been where it is difficult; springs are rarely too fast.
+        // The random sequences must include the difficult cases often enough; springs rarely exceed the bound on the
+        // stiffness.
         let slowed = if law == Law::Impedance { 30 } else { 80 };
         assert!(
             observed.locked > 300

@@ -1,4 +1,4 @@
-//! Defaults that come from the arm, what is refused, and the estimate of the smallest singular value.
+//! Defaults derived from the arm, rejected settings, and the estimate of the smallest singular value.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -35,7 +35,7 @@ fn yielding(axes: &str, axis: Axis) -> Settings {
     settings
 }
 
-/// Halton's point `index` over the joint ranges, written out once more.
+/// Returns the Halton point `index` over the joint ranges, computed independently of the crate.
 fn halton(model: &Model, index: u32) -> Vec<f64> {
     let digit_sum = |mut i: u32, base: u32| {
         let (mut value, mut place) = (0.0, 1.0 / f64::from(base));
@@ -82,12 +82,12 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
             && message.contains("accept_high_stiffness=True"),
         "{message}"
     );
-    // What it names works, and twice that does not.
+    // The value that the message proposes is accepted; a tenth more is not.
     let nearest: f64 = message.split("use x=").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
     controller(delayed(nearest)).unwrap();
     assert!(controller(delayed(1.1 * nearest)).is_err());
     controller(Settings { accept_high_stiffness: true, ..delayed(2000.0) }).unwrap();
-    // Defaults are taken back tick by tick instead.
+    // Default springs are not rejected but scaled down in each step.
     let defaults = Settings { law: Law::Impedance, delay: 0.02, rate: 50.0, ..Settings::default() };
     let mut made = controller(defaults.clone()).unwrap();
     assert_eq!(made.axis_impedances()[0], AxisImpedance { stiffness: [800.0; 2], damping: [0.0; 2] });
@@ -110,7 +110,7 @@ fn stiffness_is_refused_where_half_the_poses_would_ring() {
     let message = refusal(damped, servos.clone());
     let given = "x=60 N·s/m, y=60 N·s/m, z=60 N·s/m, roll=2.25 N·m·s/rad, pitch=2.25 N·m·s/rad, yaw=2.25 N·m·s/rad";
     assert!(message.starts_with(&format!("axes.damping: {given} is 1.")), "{message}");
-    // An axis that yields has no spring.
+    // The side of an axis that yields has no spring by default.
     let mut soft = Settings { law: Law::Impedance, ..Settings::default() };
     soft.set_axes("y", Axis { yields: Some(CompliantSide::Plus), ..Axis::default() }).unwrap();
     assert_eq!(
@@ -170,7 +170,7 @@ fn damping_is_twice_the_median_over_512_poses() {
             Controller::new(Arc::clone(&model), Settings { task, ..Settings::default() }, Some(servos)).unwrap();
         let length = model.reach() / 0.71;
         let sigma = median((1..=512).map(|i| smallest(&model, &halton(&model, i), &chosen, length)).collect());
-        // Two digits of it.
+        // σ₀ is twice the median, rounded to two digits.
         let (sigma_0, exact) = (controller.singularity_damping().sigma_0, 2.0 * sigma);
         let digit = 10.0_f64.powf(exact.log10().floor() - 1.0);
         assert!((sigma_0 - exact).abs() <= 0.5 * digit + 1e-9, "{axes}: {sigma_0} {exact}");
@@ -204,7 +204,7 @@ fn eta_beyond_095_needs_k_p_known_a_captured_gravity_or_a_name() {
     make(yielding("y", Axis { soft: Some([2.0; 2]), adaptation: 0.95, ..Axis::default() })).unwrap();
     let paper = |settings: Settings| Settings { law: Law::Paper, ..settings };
     make(paper(bold())).unwrap();
-    // Captured while running, then asked for.
+    // The gravity offset is captured at run time; the settings that need it are accepted afterwards.
     let mut running = make(Settings::default()).unwrap();
     assert!(running.update(bold()).is_err());
     let q = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
@@ -222,14 +222,14 @@ fn the_gain_is_bounded_by_the_delay() {
             ..Settings::default()
         })
     };
-    // K_x h ≤ max(1, min(3, 0.03 s / (T_d + half a period))).
+    // Bound: K_x h ≤ max(1, min(3, 0.03 s / (T_d + half a period))).
     with(Gain::Scalar(12.0), 0.0, 100.0).unwrap();
     assert!(with(Gain::Scalar(12.1), 0.0, 100.0).is_err());
     with(Gain::Scalar(4.0), 0.1, 100.0).unwrap();
     assert!(with(Gain::Scalar(4.1), 0.1, 100.0).is_err());
     with(Gain::Scalar(7.9), 0.01, 100.0).unwrap();
     assert!(with(Gain::Scalar(8.1), 0.01, 100.0).is_err());
-    // The bound holds in every direction, not only along the axes.
+    // The bound limits the gain in every direction, not only along the axes.
     let pair = |off: f64| {
         let mut m = vec![vec![0.0; 6]; 6];
         (0..6).for_each(|i| m[i][i] = 4.0);
@@ -238,7 +238,7 @@ fn the_gain_is_bounded_by_the_delay() {
     };
     with(pair(3.9), 0.01, 100.0).unwrap();
     assert!(with(pair(4.1), 0.01, 100.0).is_err());
-    // Servos with much damping.
+    // Servos with high damping.
     let (model, servos) = arm(2);
     let stiff = Settings {
         task: Task::parse("xyz").unwrap(),
@@ -247,7 +247,7 @@ fn the_gain_is_bounded_by_the_delay() {
         ..Settings::default()
     };
     Controller::new(model, stiff, Some(servos)).unwrap();
-    // A delay measured later derates instead.
+    // A delay that is set later reduces the gain instead of raising an error.
     let mut running = with(Gain::Scalar(8.0), 0.0, 100.0).unwrap();
     running.set_delay(0.025).unwrap();
     assert!((running.gain_factor() - 0.5).abs() < 1e-12);
@@ -284,7 +284,7 @@ fn more_axes_than_joints_need_a_length_and_it_weighs() {
         pose
     };
     for damping in [Damping::Auto, Damping::Fixed(0.02)] {
-        // The larger the length, the less a metre counts: the position is met less well.
+        // A larger length gives a metre less weight, so the position error is larger.
         let left = |length: f64| {
             let mut controller = make(Some(length), damping).unwrap();
             let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
@@ -319,7 +319,7 @@ fn a_law_of_forces_needs_k_p() {
     Controller::new(model, paper, None).unwrap();
 }
 
-/// Largest relative error of the estimate against the SVD along a path, and the largest error in absolute terms.
+/// Returns the largest relative and the largest absolute error of the estimate against the SVD along a path.
 fn worst_estimate(index: usize, axes: &str, path: impl Fn(f64) -> Vec<f64>, ticks: usize) -> (f64, f64) {
     let (model, servos) = arm(index);
     let settings = Settings { task: Task::parse(axes).unwrap(), ..Settings::default() };
@@ -350,7 +350,7 @@ fn sigma_follows_smooth_motions() {
         let index = round % 3;
         let (model, _) = arm(index);
         let (from, to) = (random.joints(&model, 0.95), random.joints(&model, 0.95));
-        // 1.5 s between two poses of the whole range: joints at up to 3 rad/s.
+        // The path takes 1.5 s between two postures anywhere in the joint ranges: joint speeds up to 3 rad/s.
         let path = |t: f64| (0..model.n()).map(|i| from[i] + (to[i] - from[i]) * t).collect();
         let (relative, absolute) = worst_estimate(index, if index == 2 { "xyz" } else { "all" }, path, 150);
         worst = (worst.0.max(relative), worst.1.max(absolute));
@@ -378,7 +378,8 @@ fn sigma_is_right_at_once_after_a_reset() {
 
 #[test]
 fn sigma_finds_the_other_block_of_a_planar_arm() {
-    // All roll and yaw joints at exactly zero: `JJᵀ` falls into two blocks, and a vector in one never sees the other.
+    // With all roll and yaw joints at 0, `JJᵀ` consists of two blocks, and a vector in one block has no part in the
+    // other.
     for (from, to) in [(-1.9, -0.02), (-0.02, -1.9)] {
         for wrist in [0.0, 0.7, 1.5] {
             let path = |t: f64| vec![0.2, 0.0, 0.0, from + (to - from) * t, 0.0, wrist * t, 0.0];

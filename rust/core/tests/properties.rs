@@ -1,4 +1,4 @@
-//! What must hold for any pose and target: activation, projector, inverse, signs, gradients.
+//! Properties that hold for every pose and target: activation, projector, inverse, signs, gradients.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -22,7 +22,7 @@ fn arm(index: usize) -> Arc<Model> {
     seeded::arm(index, &ModelOptions::default())
 }
 
-/// No speed limits, no memory: what one step wants.
+/// Settings without speed limits, so that a single step shows the law's unlimited result.
 fn open() -> Settings {
     Settings {
         max_tool_speed: [f64::INFINITY; 2],
@@ -45,7 +45,7 @@ fn make(index: usize, settings: Settings) -> Controller {
     Controller::new(arm(index), settings, Some(seeded::servos(index))).unwrap()
 }
 
-/// Poses all over the joint ranges, some nearly and some exactly singular.
+/// Returns postures all over the joint ranges, some nearly and some exactly singular.
 fn poses(model: &Model, count: usize, seed: u64) -> Vec<Vec<f64>> {
     let mut random = Random::new(seed);
     (0..count)
@@ -79,14 +79,14 @@ fn activation_is_a_distribution() {
             for column in a.column_iter() {
                 assert!((column.sum() - 1.0).abs() < 1e-12, "{axes}: {}", column.sum());
             }
-            // (11): budgets are spread, none is lost.
+            // (11) distributes the budgets over the joints: their sum is preserved.
             let record = controller.diagnostics();
             let budget: f64 = record.axis_strength.iter().take(controller.task_dim()).sum::<f64>() + 2.0;
             let ceiling = [10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
             if limit.iter().zip(ceiling).all(|(l, c)| *l < c) {
                 assert!((limit.iter().sum::<f64>() - budget).abs() < 1e-10);
             }
-            // The size of Δx cancels.
+            // The activation does not depend on the magnitude of Δx.
             let other = Random::new(10).target(&model, &q, 0.01, 0.02);
             controller.reset(&q).unwrap();
             let locked = controller.diagnostics().locked;
@@ -133,7 +133,7 @@ fn the_exact_projector_moves_no_task_axis() {
             assert!((&j * &n).amax() < 1e-10 && (&n * &n - &n).amax() < 1e-10 && (&n - n.transpose()).amax() < 1e-12);
         }
     }
-    // In the step: the null part of the goal moves nothing to first order.
+    // In the control step, the null-space part of the goal does not move the tool to first order.
     let model = arm(0);
     for frame in [Frame::Base, Frame::Tool] {
         let task = Task { frame, ..Task::parse("xyz rpy").unwrap() };
@@ -194,7 +194,7 @@ fn sides_are_named_by_the_push() {
                     }
                     let mut controller = make(0, settings);
                     for (push, give) in [(pushed, true), (-pushed, false)] {
-                        // Pushed toward +: the tool is beyond its target along +.
+                        // A push toward + displaces the tool beyond its target along +.
                         let amount = push * 0.5;
                         let target = shifted(&tool, frame, axis, -amount);
                         let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
@@ -203,7 +203,7 @@ fn sides_are_named_by_the_push() {
                         let strength = if give { firm[usize::from(push > 0.0)] } else { 9.0 };
                         assert!((record.softness[axis] - f64::from(u8::from(give))).abs() < 1e-15, "{name} {push}");
                         assert!((record.axis_strength[axis] - strength).abs() < 1e-12, "{name} {push}");
-                        // It pulls back toward the target: against the push.
+                        // The arm pulls back toward the target, against the push.
                         let rows = controller.task_jacobian();
                         let gravity = controller.diagnostics().gravity;
                         let kp = [150.0, 150.0, 150.0, 150.0, 60.0, 60.0, 60.0];
@@ -225,7 +225,7 @@ fn sides_are_named_by_the_push() {
     }
 }
 
-/// A spring pulls home, a damper takes energy away, and neither exceeds the cap, whatever the pose.
+/// A spring pulls toward the target, a damper dissipates energy, and neither exceeds the cap, in any pose.
 #[test]
 fn springs_pull_home_and_dampers_take_energy() {
     let model = arm(0);
@@ -263,7 +263,7 @@ fn springs_pull_home_and_dampers_take_energy() {
             }
             capped += usize::from(force.abs() > 0.999 * record.axis_strength[r]);
         }
-        // What is exerted is never stiffer than the bound, here the servos themselves.
+        // The effective stiffness does not exceed the bound, here that of the servos.
         let k = DVector::from_fn(6, |r, _| if r < 3 { stiffness } else { 0.02 * stiffness } * controller.gain_factor());
         let compliance = DMatrix::from_diagonal(&DVector::from_fn(7, |i, _| 1.0 / [150.0, 60.0][usize::from(i > 3)]));
         let root = DMatrix::from_diagonal(&k.map(f64::sqrt));
@@ -271,7 +271,7 @@ fn springs_pull_home_and_dampers_take_energy() {
         let rho = (&root * &j * compliance * j.transpose() * root).symmetric_eigenvalues().max();
         assert!(rho <= 3.0 * (1.0 + 1e-9), "{rho}");
         derated += usize::from(controller.gain_factor() < 1.0);
-        // A delay that is measured later counts at once.
+        // A delay that is set later takes effect at the next step.
         let relaxed = controller.gain_factor();
         controller.set_delay(0.1).unwrap();
         controller.reset(&q).unwrap();
@@ -282,7 +282,7 @@ fn springs_pull_home_and_dampers_take_energy() {
     assert!(derated > 100 && capped > 100, "{derated} {capped}");
 }
 
-/// `pose` moved along or turned about one axis of a frame.
+/// Returns `pose` moved along, or rotated about, one axis of a frame by `amount` [m or rad].
 fn shifted(pose: &Pose, frame: Frame, axis: usize, amount: f64) -> Pose {
     let columns = match frame {
         Frame::Rotation(r) => r,
@@ -303,7 +303,7 @@ fn shifted(pose: &Pose, frame: Frame, axis: usize, amount: f64) -> Pose {
     out
 }
 
-/// Rows of a task by the model alone.
+/// Returns the task Jacobian, computed from the model alone.
 fn task_rows(model: &Model, settings: &Settings, q: &[f64]) -> DMatrix<f64> {
     let (pose, jacobian) = model.kinematics(q, pliant_core::Reference::WorldAligned).unwrap();
     let turn = match settings.task.frame {

@@ -1,4 +1,4 @@
-//! What cannot work is refused where it is said, by name, and what may be endless steps as it should.
+//! Invalid settings are rejected by an error that names them; settings that may be infinite are accepted.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -15,7 +15,7 @@ mod common;
 
 const GRASP: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
 
-/// Two joints in a plane: no joint moves the tool along z.
+/// URDF of two joints that move the tool in the xy plane: no joint moves it along z.
 const PLANAR: &str = r#"<robot name="planar"><link name="base"/>
     <link name="upper"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
     <link name="lower"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
@@ -145,7 +145,7 @@ fn a_joint_that_carries_less_than_an_encoder_count_hides_keeps_its_believed_stif
     let believed = Servos { encoder_step: vec![1.5e-3], ..servos() };
     let mut controller = made(Settings::default(), believed).unwrap();
     let gravity = controller.model().gravity(&GRASP).unwrap();
-    // Half a count off, on a joint that carries next to nothing and on one that carries much.
+    // The goals are off by half an encoder count, for joints with little and with much load.
     let goal: Vec<f64> = (0..7).map(|i| GRASP[i] + gravity[i] / 150.0 + 7.5e-4).collect();
     let captured = controller.capture_gravity(&GRASP, &goal).unwrap();
     let mut kept = 0;

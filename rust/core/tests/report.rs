@@ -1,4 +1,4 @@
-//! The report: its forces against a search, its signs, and what a check proposes.
+//! The pose report: its forces against a search, its signs, and the proposals of a feasibility check.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -36,7 +36,7 @@ fn soft(axes: &str, soft: f64, firm: f64) -> Settings {
     settings
 }
 
-/// The largest F ≥ 0 for which torques within the limits balance gravity and a push F d, by bisection.
+/// Returns the largest F ≥ 0 for which torques within the limits balance gravity and a push F d, by bisection.
 fn searched(model: &Model, q: &[f64], limit: &[f64], axis: usize, sign: f64) -> f64 {
     let (jacobian, gravity) = (model.jacobian(q, Reference::WorldAligned).unwrap(), model.gravity(q).unwrap());
     let holds = |force: f64| {
@@ -82,7 +82,8 @@ fn static_force_and_capacity_are_what_a_search_finds() {
     }
 }
 
-/// One joint about z with the tool 0.5 m out, of 100 N·m/rad, 0.2 N·m of friction and 0.5 N·m·s/rad; y is its task.
+/// Returns a controller of one joint about z, with the tool at 0.5 m. The servo has 100 N·m/rad, 0.2 N·m of friction
+/// and 0.5 N·m·s/rad of damping; the task is y.
 fn lever() -> Controller {
     let urdf = r#"<robot name="lever"><link name="base"/><link name="tool"><inertial><mass value="0.1"/>
         <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
@@ -97,13 +98,13 @@ fn lever() -> Controller {
     Controller::new(model, settings, Some(servos)).unwrap()
 }
 
-/// What the lever gives under a torque limit, with the tool at `y` [m].
+/// Returns the force along y [N] at which the joint slips under a torque limit [N·m], with the tool at `y` [m].
 fn slips(limit: f64, y: f64) -> f64 {
     let lever = (0.25 - y * y).sqrt();
     (limit + 0.2) / lever + 0.5 * 0.025 / (lever * lever)
 }
 
-/// Pushed along y it slips at limit and friction, and its lever shrinks by the way.
+/// Pushed along y, the joint slips at torque limit plus friction, while the lever arm of the push shrinks on the way.
 #[test]
 fn a_dead_joint_slips_at_its_limit() {
     let report = report_at(&lever(), &[0.0]).unwrap();
@@ -113,7 +114,8 @@ fn a_dead_joint_slips_at_its_limit() {
     }
 }
 
-/// Held back at 0 rad while its goal is ahead, let go when the host dies: the way begins where friction stops the spring.
+/// The arm is held at 0 rad with its goal ahead, and released when the host is lost: the push begins where friction
+/// stops the joint.
 #[test]
 fn a_hand_meets_a_dead_arm_where_that_has_come_to_rest() {
     let mut controller = lever();
@@ -140,7 +142,7 @@ fn sides_are_named_by_the_push() {
         common::close("small", sided.axes[1].yield_force[side][0], small, 1e-12);
         common::close("large", sided.axes[1].yield_force[side][1], large, 1e-12);
     }
-    // The arm hangs forward: a push down finds less torque left than one up.
+    // The arm reaches forward, so gravity leaves less torque against a push down than against one up.
     assert!(report.axes[2].capacity[0] < report.axes[2].capacity[1]);
     for i in 0..7 {
         let gravity = arm().gravity(&GRASP).unwrap()[i];
@@ -273,7 +275,7 @@ fn tracking_raises_soft_to_three_times_the_friction_and_no_more() {
     assert!(soft >= 3.0 * rubs && soft < 3.3 * rubs && raised.axes[1].firm.unwrap()[0] >= soft);
     let check = check_path(&Controller::new(arm(), raised.clone(), Some(servos.clone())).unwrap(), &path).unwrap();
     assert!(check.achievable, "{check}");
-    // Firm enough already: nothing changes, with a path or over the whole joint space.
+    // Settings that are already firm enough do not change, with a path or over the whole joint space.
     assert_eq!(raise_soft(&raised, &model, Some(&servos), &path).unwrap(), raised);
     let firm = self::soft("y", 9.0, 15.0);
     assert_eq!(raise_soft(&firm, &model, Some(&servos), &[]).unwrap(), firm);

@@ -1,4 +1,4 @@
-//! Third-party robots, where their folder lies beside the repository.
+//! Tests with third-party robots, if their folder lies beside the repository; otherwise they pass without a check.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

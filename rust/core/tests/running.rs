@@ -1,4 +1,4 @@
-//! What changes while the controller runs: settings, payload, gravity, delay, the captured offset, the integrating goal.
+//! Changes while the controller runs: settings, payload, gravity, delay, captured gravity offset, integrating goal.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -11,7 +11,7 @@ mod seeded;
 
 use seeded::Random;
 
-/// The grasp pose.
+/// The grasp posture [rad].
 const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
 
 fn arm() -> Arc<Model> {
@@ -43,13 +43,13 @@ fn the_slew_starts_at_reset_and_the_first_limit_is_not_slewed() {
         (command.goal().to_vec(), command.torque_limit().to_vec())
     };
     let (goal, limit) = goal_and_limit(&mut controller);
-    // Gravity wants more than 0.01 rad at the first joint: the goal is on its way.
+    // The gravity offset of the first joint exceeds 0.01 rad, so the slew limit still holds its goal back.
     assert!((goal[0] - (Q[0] - 0.01)).abs() < 1e-12, "{goal:?}");
     let gravity = controller.diagnostics().gravity;
     for i in 0..7 {
         assert!(limit[i] >= 1.1 * gravity[i].abs(), "{limit:?}");
     }
-    // A soft axis' limits fall at once, and rise in 0.2 s from zero to the ceiling.
+    // The limits of a soft axis fall at once and rise from zero to the ceiling in 0.2 s.
     let far = {
         let mut pose = target;
         pose.position[2] += 0.1;
@@ -118,7 +118,7 @@ fn new_settings_move_no_goal_beyond_the_slew() {
         let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
         assert!(largest_difference(command.goal(), &goal) <= 0.01 + 1e-12, "round {round}");
         goal = command.goal().to_vec();
-        // The arm follows half of the way.
+        // The arm moves half of the distance to its goals.
         for (position, goal) in q.iter_mut().zip(&goal) {
             *position += 0.5 * (goal - *position);
         }
@@ -161,7 +161,7 @@ fn payload_gravity_and_delay_act_and_stay() {
     let want = seeded::arm(0, &ModelOptions { gravity: vector, ..ModelOptions::default() }).gravity(&Q).unwrap();
     assert!(largest_difference(&controller.diagnostics().gravity[..7], want.as_slice()) < 1e-12);
 
-    // q̂ = q + γ b_p T_d v; the delay outlives a change of other settings and a reset.
+    // q̂ = q + γ b_p T_d v. The delay remains after a change of other settings and after a reset.
     controller.set_delay(0.02).unwrap();
     controller.update(soft_y(0.5)).unwrap();
     controller.reset(&Q).unwrap();
@@ -176,7 +176,6 @@ fn payload_gravity_and_delay_act_and_stay() {
     assert!(controller.set_gravity([0.0, f64::NAN, 0.0]).is_err());
 }
 
-/// For servos that resist nothing.
 #[test]
 fn a_payload_comes_into_force_in_half_a_second() {
     let (_, mut controller, target) = make(Settings::default());
@@ -193,7 +192,7 @@ fn a_payload_comes_into_force_in_half_a_second() {
     let loaded = seeded::arm(0, &ModelOptions { payload: Some(payload), ..ModelOptions::default() });
     let more = loaded.gravity(&Q).unwrap()[1] - without;
     assert!((tick(&mut controller, 1) - without).abs() < 1e-12, "the first step still reckons with what was");
-    // A tick of 10 ms is a fiftieth, also in a controller that goes on elsewhere.
+    // A tick of 10 ms is a fiftieth of the ramp, also in a controller restored from a snapshot.
     let half = tick(&mut controller, 25) - without;
     assert!((half / more - 0.5).abs() < 1e-9, "{half} of {more}");
     let (model, settings) = (Arc::clone(controller.model()), controller.settings().clone());
@@ -203,7 +202,7 @@ fn a_payload_comes_into_force_in_half_a_second() {
         assert_eq!(tick(&mut controller, count).to_bits(), tick(&mut other, count).to_bits());
     }
     assert!(((tick(&mut controller, 1) - without) / more - 1.0).abs() < 1e-12);
-    // Taken away on the way: from where it is; a reset waits for nothing.
+    // Removing the payload during the ramp starts from the present value; a reset ends the ramp.
     controller.set_payload(None).unwrap();
     let before = tick(&mut controller, 11);
     assert!(((before - without) / more - 0.8).abs() < 1e-9);
@@ -216,7 +215,7 @@ fn a_payload_comes_into_force_in_half_a_second() {
     assert!(Controller::from_snapshot(Arc::clone(controller.model()), Settings::default(), None, &wrong).is_err());
 }
 
-/// For servos without inertia, friction and damping: nothing is fed forward from speeds, and nothing damped by them.
+/// Settings for servos without inertia, friction and damping: no feed-forward of friction and damping.
 fn frictionless() -> Settings {
     Settings {
         max_tool_speed: [f64::INFINITY; 2],
@@ -226,7 +225,7 @@ fn frictionless() -> Settings {
     }
 }
 
-/// Ideal servos that are stiffer or softer than believed, at rest: `k (goal − q) = g(q)`.
+/// Returns the positions at which ideal servos with the stiffness `kp` [N·m/rad] rest: `k (goal − q) = g(q)`.
 fn settle(model: &Model, kp: &[f64; 7], goal: &[f64]) -> Vec<f64> {
     let mut q = goal.to_vec();
     for _ in 0..200 {
@@ -240,7 +239,7 @@ fn settle(model: &Model, kp: &[f64; 7], goal: &[f64]) -> Vec<f64> {
 
 const BELIEVED: [f64; 7] = [150.0, 150.0, 150.0, 150.0, 60.0, 60.0, 60.0];
 
-/// Runs `ticks` steps, the arm at rest after each.
+/// Runs `ticks` steps; after each, the arm rests at its new equilibrium.
 fn hold(
     model: &Model,
     controller: &mut Controller,
@@ -290,7 +289,7 @@ fn nothing_is_stored_on_soft_axes() {
     for _ in 0..60 {
         goal = controller.step(&Q, &target, &StepInput::default()).unwrap().goal().to_vec();
     }
-    // What the goal holds beyond gravity, as a wrench at the tool: W of the law and the stored part.
+    // The lead beyond gravity, as a wrench at the tool: W of the law plus the stored lead of the integrating goal.
     let (rows, record) = (controller.task_jacobian(), controller.diagnostics());
     let lead = nalgebra::DVector::from_fn(7, |i, _| goal[i] - Q[i] - record.gravity[i] / BELIEVED[i]);
     let compliance =
@@ -311,7 +310,8 @@ fn the_integrating_goal_is_leashed_to_what_the_limit_can_use() {
     }
     let torque = [10.7, 10.7, 10.7, 10.7, 6.4, 6.4, 6.4];
     for i in 0..7 {
-        // Stored at most what the ceiling leaves beside gravity; the law's own lead comes on top.
+        // The stored lead uses at most the torque that gravity leaves of the ceiling; the law's own lead is added to
+        // it.
         assert!((goal[i] - Q[i]).abs() <= 2.0 * torque[i] / BELIEVED[i] + 1e-9, "joint {i}: {goal:?}");
     }
 }
@@ -333,10 +333,11 @@ fn gravity_is_captured_once() {
             let expected = if gravity[i].abs() > 3.0 * friction { kp[i] } else { BELIEVED[i] };
             assert!((kg[i] / expected - 1.0).abs() < 0.02, "{share}, joint {i}: {} instead of {expected}", kg[i]);
         }
-        // The offset does not count twice: with the same settings the goal stays where it was.
+        // The captured offset is not added twice: with the same settings the goal does not change.
         let next = controller.step(&q, &target, &StepInput::default()).unwrap().goal().to_vec();
         assert!(largest_difference(&next, &goal) < 1e-4, "{share}: {next:?} {goal:?}");
-        // Without the integrating goal nothing of it is left over; it holds elsewhere too, and after a reset.
+        // Without the integrating goal its stored lead is gone, and the captured offset holds the arm, also after a
+        // reset.
         controller.update(Settings { tracking: Tracking { integrate: 0.0, ..settings.tracking }, ..settings }).unwrap();
         hold(&model, &mut controller, &kp, &target, &mut q, 300);
         assert!(miss(&model, &q, &target) < 1e-3, "{share}: {}", miss(&model, &q, &target));
@@ -351,7 +352,7 @@ fn gravity_is_captured_once() {
 #[test]
 fn a_captured_stiffness_is_bounded() {
     let (_, mut controller, _) = make(Settings::default());
-    // A lead of nothing, a lead far too long, a lead the wrong way.
+    // A lead of zero, one that is far too long, and one in the wrong direction.
     let gravity = controller.model().gravity(&Q).unwrap();
     for (lead, factor) in [(0.0, 3.0), (1.0, 0.3), (-0.02, 3.0)] {
         let goal: Vec<f64> = (0..7).map(|i| Q[i] + lead * gravity[i].signum()).collect();

@@ -1,4 +1,5 @@
-//! Targets in other units are refused by every call, whatever instructions it runs on, and leave no trace.
+//! Targets in other units (millimetres, degrees) are rejected by every call on every instruction set, and do not change
+//! the controller.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
@@ -15,7 +16,7 @@ fn controller(model: &Arc<Model>) -> Controller {
     Controller::new(Arc::clone(model), Settings::default(), Some(Servos::new(vec![150.0], vec![10.7]))).unwrap()
 }
 
-/// A pose at a distance from the first joint [m].
+/// Returns a pose at a distance [m] from the first joint, in the direction `way`.
 fn at(model: &Model, distance: f64, way: [f64; 3]) -> Pose {
     let size = way.iter().map(|x| x * x).sum::<f64>().sqrt();
     let centre = model.reach_origin();

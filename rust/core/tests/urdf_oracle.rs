@@ -1,4 +1,4 @@
-//! Links and joints as urdf-rs reads them from the whole file, without our guard.
+//! Compares links and joints with those that urdf-rs reads directly, without the checks of this crate.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -15,7 +15,7 @@ use pliant_core::Pose;
 use pliant_core::model::{JointKind, Model, ModelOptions};
 use urdf_rs::JointType;
 
-/// Roll, pitch and yaw turn about fixed axes, roll first.
+/// Asserts that two poses agree. Roll, pitch and yaw are rotations about fixed axes, roll first.
 fn same_pose(what: &str, pose: &Pose, other: &urdf_rs::Pose) {
     let [roll, pitch, yaw] = other.rpy.0;
     let turn = |axis: nalgebra::Vector3<f64>, angle| nalgebra::Rotation3::new(axis * angle);

@@ -1,4 +1,5 @@
-//! Arguments that are objects of this package; another type raises an error that says how to create one.
+//! Reads arguments that must be objects of this package; an object of another type raises a `TypeError` that says how
+//! to create one.
 
 use pyo3::PyClass;
 use pyo3::prelude::*;
@@ -38,7 +39,7 @@ pub(crate) fn controller(value: &Bound<'_, PyAny>) -> PyResult<Py<Controller>> {
     object("controller", "a Controller, e.g. Controller(model, settings)", value)
 }
 
-/// Extracts a string.
+/// Reads a string; another type raises a `TypeError` with the text `expected`.
 #[inline(never)]
 pub(crate) fn text(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
     value.extract().map_err(|_| wrong_type(name, expected, value))

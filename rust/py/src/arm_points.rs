@@ -1,12 +1,12 @@
-//! `ArmPoints`.
+//! Python class `ArmPoints`: motion and effective masses of the joint origins and the tool.
 
 use pliant_core::kinematics::ArmPoints as CorePoints;
 use pliant_core::{JointVec, MAX_JOINTS};
 use pyo3::prelude::*;
 
 use crate::arguments;
-use crate::convert::new_array;
 use crate::error::OrRaise;
+use crate::ndarray::new_array;
 use crate::read::joints;
 
 #[doc = stub!(ArmPoints)]
@@ -58,7 +58,7 @@ impl ArmPoints {
     }
 }
 
-/// Array (m, 3) of points.
+/// Returns the points as an array (m, 3).
 fn rows<'py>(py: Python<'py>, points: &[[f64; 3]]) -> Bound<'py, PyAny> {
     new_array(py, &[points.len(), 3], points.as_flattened())
 }

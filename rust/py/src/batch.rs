@@ -1,13 +1,13 @@
-//! Arrays with one row per configuration: plain arrays are read in place, others copied; results go into the caller's
-//! arrays.
+//! Arrays with one row per configuration. Inputs in C-ordered float64 arrays are read in place, others are copied;
+//! results are written into the caller's arrays or into new ones.
 
 use pyo3::prelude::*;
 
-use crate::convert::{Lent, rows, share_memory, writable, zeros};
 use crate::error::{shape, tuple, wrong_type};
+use crate::ndarray::{Lent, rows, share_memory, writable, zeros};
 use crate::read::numbers;
 
-/// Rows (N, `part`) of a batch: the caller's memory if it is a plain array, else a copy.
+/// Input array (N, `part`) of a batch: the caller's memory if it is a C-ordered float64 array, else a copy.
 pub(crate) struct Rows<'a, 'py> {
     pub(crate) count: usize,
     name: &'a str,
@@ -17,7 +17,8 @@ pub(crate) struct Rows<'a, 'py> {
 }
 
 impl<'a, 'py> Rows<'a, 'py> {
-    /// Reads an array; copies it if it shares memory with one of `outs`.
+    /// Reads an array (N, `part`). Copies it if it is not a C-ordered float64 array, or if it shares memory with one of
+    /// `outs`.
     pub(crate) fn read(
         name: &'a str,
         array: &'a Bound<'py, PyAny>,
@@ -36,7 +37,7 @@ impl<'a, 'py> Rows<'a, 'py> {
         }
     }
 
-    /// Returns the numbers for [`crate::convert::lend`].
+    /// Returns the rows as an input of [`crate::ndarray::lend`].
     pub(crate) fn lent(&self) -> Lent<'_, 'py> {
         match &self.copy {
             Some(copy) => Lent::Numbers(copy),
@@ -45,13 +46,14 @@ impl<'a, 'py> Rows<'a, 'py> {
     }
 }
 
-/// Formats the expected shape, e.g. `(N, 4, 4)`.
+/// Formats the shape (N, `part`) for a message, e.g. `(N, 4, 4)`.
 pub(crate) fn rows_of(part: &[usize]) -> String {
     let sizes: Vec<String> = std::iter::once("N".into()).chain(part.iter().map(ToString::to_string)).collect();
     format!("({})", sizes.join(", "))
 }
 
-/// Returns the caller's array, or a new one, of shape (`count`, `part`).
+/// Returns the output array of shape (`count`, `part`): `out`, or a new array if `out` is `None`. An `out` of another
+/// shape, type or layout is an error.
 pub(crate) fn target<'py>(
     py: Python<'py>,
     name: &str,
@@ -67,12 +69,12 @@ pub(crate) fn target<'py>(
     }
 }
 
-/// Returns the shape of `count` rows.
+/// Returns the shape (`count`, `part`).
 pub(crate) fn shape_of(count: usize, part: &[usize]) -> Vec<usize> {
     std::iter::once(count).chain(part.iter().copied()).collect()
 }
 
-/// Returns the error for an array that cannot be written into.
+/// Returns the error for an output array with a wrong shape, type or layout.
 #[cold]
 pub(crate) fn unfit(name: &str, array: &Bound<'_, PyAny>, expected: &[usize]) -> PyErr {
     let got: Option<Vec<usize>> = array.getattr("shape").and_then(|shape| shape.extract()).ok();

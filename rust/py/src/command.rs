@@ -1,10 +1,10 @@
-//! `Command`, and the pool of commands that steps return.
+//! Python class `Command`, and the pool from which control steps take their commands.
 
 use pliant_core::Command as CoreCommand;
 use pyo3::prelude::*;
 
-use crate::convert::{new_array, only_reference, overwrite, writable, write};
 use crate::error::wrong_type;
+use crate::ndarray::{new_array, only_reference, overwrite, writable, write};
 use crate::read::{array_into, vector};
 
 #[doc = stub!(Command)]
@@ -56,12 +56,12 @@ impl Command {
         }
     }
 
-    /// Creates a command from existing arrays.
+    /// Creates a command that holds these arrays.
     pub(crate) fn of([goal, torque_limit, speed_limit]: [Py<PyAny>; 3]) -> Self {
         Self { goal, torque_limit, speed_limit }
     }
 
-    /// Returns the arrays: goal, torque limit, speed_limit.
+    /// Returns the arrays: goal, torque limit, speed limit.
     pub(crate) fn arrays(&self) -> [&Py<PyAny>; 3] {
         [&self.goal, &self.torque_limit, &self.speed_limit]
     }
@@ -70,13 +70,15 @@ impl Command {
         [(&self.goal, core.goal()), (&self.torque_limit, core.torque_limit()), (&self.speed_limit, core.speed_limit())]
     }
 
-    /// Fills the arrays if they have no other reference and are unmodified.
+    /// Overwrites the arrays; returns `false` at the first one that Python code still refers to or has made unfit for
+    /// writing.
     #[inline]
     fn refill(&self, py: Python<'_>, core: &CoreCommand) -> bool {
         self.parts(core).into_iter().all(|(array, values)| overwrite(array.bind(py), values))
     }
 
-    /// Returns a caller's command if its arrays can hold `n` numbers each.
+    /// Returns `out` as a command; an error if it is none, or if its arrays are not writable float64 arrays of `n`
+    /// numbers.
     #[inline]
     pub(crate) fn writable<'a, 'py>(out: &'a Bound<'py, PyAny>, n: usize) -> PyResult<&'a Bound<'py, Self>> {
         let out = out.cast::<Self>().map_err(|_| wrong_type("out", "a Command, as a step returns it", out))?;
@@ -90,7 +92,7 @@ impl Command {
         Ok(out)
     }
 
-    /// Fills the arrays of a caller's command, regardless of other references.
+    /// Overwrites the arrays, even if Python code refers to them; an error if one is no longer writable.
     pub(crate) fn fill(&self, py: Python<'_>, core: &CoreCommand) -> PyResult<()> {
         for (array, values) in self.parts(core) {
             if !write(array.bind(py), &[values.len()], values) {
@@ -108,19 +110,19 @@ fn unwritable(array: &Bound<'_, PyAny>, n: usize) -> PyErr {
 
 /// Three commands in rotation, each reused only if neither the command nor one of its arrays has another reference.
 ///
-/// A plain loop then allocates nothing, and a stored result never changes. Reference counts are reliable only under the
-/// interpreter lock. The module declares that it needs the lock; a free-threaded Python gets a new command from every
-/// step.
+/// A loop that keeps no command thus allocates nothing, and a command that the caller keeps never changes. Reference
+/// counts are reliable only under the interpreter lock. The module declares that it needs the lock; a free-threaded
+/// Python gets a new command from every step.
 #[derive(Debug, Default)]
 pub(crate) struct Pool {
     slots: [Option<Py<Command>>; 3],
     next: usize,
-    /// Number of commands created.
+    /// Number of commands created so far.
     pub(crate) made: u64,
 }
 
 impl Pool {
-    /// Returns a command with these numbers.
+    /// Returns a command with the numbers of `core`: a reused one if possible, else a new one.
     #[inline]
     pub(crate) fn take(&mut self, py: Python<'_>, core: &CoreCommand) -> PyResult<Py<Command>> {
         let slot = &mut self.slots[self.next];

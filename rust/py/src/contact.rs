@@ -1,4 +1,4 @@
-//! `ContactEstimator` and `WrenchEstimate`.
+//! Python classes `ContactEstimator` and `WrenchEstimate`: estimation of the external wrench at the tool.
 
 use numpy::PyArray1;
 use pliant_core::params::{AXIS_NAMES, parse_axes};
@@ -9,14 +9,14 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
 use crate::controller::Controller;
-use crate::convert::new_array;
 use crate::error::{OrRaise, config, wrong_type};
 use crate::extras::SECONDS;
 use crate::kinds::{Kind, Names};
+use crate::ndarray::new_array;
 use crate::read::{joints, number, real, set_if_some, vector};
 use crate::{arguments, in_use};
 
-/// Name with which a caller accepts thresholds below the uncertainty.
+/// Entry of the argument `accept` that allows thresholds below the uncertainty of the estimate.
 const THRESHOLDS: &str = "thresholds";
 
 #[doc = stub!(WrenchEstimate)]
@@ -24,7 +24,7 @@ const THRESHOLDS: &str = "thresholds";
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct WrenchEstimate(CoreEstimate);
 
-/// Defines attributes from fields of the core's estimate.
+/// Defines the getters for array fields of the core's estimate: numbers per axis, numbers per joint, flags per axis.
 macro_rules! attributes {
     (axes: $($axis:ident),*; joints: $($joint:ident),*; flags: $($flag:ident),*;) => {
         #[pymethods]
@@ -98,22 +98,22 @@ fn part(values: Option<&JointVec>, n: usize) -> Option<&[f64]> {
     values.map(|values| &values[..n])
 }
 
-/// Expected value of a share, for messages.
+/// Description of a share for error messages.
 const SHARE: &str = "a number; a share of 2 % is 0.02";
 
-/// Parses an axis key.
+/// Reads the argument `axes`, an axis key, as one flag per axis.
 fn keyed(axes: &Bound<'_, PyAny>) -> PyResult<[bool; MAX_AXES]> {
     parse_axes("axes", &arguments::text("axes", "an axis key such as 'xyz rpy'", axes)?).or_raise()
 }
 
-/// Reads the goals and limits that were sent.
+/// Reads the argument `sent`: goals [rad] and torque limits [N·m] of the `n` joints.
 fn pair(sent: &Bound<'_, PyAny>, n: usize) -> PyResult<[JointVec; 2]> {
     let (goal, limit): (Bound<'_, PyAny>, Bound<'_, PyAny>) =
         sent.extract().map_err(|_| wrong_type("sent", "a pair (goal, torque_limit)", sent))?;
     Ok([joints("goal", &goal, n)?, joints("torque_limit", &limit, n)?])
 }
 
-/// Reads numbers by axis key, e.g. `{"xyz": 8.0, "yaw": 1.0}`.
+/// Reads thresholds [N, N·m] by axis key, e.g. `{"xyz": 8.0, "yaw": 1.0}`; `None` for axes that are not named.
 fn thresholds(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<[Option<f64>; 6]> {
     let mut out = [None; 6];
     let Some(value) = value else { return Ok(out) };

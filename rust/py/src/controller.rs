@@ -1,4 +1,4 @@
-//! `Controller`.
+//! Python class `Controller`.
 
 use std::sync::Arc;
 
@@ -12,12 +12,12 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::command::{Command, Pool};
-use crate::convert::new_array;
 use crate::diagnostics::Diagnostics;
 use crate::error::OrRaise;
 use crate::extras::{Extras, SECONDS};
 use crate::in_use::{exclusive, shared};
 use crate::model::Model;
+use crate::ndarray::new_array;
 use crate::pickle::Reduced;
 use crate::read::{array_into, joints, pose, real, vector3};
 use crate::report::{FeasibilityReport, PoseReport, check_with};
@@ -32,7 +32,7 @@ use crate::{arguments, pickle, read};
 pub(crate) struct Controller {
     pub(crate) core: CoreController,
     n: usize,
-    /// True if a target may be a position alone.
+    /// True for a task without rotations: its target may be a position (3,).
     position_only: bool,
     pool: Pool,
     model: Py<Model>,
@@ -41,7 +41,7 @@ pub(crate) struct Controller {
 }
 
 impl Controller {
-    /// Creates a controller from parts that have been read; continues from a snapshot if there is one.
+    /// Creates a controller; it continues from `snapshot` if one is given, else it starts without state.
     pub(crate) fn made(
         py: Python<'_>,
         model: Py<Model>,
@@ -61,7 +61,7 @@ impl Controller {
         Ok(Self { core, n, position_only, pool: Pool::default(), model, settings, servos })
     }
 
-    /// Returns a copy with the same settings, state and inputs.
+    /// Returns a copy with the same settings, payload and state, and a command pool of its own.
     fn twin(&self, py: Python<'_>) -> Self {
         Self {
             core: self.core.clone(),
@@ -114,7 +114,7 @@ impl Controller {
         let target = pose("target", target, position_only)?;
         let mut extras = Extras::default();
         extras.read(n, dt, dq, twist, gradient)?;
-        // Last: reading the other arguments may run code that replaces the array of q.
+        // Read last, because reading the other arguments may run Python code that changes `q`.
         let mut position = [0.0; MAX_JOINTS];
         array_into("q", q, &[n], &mut position)?;
         let out = out.map(|out| Command::writable(out, n)).transpose()?;
@@ -326,7 +326,7 @@ impl Controller {
     }
 }
 
-/// Returns the command in the caller's arrays, or in arrays of the pool.
+/// Returns `command` in the arrays of `out`, or in a command of the pool if `out` is `None`.
 #[inline]
 fn hand_out(
     py: Python<'_>,
@@ -343,7 +343,7 @@ fn hand_out(
     }
 }
 
-/// Returns the number of joints, and whether a target may be a position alone.
+/// Returns the number of joints, and true if a target may be a position (task without rotations).
 #[inline]
 fn sizes(controller: &Bound<'_, Controller>) -> PyResult<(usize, bool)> {
     let controller = shared(controller)?;

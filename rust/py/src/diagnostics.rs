@@ -1,9 +1,9 @@
-//! `Diagnostics`: the intermediate values of a controller's last step.
+//! Python class `Diagnostics`: the intermediate values of a controller's last step.
 
 use pliant_core::Controller as CoreController;
 use pyo3::prelude::*;
 
-use crate::convert::{Array, Flags};
+use crate::ndarray::{Array, Flags};
 
 #[doc = stub!(Diagnostics)]
 #[pyclass(module = "pliant.types", frozen, get_all)]

@@ -1,4 +1,4 @@
-//! The core's errors as Python exceptions: one class per cause, details as attributes.
+//! Python exceptions for the errors of the core: one class per cause, with the details as attributes.
 
 use pliant_core::Error;
 use pyo3::exceptions::{PyException, PyLookupError, PyTimeoutError, PyTypeError, PyValueError};
@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
-/// The exception classes.
+/// Exception classes for the variants of the core's [`Error`].
 struct Classes {
     urdf: Py<PyType>,
     frame: Py<PyType>,
@@ -17,7 +17,7 @@ struct Classes {
 
 static CLASSES: PyOnceLock<Classes> = PyOnceLock::new();
 
-/// Creates the classes and adds them to the module.
+/// Creates the exception classes and adds them to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
     let class = |name: &str, doc: &str, bases: &[&Bound<'_, PyType>], facts: &[&str]| -> PyResult<Py<PyType>> {
@@ -59,7 +59,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     Ok(())
 }
 
-/// Returns the exception for a core error.
+/// Returns the Python exception for an error of the core.
 #[cold]
 #[inline(never)]
 fn raised(error: &Error) -> PyErr {
@@ -102,15 +102,15 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             value.setattr("key", key)?;
             value
         }
-        // Fallback for variants that this binding does not know yet.
+        // Variants that this binding does not know become a `ValueError`.
         other => return Ok(PyValueError::new_err(other.to_string())),
     };
     Ok(PyErr::from_value(value))
 }
 
-/// Turns a core result into a Python one.
+/// Converts a result of the core to a [`PyResult`].
 pub(crate) trait OrRaise<T> {
-    /// Returns the value, or the exception of the error's class.
+    /// Returns the value, or the Python exception for the error.
     fn or_raise(self) -> PyResult<T>;
 }
 
@@ -120,28 +120,28 @@ impl<T> OrRaise<T> for pliant_core::Result<T> {
     }
 }
 
-/// Creates a `ConfigError`.
+/// Creates a `ConfigError` about the setting `key`.
 #[cold]
 #[inline(never)]
 pub(crate) fn config(key: &str, message: impl Into<String>) -> PyErr {
     raised(&Error::Config { key: key.into(), message: message.into() })
 }
 
-/// Creates a `ShapeError`.
+/// Creates a `ShapeError` about the argument `what`.
 #[cold]
 #[inline(never)]
 pub(crate) fn shape(what: &str, got: &[usize], expected: impl Into<String>) -> PyErr {
     raised(&Error::Shape { what: what.into(), got: tuple(got), expected: expected.into() })
 }
 
-/// Creates a `TypeError` that shows the value.
+/// Creates a `TypeError` with the expected and the given value of an argument.
 #[cold]
 #[inline(never)]
 pub(crate) fn wrong_type(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
     PyTypeError::new_err(format!("{name} must be {expected}, got {}", shown(value)))
 }
 
-/// Formats a value and its type, shortened for a message.
+/// Formats a value and its type for a message; the type alone if the value's repr has more than 60 characters.
 #[cold]
 #[inline(never)]
 pub(crate) fn shown(value: &Bound<'_, PyAny>) -> String {
@@ -150,7 +150,7 @@ pub(crate) fn shown(value: &Bound<'_, PyAny>) -> String {
     if text.is_empty() || text.chars().count() > 60 { kind } else { format!("{text} ({kind})") }
 }
 
-/// Formats a shape as Python prints it.
+/// Formats a shape as Python prints it, e.g. `(6,)`.
 #[cold]
 #[inline(never)]
 pub(crate) fn tuple(shape: &[usize]) -> String {
@@ -160,7 +160,7 @@ pub(crate) fn tuple(shape: &[usize]) -> String {
     }
 }
 
-/// Returns `; did you mean 'x'?` if one of the names is similar, by Python's difflib; else `stop`.
+/// Returns `; did you mean 'x'?` if Python's difflib finds a name similar to `word`, else `stop`.
 #[cold]
 #[inline(never)]
 pub(crate) fn suggestion(py: Python<'_>, word: &str, names: &[&str], stop: &str) -> String {

@@ -1,4 +1,4 @@
-//! Optional arguments of a step.
+//! Optional arguments of a control step: `dt`, `dq`, `twist`, `gradient`.
 
 use pliant_core::{AxisVec, JointVec, StepInput};
 use pyo3::prelude::*;
@@ -6,10 +6,10 @@ use pyo3::prelude::*;
 use crate::error::wrong_type;
 use crate::read::{array_into, joints, number};
 
-/// Expected value of a time, for messages.
+/// Description of a time for error messages.
 pub(crate) const SECONDS: &str = "a number [s]";
 
-/// The optional arguments of a step as numbers.
+/// Optional arguments of a control step as numbers; `None` for those not given.
 #[derive(Default)]
 pub(crate) struct Extras {
     pub(crate) dt: Option<f64>,

@@ -1,19 +1,21 @@
-//! Frozen, keyword-only value classes for structs of the core: read, display, compare, repr and pickle.
+//! Python value classes for structs of the core: frozen, created from keyword arguments, with getters, `replace`, repr
+//! and pickling.
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat, PyList, PyTuple};
 
 use crate::error::{config, suggestion};
 
-/// Additions of a value class to the behaviour that [`fields!`](crate::fields::fields) defines.
+/// Hooks with which a value class extends what [`fields!`](crate::fields::fields) defines.
 pub(crate) trait Special: Sized {
-    /// Adjusts the object after a constructor or `replace` with `changes`; a group of settings records which fields
-    /// were given.
+    /// Adjusts an object that a constructor or `replace` made with `changes`: a group of settings records which fields
+    /// were given. The default returns it unchanged.
     fn after(self, _before: Option<&Self>, _changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         Ok(self)
     }
 
-    /// Returns the location of the field `name` if this class has no field of that name.
+    /// Returns a hint to the class that has the field `name`, for a class that has no such field; `None` if there is no
+    /// hint.
     fn elsewhere(_name: &str) -> Option<String> {
         None
     }
@@ -21,19 +23,19 @@ pub(crate) trait Special: Sized {
 
 /// A value class for a struct of the core, defined by [`fields!`](crate::fields::fields).
 pub(crate) trait Fields: Special {
-    /// The core's struct.
+    /// Struct of the core that the class wraps.
     type Core: Clone;
 
-    /// Name of the class.
+    /// Name of the Python class.
     const CLASS: &'static str;
 
-    /// Prefix of a field's name in a message, if the name alone is ambiguous.
+    /// Prefix of field names in messages, e.g. `tracking.`; empty if the names are clear without one.
     const OWNER: &'static str;
 
-    /// Names of the fields, in order.
+    /// Names of the fields, in the order of their declaration.
     const NAMES: &'static [&'static str];
 
-    /// Sets one field; `false` for a name that is not in [`Fields::NAMES`].
+    /// Sets one field; returns `false` if `name` is not in [`Fields::NAMES`].
     fn set(core: &mut Self::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<bool>;
 
     /// Returns the fields in which `core` differs from `base`, as plain Python values.
@@ -42,13 +44,13 @@ pub(crate) trait Fields: Special {
     /// Returns the fields for which `given` is true, as plain Python values.
     fn chosen<'py>(core: &Self::Core, given: impl Fn(&str) -> bool, py: Python<'py>) -> PyResult<Bound<'py, PyDict>>;
 
-    /// Copies the fields for which `given` is true.
+    /// Copies the fields for which `given` is true from `from` to `to`.
     fn copy(to: &mut Self::Core, from: &Self::Core, given: impl Fn(&str) -> bool);
 
-    /// Wraps a core struct after validating it.
+    /// Validates a struct of the core and wraps it.
     fn validated(core: Self::Core) -> PyResult<Self>;
 
-    /// Returns `base` with some fields replaced, validated.
+    /// Returns `base` with the fields in `changes` replaced, after validation.
     fn with(mut base: Self::Core, changes: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         for (key, value) in changes.into_iter().flatten() {
             let name: String = key.extract()?;
@@ -68,7 +70,7 @@ pub(crate) fn call_text(class: &str, fields: &Bound<'_, PyDict>) -> PyResult<Str
     Ok(format!("{class}({})", parts.collect::<PyResult<Vec<_>>>()?.join(", ")))
 }
 
-/// Python's repr, with infinity in a form that can be evaluated.
+/// Returns Python's repr of a value, with infinity written as `float('inf')` so that the text can be evaluated.
 pub(crate) fn text(value: &Bound<'_, PyAny>) -> PyResult<String> {
     if let Ok(number) = value.cast::<PyFloat>() {
         return Ok(match number.value() {
@@ -88,12 +90,11 @@ pub(crate) fn text(value: &Bound<'_, PyAny>) -> PyResult<String> {
     Ok(value.repr()?.to_string())
 }
 
-/// Returns true if two values differ.
 pub(crate) fn differ<T: PartialEq>(a: &T, b: &T) -> bool {
     a != b
 }
 
-/// Implements [`Fields`], the getters and the standard Python methods.
+/// Implements [`Fields`], the getters, `replace`, repr and pickling of a value class.
 macro_rules! fields {
     (
         $class:ident($name:literal $(, $prefix:literal)?) of $core:ty {

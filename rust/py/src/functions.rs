@@ -1,4 +1,4 @@
-//! Equations of the paper as functions over NumPy arrays.
+//! The equations of the paper as Python functions of NumPy arrays.
 #![expect(non_snake_case, reason = "arguments carry the letters of the equations, as documented")]
 
 use nalgebra::DMatrix;
@@ -6,9 +6,9 @@ use pliant_core as core;
 use pliant_core::params::{Projector, parse_axes};
 use pyo3::prelude::*;
 
-use crate::convert::new_array;
 use crate::error::{OrRaise, config, shape, shown, wrong_type};
 use crate::kinds::Kind;
+use crate::ndarray::new_array;
 use crate::pose::matrix as pose_matrix;
 use crate::read::{matrix, number, pose, real, vector};
 use crate::words::Word;
@@ -76,8 +76,12 @@ pub(crate) fn compliance<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let of = list("deviation", deviation)?;
     let k = of.len();
-    let c =
-        core::compliance(&of, &spread("soft_until", soft_until, k)?, &spread("firm_from", firm_from, k)?).or_raise()?;
+    let c = core::compliance(
+        &of,
+        &number_or_vector("soft_until", soft_until, k)?,
+        &number_or_vector("firm_from", firm_from, k)?,
+    )
+    .or_raise()?;
     like(deviation, &c)
 }
 
@@ -92,7 +96,8 @@ pub(crate) fn holding_torque<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let of = list("c", c)?;
     let k = of.len();
-    let (soft, firm, hold) = (spread("soft", soft, k)?, spread("firm", firm, k)?, spread("hold", hold, k)?);
+    let (soft, firm, hold) =
+        (number_or_vector("soft", soft, k)?, number_or_vector("firm", firm, k)?, number_or_vector("hold", hold, k)?);
     let torque = core::holding_torque(&of, &soft, &firm, &hold, &flags(compliant, k)?).or_raise()?;
     like(c, &torque)
 }
@@ -136,25 +141,25 @@ fn read(value: &Bound<'_, PyAny>, name: &str) -> PyResult<DMatrix<f64>> {
     Ok(DMatrix::from_row_slice(rows, columns, &values))
 }
 
-/// Converts a matrix to an array.
+/// Converts a matrix to a NumPy array (rows, columns).
 pub(crate) fn table<'py>(py: Python<'py>, m: &DMatrix<f64>) -> Bound<'py, PyAny> {
     new_array(py, &[m.nrows(), m.ncols()], m.transpose().as_slice())
 }
 
-/// Reads a vector; a number counts as length 1.
+/// Reads a vector; a number is read as a vector of length 1.
 fn list(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     number(value).map_or_else(|| vector(name, value), |one| Ok(vec![one]))
 }
 
-/// Reads a vector of `k`, or a number for all entries.
-fn spread(name: &str, value: &Bound<'_, PyAny>, k: usize) -> PyResult<Vec<f64>> {
+/// Reads a vector of any length, or repeats a number `k` times; the core checks the length.
+fn number_or_vector(name: &str, value: &Bound<'_, PyAny>, k: usize) -> PyResult<Vec<f64>> {
     match number(value) {
         Some(one) => Ok(vec![one; k]),
         None => vector(name, value),
     }
 }
 
-/// Reads one flag per axis, or one for all.
+/// Reads `k` booleans, or one boolean for all `k` entries.
 fn flags(value: &Bound<'_, PyAny>, k: usize) -> PyResult<Vec<bool>> {
     if value.is_instance_of::<pyo3::types::PyString>() {
         return Err(config("compliant", format!("must be True, False or one of them per axis, got {}", shown(value))));
@@ -166,7 +171,7 @@ fn flags(value: &Bound<'_, PyAny>, k: usize) -> PyResult<Vec<bool>> {
     if all.len() == k { Ok(all) } else { Err(shape("compliant", &[all.len()], format!("({k},)"))) }
 }
 
-/// Returns a float if a float was given, else an array.
+/// Returns the result as a float if the argument `given` is a number, else as an array.
 fn like<'py>(given: &Bound<'py, PyAny>, values: &[f64]) -> PyResult<Bound<'py, PyAny>> {
     let py = given.py();
     match values {

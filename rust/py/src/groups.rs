@@ -1,4 +1,4 @@
-//! Groups of settings: `Tracking`, `NullSpace`, `Compensation`, `TorqueLimits`, `PaperOptions`.
+//! Python classes for groups of settings: `Tracking`, `NullSpace`, `Compensation`, `TorqueLimits`, `PaperOptions`.
 //!
 //! A group records which fields were given to its constructor. As an argument of `Settings`, a preset or `replace` it
 //! changes these fields only.
@@ -14,30 +14,30 @@ use crate::fields::{Fields, Special, fields};
 use crate::kinds::{AxisGains, Dampings, Flag, Gains, Joints, Kind, Number, Optional};
 use crate::words::Word;
 
-/// Bitmask of the fields given to a group, in the order of [`Fields::NAMES`].
+/// Bitmask of the fields that were given to the constructor of a group; bit i stands for entry i of [`Fields::NAMES`].
 pub(crate) type FieldMask = u32;
 
-/// All fields.
+/// Mask in which all fields are given.
 const ALL: FieldMask = FieldMask::MAX;
 
-/// A class of related settings.
+/// A value class for a group of settings, which records the fields that were given to its constructor.
 pub(crate) trait Grouped: Fields
 where
     Self::Core: Default,
 {
-    /// Returns values and given fields if `value` is of this class.
+    /// Returns the values and the mask of the given fields if `value` is of this class, else `None`.
     fn of(value: &Bound<'_, PyAny>) -> Option<(Self::Core, FieldMask)>;
 
-    /// Creates an object of this class.
+    /// Creates a Python object of this class; `given` is the mask of the given fields.
     fn object(core: Self::Core, given: FieldMask, py: Python<'_>) -> PyResult<Bound<'_, PyAny>>;
 }
 
-/// Returns true if the field `name` was given.
+/// Returns true if the mask `given` contains the field `name`.
 fn has<G: Fields>(given: FieldMask, name: &str) -> bool {
     G::NAMES.iter().position(|known| *known == name).is_some_and(|bit| given >> bit & 1 == 1)
 }
 
-/// Returns the bitmask of the fields in `names`.
+/// Returns the mask of the fields that are keys of `names`; 0 for `None`.
 fn bits<G: Fields>(names: Option<&Bound<'_, PyDict>>) -> PyResult<FieldMask> {
     let Some(names) = names else { return Ok(0) };
     let mut given = 0;
@@ -47,7 +47,7 @@ fn bits<G: Fields>(names: Option<&Bound<'_, PyDict>>) -> PyResult<FieldMask> {
     Ok(given)
 }
 
-/// A group as a field of the settings.
+/// Conversion of a field of `Settings` that holds a group of class `G`.
 pub(crate) struct Group<G>(PhantomData<G>);
 
 impl<G: Grouped> Kind for Group<G>
@@ -89,7 +89,7 @@ macro_rules! group {
         #[derive(Debug, Clone)]
         pub(crate) struct $class(pub(crate) core::$class, FieldMask);
 
-        // Compares values only: a field that was not given counts with its default.
+        // Compares the values only: whether a field was given or has its default does not matter.
         impl PartialEq for $class {
             fn eq(&self, other: &Self) -> bool {
                 self.0 == other.0
@@ -204,7 +204,8 @@ group! {
     }
 }
 
-/// Returns the group that has the field `name`.
+/// Returns a hint such as `; use tracking=Tracking(gain=...).` to the groups that have the field `name`; `None` if no
+/// group has it.
 pub(crate) fn owner(name: &str) -> Option<String> {
     let groups: [(&str, &str, &[&str]); 4] = [
         ("tracking", Tracking::CLASS, Tracking::NAMES),

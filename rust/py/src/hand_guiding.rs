@@ -1,4 +1,4 @@
-//! `HandGuidingLaw`.
+//! Python class `HandGuidingLaw`: goals that follow an arm guided by hand.
 
 use std::sync::Arc;
 
@@ -8,8 +8,8 @@ use pyo3::prelude::*;
 
 use crate::arguments;
 use crate::command::{Command, Pool};
-use crate::convert::new_array;
 use crate::error::OrRaise;
+use crate::ndarray::new_array;
 use crate::read::joints;
 
 #[doc = stub!(HandGuidingLaw)]

@@ -1,17 +1,19 @@
-//! Borrows of mutable objects: an object already in use raises an error with a remedy and never panics.
+//! Borrows of Python objects with mutable state. An object that is already in use raises a `RuntimeError` with a remedy
+//! instead of a panic.
 
 use pyo3::PyClass;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::pyclass::boolean_struct::False;
 
-/// Borrows for reading.
+/// Borrows an object for reading; `RuntimeError` if another call is changing it.
 #[inline]
 pub(crate) fn shared<'py, T: PyClass>(object: &Bound<'py, T>) -> PyResult<PyRef<'py, T>> {
     object.try_borrow().map_err(|_| in_use::<T>())
 }
 
-/// Borrows for writing. Read arguments first: reading may run code that uses the same object.
+/// Borrows an object for writing; `RuntimeError` if another call uses it. Read all arguments before: that may run
+/// Python code that uses the same object.
 #[inline]
 pub(crate) fn exclusive<'py, T: PyClass<Frozen = False>>(object: &Bound<'py, T>) -> PyResult<PyRefMut<'py, T>> {
     object.try_borrow_mut().map_err(|_| in_use::<T>())

@@ -6,52 +6,52 @@ use pliant_core::params::{AXIS_NAMES, Damping, Frame, Gain, parse_axes};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyList, PyString, PyTuple};
 
-use crate::convert::{freeze, new_array};
 use crate::error::{OrRaise, config, shape, shown};
+use crate::ndarray::{freeze, new_array};
 use crate::read::{matrix3, number, numbers};
 
-/// One type of field value on both sides of the boundary.
+/// Conversion of one type of field between the core and Python.
 pub(crate) trait Kind {
-    /// The core's type.
+    /// Type of the field in the core.
     type Core;
 
     /// Reads the user's value of the field `name`.
     fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Self::Core>;
 
-    /// Updates `core` with the user's value; a group of settings changes only its given fields.
+    /// Updates `core` with the user's value: replaces it, or for a group of settings only the fields given there.
     fn update(core: &mut Self::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
         *core = Self::read(name, value)?;
         Ok(())
     }
 
-    /// Converts to numbers, strings, tuples and lists, for repr and pickle.
+    /// Converts to a value with an exact repr, such as a list instead of an array, for repr and pickle.
     fn plain<'py>(core: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>>;
 
-    /// Converts to the value of the attribute.
+    /// Converts to the value that the Python attribute returns.
     fn show<'py>(core: &Self::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         Self::plain(core, py)
     }
 }
 
-/// [`Kind::update`], compiled once for all fields of a kind.
+/// Calls [`Kind::update`]. Not inlined, so that it is compiled once per kind instead of once per field.
 #[inline(never)]
 pub(crate) fn update<K: Kind>(core: &mut K::Core, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
     K::update(core, name, value)
 }
 
-/// [`Kind::plain`], compiled once for all fields of a kind.
+/// Calls [`Kind::plain`]. Not inlined, so that it is compiled once per kind instead of once per field.
 #[inline(never)]
 pub(crate) fn plain<'py, K: Kind>(core: &K::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
     K::plain(core, py)
 }
 
-/// [`Kind::show`], compiled once for all fields of a kind.
+/// Calls [`Kind::show`]. Not inlined, so that it is compiled once per kind instead of once per field.
 #[inline(never)]
 pub(crate) fn show<'py, K: Kind>(core: &K::Core, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
     K::show(core, py)
 }
 
-/// Creates a `ConfigError` with the expected values of the field `name`.
+/// Creates a `ConfigError` with the expected and the given value of the field `name`.
 pub(crate) fn wrong(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyErr {
     config(name, format!("must be {expected}, got {}", shown(value)))
 }
@@ -74,7 +74,7 @@ impl Kind for Number {
     }
 }
 
-/// True or False.
+/// A boolean.
 pub(crate) struct Flag;
 
 impl Kind for Flag {
@@ -89,7 +89,7 @@ impl Kind for Flag {
     }
 }
 
-/// A value, or `None` for the default.
+/// A value of kind `K`, or `None` for the default.
 pub(crate) struct Optional<K>(PhantomData<K>);
 
 impl<K: Kind> Kind for Optional<K> {
@@ -108,7 +108,7 @@ impl<K: Kind> Kind for Optional<K> {
     }
 }
 
-/// One number per joint.
+/// A vector with one number per joint; a single number is read as a vector of length 1.
 pub(crate) struct Joints;
 
 impl Kind for Joints {
@@ -159,10 +159,11 @@ impl Kind for Sides {
     }
 }
 
-/// `None` for no limit, a number for translations, or a pair: translations, rotations.
+/// Limits of speed or acceleration: a pair (translations, rotations), a number for translations, from which that for
+/// rotations follows, or `None` for no limit.
 pub(crate) struct Speeds;
 
-/// Rotation limit [rad] per 1 m of translation limit if only the latter is given, as in the defaults.
+/// Rotation limit [rad] per metre of the translation limit if only the latter is given; the ratio of the defaults.
 const RADIANS_PER_METRE: f64 = 4.0;
 
 impl Kind for Speeds {
@@ -190,7 +191,7 @@ fn pair(value: &Bound<'_, PyAny>) -> Option<[f64; 2]> {
     Some([read(&a)?, read(&b)?])
 }
 
-/// A number, one per axis or joint, or a matrix.
+/// A gain: a number, one number per axis or joint, or a matrix.
 pub(crate) struct Gains;
 
 impl Kind for Gains {
@@ -217,7 +218,7 @@ impl Kind for Gains {
     }
 }
 
-/// A number, or one per axis.
+/// A gain: a number, or one number per axis.
 pub(crate) struct AxisGains;
 
 impl Kind for AxisGains {
@@ -238,7 +239,7 @@ impl Kind for AxisGains {
     }
 }
 
-/// `None`: derived from the arm; a number: λ; three numbers: λ₀, σ₀, λ_max.
+/// Damping of the inverse: `None` to derive it from the arm, a number λ, or three numbers λ₀, σ₀, λ_max.
 pub(crate) struct Dampings;
 
 impl Kind for Dampings {
@@ -268,7 +269,7 @@ impl Kind for Dampings {
     }
 }
 
-/// Names of risks that are accepted.
+/// A sequence of names; a single string is read as one name.
 pub(crate) struct Names;
 
 impl Kind for Names {
@@ -286,7 +287,7 @@ impl Kind for Names {
     }
 }
 
-/// An axis key such as `"xyz rpy"`.
+/// The axes of a task, as an axis key such as `"xyz rpy"`.
 pub(crate) struct AxisKey;
 
 impl Kind for AxisKey {
@@ -306,7 +307,7 @@ impl Kind for AxisKey {
     }
 }
 
-/// `"base"`, `"tool"` or a rotation matrix `base_from_task`.
+/// The frame of a task: `"base"`, `"tool"` or a rotation matrix `base_from_task`.
 pub(crate) struct TaskFrame;
 
 impl Kind for TaskFrame {

@@ -1,16 +1,16 @@
-//! Pose, Jacobian and gravity of a model, one configuration or many.
+//! Poses, Jacobians and gravity torques of a model as NumPy arrays, for one configuration or many.
 
 use pliant_core::{JointVec, MAX_AXES, MAX_JOINTS, Model as CoreModel, Pose, Reference, Rows as JointRows};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
 use crate::batch::{Rows, shape_of, target, unfit};
-use crate::convert::{lend, new_rows, write, write_rows};
 use crate::error::{OrRaise, wrong_type};
+use crate::ndarray::{lend, new_rows, write, write_rows};
 use crate::pose::matrix;
 use crate::read::joints;
 
-/// Reads and checks joint positions.
+/// Reads joint positions (n,) [rad or m] and checks that they are finite and within the bound of the core.
 pub(crate) fn positions(core: &CoreModel, q: &Bound<'_, PyAny>) -> PyResult<JointVec> {
     let n = core.n();
     core.joint_vector(&joints("q", q, n)?[..n]).or_raise()
@@ -22,7 +22,8 @@ fn at(core: &CoreModel, q: &Bound<'_, PyAny>, reference: Reference, rows: &mut J
     core.kinematics_into(&joints("q", q, n)?[..n], reference, rows).or_raise()
 }
 
-/// Returns pose (4, 4) and Jacobian (6, n), new or in the caller's arrays.
+/// Returns the tuple of pose (4, 4) and Jacobian (6, n) at `q`: `out` with both written into it, or new arrays if `out`
+/// is `None`.
 pub(crate) fn both<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -45,7 +46,7 @@ pub(crate) fn both<'py>(
     Ok(out.clone())
 }
 
-/// Reads two output arrays.
+/// Unpacks `out`, a tuple of two output arrays.
 fn pair<'py>(out: &Bound<'py, PyAny>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
     match out.cast::<PyTuple>() {
         Ok(pair) if pair.len() == 2 => Ok((pair.get_item(0)?, pair.get_item(1)?)),
@@ -53,7 +54,7 @@ fn pair<'py>(out: &Bound<'py, PyAny>) -> PyResult<(Bound<'py, PyAny>, Bound<'py,
     }
 }
 
-/// Returns the Jacobian (6, n).
+/// Returns the Jacobian (6, n) at `q` as a new array, linear rows first.
 pub(crate) fn jacobian<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -64,7 +65,7 @@ pub(crate) fn jacobian<'py>(
     Ok(new_rows(q.py(), core.n(), &rows))
 }
 
-/// Returns poses (N, 4, 4) and Jacobians (N, 6, n).
+/// Returns poses (N, 4, 4) and Jacobians (N, 6, n) of configurations `q` (N, n), in the arrays of `out` if given.
 pub(crate) fn both_batch<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -87,7 +88,8 @@ pub(crate) fn both_batch<'py>(
     Ok((poses, jacobians))
 }
 
-/// Returns one array of (N, …), computed without the interpreter lock.
+/// Returns an array (N, `part`) that `fill` computes from configurations `q` (N, n) without the interpreter lock; `out`
+/// if given.
 fn one_batch<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -104,7 +106,7 @@ fn one_batch<'py>(
     Ok(array)
 }
 
-/// Returns poses (N, 4, 4).
+/// Returns the poses (N, 4, 4) of configurations `q` (N, n); in `out` if given.
 pub(crate) fn poses<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -113,7 +115,7 @@ pub(crate) fn poses<'py>(
     one_batch(core, q, out, &[4, 4], |q, to| core.kinematics_batch(q, Reference::WorldAligned, to, &mut []))
 }
 
-/// Returns Jacobians (N, 6, n).
+/// Returns the Jacobians (N, 6, n) of configurations `q` (N, n); in `out` if given.
 pub(crate) fn jacobians<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,
@@ -123,7 +125,7 @@ pub(crate) fn jacobians<'py>(
     one_batch(core, q, out, &[6, core.n()], |q, to| core.kinematics_batch(q, reference, &mut [], to))
 }
 
-/// Returns gravity torques (N, n).
+/// Returns the torques (N, n) that hold the arm at rest in configurations `q` (N, n); in `out` if given.
 pub(crate) fn gravities<'py>(
     core: &CoreModel,
     q: &Bound<'py, PyAny>,

@@ -1,7 +1,7 @@
-//! Python binding of `pliant-core`: every function converts, calls the core once, and converts back.
+//! Python binding of `pliant-core`: a function converts its arguments, calls the core once, and converts the result.
 #![deny(unsafe_code)]
 
-// The macro `stub!`: docstrings of the stub, made by build.rs.
+// Defines the macro `stub!`, which returns docstrings of `python/pliant/_core.pyi`; build.rs writes it.
 include!(concat!(env!("OUT_DIR"), "/stub.rs"));
 
 mod arguments;
@@ -10,7 +10,6 @@ mod batch;
 mod command;
 mod contact;
 mod controller;
-mod convert;
 mod diagnostics;
 mod error;
 mod extras;
@@ -23,6 +22,7 @@ mod kinds;
 mod kinematics;
 mod lowering;
 mod model;
+mod ndarray;
 mod options;
 mod pickle;
 mod pose;
@@ -95,7 +95,7 @@ mod _core {
         let py = module.py();
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("SUPPORT", pliant_core::arm::SUPPORT)?;
-        crate::convert::initialise(py)?;
+        crate::ndarray::initialise(py)?;
         crate::error::register(module)?;
         crate::pickle::register(module)?;
         if cfg!(debug_assertions) {

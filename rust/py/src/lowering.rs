@@ -1,4 +1,4 @@
-//! `Lowering`.
+//! Python class `Lowering`, the controlled descent of an arm, and function `torque_margin`.
 
 use std::sync::Arc;
 
@@ -9,8 +9,8 @@ use pyo3::prelude::*;
 
 use crate::arguments;
 use crate::command::{Command, Pool};
-use crate::convert::new_array;
 use crate::error::{OrRaise, shape};
+use crate::ndarray::new_array;
 use crate::read::{array_into, joints};
 
 #[doc = stub!(Lowering)]
@@ -80,7 +80,7 @@ impl Lowering {
         dt: f64,
         age: f64,
     ) -> PyResult<Option<Py<Command>>> {
-        // Positions may be NaN: these count as lost.
+        // NaN is accepted: the core treats such a position as lost.
         let mut positions = [0.0; MAX_JOINTS];
         array_into("q", q, &[self.n], &mut positions[..self.n])?;
         let fresh = ok.map_or_else(|| Ok(vec![true; self.n]), |ok| mask(ok, self.n))?;
@@ -91,7 +91,7 @@ impl Lowering {
     }
 }
 
-/// Reads n booleans.
+/// Reads the argument `ok`, an iterable of `n` booleans.
 fn mask(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<bool>> {
     let flags = value.try_iter()?.map(|flag| flag?.is_truthy()).collect::<PyResult<Vec<_>>>()?;
     if flags.len() == n { Ok(flags) } else { Err(shape("ok", &[flags.len()], format!("({n},)"))) }

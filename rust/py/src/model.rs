@@ -1,4 +1,4 @@
-//! `Model`.
+//! Python class `Model`: a kinematic chain read from a URDF.
 #![expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
 
 use std::path::PathBuf;
@@ -10,10 +10,10 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple};
 
-use crate::convert::{freeze, new_array};
 use crate::error::{OrRaise, wrong_type};
 use crate::kinds::Kind;
 use crate::kinematics::positions;
+use crate::ndarray::{freeze, new_array};
 use crate::options::Payload;
 use crate::pickle::Reduced;
 use crate::pose::matrix;
@@ -28,10 +28,11 @@ use crate::{arguments, kinematics, pickle};
 #[pyclass(module = "pliant", frozen)]
 pub(crate) struct Model {
     pub(crate) core: Arc<CoreModel>,
-    /// Expanded to the chain's joints.
+    /// Default servos of a controller, with one entry per joint; `None` if the model has none.
     pub(crate) servos: Option<Py<Servos>>,
-    /// URDF text and keywords of the constructor.
+    /// URDF text from which the model was made.
     text: String,
+    /// Keyword arguments with which the model was made; `None` if there were none.
     options: Option<Py<PyDict>>,
     links: PyOnceLock<Py<PyTuple>>,
     joints: PyOnceLock<Py<PyTuple>>,
@@ -45,7 +46,7 @@ impl Model {
         text: String,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        // Deep copy: later mutation by the caller must not change what pickling reproduces.
+        // Copied deeply, so that the arguments in a pickle stay as given if the caller changes theirs later.
         let options = match options {
             Some(given) => Some(py.import("copy")?.call_method1("deepcopy", (given,))?.cast_into::<PyDict>()?.unbind()),
             None => None,
@@ -380,14 +381,14 @@ fn axes_of(reference: Option<&Bound<'_, PyAny>>) -> PyResult<Reference> {
     reference.map_or(Ok(Reference::WorldAligned), |word| Word::<Reference>::read("reference", word))
 }
 
-/// Creates a read-only vector.
+/// Creates a read-only array (n,).
 fn frozen<'py>(py: Python<'py>, values: &[f64]) -> PyResult<Bound<'py, PyAny>> {
     let array = new_array(py, &[values.len()], values);
     freeze(&array)?;
     Ok(array)
 }
 
-/// Replaces `None` by NaN.
+/// Returns the values with NaN in place of `None`.
 fn present(values: &[Option<f64>]) -> Vec<f64> {
     values.iter().map(|value| value.unwrap_or(f64::NAN)).collect()
 }

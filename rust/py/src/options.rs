@@ -1,4 +1,4 @@
-//! `Payload`, and the keywords of `Model.from_urdf`.
+//! Python class `Payload`, and the keyword arguments of `Model.from_urdf`.
 
 use std::collections::BTreeMap;
 
@@ -6,9 +6,9 @@ use pliant_core::{ModelOptions, Payload as CorePayload, Servos as CoreServos};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
 
-use crate::convert::new_array;
 use crate::error::{OrRaise, config, shown, suggestion};
 use crate::kinds::wrong;
+use crate::ndarray::new_array;
 use crate::read::{number, vector3};
 use crate::servos::Servos;
 
@@ -51,7 +51,7 @@ impl Payload {
     }
 }
 
-/// Reads a `Payload`, or its mass and centre of mass.
+/// Reads a `Payload`, or a pair of mass [kg] and centre of mass (3,) [m].
 fn payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
     if let Ok(payload) = value.cast::<Payload>() {
         return Ok(payload.get().0);
@@ -62,7 +62,7 @@ fn payload(value: &Bound<'_, PyAny>) -> PyResult<CorePayload> {
     }
 }
 
-/// Reads a mapping from joint names; `read` gets the key for its messages.
+/// Reads a mapping from joint names to values. `read` converts a value and gets its key for error messages.
 fn by_joint<T>(
     name: &str,
     value: &Bound<'_, PyAny>,
@@ -82,7 +82,7 @@ fn by_joint<T>(
 
 const KEYWORDS: [&str; 7] = ["base", "tip", "locked", "payload", "gravity", "limits", "servos"];
 
-/// Reads the keywords of `Model.from_urdf`; `None` keeps the default.
+/// Reads the keyword arguments of `Model.from_urdf`; an argument that is `None` keeps its default.
 pub(crate) fn read(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<(ModelOptions, Option<CoreServos>)> {
     let (mut options, mut servos) = (ModelOptions::default(), None);
     for (name, value) in keywords.into_iter().flatten() {

@@ -1,12 +1,12 @@
-//! Pickling of models and controllers.
+//! Pickling of `Model` and `Controller`: a pickle holds a function of this module and its arguments.
 
 use pliant_core::Snapshot;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
 use crate::controller::Controller;
-use crate::convert::new_array;
 use crate::model::Model;
+use crate::ndarray::new_array;
 use crate::options::Payload;
 use crate::read::vector;
 use crate::servos::Servos;
@@ -15,13 +15,13 @@ use crate::settings::Settings;
 /// A function and its arguments, as `__reduce__` returns them.
 pub(crate) type Reduced<'py> = (Bound<'py, PyAny>, Bound<'py, PyTuple>);
 
-/// Model, settings and servos of a controller.
+/// Model, settings and servos of a controller; `None` for a controller without servos.
 type Parts = (Py<Model>, Py<Settings>, Option<Py<Servos>>);
 
-/// The numbers of a [`Snapshot`]: payload, gravity, payload change, delay, captured stiffness, state.
+/// The fields of a [`Snapshot`] as Python values: payload, gravity, payload ramp, delay, captured 1/k_g, state.
 type Numbers<'py> = (Option<Payload>, [f64; 3], Option<[f64; 5]>, f64, Option<Vec<f64>>, Bound<'py, PyAny>);
 
-/// Adds the functions that pickles call to the module, but not to its public names.
+/// Adds the functions that unpickling calls, as attributes that are not in `__all__`.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.setattr("_model", wrap_pyfunction!(model, module)?)?;
     module.setattr("_controller", wrap_pyfunction!(controller, module)?)
@@ -49,13 +49,13 @@ pub(crate) fn of_controller<'py>(py: Python<'py>, parts: Parts, snapshot: &Snaps
     Ok((function(py, "_controller")?, (model, settings, servos, numbers).into_pyobject(py)?))
 }
 
-/// Restores a model from the result of [`of_model`].
+/// Creates a model from the arguments that [`of_model`] stored in a pickle.
 #[pyfunction(name = "_model")]
 fn model(py: Python<'_>, text: &str, options: &Bound<'_, PyDict>) -> PyResult<Model> {
     Model::from_text(py, text, Some(options))
 }
 
-/// Restores a controller from the result of [`of_controller`].
+/// Creates a controller from the arguments that [`of_controller`] stored in a pickle.
 #[pyfunction(name = "_controller")]
 fn controller(
     py: Python<'_>,

@@ -1,12 +1,12 @@
-//! `Pose` and `as_pose`.
+//! Python class `Pose` and function `as_pose`.
 
 use pliant_core::Pose as CorePose;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-use crate::convert::new_array;
 use crate::error::OrRaise;
 use crate::fields::text;
+use crate::ndarray::new_array;
 use crate::read::{array_into, vector3};
 
 #[doc = stub!(Pose)]
@@ -106,7 +106,7 @@ impl Pose {
         dtype: Option<&Bound<'py, PyAny>>,
         copy: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        // Every call creates a new array, so `copy` needs no handling.
+        // The array is new in every case, so `copy` is ignored.
         let _ = copy;
         let array = matrix(py, &self.0);
         dtype.map_or(Ok(array.clone()), |dtype| array.call_method1("astype", (dtype,)))
@@ -128,7 +128,7 @@ fn quaternion_of(value: &Bound<'_, PyAny>) -> PyResult<[f64; 4]> {
     Ok(out)
 }
 
-/// Returns a pose as a 4×4 array.
+/// Returns the homogeneous matrix of a pose as a new array (4, 4).
 pub(crate) fn matrix<'py>(py: Python<'py>, pose: &CorePose) -> Bound<'py, PyAny> {
     new_array(py, &[4, 4], pose.to_rows().as_flattened())
 }

@@ -1,4 +1,5 @@
-//! Array and pose arguments: plain arrays are copied, other objects are converted by NumPy or raise an error.
+//! Reads arguments that are numbers, arrays or poses. C-ordered float64 arrays are copied directly; NumPy converts
+//! other objects, or they raise an error.
 
 use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pliant_core::{JointVec, MAX_JOINTS, Pose as CorePose};
@@ -6,18 +7,19 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyList, PyTuple};
 
-use crate::convert;
 use crate::error::{OrRaise, shape, shown, wrong_type};
+use crate::ndarray;
 use crate::pose::Pose;
 
 /// Attributes and methods with which libraries expose a homogeneous matrix.
 const ACCESSORS: [&str; 4] = ["homogeneous", "as_matrix", "matrix", "A"];
 
-/// Message for a vector of seven numbers as a pose.
+/// Error text for seven numbers in place of a pose.
 const SEVEN: &str = "(4, 4): seven numbers do not say whether w comes first or last; \
                      use pliant.Pose.from_wxyz(position, quaternion) or pliant.Pose.from_xyzw(position, quaternion)";
 
-/// Reads any array-like as shape and float64 values, row by row.
+/// Reads an array-like of real numbers; returns its shape and its values row by row. Booleans, complex numbers, text
+/// and masked arrays raise a `TypeError`.
 pub(crate) fn numbers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<usize>, Vec<f64>)> {
     let py = value.py();
     let numpy = py.import("numpy")?;
@@ -49,10 +51,10 @@ pub(crate) fn numbers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<usi
     Ok((array.shape().to_vec(), array.readonly().as_slice()?.to_vec()))
 }
 
-/// Reads an array of one shape into `out`.
+/// Reads an array into `out`; an error if its shape is not `expected`.
 #[inline]
 pub(crate) fn array_into(name: &str, value: &Bound<'_, PyAny>, expected: &[usize], out: &mut [f64]) -> PyResult<()> {
-    if convert::copy(value, expected, out) { Ok(()) } else { array_slowly(name, value, expected, out) }
+    if ndarray::copy(value, expected, out) { Ok(()) } else { array_slowly(name, value, expected, out) }
 }
 
 #[cold]
@@ -67,7 +69,7 @@ fn array_slowly(name: &str, value: &Bound<'_, PyAny>, expected: &[usize], out: &
     Ok(())
 }
 
-/// Reads one number per joint; entries beyond `n` are 0.
+/// Reads a vector (n,) with one number per joint; entries of the result beyond `n` are 0.
 #[inline]
 pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<JointVec> {
     let mut out = [0.0; MAX_JOINTS];
@@ -75,21 +77,21 @@ pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult
     Ok(out)
 }
 
-/// Reads a vector of three.
+/// Reads a vector (3,).
 pub(crate) fn vector3(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
     let mut out = [0.0; 3];
     array_into(name, value, &[3], &mut out)?;
     Ok(out)
 }
 
-/// Reads a 3×3 matrix, row-major.
+/// Reads a matrix (3, 3); returns its rows.
 pub(crate) fn matrix3(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[[f64; 3]; 3]> {
     let mut m = [0.0; 9];
     array_into(name, value, &[3, 3], &mut m)?;
     Ok([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
 }
 
-/// Reads a matrix of any shape, or a vector as one row; returns rows, columns, values row by row.
+/// Reads a matrix of any size; returns the number of rows, the number of columns, and the values row by row.
 pub(crate) fn matrix(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(usize, usize, Vec<f64>)> {
     let (got, values) = numbers(name, value)?;
     match got[..] {
@@ -109,10 +111,11 @@ pub(crate) fn vector(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f64>>
 
 /// Reads a pose: 4×4 array, `Pose`, any object with a 4×4 accessor, or, if `position_only`, a position (3,).
 ///
-/// The core checks that the rotation is valid. Inlined, to avoid a copy whose loads would stall on the recent stores.
+/// Does not check that the rotation is valid: the core does. Inlined, because the loads of a copy would wait for the
+/// stores just made.
 #[inline(always)]
 pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
-    match convert::first_numbers(value, &[4, 4]) {
+    match ndarray::first_numbers(value, &[4, 4]) {
         Some(m) => from_vec(name, &m),
         None => pose_slowly(name, value, position_only),
     }
@@ -127,7 +130,8 @@ fn pose_slowly(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyR
     }
 }
 
-/// Reads a `Pose`, or the pose of any object with a 4×4 accessor; `None` for an object to be read as an array.
+/// Reads a `Pose`, or the pose of an object with a 4×4 accessor; `None` for other objects, which the caller reads as
+/// arrays.
 pub(crate) fn pose_of_object(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<CorePose>> {
     if let Ok(pose) = value.cast::<Pose>() {
         return Ok(Some(pose.get().0));
@@ -166,20 +170,20 @@ fn from_vec(name: &str, m: &[f64; 16]) -> PyResult<CorePose> {
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(value, wanted): (&f64, f64)| value.to_bits() != wanted.to_bits())
     {
-        // Another last row, or signed zeros: the core checks it.
+        // The last row is not 0 0 0 1 to the bit, e.g. because of a signed zero: the core checks it with a tolerance.
         return CorePose::from_rows_of(name, &[row(0), row(1), row(2), row(3)]).or_raise();
     }
     let rotation = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2]];
     Ok(CorePose { rotation: [rotation(0), rotation(1), rotation(2)], position: [m[3], m[7], m[11]] })
 }
 
-/// Reads a number; `expected` describes it and its unit in the message.
+/// Reads a number; if it is none, raises a `TypeError` with `expected`, which describes the number and its unit.
 #[inline(never)]
 pub(crate) fn real(name: &str, expected: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
     number(value).ok_or_else(|| wrong_type(name, expected, value))
 }
 
-/// Reads an option if it was given.
+/// Reads an optional argument into `slot`, which keeps its value if the argument was not given.
 pub(crate) fn set_if_some<'py, T>(
     slot: &mut T,
     value: Option<&Bound<'py, PyAny>>,
@@ -197,7 +201,7 @@ pub(crate) fn count(name: &str, value: &Bound<'_, PyAny>) -> PyResult<usize> {
     value.extract().map_err(|_| wrong_type(name, "a whole number, 0 or more", value))
 }
 
-/// Reads a number; booleans, including NumPy's, are rejected.
+/// Reads a real number as a float; `None` for other objects, booleans (also NumPy's) and masked arrays.
 pub(crate) fn number(value: &Bound<'_, PyAny>) -> Option<f64> {
     if let Ok(float) = value.cast::<PyFloat>() {
         return Some(float.value());
@@ -214,7 +218,8 @@ pub(crate) fn number(value: &Bound<'_, PyAny>) -> Option<f64> {
     }
 }
 
-/// Returns true for a masked array or a list of them: NumPy would drop the mask and return the masked values.
+/// Returns true for a masked array, or a list or tuple that contains one: NumPy would ignore the mask and return the
+/// masked values.
 fn is_masked(value: &Bound<'_, PyAny>) -> PyResult<bool> {
     let masked = value.py().import("numpy.ma")?.getattr("MaskedArray")?;
     if value.is_instance(&masked)? {

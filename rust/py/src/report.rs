@@ -1,4 +1,4 @@
-//! `PoseReport` with its `AxisReport`s, `FeasibilityReport` and `Issue`.
+//! Python classes `PoseReport` with its `AxisReport`s, `FeasibilityReport` with its `Issue`s; function `check_path`.
 
 use numpy::PyArray1;
 use pliant_core::analysis;
@@ -11,14 +11,14 @@ use pyo3::types::{PyDict, PyTuple};
 
 use crate::arguments;
 use crate::controller::Controller;
-use crate::convert::new_array;
 use crate::error::{OrRaise, shape};
 use crate::model::Model;
+use crate::ndarray::new_array;
 use crate::read::{joints, numbers, pose_of_object};
 use crate::servos::Servos;
 use crate::settings::Settings;
 
-/// Values pushed toward (−, +).
+/// Pair of values: for a push toward −, for a push toward +.
 type Sides<T> = (T, T);
 
 #[doc = stub!(JointStop)]
@@ -372,13 +372,13 @@ impl FeasibilityReport {
     }
 }
 
-/// Argument of a check.
+/// Argument `path_or_pose` of a feasibility check.
 enum Checked {
     Pose(CorePose),
     Path(Vec<Vec<f64>>),
 }
 
-/// Reads one posture (n) or several (N, n).
+/// Reads one posture (n,) or a path (N, n) [rad].
 pub(crate) fn path(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<Vec<f64>>> {
     let (got, values) = numbers(name, value)?;
     postures(&got, &values, n).ok_or_else(|| shape(name, &got, format!("({n},) or (N, {n})")))
@@ -392,8 +392,8 @@ fn postures(got: &[usize], values: &[f64], n: usize) -> Option<Vec<Vec<f64>>> {
     }
 }
 
-/// Reads a target as a step does (a pose array has 0 0 0 1 as its last row), or postures. Three numbers are the posture
-/// of an arm with three joints.
+/// Reads the argument `path_or_pose`. An array (4, 4) is a pose if its last row is 0 0 0 1. Three numbers are a
+/// position if the task has no rotations and the arm has not three joints. Other arrays are postures (n,) or (N, n).
 fn checked(value: &Bound<'_, PyAny>, n: usize, position_only: bool) -> PyResult<Checked> {
     let name = "path_or_pose";
     if let Some(pose) = pose_of_object(name, value)? {
@@ -414,13 +414,14 @@ fn checked(value: &Bound<'_, PyAny>, n: usize, position_only: bool) -> PyResult<
         .ok_or_else(|| shape(name, &got, format!("(4, 4), {position}({n},) or (N, {n})")))
 }
 
-/// Returns the default start of an IK search: the middle of the joint ranges.
+/// Returns the default start of a search for joint positions: the middle of each range, 0 for joints without limits.
 fn middle(model: &CoreModel) -> Vec<f64> {
     let ranges = model.lower().iter().zip(model.upper());
     ranges.map(|(&low, &high)| if low.is_finite() && high.is_finite() { 0.5 * (low + high) } else { 0.0 }).collect()
 }
 
-/// Calls [`CoreController::check`] or [`CoreController::check_pose`], depending on the argument.
+/// Checks the settings along a path with [`analysis::check_path`], or in a pose with [`analysis::check_pose`], whose
+/// search starts at `q0` or, for `None`, at the middle of the joint ranges.
 pub(crate) fn check_with(
     core: &CoreController,
     position_only: bool,

@@ -1,4 +1,4 @@
-//! `Servos`.
+//! Python class `Servos`: servo parameters with one number per joint.
 
 use pliant_core::params::{LimitType, Servos as CoreServos};
 use pyo3::prelude::*;
@@ -17,7 +17,8 @@ pub(crate) struct Servos(pub(crate) CoreServos);
 impl Special for Servos {}
 
 impl Servos {
-    /// Expands single numbers to the length of the longest list.
+    /// Checks that `kp` and `max_torque` are given, expands single numbers to the length of the longest vector, and
+    /// validates the values.
     fn check(core: &CoreServos) -> PyResult<Self> {
         for (name, values) in [("kp", &core.kp), ("max_torque", &core.max_torque)] {
             if values.is_empty() {
@@ -93,7 +94,7 @@ impl Servos {
     }
 
     #[doc = stub!(Servos.of)]
-    // The servo tables are Python code, and so is their reader.
+    // Calls Python, because the tables of servo models and their reader are the Python module `pliant.servo`.
     #[staticmethod]
     #[pyo3(signature = (models, *, voltage=None, gains=None))]
     fn of<'py>(

@@ -1,4 +1,4 @@
-//! `Settings`.
+//! Python class `Settings` with its presets.
 
 use pliant_core::MAX_AXES;
 use pliant_core::analysis;
@@ -39,10 +39,11 @@ impl Settings {
         Self::changed(&self.0, &CoreSettings::default(), py)
     }
 
-    /// Creates a preset with some fields replaced. Other axes, and fields of a group that are not given, keep the
-    /// preset's values.
+    /// Creates a preset with the fields in `overrides` replaced. Axes and fields of a group that are not given keep the
+    /// values of the preset.
     ///
-    /// Most presets set axes that a smaller task need not contain; the axes `named` must be in the task.
+    /// If `overrides` has a task, the preset's settings of axes outside that task are dropped. Those of the axes
+    /// `named` are kept, so that the validation reports a task without them.
     fn preset(mut core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let Some(overrides) = overrides else { return Self::check(&core) };
         let rest = overrides.copy()?;
@@ -62,7 +63,8 @@ impl Settings {
         Self::with(core, Some(&rest))
     }
 
-    /// Creates a preset whose axis `named` yields and also pushes, which under law `impedance` requires a spring.
+    /// Creates a preset in which the axis `named` yields and also pushes; an error if the axis has no spring under law
+    /// `impedance`, since nothing would push then.
     fn driven(core: CoreSettings, named: &str, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let settings = Self::preset(core, named, overrides)?;
         let mut driven = settings.0.axes.iter().zip(parse_axes("axis", named).or_raise()?);
@@ -216,7 +218,7 @@ impl Settings {
     }
 }
 
-/// Reads the working axis of a preset.
+/// Reads the argument `axis` of a preset; returns `default` if it was not given.
 fn along(axis: Option<&Bound<'_, PyAny>>, default: &str) -> PyResult<String> {
     axis.map_or_else(
         || Ok(default.to_owned()),
@@ -224,7 +226,7 @@ fn along(axis: Option<&Bound<'_, PyAny>>, default: &str) -> PyResult<String> {
     )
 }
 
-/// Reads the force of a preset, if given.
+/// Reads a force [N]; `None` if it was not given.
 fn newtons(name: &str, force: Option<&Bound<'_, PyAny>>) -> PyResult<Option<f64>> {
     force.map(|force| real(name, "a number [N]", force)).transpose()
 }

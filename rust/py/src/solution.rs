@@ -1,12 +1,12 @@
-//! `IkResult`.
+//! Python class `IkResult`, and the inverse kinematics that returns it.
 
 use pliant_core::IkOptions;
 use pyo3::prelude::*;
 
-use crate::convert::Array;
 use crate::error::OrRaise;
 use crate::kinds::{AxisKey, Kind};
 use crate::model::Model;
+use crate::ndarray::Array;
 use crate::read::{joints, pose};
 
 #[doc = stub!(IkResult)]
@@ -39,7 +39,8 @@ impl IkResult {
     }
 }
 
-/// Runs the search with the keywords of [`IkOptions`].
+/// Searches for joint positions that bring the tool to `target`, starting at `q0`; `axes` replaces `options.axes` if
+/// given.
 pub(crate) fn search(
     model: &Model,
     target: &Bound<'_, PyAny>,

@@ -1,4 +1,4 @@
-//! `Controller.step_batch` and `BatchState`.
+//! Control steps of many arms: `Controller.step_batch` and the Python class `BatchState`.
 
 use pliant_core::{
     BatchCommand, BatchInput, BatchState as CoreState, Controller as CoreController, OnInvalid, Pose as CorePose,
@@ -9,10 +9,10 @@ use pyo3::types::{PyDict, PyTuple};
 
 use crate::batch::{Rows, rows_of, target};
 use crate::command::Command;
-use crate::convert::{Lent, lend, new_array, rows};
 use crate::error::{OrRaise, shape, wrong_type};
 use crate::in_use::{exclusive, shared};
 use crate::kinds::Kind;
+use crate::ndarray::{Lent, lend, new_array, rows};
 use crate::read::{numbers, pose};
 use crate::words::{Word, Words};
 
@@ -26,12 +26,12 @@ impl Words for OnInvalid {
 pub(crate) struct BatchState(CoreState);
 
 impl BatchState {
-    /// Reads the argument `state`.
+    /// Reads the argument `state`; another type raises a `TypeError`.
     pub(crate) fn from_argument<'a, 'py>(state: &'a Bound<'py, PyAny>) -> PyResult<&'a Bound<'py, Self>> {
         state.cast().map_err(|_| wrong_type("state", "a BatchState, as batch_state(N) makes one", state))
     }
 
-    /// Creates the state of arms that have not started.
+    /// Creates the state of `count` arms before their first step, each with `n` joints.
     pub(crate) fn of(n: usize, count: usize) -> PyResult<Self> {
         CoreState::new(n, count).or_raise().map(Self)
     }
@@ -83,7 +83,7 @@ impl BatchState {
         if !one && got != [indices.len(), n] {
             return Err(shape("Q", &got, format!("({}, {n}), or ({n},) for all", indices.len())));
         }
-        // Check before any arm is changed.
+        // Check all rows first, so that an invalid one leaves every arm unchanged.
         let mut tried = CoreState::new(n, 1).or_raise()?;
         values.chunks_exact(n).try_for_each(|q| tried.reset(0, Some(q))).or_raise()?;
         let mut state = exclusive(slf)?;
@@ -99,7 +99,8 @@ impl BatchState {
     }
 }
 
-/// Resolves a NumPy index over `count` arms: a number, numbers, a slice, or a mask.
+/// Returns the arms that a NumPy index selects from `count` arms: a number, numbers, a slice or a mask; all arms for
+/// `None`.
 fn picked(py: Python<'_>, count: usize, indices: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<usize>> {
     let Some(indices) = indices else { return Ok((0..count).collect()) };
     let numpy = py.import("numpy")?;
@@ -119,10 +120,10 @@ fn picked(py: Python<'_>, count: usize, indices: Option<&Bound<'_, PyAny>>) -> P
     numpy.call_method("array", (found,), Some(&options))?.call_method0("tolist")?.extract()
 }
 
-/// Arguments of one call besides Q and the state.
+/// Arguments of one call of `step_batch`, besides `Q` and `state`.
 pub(crate) struct BatchCall<'a, 'py> {
     pub(crate) targets: &'a Bound<'py, PyAny>,
-    /// True if a target may be a position alone.
+    /// True for a task without rotations: targets may be positions (3,).
     pub(crate) position_only: bool,
     pub(crate) dt: Option<f64>,
     pub(crate) dq: Option<&'a Bound<'py, PyAny>>,
@@ -130,7 +131,7 @@ pub(crate) struct BatchCall<'a, 'py> {
     pub(crate) out: Option<&'a Bound<'py, PyAny>>,
 }
 
-/// Targets for the core, in the caller's memory or in a copy.
+/// Targets of a batch: one pose for all arms, or a pose or position per arm.
 enum Wanted<'a, 'py> {
     One(CorePose),
     Poses(Rows<'a, 'py>),
@@ -138,7 +139,7 @@ enum Wanted<'a, 'py> {
 }
 
 impl<'py> BatchCall<'_, 'py> {
-    /// Steps the arms without the interpreter lock.
+    /// Steps all arms without the interpreter lock, and returns their command.
     pub(crate) fn run(
         &self,
         py: Python<'_>,
@@ -198,7 +199,7 @@ impl<'py> BatchCall<'_, 'py> {
         let plain = parts.iter().find_map(|part| rows(targets, part).map(|count| (count, *part)));
         let (got, part) = match plain {
             Some(found) => found,
-            // Neither one pose nor an array of many: let NumPy convert it.
+            // Not a C-ordered float64 array (N, ...): one pose, or an object that NumPy converts.
             None => match numbers(name, targets) {
                 Ok((got, _)) if fits(&got).is_some() => (got[0], *fits(&got).unwrap_or(&parts[0])),
                 Ok((got, _)) if !matches!(got[..], [4, 4] | [3 | 7]) => {
@@ -218,7 +219,7 @@ impl<'py> BatchCall<'_, 'py> {
     }
 }
 
-/// Reads the arrays of a command, or three arrays, as outputs.
+/// Reads the argument `out`: the arrays of a command, or a tuple of three arrays.
 fn arrays_of<'py>(out: &Bound<'py, PyAny>) -> PyResult<[Bound<'py, PyAny>; 3]> {
     if let Ok(command) = out.cast::<Command>() {
         return Ok(command.get().arrays().map(|array| array.bind(out.py()).clone()));

@@ -1,4 +1,4 @@
-//! `Task` and `Axis`.
+//! Python classes `Task` and `Axis`, and the fields of `Settings` that hold them.
 
 use pliant_core::MAX_AXES;
 use pliant_core::params::{
@@ -136,7 +136,7 @@ impl Kind for TaskField {
     }
 }
 
-/// The field `axes` of the settings: axis key → `Axis`.
+/// The field `axes` of the settings: a mapping from axis keys to `Axis`.
 pub(crate) struct AxesField;
 
 impl Kind for AxesField {
@@ -163,7 +163,7 @@ impl Kind for AxesField {
     }
 }
 
-/// Returns `axes` with the axes of the mapping replaced.
+/// Returns `axes` with those replaced that the mapping `value` names; an error if it names an axis twice.
 pub(crate) fn merged(
     name: &str,
     value: &Bound<'_, PyAny>,

@@ -1,10 +1,10 @@
-//! `ThermalModel`.
+//! Python class `ThermalModel`: heat of the servos, and the torque limits that follow from it.
 
 use pliant_core::arm::{ThermalModel as CoreThermalModel, ThermalOptions};
 use pyo3::prelude::*;
 
-use crate::convert::new_array;
 use crate::error::OrRaise;
+use crate::ndarray::new_array;
 use crate::read::array_into;
 
 #[doc = stub!(ThermalModel)]

@@ -1,10 +1,10 @@
-//! `Link`, `Joint`, `Inertial`, `Mimic`: the complete robot tree, for simulators.
+//! Python classes `Link`, `Joint`, `Inertial` and `Mimic`: the complete tree of the robot, for simulators.
 
 use pliant_core::model;
 use pliant_core::model::JointKind;
 use pyo3::prelude::*;
 
-use crate::convert::Array;
+use crate::ndarray::Array;
 use crate::pose::Pose;
 
 #[doc = stub!(Inertial)]

@@ -1,4 +1,4 @@
-//! Fields with named choices.
+//! Conversion of enums of the core from and to names such as `"cap"`.
 
 use std::marker::PhantomData;
 
@@ -11,12 +11,12 @@ use pyo3::types::PyString;
 use crate::error::{config, shown, suggestion};
 use crate::kinds::Kind;
 
-/// A choice by name.
+/// A field that holds an enum, whose variants are strings in Python.
 pub(crate) struct Word<E>(PhantomData<E>);
 
-/// An enum whose variants have names.
+/// An enum whose variants have names in Python.
 pub(crate) trait Words: Copy + PartialEq + 'static {
-    /// Names of the variants.
+    /// Name and value of each variant.
     const WORDS: &'static [(&'static str, Self)];
 }
 

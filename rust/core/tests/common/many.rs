@@ -1,14 +1,14 @@
-//! Many arms at once, and what a controller of its own does with each.
+//! Inputs and outputs of batch steps, and the single steps to compare them with.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use pliant_core::{BatchCommand, BatchInput, Controller, Model, OnInvalid, Pose, StepInput, Targets};
 
 use crate::seeded::Random;
 
-/// More than two pieces, the last of them not full.
+/// Number of arms: enough for more than two chunks of a batch, the last of them incomplete.
 pub(crate) const ARMS: usize = 150;
 
-/// Commands of `count` arms, goals first.
+/// Output arrays of a batch step: goals, torque limits, speeds.
 pub(crate) struct Out(pub(crate) [Vec<f64>; 3]);
 
 impl Out {
@@ -21,7 +21,7 @@ impl Out {
         BatchCommand { goal, torque_limit, velocity }
     }
 
-    /// Whether a row has these numbers but for 1e-11 of the largest.
+    /// Returns true if a row equals `want` within 1e-11 of the largest number.
     pub(crate) fn is_near(&self, row: usize, n: usize, want: &[Vec<u64>; 3]) -> bool {
         self.0.iter().zip(want).all(|(all, want)| {
             let want: Vec<f64> = want.iter().map(|&bits| f64::from_bits(bits)).collect();
@@ -46,7 +46,7 @@ pub(crate) fn single(controller: &mut Controller, q: &[f64], target: &Pose, inpu
     [bits(command.goal()), bits(command.torque_limit()), bits(command.speed_limit())]
 }
 
-/// Positions and targets of many arms: anywhere, at the limits and a little beyond, stretched out, and at rest.
+/// Positions and targets of many arms: random, at the limits and slightly beyond, stretched out, and at rest.
 pub(crate) struct Arms {
     pub(crate) q: Vec<f64>,
     pub(crate) poses: Vec<Pose>,

@@ -1,4 +1,4 @@
-//! What the test files share: data, finite differences, comparison.
+//! Helpers of the test files: data, reference computations, finite differences, comparison.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use std::path::{Path, PathBuf};
@@ -8,43 +8,43 @@ use pliant_core::model::{JointKind, Model, ModelOptions};
 use pliant_core::pose::Pose;
 use serde_json::Value;
 
-/// The workspace's root.
+/// Returns the root folder of the workspace.
 pub(crate) fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A file of `rust/core/tests/data`.
+/// Returns the path of a file in `rust/core/tests/data`.
 pub(crate) fn data(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
 }
 
-/// JSON of a file.
+/// Reads a JSON file.
 pub(crate) fn json(path: &Path) -> Value {
     let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     serde_json::from_str(&text).unwrap()
 }
 
-/// Numbers of a JSON array.
+/// Returns the numbers of a JSON array.
 pub(crate) fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
 }
 
-/// Numbers of a nested JSON array.
+/// Returns the rows of a nested JSON array.
 pub(crate) fn matrix(value: &Value) -> Vec<Vec<f64>> {
     value.as_array().unwrap().iter().map(numbers).collect()
 }
 
-/// The built-in arm.
+/// Returns the arm `arm7` of the golden data.
 pub(crate) fn arm7() -> Model {
     Model::from_urdf_file(root().join("tests/data/golden/arm7.urdf"), &ModelOptions::default()).unwrap()
 }
 
-/// A robot of `data/robots`.
+/// Reads a robot of `data/robots`, from `base` to `tool`.
 pub(crate) fn robot(name: &str) -> Model {
     Model::from_urdf_file(data("robots").join(name).with_extension("urdf"), &between("base", "tool")).unwrap()
 }
 
-/// Pose of every link in the base by plain recursion over the whole tree: the slow way, as a check of the fast one.
+/// Returns the pose of every link in the base, by recursion over the whole tree: slow, to check the fast kinematics.
 pub(crate) fn link_poses(model: &Model, q: &[f64]) -> Vec<Isometry3<f64>> {
     let mut poses = vec![Isometry3::identity(); model.links().len()];
     let root = model.links().iter().position(|link| link.parent_joint.is_none()).unwrap();
@@ -71,13 +71,13 @@ pub(crate) fn link_poses(model: &Model, q: &[f64]) -> Vec<Isometry3<f64>> {
     poses.into_iter().map(|pose| root_from_base.inverse() * pose).collect()
 }
 
-/// Pose of the tool by [`link_poses`].
+/// Returns the pose of the tool in the base, by [`link_poses`].
 pub(crate) fn slow_tool(model: &Model, q: &[f64]) -> Isometry3<f64> {
     let tip = model.links().iter().position(|link| link.name == model.tip()).unwrap();
     link_poses(model, q)[tip]
 }
 
-/// Potential energy [J] of every body and the payload by [`link_poses`].
+/// Returns the potential energy [J] of all bodies and the payload, by [`link_poses`].
 pub(crate) fn potential_energy(model: &Model, q: &[f64]) -> f64 {
     let g = Vector3::from(model.gravity_vector());
     let of =
@@ -97,7 +97,7 @@ pub(crate) fn isometry(pose: &Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), rotation)
 }
 
-/// Joint positions inside the limits (continuous: ±π); `seed` picks them, the same every time.
+/// Returns joint positions inside the limits (±π for continuous joints), always the same for the same `seed`.
 pub(crate) fn state(model: &Model, seed: usize) -> Vec<f64> {
     (0..model.n())
         .map(|k| {
@@ -108,14 +108,14 @@ pub(crate) fn state(model: &Model, seed: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Options with a base and a tip.
+/// Returns model options with this base and tip.
 pub(crate) fn between(base: &str, tip: &str) -> ModelOptions {
     ModelOptions { base: Some(base.into()), tip: Some(tip.into()), ..ModelOptions::default() }
 }
 
-/// Derivative of `f` at `x` by central differences: one row per output, one column per entry of `x`.
+/// Returns the derivative of `f` at `x` by central differences: one row per output, one column per entry of `x`.
 ///
-/// The step balances truncation (h²) against rounding (ε/h): relative errors near 1e-10.
+/// The step balances truncation (h²) against rounding (ε/h); the relative error is near 1e-10.
 pub(crate) fn finite_difference(f: impl Fn(&[f64]) -> Vec<f64>, x: &[f64]) -> Vec<Vec<f64>> {
     let h = 6e-6;
     let mut x = x.to_vec();
@@ -133,7 +133,7 @@ pub(crate) fn finite_difference(f: impl Fn(&[f64]) -> Vec<f64>, x: &[f64]) -> Ve
     (0..columns.first().map_or(0, Vec::len)).map(|i| columns.iter().map(|c| c[i]).collect()).collect()
 }
 
-/// Asserts that two numbers agree.
+/// Asserts that two numbers differ by at most `tolerance`.
 #[track_caller]
 pub(crate) fn close(what: &str, got: f64, want: f64, tolerance: f64) {
     assert!((got - want).abs() <= tolerance, "{what}: got {got}, want {want}, off by {:e}", (got - want).abs());

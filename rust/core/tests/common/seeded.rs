@@ -1,4 +1,4 @@
-//! Random numbers that are the same on every machine, and arms to use them on.
+//! Random numbers that are the same on every machine, and arms with their servos.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use std::f64::consts::PI;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use pliant_core::{Model, ModelOptions, Pose, Servos};
 
-/// SplitMix64.
+/// SplitMix64 random generator.
 pub(crate) struct Random(u64);
 
 impl Random {
@@ -22,7 +22,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Uniform in [0, 1).
+    /// Returns a number uniform in [0, 1).
     pub(crate) fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1_u64 << 53) as f64
     }
@@ -31,7 +31,7 @@ impl Random {
         low + (high - low) * self.unit()
     }
 
-    /// Uniform in the logarithm.
+    /// Returns a number between `low` and `high` whose logarithm is uniform.
     pub(crate) fn scale(&mut self, low: f64, high: f64) -> f64 {
         self.between(low.ln(), high.ln()).exp()
     }
@@ -57,7 +57,7 @@ impl Random {
         Pose::from_rotation_vector([0.0; 3], [v[0], v[1], v[2]]).unwrap().rotation
     }
 
-    /// Positions inside the limits (±π where there are none), `share` of the range around its middle.
+    /// Returns positions in the middle `share` of the joint ranges (±π for joints without limits).
     pub(crate) fn joints(&mut self, model: &Model, share: f64) -> Vec<f64> {
         (0..model.n())
             .map(|i| {
@@ -67,7 +67,7 @@ impl Random {
             .collect()
     }
 
-    /// A pose near that of `q`.
+    /// Returns the pose at `q`, displaced by up to `metres` and `radians`.
     pub(crate) fn target(&mut self, model: &Model, q: &[f64], metres: f64, radians: f64) -> Pose {
         let mut pose = model.forward_kinematics(q).unwrap();
         let (p, v) = (self.vector(3, metres), self.vector(3, radians));
@@ -79,7 +79,7 @@ impl Random {
                 pose.rotation[i][j] = (0..3).map(|k| turn[i][k] * before[k][j]).sum();
             }
         }
-        // One that is refused for its distance is pulled in until it is just taken.
+        // A target beyond the allowed distance is moved inward until it is accepted.
         let centre = model.reach_origin();
         while model.check_target(&pose).is_err() {
             for (value, from) in pose.position.iter_mut().zip(centre) {
@@ -90,7 +90,8 @@ impl Random {
     }
 }
 
-/// The built-in arm of seven joints, the one with a rotated mount and tool, and one of five joints.
+/// Returns an arm by index: 0 the built-in arm of seven joints, 1 the one with a rotated mount and tool, 2 one of five
+/// joints.
 pub(crate) fn arm(index: usize, options: &ModelOptions) -> Arc<Model> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
     let (file, tip) = [
@@ -102,7 +103,7 @@ pub(crate) fn arm(index: usize, options: &ModelOptions) -> Arc<Model> {
     Arc::new(Model::from_urdf_file(format!("{root}/{file}"), &options).unwrap())
 }
 
-/// Servos of those arms.
+/// Returns the servos of the arm that [`arm`] returns for the same index.
 pub(crate) fn servos(index: usize) -> Servos {
     let spread = |shoulder: f64, wrist: f64| [vec![shoulder; 4], vec![wrist; 3]].concat();
     if index == 2 {

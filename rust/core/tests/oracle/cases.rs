@@ -1,4 +1,4 @@
-//! Random settings, servos and inputs for both transcriptions.
+//! Random settings, servos and inputs for the control step and for the oracle.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use std::sync::Arc;
@@ -61,7 +61,7 @@ fn gain(random: &mut Random, size: usize, most: f64) -> Gain {
     match random.below(4) {
         0 => Gain::Diagonal((0..size).map(|_| random.between(0.1, most)).collect()),
         1 => {
-            // Strong enough on the diagonal to stay within the same bound as a whole.
+            // A dominant diagonal, scaled so that the norm of the matrix stays below `most`.
             let scale = most / (1.0 + 0.2 * size as f64);
             let entry =
                 |r: usize, c: usize, random: &mut Random| scale * if r == c { 1.0 } else { random.between(-0.2, 0.2) };
@@ -71,7 +71,7 @@ fn gain(random: &mut Random, size: usize, most: f64) -> Gain {
     }
 }
 
-/// Settings that are valid for `model`; the tool's speed limit is off.
+/// Returns random settings that are valid for `model`, without a tool speed limit.
 pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings {
     let n = model.n();
     let small = n < 6;
@@ -161,8 +161,8 @@ pub(crate) fn settings(random: &mut Random, model: &Model, law: Law) -> Settings
     }
 }
 
-/// The same where this arm takes them: springs as stiff as rate and delay allow in more than half of the poses, damping
-/// of its own where the axes can nowhere be moved apart from each other.
+/// Returns `settings`, changed until this arm accepts them: springs and dampers reduced to the bound from rate and
+/// delay, a fixed damping where the axes cannot be moved independently.
 pub(crate) fn tamed(model: &Arc<Model>, mut settings: Settings, servos: Option<&Servos>) -> Settings {
     while let Err(error) = Controller::new(Arc::clone(model), settings.clone(), servos.cloned()) {
         let text = error.to_string();
@@ -180,7 +180,7 @@ pub(crate) fn tamed(model: &Arc<Model>, mut settings: Settings, servos: Option<&
     settings
 }
 
-/// Whether these settings can do without `k_p`.
+/// Returns true if these settings do not need `k_p`.
 pub(crate) fn free_of_kp(settings: &Settings) -> bool {
     settings.law == Law::Paper
         && settings.effective_follow() == Follow::Hold
@@ -188,7 +188,7 @@ pub(crate) fn free_of_kp(settings: &Settings) -> bool {
         && matches!(settings.gravity_use(), GravityUse::Off | GravityUse::Limits)
 }
 
-/// Servos around `nominal`, some of them with a duty limit.
+/// Returns random servos around `nominal`, some of them with a PWM limit.
 pub(crate) fn servos(random: &mut Random, nominal: &Servos, n: usize) -> Servos {
     let mut servos = nominal.for_joints(n).unwrap();
     for i in 0..n {

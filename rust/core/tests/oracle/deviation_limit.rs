@@ -1,4 +1,5 @@
-//! Deviation limits once more, by the words: first the waiting axes stop the target, then the following ones let it go.
+//! Deviation limits, written independently of the crate: first the waiting axes stop the target, then the yielding axes
+//! let it follow the tool.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use pliant_core::Pose;
@@ -10,7 +11,7 @@ fn rotation(pose: &Pose) -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| pose.rotation[i][j]))
 }
 
-/// By the quaternion: the trace of a rotation by next to nothing has no digits left.
+/// Returns the rotation vector, computed from the quaternion: for a tiny rotation the trace has no significant digits.
 fn scaled_axis(rotation: &Rotation3<f64>) -> Vector3<f64> {
     UnitQuaternion::from_rotation_matrix(rotation).scaled_axis()
 }
@@ -21,7 +22,7 @@ fn pose(position: Vector3<f64>, rotation: Rotation3<f64>) -> Pose {
 }
 
 impl Oracle {
-    /// Lowest and highest deviation that the limit of an axis allows.
+    /// Returns the lowest and the highest deviation [m or rad] that the limit of an axis allows.
     fn allowed(&self, axis: usize) -> (f64, f64) {
         let given = &self.settings.axes[axis];
         let most = given.deviation_limit.unwrap_or(f64::INFINITY);
@@ -33,7 +34,7 @@ impl Oracle {
         }
     }
 
-    /// The target as far as the limits let it, and the rows that met theirs.
+    /// Returns the target after the deviation limits, and which rows are at their limit.
     pub(super) fn reference(&self, tool: &Pose, target: &Pose) -> (Pose, Vec<bool>) {
         let axes = self.axes();
         let before = self.memory.reference;
@@ -58,7 +59,7 @@ impl Oracle {
             let turn = scaled_axis(&(rotation(target) * rotation(&before).inverse())) * share;
             reference = pose(from + (to - from) * share, Rotation3::new(turn) * rotation(&before));
         }
-        // Every axis of space, also those that are none of the task's.
+        // The deviation along all six axes, including those outside the task.
         let turn = self.base_from_task(tool);
         let linear = turn.transpose() * (Vector3::from(reference.position) - Vector3::from(tool.position));
         let angular = turn.transpose() * scaled_axis(&(rotation(&reference) * rotation(tool).inverse()));

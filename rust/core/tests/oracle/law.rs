@@ -1,11 +1,11 @@
-//! Lines 7 to 9 and law `paper`, with matrices inverted as they are printed.
+//! Lines 7 to 9 of the listing in docs/derivations.md, and law `paper`; matrices are inverted as printed.
 
 use pliant_core::params::Follow;
 
 use super::shares::Shares;
 use super::{Matrix, Oracle, Vector};
 
-/// What a law is asked.
+/// Inputs of a law in one step; one entry per row of the task, or per joint.
 pub(super) struct Want<'a> {
     pub(super) oracle: &'a Oracle,
     pub(super) rows: &'a Matrix,
@@ -16,33 +16,35 @@ pub(super) struct Want<'a> {
     pub(super) strength: &'a Vector,
     pub(super) most: &'a Vector,
     pub(super) soft_step: &'a Vector,
-    /// Within the per-axis limits.
+    /// Task displacement h Δx, clipped to the limits of each axis [m, rad].
     pub(super) step: &'a Vector,
     pub(super) adapted: &'a Vector,
-    /// Spring and damper of each row.
+    /// Spring of each row [N/m, N·m/rad].
     pub(super) stiffness: &'a Vector,
+    /// Damper of each row [N·s/m, N·m·s/rad].
     pub(super) viscosity: &'a Vector,
-    /// Velocity of the target less that of the tool.
+    /// Velocity of the target minus that of the tool [m/s, rad/s].
     pub(super) relative: &'a Vector,
     pub(super) gradient: &'a Vector,
     pub(super) in_goal: &'a Vector,
-    /// Feed-forward of a joint that carries nothing, and in addition per torque carried.
+    /// Feed-forward of each joint without load [N·m].
     pub(super) idle: &'a Vector,
+    /// Additional feed-forward of each joint per load torque [1].
     pub(super) loaded: &'a Vector,
 }
 
-/// What it answers.
+/// Result of a law in one step.
 #[derive(Clone)]
 pub(super) struct Motion {
-    /// What is to move the arm.
+    /// Lead of the goals that moves the arm [rad].
     pub(super) lead: Vector,
-    /// What is to exert the force of soft axes.
+    /// Lead of the goals that exerts the force of soft axes [rad].
     pub(super) force: Vector,
     pub(super) null: Vector,
     pub(super) wrench: Vector,
     pub(super) feed_forward: Vector,
     pub(super) factors: [f64; 3],
-    /// On the stiffness, by ρ.
+    /// Factor ≤ 1 on the stiffness, from the spectral radius ρ.
     pub(super) derating: f64,
 }
 
@@ -54,7 +56,8 @@ pub(super) fn diagonal(v: &Vector) -> Matrix {
     Matrix::from_diagonal(v)
 }
 
-/// Largest factor in [0, 1] on `part` that brings `others + part` within ± `bound` in every joint where it is beyond.
+/// Returns the largest factor in [0, 1] on `part` that brings `others + part` within ±`bound`, in every joint that is
+/// outside.
 fn fit(others: &Vector, part: &Vector, bound: &Vector) -> f64 {
     let mut factor: f64 = 1.0;
     for i in 0..part.len() {
@@ -79,12 +82,12 @@ impl Want<'_> {
         self.rows.nrows()
     }
 
-    /// `C = J K_p⁻¹ Jᵀ`.
+    /// Returns `C = J K_p⁻¹ Jᵀ`.
     fn c(&self) -> Matrix {
         self.rows * inverse(&diagonal(&self.oracle.kp())) * self.rows.transpose()
     }
 
-    /// `λ²/k̄`, a diagonal.
+    /// Returns the diagonal matrix `λ²/k̄`.
     fn damping(&self) -> Matrix {
         diagonal(self.row_lambda2) / self.oracle.kp().mean()
     }
@@ -93,7 +96,8 @@ impl Want<'_> {
         self.oracle.settings.effective_follow()
     }
 
-    /// First half of line 8: `(C_RR + diag(C_jj w/(1 − w)) + λ²/k̄ I)⁻¹ s_R` over rows with w < 1, spread to all rows.
+    /// Returns the first half of line 8: `(C_RR + diag(C_jj w/(1 − w)) + λ²/k̄ I)⁻¹ s_R` over the rows with w < 1; 0 in
+    /// the other rows.
     fn stiff(&self, s: &Vector) -> Vector {
         let (c, damping) = (self.c(), self.damping());
         let remaining: Vec<usize> = (0..self.k()).filter(|&r| self.softness[r] < 1.0).collect();
@@ -135,21 +139,21 @@ impl Want<'_> {
             }
         }
 
-        // 9: −α h N ∇cost, Σ k_p |null| ≤ τ₀, own speed limit.
+        // Line 9: −α h N ∇cost, with Σ k_p |null| ≤ τ₀ and the speed limit of the null space.
         let alpha = settings.null_space.gain.unwrap_or_else(|| largest(settings));
         let null = self.shares().projector() * self.gradient * (-alpha * settings.paper_options.horizon);
         self.exert(&soft, &stiff, null)
     }
 
-    /// `F = clip(K ẽ − D v, ±most)` per axis, ρ(K) no larger than `max(1, 0.03 s / T_e)`, ρ(D) no larger
-    /// than `0.007 s² / (T_e + T_f)`.
+    /// Returns the motion of law `impedance`: `F = clip(K ẽ − D v, ±most)` per axis, with ρ(K) at most `max(1, 0.03 s /
+    /// T_e)` and ρ(D) at most `0.007 s² / (T_e + T_f)`.
     pub(super) fn impedance(&self) -> Motion {
         let (settings, kp) = (&self.oracle.settings, self.oracle.kp());
         let within = |gains: &Vector, bound: f64| {
             let root = diagonal(&gains.map(f64::sqrt));
             let eigenvalues = (&root * self.c() * &root).symmetric_eigenvalues();
             let top = eigenvalues.max();
-            // The 64-norm of the eigenvalues stands for the largest of them.
+            // The 64-norm of the eigenvalues approximates the largest of them.
             let rho =
                 if top > 0.0 { top * eigenvalues.map(|x| (x / top).powi(64)).sum().powf(1.0 / 64.0) } else { 0.0 };
             if rho > bound { bound / rho } else { 1.0 }
@@ -173,7 +177,7 @@ impl Want<'_> {
         Motion { derating, ..self.exert(&soft, &stiff, null) }
     }
 
-    /// `K_p⁻¹ Jᵀ (soft + stiff)` and the null part within torque ceilings and joint speeds.
+    /// Returns `K_p⁻¹ Jᵀ (soft + stiff)` and the null-space part, scaled to torque ceilings and joint speeds.
     fn exert(&self, soft: &Vector, stiff: &Vector, mut null: Vector) -> Motion {
         let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
         let settings = &self.oracle.settings;
@@ -184,7 +188,7 @@ impl Want<'_> {
         }
         null *= self.null_speed_factor(&null);
 
-        // Over the ceiling W is scaled, soft first, then stiff; gravity and feed-forward never.
+        // Above the ceiling W is reduced, its soft part first, then its stiff part; gravity and feed-forward are not.
         let ceiling = self.oracle.ceiling();
         let (tau_soft, tau_stiff) = (self.rows.transpose() * soft, self.rows.transpose() * stiff);
         let snapshot = (self.in_goal + &tau_soft + &tau_stiff).zip_map(&ceiling, |torque, most| torque.abs().min(most));
@@ -197,7 +201,7 @@ impl Want<'_> {
                 f_stiff = fit(&(&base + &tau_soft * f_soft), &tau_stiff, &ceiling);
             }
         }
-        // At a joint speed limit null, soft, stiff.
+        // At a joint speed limit the parts are reduced in the order null-space, soft, stiff.
         let lead_soft = (tau_soft * f_soft).component_div(&kp);
         let lead_stiff = (tau_stiff * f_stiff).component_div(&kp);
         let [f_null, g_soft, g_stiff] = self.slower(&null, &lead_soft, &lead_stiff);
@@ -212,14 +216,15 @@ impl Want<'_> {
         }
     }
 
-    /// The null space's own speed limit.
+    /// Returns the factor that keeps the null-space motion within its own speed limit.
     fn null_speed_factor(&self, null: &Vector) -> f64 {
         let settings = &self.oracle.settings;
         let fastest = null.amax() / settings.paper_options.horizon;
         if fastest > settings.null_space.max_speed { settings.null_space.max_speed / fastest } else { 1.0 }
     }
 
-    /// Factors that keep `(null + soft + stiff) / h` within the joints' speed limits; each gives way in its turn.
+    /// Returns the factors that keep `(null + soft + stiff) / h` within the joint speed limits; the parts are reduced
+    /// in this order.
     fn slower(&self, null: &Vector, soft: &Vector, stiff: &Vector) -> [f64; 3] {
         let settings = &self.oracle.settings;
         let bound = Vector::from_fn(self.n(), |i, _| {
@@ -242,7 +247,8 @@ impl Want<'_> {
         factors
     }
 
-    /// `h K_q (J⁺Δx − αN∇g)`, or with soft rows out of the inverse.
+    /// Returns the motion of law `paper`: `h K_q (J⁺Δx − αN∇g)`, or the inverse without the soft rows under
+    /// `Follow::Free`.
     pub(super) fn paper(&self) -> Motion {
         let (n, k, kp) = (self.n(), self.k(), self.oracle.kp());
         let settings = &self.oracle.settings;
@@ -283,8 +289,8 @@ impl Want<'_> {
         }
     }
 
-    /// `all` with locked joints at their `fixed` lead; what they lack is solved for over the other joints, with the damping
-    /// of a singular pose, within ceilings and joint speeds.
+    /// Returns the motion `all` with locked joints at their `fixed` lead. The other joints take over their part of the
+    /// task, with the damping of a singular pose, within torque ceilings and joint speeds.
     pub(super) fn taken_over(&self, all: &Motion, locked: &[bool], fixed: &Vector) -> Motion {
         let (n, kp, settings) = (self.n(), self.oracle.kp(), &self.oracle.settings);
         let whole = &all.lead + &all.null;
@@ -336,7 +342,7 @@ impl Want<'_> {
         }
     }
 
-    /// Factor on λ² of each row: l² for translations, but where λ is fixed as printed.
+    /// Returns the factor on λ² of each row: l² for translations, but 1 where λ is fixed as printed.
     fn row_scale(&self) -> Vector {
         let oracle = self.oracle;
         let axes = oracle.axes();
@@ -356,7 +362,7 @@ impl Want<'_> {
     }
 }
 
-/// α as K_x, where it is not given.
+/// Returns the default of α: the largest gain K_x.
 pub(super) fn largest(settings: &pliant_core::Settings) -> f64 {
     use pliant_core::params::Gain;
     match &settings.tracking.gain {

@@ -1,4 +1,4 @@
-//! What the slow control step remembers from tick to tick, and the first thing it does with it: the velocity.
+//! State of the oracle between ticks, and its velocity filter.
 
 use pliant_core::{Pose, StepInput};
 
@@ -10,16 +10,16 @@ pub(crate) struct Memory {
     pub(super) velocity: Vector,
     pub(super) gamma: f64,
     pub(super) goal: Vector,
-    /// What of it carries the weight.
+    /// Part of the goal that holds the weight [rad].
     pub(super) weight: Vector,
     pub(super) limit: Option<Vector>,
     pub(super) rest: Vector,
-    /// Target of the last tick as far as the deviation limits let it.
+    /// Target of the last tick after the deviation limits.
     pub(super) reference: Pose,
 }
 
 impl Memory {
-    /// Before the first tick of an arm of `n` joints.
+    /// Returns the state of an arm of `n` joints before the first tick.
     pub(super) fn new(n: usize) -> Self {
         let zero = Vector::zeros(n);
         Self {
@@ -42,7 +42,8 @@ impl Oracle {
         self.memory = Memory { reference, held: q.clone(), goal: q.clone(), rest: q, ..Memory::new(self.n()) };
     }
 
-    /// Differences behind a play of one count on each side, then one pole of T_f.
+    /// Filters the velocity: differences of positions with a hysteresis of one encoder count on each side, then a
+    /// first-order low-pass with T_f.
     pub(super) fn filter(&mut self, q: &Vector, input: &StepInput<'_>, dt: f64) {
         let memory = &mut self.memory;
         if let Some(dq) = input.dq {

@@ -1,7 +1,8 @@
-//! The control step once more: slow, readable, written from the printed lines 1 to 12 and the equations of law `paper`.
+//! Oracle: a slow, readable control step, written from lines 1 to 12 of the listing in docs/derivations.md and the
+//! equations of law `paper`.
 //!
-//! Nothing is shared with the fast one but pose, Jacobian and gravity of the model, and the estimate of σ, which the fast
-//! one may get wrong by a percent and which is therefore fed in. The tool's speed limit is not part of it.
+//! It shares with the tested step only pose, Jacobian and gravity of the model. The estimate of σ, which may be off by
+//! a percent, is passed in. It has no tool speed limit.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use std::sync::Arc;
@@ -21,20 +22,20 @@ use memory::Memory;
 pub(crate) type Vector = DVector<f64>;
 pub(crate) type Matrix = DMatrix<f64>;
 
-/// Controller of the twelve lines, with what it remembers.
+/// Slow controller with its state between ticks.
 #[derive(Clone)]
 pub(crate) struct Oracle {
     pub(crate) model: Arc<Model>,
     pub(crate) settings: Settings,
     pub(crate) servos: Option<Servos>,
-    /// λ₀, σ₀, λ_max.
+    /// Damping constants λ₀, σ₀, λ_max.
     pub(crate) damping: [f64; 3],
     pub(crate) delay: f64,
     pub(crate) kg: Vector,
     pub(crate) memory: Memory,
 }
 
-/// Everything that one tick came to; one entry per row of the task, or per joint.
+/// All intermediate values of one tick; one entry per row of the task, or per joint.
 #[derive(Clone)]
 pub(crate) struct Tick {
     pub(crate) q: Vector,
@@ -58,18 +59,18 @@ pub(crate) struct Tick {
     pub(crate) lambda: f64,
     pub(crate) gamma: f64,
     pub(crate) locked: Vec<bool>,
-    /// Whether a force led out of a limit that its joint had passed.
+    /// True if the lead of a force points out of a position limit that the joint has passed, and is faded.
     pub(crate) faded: bool,
-    /// Axes that met their deviation limit.
+    /// True for rows at their deviation limit.
     pub(crate) met: Vec<bool>,
     pub(crate) reference: Pose,
     pub(crate) goal: Vector,
     pub(crate) limit: Vector,
-    /// Smallest and largest singular value of the rows, by SVD.
+    /// Smallest and largest singular value of the task rows, by SVD.
     pub(crate) sigma: [f64; 2],
 }
 
-/// One row of the task, lines 3 to 6.
+/// Values of one row of the task, lines 3 to 6 of the listing in docs/derivations.md.
 struct Row {
     e: f64,
     adapted: f64,
@@ -97,7 +98,7 @@ impl Oracle {
         }
     }
 
-    /// One tick; `sigma` holds the smallest and largest singular value that the fast step believes.
+    /// Runs one tick; `sigma` holds the smallest and largest singular value that the tested step estimates.
     #[allow(clippy::too_many_lines, reason = "the printed lines in their order, in one place")]
     pub(crate) fn step(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>, sigma: [f64; 2]) -> Tick {
         let (n, settings) = (self.n(), self.settings.clone());
@@ -119,7 +120,7 @@ impl Oracle {
         let rows = self.rows(&q);
         let (reference, met) = self.reference(&tool, target);
         let e = self.deviation(&tool, &reference);
-        // A reference that does not reach its target does not have the target's velocity.
+        // A reference that a deviation limit holds back does not have the target's velocity.
         let twist = input.twist.copied().filter(|_| !met.contains(&true)).unwrap_or_default();
         let twist = self.in_task(
             &tool,
@@ -151,7 +152,7 @@ impl Oracle {
         // 10
         let gravity = self.model.gravity(q.as_slice()).unwrap();
         let (friction, resistance) = (self.joint(|s| &s.friction, 0.0), self.resistance());
-        // Friction at rest beyond that in motion fades as 1/(1 + x + x²).
+        // The additional friction at rest fades with speed as 1/(1 + x + x²).
         let fading = |i: usize| {
             let x = velocity[i].abs() / self.joint(|s| &s.stribeck_speed, 1.0)[i];
             1.0 / (1.0 + x + x * x)
@@ -182,7 +183,8 @@ impl Oracle {
         };
         let gradient = self.gradient(&q, input, &wishes);
 
-        // 8, 9, 11 with all joints; then anew, for what it lacks, without every joint that meets a position limit.
+        // 8, 9, 11: first with all joints; then each joint that meets a position limit is locked, and the others take
+        // over its part.
         let want = law::Want {
             oracle: self,
             rows: &rows,
@@ -203,8 +205,8 @@ impl Oracle {
             idle: &idle,
             loaded: &loaded,
         };
-        // What exerts a force may lead out of the position limits; with q itself beyond one it fades, by 1/(0.02 rad) or by
-        // what the delay allows: 0.03 s / T_e, less the 1 that the servo itself has.
+        // The lead of a force may point out of the position limits. If q itself is beyond one, the lead fades with a
+        // slope of 1/(0.02 rad) or what the delay allows: 0.03 s / T_e, minus the 1 of the servo itself.
         let late = self.delay + 0.5 / settings.rate;
         let slope = if self.well_damped() { 2.0 } else { (0.03 / late).clamp(1.0, 3.0) - 1.0 };
         let fade = |lead: f64, i: usize| {
@@ -239,7 +241,7 @@ impl Oracle {
             for i in more {
                 locked[i] = true;
             }
-            // A locked joint stands at its limit.
+            // A locked joint is held at its limit.
             let fixed = Vector::from_fn(n, |i, _| {
                 let at_limit = if without_lead[i] + all_joints.lead[i] + all_joints.null[i] > self.model.upper()[i]
                     || goal[i] >= self.model.upper()[i]
@@ -262,7 +264,7 @@ impl Oracle {
         let null_torque = settings.null_space.max_torque.unwrap_or(if k < n { 2.0 } else { 0.0 });
         let wanted = if cap && settings.paper_options.limits == LimitRule::Demand {
             let bounded = Vector::from_fn(k, |r, _| clip(motion.wrench[r], most[r]));
-            // Less what a position limit cuts off.
+            // Without the part that a position limit cuts off.
             let (pulled, whole) = (rows.transpose() * bounded, rows.transpose() * &motion.wrench);
             let task = pulled + kp.component_mul(&(&motion.lead + &motion.force)) - whole;
             let asked = &in_limit + task + &feed_forward + kp.component_mul(&(&motion.null + &q - &measured));
@@ -302,12 +304,12 @@ impl Oracle {
                 let lead = motion.lead[i] + motion.null[i];
                 goal[i] = goal[i] - lead + clip(lead, most);
             }
-            // Out of the limits by no more than the whole torque takes.
+            // The goal exceeds a limit by at most the lead of the full torque.
             let out = if self.servos.is_some() { ceiling[i] / kp[i] } else { 0.0 };
             let (lower, upper) = (self.model.lower()[i] - out, self.model.upper()[i] + out);
             goal[i] = goal[i].max(lower).min(upper);
         }
-        // The weight by itself and first, then all the rest by one share.
+        // The gravity offset moves first and independently, then all other parts by one common share.
         let slew = settings.tracking.goal_slew * ahead;
         let (snapshot, all) = (in_goal.component_div(&self.kg), goal - &self.memory.goal);
         let change = &snapshot - &self.memory.weight;

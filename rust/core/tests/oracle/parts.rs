@@ -1,4 +1,4 @@
-//! What a step asks of arm, servos and axes before it solves anything.
+//! Properties of arm, servos and axes that the oracle computes before it solves for a motion.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pliant_core::params::{CompliantSide, Frame, Gain, Law, Profile};
@@ -11,12 +11,13 @@ impl Oracle {
         self.model.n()
     }
 
-    /// Indices of the task's axes among x, y, z, roll, pitch, yaw.
+    /// Returns the indices of the task's axes among x, y, z, roll, pitch, yaw.
     pub(crate) fn axes(&self) -> Vec<usize> {
         (0..6).filter(|&axis| self.settings.task.axes[axis]).collect()
     }
 
-    /// What a metre is divided by to compare with a radian: reach / 0.71 m, or the length that the task gives.
+    /// Returns the length [m] that weighs as much as one radian: reach / 0.71, or the task's length with more axes than
+    /// joints.
     pub(super) fn length(&self) -> f64 {
         if self.axes().len() > self.n() { self.settings.task.length.unwrap() } else { self.model.reach() / 0.71 }
     }
@@ -29,7 +30,8 @@ impl Oracle {
         self.joint(|s| &s.kp, 1.0)
     }
 
-    /// Gears, the servo's own damping and, for a duty limit, back-EMF τ_stall / w₀.
+    /// Returns the viscous damping of each joint: of gears and of the servo's own loop, and for a PWM limit the
+    /// back-EMF τ_stall / w₀.
     pub(super) fn resistance(&self) -> Vector {
         let back_emf = match self.servos.as_ref() {
             Some(s) if s.limit_type == LimitType::Pwm => self
@@ -40,7 +42,7 @@ impl Oracle {
         self.joint(|s| &s.damping, 0.0) + self.joint(|s| &s.kv, 0.0) + back_emf
     }
 
-    /// `d/k_p ≥ 0.04 s` in every joint.
+    /// Returns true if `d/k_p ≥ 0.04 s` in every joint.
     pub(super) fn well_damped(&self) -> bool {
         self.resistance().iter().zip(self.kp().iter()).all(|(d, kp)| d / kp >= 0.04)
     }
@@ -52,7 +54,7 @@ impl Oracle {
         }
     }
 
-    /// m = max(share of the usable torque, 2 τ_f).
+    /// Returns the margin of the limits: m = max(share of the usable torque, 2 τ_f) [N·m].
     pub(super) fn margin(&self) -> Vector {
         let friction = self.joint(|s| &s.friction, 0.0);
         let usable = self.ceiling().map(|t| if t.is_finite() { self.settings.torque_limits.margin * t } else { 0.0 });
@@ -68,7 +70,7 @@ impl Oracle {
         }
     }
 
-    /// Rows of the task's axes at `q`, in the task frame.
+    /// Returns the rows of the task's axes at `q`, in the task frame.
     pub(crate) fn rows(&self, q: &Vector) -> Matrix {
         let (tool, jacobian) = self.model.kinematics(q.as_slice(), Reference::WorldAligned).unwrap();
         let turn = self.base_from_task(&tool).transpose();
@@ -80,7 +82,7 @@ impl Oracle {
         })
     }
 
-    /// The rows with translations divided by the length.
+    /// Returns the rows with translations divided by [`Oracle::length`].
     pub(crate) fn scaled(&self, rows: &Matrix) -> Matrix {
         let (axes, length) = (self.axes(), self.length());
         Matrix::from_fn(
@@ -90,7 +92,8 @@ impl Oracle {
         )
     }
 
-    /// (1)(2): position difference, rotation vector of `R_d Rᵀ`, turned into the task frame; then only the task's axes.
+    /// Returns the deviation (1), (2): position difference and rotation vector of `R_d Rᵀ`, in the task frame, for the
+    /// task's axes.
     pub(crate) fn deviation(&self, tool: &Pose, target: &Pose) -> Vector {
         let of = |r: &[[f64; 3]; 3]| Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| r[i][j]));
         let turn = (of(&target.rotation) * of(&tool.rotation).inverse()).scaled_axis();
@@ -105,14 +108,14 @@ impl Oracle {
         Vector::from_fn(axes.len(), |r, _| if axes[r] < 3 { linear[axes[r]] } else { angular[axes[r] - 3] })
     }
 
-    /// Lines 3 to 5 of one axis.
+    /// Computes lines 3 to 5 of one axis with deviation `e`.
     pub(super) fn row(&self, axis: usize, e: f64) -> Row {
         let (given, paper) = (&self.settings.axes[axis], self.settings.law == Law::Paper);
         let translation = axis < 3;
         let soft_until = given.soft_until.unwrap_or(if translation { 0.01 } else { 0.04 });
         let firm_from = given.firm_from.unwrap_or(if translation { 0.1 } else { 0.4 });
         let band = soft_until * self.settings.paper_options.direction_band.unwrap_or(if paper { 0.0 } else { 0.1 });
-        // Pushed toward +: the tool is beyond its target, e < 0.
+        // Pushed toward +, the tool is beyond its target: e < 0.
         let toward_plus = if e <= -band && (band > 0.0 || e < 0.0) {
             1.0
         } else if e >= band {
@@ -154,7 +157,8 @@ impl Oracle {
         }
     }
 
-    /// Limit of the commanded task velocity of an axis of softness `w`: its own while stiff, another while soft.
+    /// Returns the limit of the commanded task velocity of an axis with softness `w`, between those of a stiff and of a
+    /// soft axis.
     pub(super) fn velocity_limit(&self, axis: usize, w: f64) -> f64 {
         let given = &self.settings.axes[axis];
         let stiff = given.max_velocity.unwrap_or(if axis < 3 { 0.4 } else { 2.0 });
@@ -183,7 +187,7 @@ impl Oracle {
         }
     }
 
-    /// Line 9, first half: gradient of posture, joint limits and the caller's own (manipulability has its own test).
+    /// Returns the gradient of line 9: posture, joint limits and the caller's cost (manipulability has its own test).
     pub(super) fn gradient(&self, q: &Vector, input: &StepInput<'_>, wishes: &[Row]) -> Vector {
         let n = self.n();
         let rest = match (input.posture, &self.settings.null_space.posture) {
@@ -191,8 +195,9 @@ impl Oracle {
             (None, Some(p)) => Vector::from_column_slice(p),
             (None, None) => self.memory.rest.clone(),
         };
-        // Within w = 0.05 rad of a position limit, or 5 % of the range, the posture lets go, after half of that altogether;
-        // where it stands nearer itself, from there on and over its own room, at least 0.4 w.
+        // Within w = 0.05 rad or 5 % of the range from a position limit, the posture fades, to 0 at half of w. If the
+        // rest posture itself is nearer to the limit, it fades from there, with its own distance (at least 0.4 w) in
+        // place of w.
         let mut share = 1.0_f64;
         if self.settings.law != Law::Paper && self.settings.task.axes.iter().filter(|&&on| on).count() < n {
             for i in 0..n {
@@ -204,7 +209,8 @@ impl Oracle {
                 }
             }
         }
-        // As far as a push is felt: an axis that yields is off by d⁻ (at least 0.1 d⁺) or more, altogether from twice that on.
+        // It fades only as far as a push is detected: on a yielding axis, from a deviation of d⁻ (at least 0.1 d⁺) to
+        // twice that.
         let felt = wishes.iter().zip(self.axes()).map(|(row, axis)| {
             let (given, [low, high]) = (&self.settings.axes[axis], if axis < 3 { [0.01, 0.1] } else { [0.04, 0.4] });
             let near = given.soft_until.unwrap_or(low).max(0.1 * given.firm_from.unwrap_or(high));

@@ -1,11 +1,11 @@
-//! Lines 10 and 11: which joint answers for which axis, and the limits that follow.
+//! Equations (3), (4), (6), (7) and (10) of the paper: shares of the joints in each task axis.
 
 use pliant_core::params::Projector;
 
 use super::law::{diagonal, inverse, largest};
 use super::{Matrix, Oracle, Vector};
 
-/// Pseudo-inverse, projector, responsibility and activation of some rows.
+/// Computes pseudo-inverse, projector, responsibility and activation of task rows.
 pub(super) struct Shares<'a> {
     pub(super) oracle: &'a Oracle,
     pub(super) rows: &'a Matrix,
@@ -15,14 +15,14 @@ pub(super) struct Shares<'a> {
 }
 
 impl Shares<'_> {
-    /// Inverse of the joints' weights.
+    /// Returns the diagonal matrix D of the inverse joint weights.
     fn joint_weight(&self) -> Matrix {
         let n = self.rows.ncols();
         let weights = self.oracle.settings.paper_options.joint_weights.as_ref();
         diagonal(&Vector::from_fn(n, |i, _| weights.map_or(1.0, |w| 1.0 / w[i])))
     }
 
-    /// (3): `J⁺ = D Jᵀ (J D Jᵀ + λ²)⁻¹`.
+    /// Returns the pseudo-inverse (3): `J⁺ = D Jᵀ (J D Jᵀ + λ²)⁻¹`.
     pub(super) fn pseudo_inverse(&self) -> Matrix {
         let (j, d) = (self.rows, self.joint_weight());
         &d * j.transpose() * inverse(&(j * &d * j.transpose() + diagonal(self.row_lambda2)))
@@ -46,7 +46,7 @@ impl Shares<'_> {
         }
     }
 
-    /// (6)(7): `|J⁺ diag(Δx)|` and `|α N∇g|`.
+    /// Returns the responsibility (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`.
     pub(super) fn responsibility(&self, dx: &Vector, gradient: &Vector) -> Matrix {
         let settings = &self.oracle.settings;
         let alpha = settings.null_space.gain.unwrap_or_else(|| largest(settings));
@@ -58,7 +58,7 @@ impl Shares<'_> {
         out
     }
 
-    /// (10), with the size of Δx cancelled; the last column is that of the null space.
+    /// Returns the activation (10), in which the magnitude of Δx cancels; the last column is the null space.
     pub(super) fn activation(&self, gradient: &Vector) -> Matrix {
         let (k, n) = self.rows.shape();
         let pinv = self.pseudo_inverse().abs();

@@ -1,8 +1,8 @@
 //! Access to NumPy arrays through their C structure: the only unsafe code of the binding.
 //!
-//! Every access first checks for the exact type `numpy.ndarray`, native float64, alignment, C order and the expected
-//! shape. Other objects are rejected here; [`crate::read`] converts them or raises an error. The safe functions copy
-//! while they hold the interpreter lock. Only [`lend`] works on arrays in place without it.
+//! A *plain array* is of the exact type `numpy.ndarray`, native float64, aligned and in C order. Every access first
+//! checks this and the shape. Other objects are rejected here; [`crate::read`] converts them or raises an error. The
+//! safe functions copy while they hold the interpreter lock. Only [`lend`] works on arrays in place without it.
 #![expect(unsafe_code, reason = "NumPy's C structure is read directly: a checked borrow costs four times as much")]
 #![expect(clippy::cast_ptr_alignment, reason = "the flag ALIGNED of the array is checked before its data are cast")]
 
@@ -22,22 +22,22 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyTuple, PyType};
 
-/// The type `numpy.ndarray`; the reference keeps its address valid.
+/// The type `numpy.ndarray`; the stored reference keeps its address valid.
 static ARRAY_TYPE: PyOnceLock<Py<PyType>> = PyOnceLock::new();
 
-/// Flags required for reading.
+/// NumPy flags that an array must have to be read in place.
 const READABLE: i32 = NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED;
 
-/// Flags required for writing.
+/// NumPy flags that an array must have to be written in place.
 const WRITABLE: i32 = READABLE | NPY_ARRAY_WRITEABLE;
 
-/// NumPy's code for native byte order, `=`; `c_char` is signed on some machines only.
+/// NumPy's code for native byte order, `=`, as a number: `c_char` is signed or unsigned depending on the platform.
 const NATIVE: std::ffi::c_char = 0x3d;
 
-/// True if this Python may run without an interpreter lock: reference counts are then not reliable.
+/// True on a free-threaded Python, where a reference count of 1 does not prove that no other thread uses the object.
 static FREE_THREADED: AtomicBool = AtomicBool::new(false);
 
-/// Looks up `numpy.ndarray` and the build mode of this Python, once.
+/// Stores the type `numpy.ndarray`, and whether this Python is free-threaded.
 pub(crate) fn initialise(py: Python<'_>) -> PyResult<()> {
     let version: String = py.import("sys")?.getattr("version")?.extract()?;
     FREE_THREADED.store(version.contains("free-threading"), Ordering::Relaxed);
@@ -46,7 +46,7 @@ pub(crate) fn initialise(py: Python<'_>) -> PyResult<()> {
     Ok(())
 }
 
-/// Returns the structure of an exact `numpy.ndarray` of native float64.
+/// Returns the C structure of an exact `numpy.ndarray` of native float64; `None` for any other object.
 #[inline]
 fn structure_of<'a>(array: &'a Bound<'_, PyAny>) -> Option<&'a PyArrayObject_fields> {
     let array_type = ARRAY_TYPE.get(array.py())?;
@@ -61,7 +61,8 @@ fn structure_of<'a>(array: &'a Bound<'_, PyAny>) -> Option<&'a PyArrayObject_fie
     (type_number == NPY_TYPES::NPY_DOUBLE as i32 && order == NATIVE).then_some(fields)
 }
 
-/// Returns the structure of such an array with this shape and at least these flags.
+/// Returns the C structure of a native float64 array with this shape and at least these NumPy flags; `None` for any
+/// other object.
 #[inline]
 fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Option<&'a PyArrayObject_fields> {
     let fields = structure_of(array)?;
@@ -78,10 +79,10 @@ fn structure<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize], flags: i32) -> Op
     Some(fields)
 }
 
-/// Copies `count` numbers.
+/// Copies `count` numbers between arrays.
 ///
-/// For the few numbers of an arm the call of a general copy takes longer than the copy. Copies pairs, because
-/// processors forward a recent store only to a load that lies within that store.
+/// Up to [`MAX_JOINTS`] numbers are copied inline, because a call of `memcpy` takes longer than such a copy. They are
+/// copied in pairs, because processors forward a recent store only to a load that lies within that store.
 ///
 /// # Safety
 /// `from` is valid for `count` reads and `to` for as many writes, and they do not overlap.
@@ -114,7 +115,8 @@ unsafe fn read<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a [
     Some(unsafe { std::slice::from_raw_parts(fields.data.cast::<f64>().cast_const(), shape.iter().product()) })
 }
 
-/// Copies the numbers of a plain array of this shape; returns `false` and does nothing for any other object.
+/// Copies the numbers of a plain array of this shape to `out`; returns `false` and does nothing for any other object,
+/// or if `out` is too short.
 #[inline]
 pub(crate) fn copy(array: &Bound<'_, PyAny>, shape: &[usize], out: &mut [f64]) -> bool {
     // SAFETY: the slice is read before any other code runs; `out` is Rust's memory.
@@ -135,12 +137,13 @@ pub(crate) fn first_numbers<const N: usize>(array: &Bound<'_, PyAny>, shape: &[u
     unsafe { read(array, shape) }?.first_chunk().copied()
 }
 
-/// Returns true if [`write`] accepts the array.
+/// Returns true for a plain, writable array of this shape, which [`write`] can write into.
 pub(crate) fn writable(array: &Bound<'_, PyAny>, shape: &[usize]) -> bool {
     structure(array, shape, WRITABLE).is_some()
 }
 
-/// Writes numbers into a plain, writable array of this shape; returns `false` and does nothing for any other object.
+/// Writes numbers into a plain, writable array of this shape; returns `false` and does nothing for any other object, or
+/// if there are too few `values`.
 #[inline]
 pub(crate) fn write(array: &Bound<'_, PyAny>, shape: &[usize], values: &[f64]) -> bool {
     let Some(fields) = structure(array, shape, WRITABLE) else { return false };
@@ -153,8 +156,8 @@ pub(crate) fn write(array: &Bound<'_, PyAny>, shape: &[usize], values: &[f64]) -
     true
 }
 
-/// Writes the first `width` numbers of each row into a plain, writable matrix; returns `false` and does nothing for any
-/// other object.
+/// Writes the first `width` numbers of each row into a plain, writable array (R, `width`); returns `false` and does
+/// nothing for any other object.
 #[inline]
 pub(crate) fn write_rows<const R: usize, const C: usize>(
     array: &Bound<'_, PyAny>,
@@ -171,7 +174,7 @@ pub(crate) fn write_rows<const R: usize, const C: usize>(
     true
 }
 
-/// Returns the number of rows of shape `part` in a plain array; `None` for any other object.
+/// Returns N for a plain array of shape (N, `part`); `None` for any other object.
 pub(crate) fn rows(array: &Bound<'_, PyAny>, part: &[usize]) -> Option<usize> {
     let fields = structure_of(array)?;
     if fields.flags & READABLE != READABLE || usize::try_from(fields.nd) != Ok(part.len() + 1) {
@@ -191,20 +194,20 @@ pub(crate) fn rows(array: &Bound<'_, PyAny>, part: &[usize]) -> Option<usize> {
     Some(rows)
 }
 
-/// Numbers for [`lend`]: a plain array with its name and shape, or memory of Rust.
+/// Input of [`lend`]: a plain array with its argument name and shape, or a slice of Rust's memory.
 pub(crate) enum Lent<'a, 'py> {
     Array(&'a str, &'a Bound<'py, PyAny>, Vec<usize>),
     Numbers(&'a [f64]),
 }
 
-/// Runs `work` on the numbers of arrays in place, without the interpreter lock; `outs` are the output arrays, with name
-/// and shape.
+/// Runs `work` on the numbers of arrays in place, without the interpreter lock. `outs` are the output arrays with
+/// argument name and shape.
 ///
 /// As with NumPy's own functions, Python threads must not use these arrays meanwhile: a write is a data race, and a
 /// resize frees memory in use. This cannot be checked here.
 ///
 /// # Errors
-/// `ValueError` if an array changed after its argument was read, or if one of `outs` shares memory with another.
+/// `ValueError` if an array changed after its argument was read, or if one of `outs` shares memory with another array.
 pub(crate) fn lend<const I: usize, const O: usize, T: Send>(
     py: Python<'_>,
     inputs: &[Lent<'_, '_>; I],
@@ -225,7 +228,7 @@ pub(crate) fn lend<const I: usize, const O: usize, T: Send>(
     Ok(py.detach(|| work(numbers, places)))
 }
 
-/// Checks that arrays did not change after they were read, and that none of `outs` shares memory with another array.
+/// Checks that no array changed after its argument was read, and that none of `outs` shares memory with another array.
 #[inline(never)]
 fn check_lent(inputs: &[Lent<'_, '_>], outs: &[(&str, &Bound<'_, PyAny>, &[usize])]) -> PyResult<()> {
     let changed =
@@ -256,7 +259,8 @@ fn check_lent(inputs: &[Lent<'_, '_>], outs: &[(&str, &Bound<'_, PyAny>, &[usize
 /// Returns the numbers of a plain, writable array of this shape for writing; `None` for any other object.
 ///
 /// # Safety
-/// As [`read`]; in addition no other slice in use refers to the same memory.
+/// While the slice is in use, the array must keep its memory, no Python code runs in this thread, and no other slice
+/// refers to this memory.
 #[expect(clippy::mut_from_ref, reason = "the memory is the array's, not the reference's")]
 unsafe fn read_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a mut [f64]> {
     let fields = structure(array, shape, WRITABLE)?;
@@ -264,7 +268,7 @@ unsafe fn read_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&
     Some(unsafe { std::slice::from_raw_parts_mut(fields.data.cast::<f64>(), shape.iter().product()) })
 }
 
-/// Returns true if two plain arrays share memory.
+/// Returns true if two float64 arrays overlap in memory; false if one of the objects is no float64 array.
 pub(crate) fn share_memory(a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> bool {
     match (memory(a), memory(b)) {
         (Some(a), Some(b)) => a.start < b.end && b.start < a.end,
@@ -272,7 +276,7 @@ pub(crate) fn share_memory(a: &Bound<'_, PyAny>, b: &Bound<'_, PyAny>) -> bool {
     }
 }
 
-/// Returns the address range of a plain array's numbers.
+/// Returns the address range of a plain array's numbers; `None` if the object is no native float64 array.
 fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
     let fields = structure_of(array)?;
     let start = fields.data.addr();
@@ -284,10 +288,10 @@ fn memory(array: &Bound<'_, PyAny>) -> Option<std::ops::Range<usize>> {
     Some(start..start + size)
 }
 
-/// Writes numbers into a vector without references from outside; else returns `false` and does nothing.
+/// Writes numbers into a vector that nothing else refers to; otherwise returns `false` and does nothing.
 ///
-/// References from outside are: another reference (a view and a memoryview hold one), a weak reference, or memory that
-/// the array does not own.
+/// Not written: an array with another reference (a view and a memoryview hold one) or a weak reference, and one that
+/// does not own its memory.
 #[inline]
 pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     let Some(fields) = structure(array, &[values.len()], WRITABLE | NPY_ARRAY_OWNDATA) else { return false };
@@ -299,14 +303,14 @@ pub(crate) fn overwrite(array: &Bound<'_, PyAny>, values: &[f64]) -> bool {
     true
 }
 
-/// Returns true if the caller holds the only reference; always false if Python may run without its interpreter lock.
+/// Returns true if the caller holds the only reference to the object; always false on a free-threaded Python.
 #[inline]
 pub(crate) fn only_reference(object: &Bound<'_, PyAny>) -> bool {
     // SAFETY: the pointer is that of a live object.
     unsafe { Py_REFCNT(object.as_ptr()) == 1 && !FREE_THREADED.load(Ordering::Relaxed) }
 }
 
-/// Numbers with a shape; each access from Python creates a new array.
+/// Numbers with a shape, converted to a new NumPy array at each access from Python.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Array {
     shape: Vec<usize>,
@@ -337,7 +341,7 @@ impl<'py> IntoPyObject<'py> for &Array {
     }
 }
 
-/// Flags; each access from Python creates a new array.
+/// Booleans, converted to a new NumPy array (n,) at each access from Python.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Flags(pub(crate) Vec<bool>);
 
@@ -351,7 +355,7 @@ impl<'py> IntoPyObject<'py> for &Flags {
     }
 }
 
-/// Creates an array with these numbers, row by row.
+/// Creates an array of this shape from `values`, row by row; entries without a value are 0.
 #[inline(never)]
 pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -> Bound<'py, PyAny> {
     let array = PyArrayDyn::<f64>::zeros(py, shape, false);
@@ -361,7 +365,7 @@ pub(crate) fn new_array<'py>(py: Python<'py>, shape: &[usize], values: &[f64]) -
     array.into_any()
 }
 
-/// Creates a matrix of the first `width` numbers of each row.
+/// Creates an array (R, `width`) of the first `width` numbers of each row.
 #[inline(never)]
 pub(crate) fn new_rows<'py, const R: usize, const C: usize>(
     py: Python<'py>,
@@ -373,7 +377,7 @@ pub(crate) fn new_rows<'py, const R: usize, const C: usize>(
     array
 }
 
-/// Creates an array of zeros; `MemoryError` if it does not fit in memory.
+/// Creates an array of zeros; raises `MemoryError` if it does not fit in memory.
 pub(crate) fn zeros<'py>(py: Python<'py>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     py.import("numpy")?.call_method1("zeros", (PyTuple::new(py, shape)?,))
 }
