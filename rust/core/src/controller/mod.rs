@@ -248,8 +248,8 @@ impl Controller {
     /// does not make the arm jump.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] for an invalid payload; an error if gravity is compensated and the servos cannot hold the
-    /// load of the arm.
+    /// [`Error::OutOfRange`] for an invalid payload and, if gravity is compensated, for a load that the servos cannot
+    /// hold in any of the sampled configurations.
     pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
         if let Some(payload) = payload {
             payload.validate()?;
