@@ -35,7 +35,7 @@ pub struct PoseReport {
     pub gravity_margin: Vec<[f64; 2]>,
     /// Smallest singular value of the task rows, with translations divided by the arm's length.
     pub sigma_min: f64,
-    /// Condition number: largest over smallest singular value.
+    /// Condition number of the scaled task rows: ratio of largest to smallest singular value.
     pub condition: f64,
     /// Singular value σ₀ below which the adaptive damping grows. A pose whose σ_min is below a tenth of it is reported
     /// as near singular.

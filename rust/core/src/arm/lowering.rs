@@ -101,7 +101,7 @@ pub enum LoweringPhase {
     Down,
     /// Reduces the limits to zero, and waits while anything moves.
     Ramp,
-    /// The arm rests; torque can be switched off.
+    /// The torque limits are zero; torque can be switched off.
     Done,
 }
 
@@ -116,7 +116,7 @@ pub struct LoweringStart<'a> {
     pub torque_limit: Option<&'a [f64]>,
     /// Joint positions toward which the arm moves before it descends [rad]; `None`: it descends at once.
     pub rest_q: Option<&'a [f64]>,
-    /// Largest speed of any point of the arm [m/s].
+    /// Largest allowed speed of any point of the arm [m/s].
     pub speed: f64,
 }
 
@@ -561,7 +561,7 @@ impl Lowering {
         if self.is_late() || (self.rest_time > SETTLING_TIME && !self.presses) {
             self.enter(LoweringPhase::Ramp);
         } else if self.rest_time > SETTLING_TIME {
-            // Stop pressing and check again: only the press may have moved the arm.
+            // Stop pressing and check again with a lower bound on the speed: the press itself may have moved the arm.
             (self.presses, self.rest_time) = (false, 0.0);
         }
     }

@@ -56,11 +56,11 @@ pub struct BatchInput<'a> {
     pub dt: Option<f64>,
     /// Joint velocities (`N` × n) [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
-    /// Handling of invalid rows.
+    /// Handling of arms whose input is invalid.
     pub invalid: OnInvalid,
 }
 
-/// Output of `N` arms: as [`Command`](crate::Command), one row (n) per arm.
+/// Output arrays for the commands of `N` arms, one row (n) per arm, as in [`Command`](crate::Command).
 #[derive(Debug)]
 pub struct BatchCommand<'a> {
     /// Goals of the position servos [rad].

@@ -54,7 +54,7 @@ impl<J: JointVector> JointTargets<J> {
     ) -> Self {
         let (kp, compliance) = (J::load(&params.servos.kp), J::load(&params.servos.compliance));
         let (mut soft_offset, mut friction) = (motion.soft_offset, motion.feed_forward);
-        // Both are zero under law `paper`.
+        // Soft offset and friction feed-forward are zero under law `paper`.
         if params.law.by_force() {
             let (lower, upper) = (J::load(&params.lower), J::load(&params.upper));
             soft_offset = fade_past_limit(soft_offset, arm.q, lower, upper, params.limit_fade_slope);

@@ -1,4 +1,4 @@
-//! Touch and stop events: two thresholds per axis, with hysteresis and a minimum time.
+//! Touch and stop events: one force threshold per axis and kind, with hysteresis and a minimum time.
 
 use crate::{AxisVec, MAX_AXES};
 

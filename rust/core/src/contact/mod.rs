@@ -25,7 +25,7 @@ use residual::{ModelErrors, ServoModel};
 /// Number of stored commands; a goal acts only after the delay T_d, so the one in force is an older one.
 const HISTORY: usize = 64;
 
-/// Optional measurements besides positions.
+/// Optional inputs of an update besides the positions.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ContactInput<'a> {
     /// Time since the last reading [s]; `None`: 1 / rate of the controller's settings.
@@ -57,7 +57,7 @@ pub struct WrenchEstimate {
     pub force_base: AxisVec,
     /// Bound on the error of `force_base` [N, N·m].
     pub uncertainty_base: AxisVec,
-    /// Torque of the surroundings on each joint [N·m], filtered.
+    /// Torque of the surroundings on each joint, low-passed, relative to the tare if there is one [N·m].
     pub torque_residual: JointVec,
     /// Bound on the error of `torque_residual` [N·m]. Unlike `uncertainty` it does not include the unknown payload.
     pub torque_uncertainty: JointVec,

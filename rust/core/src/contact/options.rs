@@ -7,7 +7,7 @@ use crate::{MAX_AXES, MAX_JOINTS};
 /// Upper bound on the options `filter` and `min_time` [s].
 const LONGEST: f64 = 10.0;
 
-/// Largest plausible force and torque [N, N·m].
+/// Largest accepted force [N], torque [N·m] or torque constant [N·m/A] in the options.
 const FORCE_BOUND: f64 = 1e6;
 
 /// Options of a [`ContactEstimator`](crate::ContactEstimator). Relative errors are fractions: 0.3 is 30 %.

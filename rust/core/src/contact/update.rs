@@ -30,7 +30,7 @@ struct ArmState {
     rows: Rows,
     base_from_task: [[f64; 3]; 3],
     gravity: JointVec,
-    /// Gravity torques of a mass at the tool [N·m/kg].
+    /// Gravity torques per mass at the tool [N·m/kg].
     payload: JointVec,
     frames: JointFrames,
 }
@@ -121,7 +121,7 @@ impl ContactEstimator {
         for i in 0..self.joints.n {
             state.static_residual[i] += wait * (static_part[i] - state.static_residual[i]);
             state.low_passed[i] += share * (state.static_residual[i] + moving[i] - state.low_passed[i]);
-            // Until the filters have settled, bound the residual by the full servo torque.
+            // The first reading adds the full servo torque, which decays while the filters settle.
             let before = state.uncertainty[i];
             state.uncertainty[i] = if state.filters_ready {
                 before + share * (static_uncertainty[i] - before)
@@ -129,7 +129,7 @@ impl ContactEstimator {
                 static_uncertainty[i] + self.joints.max_torque[i]
             };
         }
-        // The low-pass of an acceleration is the velocity minus its own low-pass: no second differentiation.
+        // The acceleration is low-passed already: (velocity − low-passed velocity) / time constant.
         let inertial_torque = balance.inertial_torque();
         (0..self.joints.n).for_each(|i| state.residual[i] = state.low_passed[i] + inertial_torque[i]);
         state.filters_ready = true;
