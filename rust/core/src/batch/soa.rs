@@ -27,8 +27,7 @@ pub(super) struct SoaStep<'a> {
     pub(super) outs: [&'a mut [f64]; 3],
 }
 
-/// Jacobians of one register of arms; the registers of a chunk reuse the memory. The columns after the last joint stay
-/// 0.
+/// Jacobians of one register of arms, in memory that the next registers reuse. Columns after the last joint stay 0.
 type Jacobians<W> = [[W; MAX_JOINTS]; MAX_AXES];
 
 /// Returns true if the settings and the arm allow steps with one arm per SIMD lane.

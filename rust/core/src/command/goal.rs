@@ -84,8 +84,7 @@ impl<J: JointVector> JointTargets<J> {
         let motion = &self.motion;
         let wrench = motion.wrench.total();
         let pull = tr_mul(arm.rows, &wrench.to_axes());
-        // The lead without the part that exerts the wrench: null space, minus what position limits removed from the
-        // lead.
+        // Lead without the part that exerts the wrench: the null space, minus what position limits removed.
         let lead =
             J::fnma(J::load(&params.servos.compliance), pull, motion.stiff_offset + motion.soft_offset + motion.null);
         let ahead = arm.q - q;

@@ -87,8 +87,8 @@ impl SumRuleInput {
     }
 }
 
-/// Clamps the `wanted` limits to [`floor`, `ceiling`]. They may rise above the limits `before` by at most `rise` and
-/// may fall at once; `None`: no bound on the rise.
+/// Clamps the `wanted` limits between `floor` and `ceiling`. They may rise above the limits `before` by at most `rise`
+/// and may fall at once; `None`: no bound on the rise.
 #[inline(always)]
 pub(crate) fn bound_and_slew<J: JointVector>(wanted: J, before: Option<J>, floor: J, ceiling: J, rise: J) -> J {
     let mut limit = J::min(wanted, ceiling);

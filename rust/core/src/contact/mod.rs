@@ -1,8 +1,11 @@
 //! Contact estimation with position servos: wrench at the tool, error bound and events.
 //!
 //! The servos' torques follow from goals, limits and positions. What remains of the torque balance after gravity,
-//! friction and acceleration is caused by the surroundings: `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal −
-//! q) − k_v v, ±limit)`. The estimate runs beside the controller's steps and does not change them.
+//! friction and acceleration is caused by the surroundings:
+//!
+//! `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`
+//!
+//! The estimate runs beside the controller's steps and does not change them.
 
 mod events;
 mod options;
