@@ -8,10 +8,10 @@
 //!
 //! So every joint moves in the direction in which its real load pulls it, until the object on which the arm comes to
 //! rest carries the weight. Motion that would raise the tool is removed. `ℓ* = ∓ 2 τ_f / k_p` lets a joint press
-//! downward with little more than its own friction. The factor r keeps every point of the arm below the allowed speed
-//! v, and the force of its impact on an object of stiffness k, `v √(k m)`, below the allowed force; m is the effective
-//! mass of the point along its path. r decreases further if a point is measured above 60 % of its allowed speed, and is
-//! 0 above 110 %.
+//! downward with little more than its own friction. The factor r keeps the speed v of every point of the arm below the
+//! allowed speed, and the force of its impact on an object of stiffness k, `v √(k m)`, below the allowed force; m is the
+//! effective mass of the point along its path. r decreases further if a point is measured above 60 % of its allowed
+//! speed, and is 0 above 110 %.
 //!
 //! If positions no longer arrive, positions computed with the model of the arm replace them.
 
@@ -561,7 +561,7 @@ impl Lowering {
         if self.is_late() || (self.rest_time > SETTLING_TIME && !self.presses) {
             self.enter(LoweringPhase::Ramp);
         } else if self.rest_time > SETTLING_TIME {
-            // Stop pressing and check again with a lower bound on the speed: the press itself may have moved the arm.
+            // Stop pressing and check again with a smaller speed limit: the press itself may have moved the arm.
             (self.presses, self.rest_time) = (false, 0.0);
         }
     }

@@ -30,7 +30,7 @@ pub struct Diagnostics {
     /// Present strength of each axis, `w F + (1 − w) hold` [N, N·m]: holding torque τ^x of (9) under law `paper`, force
     /// cap under the other laws.
     pub axis_strength: AxisVec,
-    /// Wrench W that the arm exerts along the task axes [N, N·m]; 0 under law `paper`.
+    /// Wrench W that the law exerts on the tool along the task axes [N, N·m]; 0 under law `paper`.
     pub wrench: AxisVec,
     /// Gravity torques at q̂ [N·m]; computed on request if the step does not use them.
     pub gravity: JointVec,

@@ -117,7 +117,7 @@ impl Controller {
     ///
     /// With a `state`, each row of the result is bit-identical to that of a separate controller. Without `state`, each
     /// row is the first step of a controller that was just reset to its q, with unbounded `goal_slew` and
-    /// `max_tool_speed`. If law, damping, projector and inverse are those of the paper and the arm has few enough
+    /// `max_tool_speed`. If law, damping, projector and inverse are those of the paper and the arm has at most seven
     /// joints, stateless steps compute one arm per SIMD lane. They equal single steps up to rounding: below 1e-11 of a
     /// row's largest number at λ ≥ 0.02.
     ///
@@ -302,8 +302,8 @@ impl Controller {
     /// Measures the stiffness k_g for the gravity offset on an arm that an integrating goal holds still at `q` (n)
     /// [rad] with the goals `goal` (n) [rad]. Returns k_g (n) [N·m/rad].
     ///
-    /// Where |g_i| exceeds three times the torque that friction and one encoder count of the lead can hide, `k_g,i =
-    /// g_i / lead_i` with `lead = goal − q`, within 0.3…3 × the configured `k_p`; elsewhere k_g is the configured
+    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, within 0.3…3 × the configured `k_p`, where |g_i| exceeds three
+    /// times the torque that friction and one encoder count of the lead can hide; elsewhere k_g is the configured
     /// `k_p`. It is used for the gravity offset only.
     ///
     /// # Errors
