@@ -1,7 +1,7 @@
 //! Error type of the crate.
 //!
-//! Every variant carries the quantity, the value, the bound and the alternatives, so that the message alone tells the
-//! remedy. The Python binding maps each variant to one exception class.
+//! Each variant carries what its message needs (quantity, value, and bound or alternatives), so that the message alone
+//! says how to fix the call. The Python binding maps each variant to one exception class.
 
 use std::fmt;
 
@@ -14,7 +14,7 @@ pub enum Error {
     Urdf {
         /// Path of the file, or `<string>`.
         source_name: String,
-        /// Line and column, if known.
+        /// Line and column of the defect, if known.
         at: Position,
         /// Cause and remedy.
         message: String,
@@ -27,7 +27,7 @@ pub enum Error {
         /// The existing names.
         available: Vec<String>,
     },
-    /// A number lies outside its bounds.
+    /// A number is outside its bounds.
     #[error("{what} = {} is outside {bound}", Short(*value))]
     OutOfRange {
         /// The quantity, e.g. `q[3] (elbow_pitch)`.
@@ -57,19 +57,19 @@ pub enum Error {
     },
 }
 
-/// Formats a number for a message: an absurd value such as 1e300 is not printed with all its digits.
+/// Formats a number for a message, in exponential notation outside 1e-4 to 1e6, so that 1e300 is not 301 digits long.
 struct Short(f64);
 
 impl fmt::Display for Short {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (value, size) = (self.0, self.0.abs());
-        // Infinities and NaN have a name, and zero has one digit.
+        // Zero, infinities and NaN are short without an exponent.
         let plain = size == 0.0 || (1e-4..=1e6).contains(&size) || !size.is_finite();
         if plain { write!(f, "{value}") } else { write!(f, "{value:e}") }
     }
 }
 
-/// Line and column in a text, if known; counted from one.
+/// Line and column in a text, counted from 1; `None` if unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Position(pub Option<(u32, u32)>);
 
@@ -100,7 +100,8 @@ impl Error {
         Self::Shape { what: what.into(), got: format!("({got},)"), expected: format!("({expected},)") }
     }
 
-    /// Creates an [`Error::Shape`] for rows (`N` × `size`) stored contiguously in `got` numbers.
+    /// Creates an [`Error::Shape`] for an `N` × `size` array, row by row, whose length `got` is not a multiple of
+    /// `size`.
     #[cold]
     #[inline(never)]
     pub(crate) fn rows(what: impl Into<String>, got: usize, size: usize) -> Self {
@@ -115,7 +116,7 @@ impl Error {
         Self::Config { key: key.into(), message: message.into() }
     }
 
-    /// Adds the row `row` of a batch to the error.
+    /// Prefixes the quantity or setting with `batch[row]`; leaves other variants unchanged.
     #[cold]
     #[inline(never)]
     pub(crate) fn in_row(self, batch: &str, row: usize) -> Self {

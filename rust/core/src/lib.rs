@@ -1,18 +1,18 @@
 //! Compliant task-space control for arms with back-drivable position servos. This crate is independent of Python.
 //!
-//! The modules in their order: each imports only from those before it.
+//! Each module imports only from those above it in this list:
 //!
 //! * [`error`]: the one error type;
-//! * `math`: SIMD number types, linear algebra, rotations; without knowledge of robots;
+//! * `math`: SIMD number types, linear algebra, rotations; independent of robots;
 //! * [`pose`]: position and rotation of one frame in another;
 //! * [`model`]: URDF text → immutable, validated robot;
 //! * [`kinematics`]: joint positions → pose, Jacobian, gravity, mass matrix; inverse kinematics;
-//! * [`params`]: settings, task axes and servos; resolved once into the constants that all later modules read;
-//! * [`task`]: poses → pose error, compliance and demand of each task axis;
-//! * `law`: pose error and demand → offsets and torques of the joints;
-//! * `command`: offsets and torques → goals and torque limits for the servos;
+//! * [`params`]: settings, task axes and servos; resolved once into the constants that the modules below read;
+//! * [`task`]: target and tool pose → deviation, compliance and strength of each task axis;
+//! * `law`: deviation and strength → offsets of the joint goals, and forces along the task axes;
+//! * `command`: offsets and forces → goals and torque limits for the servos;
 //! * [`batch`]: inputs, outputs and states of many arms, and their distribution over the cores;
-//! * [`controller`]: runs these stages once per step;
+//! * [`controller`]: the control step, which runs task, law and command once per cycle;
 //! * [`analysis`]: capabilities of an arm in a pose or on a path;
 //! * [`contact`]: commands and positions → estimated contact wrench;
 //! * [`arm`]: descent, hand guiding and thermal limits, beside the controller;
@@ -26,7 +26,7 @@
 //! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/arm7.urdf");
 //! let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
 //! let model = Arc::new(Model::from_urdf_file(path, &options)?);
-//! let servos = Servos::new(vec![150.0], vec![10.7]); // k_p [N·m/rad], usable torque [N·m], of every joint
+//! let servos = Servos::new(vec![150.0], vec![10.7]); // k_p [N·m/rad] and usable torque [N·m] of every joint
 //!
 //! let mut settings = Settings::default();
 //! settings.set_axes("y", Axis { soft: Some([4.0; 2]), adaptation: 0.9, ..Axis::default() })?; // [N]
@@ -64,7 +64,7 @@ pub mod task;
 
 pub use batch::{BatchCommand, BatchInput, BatchState, OnInvalid, Targets};
 pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate};
-// Version of the matrices and vectors in public functions.
+// Re-exported because public functions return its matrices: users need the same version.
 pub use nalgebra;
 
 pub use analysis::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport};
@@ -87,17 +87,17 @@ pub use pose::Pose;
 
 /// Maximum number of independent joints of a chain, and of joints between base and tip, mimic joints included.
 ///
-/// The control step keeps all data on the stack; seven joints are usual.
+/// Fixed, so that the control step keeps all its data on the stack.
 pub const MAX_JOINTS: usize = 16;
 
 /// Maximum number of task axes: three translations and three rotations.
 pub const MAX_AXES: usize = 6;
 
-/// One number per independent joint, chain order; entries beyond the chain's `n` are 0.
+/// One number per independent joint, base to tip; the chain uses the first `n` entries.
 pub type JointVec = [f64; MAX_JOINTS];
 
-/// One number per task axis.
+/// One number per task axis; a task with k axes uses the first k entries.
 pub type AxisVec = [f64; MAX_AXES];
 
-/// Up to six rows over the independent joints, e.g. a Jacobian; columns beyond the chain's `n` are 0.
+/// Up to six rows over the independent joints, e.g. of a Jacobian; columns beyond the chain's `n` are 0.
 pub type Rows = [[f64; MAX_JOINTS]; MAX_AXES];

@@ -7,37 +7,39 @@ use crate::math::rotation::{rotation_matrix, rotation_vector};
 use crate::math::simd::{BaselineF64, Number, RealOps};
 use crate::math::spatial::{Mat3, add, cross, dot, multiply, rotate, sub, tr_rotate};
 
-/// Largest plausible joint coordinate.
+/// Largest accepted absolute value of a joint position [rad; m if prismatic].
 ///
-/// Beyond it squares of differences lose the digits that control needs, so it is an input error.
+/// Differences of larger numbers lose the digits that control needs.
 pub const COORDINATE_BOUND: f64 = 1e6;
 
-/// Largest plausible position [m] along an axis: no arm reaches it; larger values are usually millimetres.
+/// Largest accepted absolute value of a position along an axis [m]. No arm reaches it; larger values are usually in
+/// millimetres.
 pub const POSITION_BOUND: f64 = 100.0;
 
-/// Largest allowed absolute entry of `RᵀR − I`.
+/// Largest accepted absolute value of an entry of `RᵀR − I` of a rotation matrix R.
 pub const ROTATION_TOLERANCE: f64 = 1e-4;
 
-/// Allowed difference of a quaternion's norm from 1.
+/// Largest accepted difference of a quaternion's norm from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
 
-/// Fast-accept threshold: if the summed residuals are below it, every entry of `RᵀR − I` is within
-/// [`ROTATION_TOLERANCE`], since no entry exceeds six times the sum.
+/// Threshold of the fast check: if the summed residuals are at most this, every entry of `RᵀR − I` is within
+/// [`ROTATION_TOLERANCE`], because no entry exceeds six times the sum.
 pub(crate) const FAST_TOLERANCE: f64 = 0.1 * ROTATION_TOLERANCE;
 
-/// Region of plausible target positions: a ball around the first joint.
+/// Ball that contains all plausible target positions.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct TargetRegion {
-    /// Centre, in the base [m].
+    /// Centre in the base frame [m].
     pub(crate) centre: [f64; 3],
-    /// Largest distance from it [m].
+    /// Radius [m].
     pub(crate) radius: f64,
     /// [`FAST_TOLERANCE`] divided by the radius [1/m].
     tolerance_per_metre: f64,
 }
 
 impl TargetRegion {
-    /// Region bounded by [`POSITION_BOUND`] only, for tasks without translations.
+    /// Region of radius [`POSITION_BOUND`] around the base, for checks that know no arm and for tasks without
+    /// translations.
     pub(crate) const ANY: Self = Self::ball([0.0; 3], POSITION_BOUND);
 
     /// Creates a region from centre and radius [m].
@@ -45,25 +47,25 @@ impl TargetRegion {
         Self { centre, radius, tolerance_per_metre: FAST_TOLERANCE / radius }
     }
 
-    /// Distance of a position from the centre [m].
+    /// Returns the distance of a position from the centre [m].
     pub(crate) fn distance(&self, position: &[f64; 3]) -> f64 {
-        // Scaled by hand: squares of 1e300 overflow.
+        // `hypot` does not overflow: the squares of 1e300 would.
         let apart = std::array::from_fn::<f64, 3, _>(|i| position[i] - self.centre[i]);
         apart[0].hypot(apart[1]).hypot(apart[2])
     }
 
-    /// Returns true if a position is outside or NaN.
+    /// Returns true if a position [m] is outside the region or NaN.
     pub(crate) fn excludes(&self, position: &[f64; 3]) -> bool {
         !(self.distance(position) <= self.radius)
     }
 }
 
-/// Pose of the tool in the base, `base_from_tool`: rotation matrix (row-major) and position [m].
+/// Pose of the tool in the base, `base_from_tool`: rotation matrix and position [m].
 ///
-/// For one configuration, or for as many as an `R` holds.
+/// With `R = f64` it is one pose; with a SIMD type, one pose per lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose<R = f64> {
-    /// Rotation matrix; `rotation[row][column]`.
+    /// Rotation matrix, indexed as `rotation[row][column]`.
     pub rotation: [[R; 3]; 3],
     /// Position [m].
     pub position: [R; 3],
@@ -77,12 +79,12 @@ impl Pose {
     /// Creates a pose from a homogeneous 4×4 matrix, row-major.
     ///
     /// # Errors
-    /// As [`Pose::validate`]; also if the last row is not `0 0 0 1`.
+    /// As [`Pose::validate`]; [`Error::Config`] if the last row is not `0 0 0 1`.
     pub fn from_rows(m: &[[f64; 4]; 4]) -> Result<Self> {
         Self::from_rows_of("pose", m)
     }
 
-    /// [`Pose::from_rows`] with the argument's name for the message.
+    /// Creates a pose as [`Pose::from_rows`]; error messages call the argument `name`.
     ///
     /// # Errors
     /// As [`Pose::from_rows`].
@@ -115,12 +117,12 @@ impl Pose {
     /// Checks that the position is finite and within [`POSITION_BOUND`] and that the rotation matrix is valid.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] names the entry; [`Error::Config`] the defect of the rotation.
+    /// [`Error::OutOfRange`] for a position, [`Error::Config`] for a rotation matrix.
     pub fn validate(&self) -> Result<()> {
         self.check("pose")
     }
 
-    /// [`Pose::validate`] with the argument's name in the message.
+    /// Checks the pose as [`Pose::validate`]; error messages call the argument `name`.
     #[inline]
     pub(crate) fn check(&self, name: &str) -> Result<()> {
         if self.orthogonality_residual::<BaselineF64>(&TargetRegion::ANY) <= FAST_TOLERANCE {
@@ -130,20 +132,20 @@ impl Pose {
         }
     }
 
-    /// Returns true if [`Pose::check`] refuses this pose or if it is outside `region`; uses the fast check first.
+    /// Returns true if [`Pose::check`] rejects the pose or if it is outside `region`; does the fast check first.
     #[inline(always)]
     pub(crate) fn is_invalid<A: RealOps<Real = f64>>(&self, region: &TargetRegion) -> bool {
         !(self.orthogonality_residual::<A>(region) <= FAST_TOLERANCE) && self.is_invalid_slow(region)
     }
 
-    /// [`Pose::is_invalid`] without the fast check.
+    /// Returns the result of [`Pose::is_invalid`] without the fast check.
     #[cold]
     #[inline(never)]
     fn is_invalid_slow(&self, region: &TargetRegion) -> bool {
         region.excludes(&self.position) || self.diagnose("").is_err()
     }
 
-    /// Returns the error of an invalid pose.
+    /// Checks position and rotation one by one; returns an error that describes the first defect.
     #[cold]
     #[inline(never)]
     fn diagnose(&self, name: &str) -> Result<()> {
@@ -158,7 +160,7 @@ impl Pose {
         for i in 0..3 {
             for j in 0..3 {
                 let error = orthogonality_error::<BaselineF64>(&self.rotation, i, j);
-                // `max` would drop a NaN.
+                // `f64::max` would ignore a NaN.
                 worst = if error > worst || error.is_nan() { error } else { worst };
             }
         }
@@ -197,10 +199,11 @@ impl Pose {
         }
     }
 
-    /// Creates a pose from a position [m] and a quaternion w, x, y, z, which is normalised.
+    /// Creates a pose from a position [m] and a quaternion w, x, y, z, which is then normalised.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] for a quaternion whose norm is not 1 within 1e-3; as [`Pose::validate`] for the position.
+    /// [`Error::OutOfRange`] if the quaternion's norm differs from 1 by more than 1e-3, or for the position as
+    /// [`Pose::validate`].
     pub fn from_wxyz(position: [f64; 3], wxyz: [f64; 4]) -> Result<Self> {
         let [w, x, y, z] = wxyz;
         let quaternion = Quaternion::new(w, x, y, z);
@@ -212,7 +215,8 @@ impl Pose {
         Self::checked(position, &rotation)
     }
 
-    /// [`Pose::from_wxyz`] with w last: x, y, z, w, the order of ROS and SciPy.
+    /// Creates a pose from a position [m] and a quaternion x, y, z, w, the order of ROS and SciPy, which is then
+    /// normalised.
     ///
     /// # Errors
     /// As [`Pose::from_wxyz`].
@@ -261,12 +265,12 @@ impl Pose {
         [x, y, z, w]
     }
 
-    /// Returns the rotation as a vector [rad] of norm at most π.
+    /// Returns the rotation as a rotation vector (axis times angle) [rad] of norm at most π.
     pub fn rotation_vector(&self) -> [f64; 3] {
         rotation_vector(&self.rotation)
     }
 
-    /// Returns the pose of the base in the tool.
+    /// Returns the inverse pose, `tool_from_base`.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let r = &self.rotation;
@@ -287,9 +291,11 @@ impl Pose {
 }
 
 impl<R: Copy> Pose<R> {
-    /// Sum of residuals; a pose with a sum of at most [`FAST_TOLERANCE`] is valid: one comparison instead of many.
+    /// Returns the sum of the residuals of the rotation and of the position relative to `region`. If it is at most
+    /// [`FAST_TOLERANCE`], the pose is valid: one comparison instead of many.
     ///
-    /// The third row of a rotation is the cross product of the other two, which are orthonormal.
+    /// The residuals are those of a rotation matrix whose first two rows are orthonormal and whose third row is their
+    /// cross product.
     #[inline(always)]
     fn orthogonality_residual<A: RealOps<Real = R>>(&self, region: &TargetRegion) -> R
     where
@@ -300,12 +306,13 @@ impl<R: Copy> Pose<R> {
         let (one, off) = (A::splat(1.0), sub::<A>(&cross::<A>(x, y), z));
         let lengths = A::abs(dot::<A>(x, x) - one) + A::abs(dot::<A>(y, y) - one);
         let angles = A::abs(dot::<A>(x, y)) + (A::abs(off[0]) + A::abs(off[1]) + A::abs(off[2]));
-        // The sum of the components is at least the distance.
+        // The sum of the absolute components is at least the distance.
         let far = A::abs(a) + A::abs(b) + A::abs(c);
         A::fma(A::splat(region.tolerance_per_metre), far, lengths + angles)
     }
 
-    /// Returns `fine` if this pose passes the fast check within `region`, 0 if [`Pose::is_invalid`] must decide.
+    /// Returns `fine` in the lanes of poses that are valid and within `region`; 0 where [`Pose::is_invalid`] must
+    /// decide.
     #[inline(always)]
     pub(crate) fn mask_valid<A: RealOps<Real = R>>(&self, region: &TargetRegion, mut fine: R) -> R {
         let (zero, radius) = (A::splat(0.0), region.radius);
@@ -321,7 +328,7 @@ impl<R: Copy> Pose<R> {
     }
 }
 
-/// Returns the absolute value of one entry of `RᵀR − I`.
+/// Returns the absolute value of entry (i, j) of `RᵀR − I`.
 #[inline(always)]
 fn orthogonality_error<A: RealOps>(r: &Mat3<A::Real>, i: usize, j: usize) -> A::Real {
     let product = dot::<A>(&[r[0][i], r[1][i], r[2][i]], &[r[0][j], r[1][j], r[2][j]]);

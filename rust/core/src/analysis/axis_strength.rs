@@ -1,4 +1,4 @@
-//! Force with which an axis pushes back, and the contribution of the other axes.
+//! Force with which a task axis resists a push, its friction, and the effect of the other axes on both.
 
 use crate::command::host_loss::TRAVEL;
 use crate::command::torque_limit::LimitTerms;
@@ -16,14 +16,14 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
 
 type Axes = <JointVec16 as JointVector>::Axes;
 
-/// The pose of one step, with the quantities of the law.
+/// Forces and friction along the task axes at one control step.
 pub(super) struct StepAnalysis<'a> {
     params: &'a Params,
     settings: &'a Settings,
     record: &'a Diagnostics,
-    /// Activation matrix; `Some` if the law computes its torque limits from it.
+    /// Activation matrix A of (10) under law `paper`, whose torque limits follow from it; otherwise `None`.
     shares: Option<Activation<JointVec16>>,
-    /// Budget of the null-space motion under the sum rule [N·m].
+    /// Torque of each joint for the null-space motion, used by the sum rule [N·m]; 0 if the limits do not need it.
     null: JointVec,
 }
 
@@ -35,8 +35,8 @@ impl<'a> StepAnalysis<'a> {
         Self { params, settings, record, shares: shares.filter(|_| !params.law.by_force()), null }
     }
 
-    /// `Σ_i |J⁺_ij| τ_f,i` of each axis, static friction under the arm's weight: a motion of the tool along the axis
-    /// turns every joint against its friction.
+    /// Returns the static friction along each axis j, `Σ_i |J⁺_ij| τ_f,i` [N, N·m], with the joint friction under the
+    /// gravity torques: a motion of the tool along the axis turns every joint i against its friction `τ_f,i`.
     pub(super) fn friction(&self) -> AxisVec {
         let (params, record) = (self.params, self.record);
         let scaled = store_rows(&params.scale_rows(&load_rows::<JointVec16>(&record.rows)));
@@ -52,7 +52,8 @@ impl<'a> StepAnalysis<'a> {
         out
     }
 
-    /// Returns the share of the friction that the feed-forward leaves.
+    /// Returns the share (0 to 1) of the friction that the feed-forward does not compensate; 1 under law `paper`, which
+    /// has no feed-forward.
     pub(super) fn friction_share_left(&self) -> f64 {
         if !self.params.law.by_force() {
             return 1.0;
@@ -60,7 +61,8 @@ impl<'a> StepAnalysis<'a> {
         1.0 - (self.settings.compensation.friction * self.record.gamma).min(1.0)
     }
 
-    /// Force at which axis `row`, pushed toward `side`, yields: at a small and at a large deviation.
+    /// Returns the forces [N, N·m] at which axis `row`, pushed toward `side` (0: −, 1: +), yields at the deviations
+    /// `soft_until` and `firm_from` from its adapted target.
     pub(super) fn yield_forces_at(&self, row: usize, side: usize) -> [f64; 2] {
         let (params, record) = (self.params, self.record);
         let axis = &params.per_axis[row];
@@ -78,8 +80,9 @@ impl<'a> StepAnalysis<'a> {
         strengths.map(|max| self.capacity_with(row, side, max))
     }
 
-    /// Force of a law that is defined by forces, at most the strength, at `ẽ` = `threshold`, at most the simulated
-    /// distance of a push.
+    /// Returns the force [N, N·m] with which law `cap` or `impedance` answers a deviation of `threshold` [m, rad] from
+    /// the adapted target (with `raw_deviation`: from the target), at most the strength. A deviation from the target
+    /// that exceeds the distance of a simulated push is reduced to that distance.
     fn cap_at(&self, row: usize, side: usize, threshold: f64) -> f64 {
         let (params, record) = (self.params, self.record);
         let axis = &params.per_axis[row];
@@ -105,8 +108,8 @@ impl<'a> StepAnalysis<'a> {
         max.min(push.force())
     }
 
-    /// Deviation [m, rad] at which a yielding axis exerts its whole cap under the laws with a cap, at most the
-    /// simulated distance.
+    /// Returns the deviation [m, rad] at which a yielding axis exerts its full strength under law `cap` or `impedance`,
+    /// at most the distance of a simulated push.
     pub(super) fn full_cap_deviation(&self, row: usize, side: usize) -> f64 {
         let axis = &self.params.per_axis[row];
         let travel = TRAVEL[usize::from(axis.axis >= 3)];
@@ -117,14 +120,16 @@ impl<'a> StepAnalysis<'a> {
         from.max(large / slope).min(travel)
     }
 
-    /// Static force that the limits hold if axis `row` has this strength and the others keep theirs.
+    /// Returns the static force [N, N·m] that the torque limits hold along axis `row` if its strength is `max` and the
+    /// other axes keep theirs.
     fn capacity_with(&self, row: usize, side: usize, max: f64) -> f64 {
         let mut all = self.record.axis_strength;
         all[row] = max;
         self.static_capacity(row, side, &all)
     }
 
-    /// Returns the strength of the axis at its own strength 0, and the axis with the largest share of it.
+    /// Returns the static force [N, N·m] that the torque limits hold along the axis if its own strength is 0, and the
+    /// other axis that contributes most to it; `None` if no other axis contributes.
     pub(super) fn coupling(&self, row: usize, side: usize) -> (f64, Option<usize>) {
         let mut max = self.record.axis_strength;
         max[row] = 0.0;
@@ -141,7 +146,8 @@ impl<'a> StepAnalysis<'a> {
         (whole, with)
     }
 
-    /// Static force along `row` that the limits of the law hold if each axis may demand `max`.
+    /// Returns the static force [N, N·m] along axis `row` that the torque limits of the law hold if the strengths of
+    /// the axes are `max`.
     fn static_capacity(&self, row: usize, side: usize, max: &AxisVec) -> f64 {
         let (params, record, n) = (self.params, self.record, self.params.n);
         let gravity = if self.settings.gravity_use().in_limits() { record.gravity } else { [0.0; MAX_JOINTS] };

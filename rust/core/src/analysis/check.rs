@@ -1,5 +1,5 @@
-//! Feasibility check before torque on: compares the settings with the capabilities of the arm in a pose or on a path,
-//! and names the settings to change.
+//! Feasibility check: compares the settings with the capabilities of the arm in a pose or on a path, and names the
+//! settings to change.
 
 use crate::analysis::axis_strength::StepAnalysis;
 use crate::analysis::display::number;
@@ -15,55 +15,59 @@ use crate::math::rows::pad;
 use crate::params::{AXIS_NAMES, Frame};
 use crate::pose::Pose as ToolPose;
 
-/// σ_min, as a share of σ₀, below which a pose counts as near singular.
+/// Ratio of the smallest singular value σ_min to σ₀ of the damping below which a pose counts as near singular.
 pub(super) const NEAR_SINGULAR: f64 = 0.1;
 
-/// One requirement that a pose cannot meet.
+/// One requirement of the settings that the arm does not meet, or one note about a pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Issue {
-    /// Index of the worst pose on the path.
+    /// Index of the posture on the path in which the issue is worst.
     pub pose: usize,
-    /// Axis or joint concerned, with the side of an axis: `+y`.
+    /// Subject of the issue: an axis with its side (`+y`), a joint, `σ_min` or `target`.
     pub about: String,
-    /// True if the user set the value. An unmet default is information only.
+    /// True if the issue makes the path not achievable; false for notes, e.g. on a default value that is not met.
     pub required: bool,
-    /// Required and available value.
+    /// Explanation with the required and the available value.
     pub reason: String,
     /// Setting to change, e.g. `axes.y.firm`; `None` if no setting helps.
     pub setting: Option<String>,
-    /// The nearest value that works.
+    /// Nearest value of `setting` that works; `None` if it is not known.
     pub value: Option<f64>,
 }
 
 /// Result of a feasibility check of a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeasibilityReport {
-    /// True if all values set by the user can be met.
+    /// True if no issue is `required`: the arm can meet all values that the user set.
     pub achievable: bool,
-    /// Number of poses checked.
+    /// Number of postures checked.
     pub poses: usize,
-    /// Unmet requirements, the required ones first.
+    /// Issues found, those with `required` first.
     pub issues: Vec<Issue>,
-    /// Names of the task's axes.
+    /// Names of the task axes; the entries of the vectors below follow this order.
     pub axes: Vec<&'static str>,
-    /// Smallest force that the servos' torque can hold along each axis, pushed toward (−, +) [N, N·m].
+    /// Static force that the servos' full usable torque holds along each axis against a push toward (−, +) [N, N·m],
+    /// the smallest over all postures.
     pub capacity: Vec<[f64; 2]>,
-    /// Indices of the poses with this capacity.
+    /// Index of the posture with the smallest `capacity` for each axis and side.
     pub worst_pose: Vec<[usize; 2]>,
-    /// Largest friction left by the feed-forward along each axis: the smallest `soft` that can track [N, N·m].
+    /// Largest friction along each axis that the feed-forward does not compensate [N, N·m]; an axis with a smaller
+    /// `soft` cannot track.
     pub friction_left: Vec<f64>,
-    /// Smallest distance that a yielding axis can be pushed until a joint meets its limit [m, rad]; ∞ if no joint does
-    /// within 0.15 m or 0.4 rad, and for sides that do not yield.
+    /// Smallest displacement at which a joint reaches its limit when the axis is pushed toward (−, +) [m, rad]; ∞ if no
+    /// joint does within 0.15 m or 0.4 rad, and for sides that do not yield.
     pub stop_distance: Vec<[f64; 2]>,
-    /// Smallest singular value of the poses.
+    /// Smallest singular value of the scaled task rows over all postures.
     pub sigma_min: f64,
-    /// Index of the pose with this value.
+    /// Index of the posture with the value `sigma_min`.
     pub sigma_pose: usize,
-    /// Smallest `path_sigma` of the poses' reports; ∞ for sides that do not yield.
+    /// Smallest [`AxisReport::path_sigma`](crate::AxisReport::path_sigma) of each axis and side over all postures; ∞
+    /// for sides that do not yield.
     pub path_sigma: Vec<[f64; 2]>,
 }
 
-/// Checks the settings in every posture (n) [rad] of a path, with the arm at rest on its target. Changes nothing.
+/// Checks the settings in every posture (n) [rad] of a path, with the arm at rest on its target. Does not change the
+/// controller.
 ///
 /// # Errors
 /// As [`Controller::step`]; [`Error::Shape`] for an empty path.
@@ -96,7 +100,7 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
     }
     let (k, n, torque) = (controller.params.k, controller.params.n, controller.params.servos.torque);
     let mut capacity_deficit = vec![[Worst::NONE; 2]; k];
-    let mut rub = vec![Worst::NONE; k];
+    let mut friction_left = vec![Worst::NONE; k];
     let mut near = vec![[(Worst::NONE, None); 2] as [PathStop; 2]; k];
     let mut past = vec![[(Worst::NONE, None); 2] as [PathSingularity; 2]; k];
     let (mut weight, mut limit, mut outside) = (vec![Worst::NONE; n], vec![Worst::NONE; n], vec![Worst::NONE; n]);
@@ -138,7 +142,7 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
                     near[r][side] = (worst, Some((stop.joint, pose.full_cap_deviation(r, side))));
                 }
             }
-            rub[r].update(friction[r] * pose.friction_share_left(), index);
+            friction_left[r].update(friction[r] * pose.friction_share_left(), index);
         }
         for i in 0..n {
             weight[i].update(record.gravity[i].abs() - torque[i], index);
@@ -149,7 +153,7 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
     }
     let mut issues = joint_issues(controller, &weight, &limit, &outside);
     for r in 0..k {
-        axis_issues(controller, r, capacity_deficit[r], rub[r], &mut issues);
+        axis_issues(controller, r, capacity_deficit[r], friction_left[r], &mut issues);
         stop_issues(controller, r, near[r], &mut issues);
         path_issues(controller, r, past[r], &mut issues);
     }
@@ -178,7 +182,7 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
         axes: controller.params.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect(),
         capacity: capacity_deficit.iter().map(|sides| sides.map(|worst| -worst.value)).collect(),
         worst_pose: capacity_deficit.iter().map(|sides| sides.map(|worst| worst.pose)).collect(),
-        friction_left: rub.iter().map(|worst| worst.value).collect(),
+        friction_left: friction_left.iter().map(|worst| worst.value).collect(),
         stop_distance: near.iter().map(|sides| sides.map(|(worst, _)| -worst.value)).collect(),
         sigma_min: -singular.value,
         sigma_pose: singular.pose,
@@ -186,7 +190,8 @@ pub fn check_path(controller: &Controller, path: &[Vec<f64>]) -> Result<Feasibil
     })
 }
 
-/// Checks the settings in a pose of the tool, reached from `q0` (n) [rad].
+/// Checks the settings in a pose of the tool. The joint positions are found by inverse kinematics from `q0` (n) [rad];
+/// a pose that the arm cannot reach is reported as an issue.
 ///
 /// # Errors
 /// As [`Controller::step`].

@@ -1,4 +1,4 @@
-//! The report as sentences and as a table.
+//! Formats reports and issues as sentences, and a pose report also as a table.
 
 use std::fmt::{self, Write as _};
 
@@ -9,17 +9,17 @@ use crate::params::{Law, OnDeviationLimit};
 
 const SIDES: [&str; 2] = ["−", "+"];
 
-/// Returns the unit of a strength along an axis.
+/// Returns the unit of a strength along task axis `axis` (0 to 5, translations first).
 pub(super) fn unit(axis: usize) -> &'static str {
     if axis < 3 { "N" } else { "N·m" }
 }
 
-/// Formats a displacement along an axis.
+/// Formats a displacement along task axis `axis`: in mm for translations (0 to 2), in rad for rotations (3 to 5).
 pub(super) fn length(axis: usize, value: f64) -> String {
     if axis < 3 { format!("{:.0} mm", 1e3 * value) } else { format!("{} rad", number(value)) }
 }
 
-/// Formats a number with two or three digits.
+/// Formats a number: three decimals below 0.1, two below 1, one below 100, none above, `∞` for infinity.
 pub(super) fn number(value: f64) -> String {
     match value.abs() {
         size if size.is_infinite() => "∞".into(),
@@ -43,7 +43,7 @@ impl AxisReport {
         length(if self.is_translation() { 0 } else { 3 }, value)
     }
 
-    /// Sentences about this axis, one for both sides where they say the same.
+    /// Adds the sentences about this axis to `out`; sides with the same strength sentence share one.
     fn summary(&self, report: &PoseReport, out: &mut Vec<String>) {
         let sentences = [0, 1].map(|side| self.strength_sentence(report, side));
         if sentences[0] == sentences[1] {
@@ -94,7 +94,8 @@ impl AxisReport {
         clauses.join("; ") + "."
     }
 
-    /// Sentence for a position limit that stops a push along a yielding axis.
+    /// Returns a sentence about the position limit that stops a push toward `side`; `None` without such a limit or if
+    /// the side does not yield.
     fn stop_sentence(&self, report: &PoseReport, side: usize) -> Option<String> {
         let stop = self.stop[side].filter(|_| self.yields[side])?;
         let from = if stop.margin > 1e-6 {
@@ -117,7 +118,8 @@ impl AxisReport {
         Some(format!("{}{}: {joint} {from} {distance}, {then}.", SIDES[side], self.name))
     }
 
-    /// Sentence for a singular pose that a push along a yielding axis reaches.
+    /// Returns a sentence about the singular pose that a push toward `side` approaches; `None` if it does not, or if
+    /// the side does not yield.
     fn path_sentence(&self, report: &PoseReport, side: usize) -> Option<String> {
         let (sigma, distance) = (self.path_sigma[side], self.path_distance[side]);
         let near = self.yields[side] && distance > 0.0 && sigma < NEAR_SINGULAR * report.sigma_0;
@@ -135,7 +137,7 @@ impl AxisReport {
         })
     }
 
-    /// Sentence for the behaviour of the target beyond the deviation limit.
+    /// Returns a sentence about the behaviour of the target beyond the deviation limit; `None` without a limit.
     fn deviation_sentence(&self) -> Option<String> {
         let [minus, plus] = self.deviation_limit;
         let side = match (minus.is_finite(), plus.is_finite()) {
@@ -154,7 +156,7 @@ impl AxisReport {
 }
 
 impl PoseReport {
-    /// Returns one sentence for each axis, and one for each problem.
+    /// Returns sentences about the strength of each axis, each problem found, and the forces after a host loss.
     pub fn summary(&self) -> Vec<String> {
         let mut out = Vec::new();
         for axis in &self.axes {
@@ -188,7 +190,7 @@ impl PoseReport {
         out
     }
 
-    /// Each side of each axis, + first, with its force after a host loss.
+    /// Iterates over both sides of each axis, + first, with the sign as text and the force after a host loss.
     fn host_loss_forces(&self) -> impl Iterator<Item = (&AxisReport, &'static str, f64)> {
         self.axes.iter().flat_map(|axis| [1, 0].map(|side| (axis, SIDES[side], axis.host_loss_force[side])))
     }
@@ -222,7 +224,7 @@ impl PoseReport {
         sentence + "."
     }
 
-    /// Sentence for a host-loss force above the allowed one, because the limits must hold the arm.
+    /// Returns a sentence if host-loss forces exceed their bound, because the torque limits must hold the arm.
     fn host_loss_above_bound(&self) -> Option<String> {
         let max = self.max_host_loss_force?;
         let over: Vec<String> = self

@@ -1,4 +1,4 @@
-//! Issues of a feasibility check, from the worst values along a path.
+//! Creates the issues of a feasibility check from the worst values along a path.
 
 use crate::analysis::check::{Issue, NEAR_SINGULAR};
 use crate::analysis::display::{length, number, unit};
@@ -7,7 +7,8 @@ use crate::controller::Controller;
 use crate::math::rounding::{round_down, round_up};
 use crate::params::AXIS_NAMES;
 
-/// The worst value of a path and its pose.
+/// Largest value found along a path, and the index of its posture. A quantity whose minimum is the worst is stored with
+/// the opposite sign.
 #[derive(Clone, Copy)]
 pub(super) struct Worst {
     pub(super) value: f64,
@@ -24,10 +25,12 @@ impl Worst {
     }
 }
 
-/// The smallest σ_min on the path of a push, with that path and the friction before it.
+/// Negative of the smallest singular value that the pushes of a path reach at their largest friction; with that push
+/// and the friction along the axis at its start [N, N·m].
 pub(super) type PathSingularity = (Worst, Option<(PathResult, f64)>);
 
-/// The smallest distance to a stop, its joint, and the deviation at which the axis exerts its whole cap.
+/// Negative of the smallest displacement at which a push reaches a joint stop [m, rad]; with the index of the joint and
+/// the deviation at which the axis exerts its full strength [m, rad].
 pub(super) type PathStop = (Worst, Option<(usize, f64)>);
 
 pub(super) fn joint_issues(
@@ -73,11 +76,11 @@ pub(super) fn joint_issues(
     out
 }
 
-/// Position limits that are met before an axis exerts its whole cap; at that deviation the stop adds its force to
-/// the cap.
+/// Adds an issue for each side on which a push reaches a joint stop before the axis exerts its full strength: from
+/// there the stop adds its force.
 pub(super) fn stop_issues(controller: &Controller, r: usize, near: [PathStop; 2], out: &mut Vec<Issue>) {
     if !controller.params.law.by_force() {
-        return; // Law `paper` has no force cap to compare with.
+        return; // The strengths of law `paper` are torque budgets, not forces that a stop adds to.
     }
     let axis = controller.params.per_axis[r].axis;
     let name = AXIS_NAMES[axis];
@@ -102,7 +105,8 @@ pub(super) fn stop_issues(controller: &Controller, r: usize, near: [PathStop; 2]
     }
 }
 
-/// Singular poses that a push reaches from poses that are not near singular.
+/// Adds an issue for each side on which a push leads closer to a singular pose, with a smallest singular value below
+/// [`NEAR_SINGULAR`] times σ₀.
 pub(super) fn path_issues(controller: &Controller, r: usize, past: [PathSingularity; 2], out: &mut Vec<Issue>) {
     let (axis, least) = (controller.params.per_axis[r].axis, NEAR_SINGULAR * controller.params.damping.sigma_0);
     for (side, (worst, what)) in past.into_iter().enumerate() {
@@ -128,7 +132,8 @@ pub(super) fn path_issues(controller: &Controller, r: usize, past: [PathSingular
     }
 }
 
-/// Force on a hand after a host loss above the allowed one, although the limits hold no more than the arm's weight.
+/// Returns an issue if the force on a hand after a host loss exceeds its bound although the torque limits hold no more
+/// than the arm's weight; otherwise `None`.
 pub(super) fn host_loss_issue(controller: &Controller, worst: Worst, row: usize, sign: f64) -> Option<Issue> {
     let max = controller.params.max_host_loss_force.filter(|max| worst.value > max * (1.0 + 1e-9))?;
     Some(Issue {
@@ -149,11 +154,11 @@ pub(super) fn axis_issues(
     controller: &Controller,
     r: usize,
     capacity_deficit: [Worst; 2],
-    rub: Worst,
+    friction_left: Worst,
     out: &mut Vec<Issue>,
 ) {
     if !controller.params.law.by_force() {
-        return; // Law `paper` has budgets, not forces; see the report.
+        return; // The strengths of law `paper` are torque budgets, not forces to compare with.
     }
     let row = &controller.params.per_axis[r];
     let (name, user, unit) = (AXIS_NAMES[row.axis], &controller.settings().axes[row.axis], unit(row.axis));
@@ -181,18 +186,18 @@ pub(super) fn axis_issues(
                 });
             }
         }
-        if row.yields[side] > 0.0 && row.soft[side] < rub.value {
+        if row.yields[side] > 0.0 && row.soft[side] < friction_left.value {
             out.push(Issue {
-                pose: rub.pose,
+                pose: friction_left.pose,
                 about,
                 required: user.soft.is_some(),
                 reason: format!(
                     "soft is {} {unit}, friction leaves {} {unit}: it cannot track",
                     number(row.soft[side]),
-                    number(rub.value)
+                    number(friction_left.value)
                 ),
                 setting: Some(format!("axes.{name}.soft")),
-                value: Some(round_up(rub.value)),
+                value: Some(round_up(friction_left.value)),
             });
         }
     }

@@ -1,5 +1,5 @@
-//! Capabilities of an arm with its settings, in one pose or on a path. Not for the control step, but fast enough to run
-//! beside the loop.
+//! Capabilities of an arm with its settings, in one pose or on a path. These functions allocate memory and take much
+//! longer than a control step.
 
 mod axis_strength;
 mod check;

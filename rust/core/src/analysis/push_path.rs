@@ -1,5 +1,5 @@
-//! Path of the arm under a push: the first position limit on it, the friction of the remaining joints there, and the
-//! singular poses that it passes.
+//! Simulated push along one task axis: the first position limit that a joint reaches, and the point of largest joint
+//! friction, which shows that the path passes near a singular pose.
 
 use nalgebra::DMatrix;
 
@@ -13,62 +13,71 @@ use crate::model::Model;
 use crate::params::Params;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Number of steps on the path.
+/// Number of steps in which a push is simulated.
 const STEPS: u8 = 15;
 
-/// Damping on the path, as a share of the largest entry of `J K_p⁻¹ Jᵀ`: bounds the motion near singular poses.
+/// Damping of the simulated motion, relative to the largest diagonal entry of `J K_p⁻¹ Jᵀ`: bounds the joint motion
+/// near singular poses.
 const DAMPING: f64 = 1e-7;
 
-/// Growth of the friction above which the adjacent steps are subdivided, and the number of parts.
+/// Ratio of the largest friction on the path to that at its start above which the steps next to the largest are
+/// subdivided, because a singular pose may lie between two samples.
 const REFINE_RATIO: f64 = 1.5;
+
+/// Number of parts into which such a step is subdivided.
 const PARTS: u8 = 8;
 
-/// Damping of the friction, as a share of the largest singular value: at a singular pose the friction is large, not ∞.
+/// Damping λ of the pseudo-inverse from which the friction is computed, relative to the Frobenius norm of the task
+/// rows: at a singular pose the friction is large, not ∞.
 const FRICTION_DAMPING: f64 = 1e-3;
 
-/// Ratio of smallest to largest singular value below which the remaining joints cannot move an axis alone.
+/// Ratio of smallest to largest singular value of the task rows at or below which the joints count as unable to move
+/// all task axes.
 const SINGULAR: f64 = 1e-3;
 
-/// The first position limit on the path along one axis.
+/// First position limit that a joint reaches during a push along one task axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointStop {
-    /// Displacement of the axis at which it is met [m, rad]. Up to there the stop carries no part of a push.
+    /// Displacement of the axis at which the joint reaches its limit [m, rad]; on a shorter push the stop carries no
+    /// force.
     pub distance: f64,
-    /// Index of the joint that meets it.
+    /// Index of the joint that reaches its limit.
     pub joint: usize,
-    /// Present distance of that joint from its limit [rad or m].
+    /// Distance of that joint from its limit at the start of the push [rad; m if prismatic]; 0 if it is beyond.
     pub margin: f64,
-    /// Friction `Σ_i |J⁺_ij| τ_f,i` of the other joints along the axis at the stop [N, N·m]; ∞ if they cannot move the
-    /// axis alone, so that the stop carries everything above the cap.
+    /// Friction `Σ_i |J⁺_ij| τ_f,i` of the other joints along the axis at the stop [N, N·m]; ∞ if they cannot move all
+    /// task axes, so that the stop carries all force beyond the strength of the axis.
     pub friction: f64,
 }
 
-/// The path along one axis, 0.15 m or 0.4 rad, or up to the first stop.
+/// Result of a push simulated along one axis by 0.15 m or 0.4 rad, or up to the first stop.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PathResult {
+    /// First position limit that a joint reaches; `None` if no joint reaches one.
     pub(super) stop: Option<JointStop>,
-    /// Largest `Σ_i |J⁺_ij| τ_f,i` on the path [N, N·m].
+    /// Largest friction along the axis on the path, `Σ_i |J⁺_ij| τ_f,i` [N, N·m].
     pub(super) friction: f64,
-    /// σ_min at that point.
+    /// Smallest singular value of the scaled task rows at the point of largest friction.
     pub(super) sigma: f64,
-    /// Displacement at that point [m, rad].
+    /// Displacement of the axis at the point of largest friction [m, rad].
     pub(super) at: f64,
 }
 
-/// Simulation of a push on an arm whose other axes keep their place.
+/// Simulates pushes along one task axis while the other task axes keep their positions.
 pub(super) struct PushPath<'a> {
     pub(super) model: &'a Model,
     pub(super) params: &'a Params,
     pub(super) base_from_task: [[f64; 3]; 3],
     pub(super) q: &'a JointVec,
-    /// Dry friction at rest [N·m].
+    /// Static dry friction of each joint [N·m].
     pub(super) friction: &'a JointVec,
 }
 
 impl PushPath<'_> {
-    /// Simulates a push along one task axis, toward `sign`.
+    /// Simulates a push along task axis `row` toward `sign` (±1).
     ///
-    /// The arm moves so that the servos' springs are stretched least, `dq = K_p⁻¹ Jᵀ C⁻¹ d`, as under line 8.
+    /// The joints move so that the springs of the servos store the least energy: `dq = K_p⁻¹ Jᵀ C⁻¹ d` with the unit
+    /// displacement d and `C = J K_p⁻¹ Jᵀ`.
     pub(super) fn simulate(&self, row: usize, sign: f64) -> PathResult {
         let (params, n, k) = (self.params, self.params.n, self.params.k);
         let travel = TRAVEL[usize::from(params.per_axis[row].axis >= 3)];
@@ -103,7 +112,8 @@ impl PushPath<'_> {
         self.max_friction_sample(row, &samples, stop)
     }
 
-    /// Returns the point with the largest friction on a path of postures and displacements.
+    /// Returns the point of largest friction along axis `row`. A sample holds the joint positions [rad] and the
+    /// displacement of the axis [m, rad].
     fn max_friction_sample(&self, row: usize, samples: &[(JointVec, f64)], stop: Option<JointStop>) -> PathResult {
         let evaluate = |q: &JointVec, at: f64| {
             let rows = self.scaled(q);
@@ -112,7 +122,7 @@ impl PushPath<'_> {
         let all: Vec<_> = samples.iter().map(|(q, at)| evaluate(q, *at)).collect();
         let index = (0..all.len()).fold(0, |best, i| if all[i].0 > all[best].0 { i } else { best });
         let mut worst = all[index];
-        // A step may pass over a singular pose: subdivide the adjacent steps.
+        // A singular pose may lie between two samples: subdivide the steps next to the largest friction.
         if worst.0 > REFINE_RATIO * all[0].0 {
             for pair in samples[index.saturating_sub(1)..(index + 2).min(samples.len())].windows(2) {
                 let ((from, near), (to, far)) = (pair[0], pair[1]);
@@ -140,7 +150,8 @@ impl PushPath<'_> {
         store_rows(&self.params.scale_rows(&load_rows::<JointVec16>(&self.rows(q))))
     }
 
-    /// Returns the friction along `row` of all joints but one.
+    /// Returns the friction along axis `row` of all joints except `joint` [N, N·m]; ∞ if these cannot move all task
+    /// axes.
     fn friction_without(&self, q: &JointVec, joint: usize, row: usize) -> f64 {
         let (params, mut scaled) = (self.params, self.scaled(q));
         for r in &mut scaled {
@@ -154,7 +165,7 @@ impl PushPath<'_> {
         }
     }
 
-    /// `Σ_i |J⁺_ij| τ_f,i` of scaled rows [N, N·m].
+    /// Returns the friction along axis `row`, `Σ_i |J⁺_ij| τ_f,i` [N, N·m], from the scaled task rows.
     fn friction_along(&self, scaled: &Rows, row: usize) -> f64 {
         let (params, n, k) = (self.params, self.params.n, self.params.k);
         let size = scaled[..k].iter().flatten().map(|x| x * x).sum::<f64>();
@@ -163,7 +174,7 @@ impl PushPath<'_> {
         (0..n).map(|i| inverse[row][i].abs() * self.friction[i]).sum::<f64>() * params.row_scale[row]
     }
 
-    /// Returns the smallest and the largest singular value of scaled rows.
+    /// Returns the smallest and the largest singular value of the scaled task rows.
     fn sigma(&self, scaled: &Rows) -> [f64; 2] {
         let all = singular_values(&DMatrix::from_fn(self.params.k, self.params.n, |r, i| scaled[r][i]));
         [all.min(), all.max()]

@@ -1,7 +1,6 @@
-//! Report on the capabilities of the present pose and settings, in numbers and in sentences.
+//! Report on the capabilities of an arm with its settings in one pose.
 //!
-//! Not for the control step, but fast enough to run beside the loop. Sides are named by the push: the first number of a
-//! pair is for a push toward −, the second for a push toward +.
+//! Pairs of numbers hold one number per direction of a push: first toward −, then toward +.
 
 use crate::command::host_loss::HostLoss;
 use crate::controller::{Controller, StepInput};
@@ -16,95 +15,102 @@ use crate::{JointVec, MAX_JOINTS};
 use crate::analysis::axis_strength::StepAnalysis;
 use crate::analysis::push_path::{JointStop, PushPath};
 
-/// Capabilities of one pose with the current settings.
+/// Capabilities of the arm in one pose with the current settings.
 ///
-/// Vectors have one entry per joint.
+/// All vectors but `axes` have one entry per joint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseReport {
-    /// One entry per task axis, in the order of the task.
+    /// Capabilities along each task axis, in the order of the task.
     pub axes: Vec<AxisReport>,
     /// Names of the joints.
     pub joints: Vec<String>,
-    /// Control law.
+    /// Control law of the settings.
     pub law: Law,
-    /// Joint positions of the report [rad].
+    /// Joint positions in this pose [rad; m if prismatic].
     pub q: Vec<f64>,
-    /// Torque limits in this pose [N·m].
+    /// Torque limit of each joint in this pose [N·m].
     pub torque_limit: Vec<f64>,
-    /// Torque limit beyond gravity, for a joint pushed toward (−, +): `L − g`, `L + g` [N·m].
+    /// Torque that the limit L leaves beside the gravity torque g to resist a push of the joint toward (−, +): `L − g`,
+    /// `L + g` [N·m]. Negative if the joint cannot hold its load.
     pub gravity_margin: Vec<[f64; 2]>,
     /// Smallest singular value of the task rows, with translations divided by the arm's length.
     pub sigma_min: f64,
-    /// Condition number: largest over smallest singular value.
+    /// Condition number of the scaled task rows: ratio of largest to smallest singular value.
     pub condition: f64,
-    /// σ₀ of the damping: poses with a much smaller σ_min are near singular.
+    /// Singular value σ₀ below which the adaptive damping grows. A pose whose σ_min is below a tenth of it is reported
+    /// as near singular.
     pub sigma_0: f64,
-    /// Joints whose limit is at the servo's ceiling.
+    /// True for joints whose torque limit is at the servo's usable torque.
     pub saturated: Vec<bool>,
-    /// Joints at a position limit, removed from the inverse kinematics.
+    /// True for joints at a position limit that the control step leaves out of the inverse kinematics.
     pub locked: Vec<bool>,
-    /// Prismatic joints: their units are metres.
+    /// True for prismatic joints, whose positions are in metres.
     pub prismatic: Vec<bool>,
-    /// Allowed value of [`AxisReport::host_loss_force`] along translations [N].
+    /// Bound on [`AxisReport::host_loss_force`] along translations [N]; `None` if the settings have none.
     pub max_host_loss_force: Option<f64>,
-    /// Factor ≤ 1 on K_x, under law `impedance` on the stiffness, required by delay and pose.
+    /// Factor ≤ 1 by which the loop delay reduces the gain K_x; under law `impedance`, the factor by which delay and
+    /// pose reduce the stiffness.
     pub gain_factor: f64,
-    /// Factor ≤ 1 on the damping of law `impedance`.
+    /// Factor ≤ 1 by which delay and pose reduce the damping of law `impedance`; 1 under the other laws.
     pub damping_factor: f64,
 }
 
 /// Capabilities along one task axis. Forces in N, for rotations N·m; displacements in m or rad.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxisReport {
-    /// Name of the axis.
+    /// Name of the axis, e.g. `y` or `roll`.
     pub name: &'static str,
-    /// The largest static force that the present limits hold: `min_i (L_i + s_i g_i) / |a_i|`, `a = Jᵀd`. Negative if
-    /// the arm cannot hold itself.
+    /// Largest static force that the present torque limits L hold against a push toward (−, +):
+    /// `min_i (L_i + s_i g_i) / |a_i|` with the gravity torques g, the levers `a = Jᵀd` of the push direction d, and
+    /// `s_i = sign(a_i)`. Negative if the arm cannot hold itself.
     pub static_force: [f64; 2],
-    /// The largest static force at the servos' full torque.
+    /// Largest static force that the servos' full usable torque holds against a push toward (−, +).
     pub capacity: [f64; 2],
-    /// Compliance of the axis toward (−, +).
+    /// True if the axis yields to a push toward (−, +).
     pub yields: [bool; 2],
-    /// Force at which the axis yields under the law, without friction, per side: at a small and at a large deviation,
-    /// d⁻/(1 − η) and d⁺/(1 − η), at most 0.15 m or 0.4 rad.
+    /// Force at which the axis yields to a push toward (−, +), without joint friction: at the two deviations of
+    /// `thresholds`, each at most 0.15 m or 0.4 rad.
     pub yield_force: [[f64; 2]; 2],
-    /// Deviations d⁻/(1 − η), d⁺/(1 − η) between which the strength changes.
+    /// Deviations between which the strength changes, d⁻/(1 − η) and d⁺/(1 − η), with the settings `soft_until` d⁻,
+    /// `firm_from` d⁺ and `adaptation` η.
     pub thresholds: [f64; 2],
-    /// Dry friction of the joints along the axis, `Σ_i |J⁺_ij| τ_f,i`: added to the force of a push from rest.
+    /// Static friction of the joints along the axis, `Σ_i |J⁺_ij| τ_f,i`. A push from rest must overcome it in addition
+    /// to `yield_force`.
     pub friction: f64,
-    /// Friction that the feed-forward leaves in steady motion. An axis with a smaller strength cannot keep moving.
+    /// Friction along the axis in steady motion that the feed-forward does not compensate. The axis keeps moving only
+    /// if its strength exceeds it.
     pub friction_left: f64,
-    /// Strength of the axis if its own were 0, caused by the torque limits that the other axes require of the same
-    /// joints.
+    /// Force against a push toward (−, +) that remains if the strength of the axis is 0, because the other axes raise
+    /// the torque limits of the same joints.
     pub coupling: [f64; 2],
-    /// The other axis with the largest share of it.
+    /// Name of the other axis that contributes most to `coupling`; `None` if no other axis contributes.
     pub coupled_to: [Option<&'static str>; 2],
-    /// Strength of the axis toward sides that do not yield.
+    /// Strength of the axis against pushes to which it does not yield.
     pub hold: f64,
-    /// The default of `hold`, if soft or firm raised it.
+    /// Default of `hold`, if a larger `soft` or `firm` raised `hold` above it; otherwise `None`.
     pub default_hold: Option<f64>,
-    /// The largest force on a hand that pushes along the axis by 0.15 m or 0.4 rad at 25 mm/s or 0.067 rad/s if the
-    /// host dies now, beginning at the arm's equilibrium, gear friction and damping included; ∞ if the arm cannot be
-    /// moved so far because it is stretched out or at stops.
+    /// Largest force on a hand that pushes the tool along the axis after a host loss in this state: from the arm's
+    /// equilibrium by 0.15 m at 25 mm/s, or by 0.4 rad at 0.067 rad/s, gear friction and damping included. ∞ if the arm
+    /// cannot move so far because it is stretched out or at stops.
     pub host_loss_force: [f64; 2],
-    /// The first position limit on the path of a push along the axis, the others fixed; `None` if no joint meets one
-    /// within 0.15 m or 0.4 rad.
+    /// First position limit that a joint reaches when the axis is pushed toward (−, +) and the other task axes keep
+    /// their positions; `None` if no joint reaches one within 0.15 m or 0.4 rad.
     pub stop: [Option<JointStop>; 2],
-    /// Largest friction of the joints along the axis on that path, up to the stop; many times `friction` if the path
-    /// passes a singular pose.
+    /// Largest friction of the joints along the axis during a push toward (−, +) by 0.15 m or 0.4 rad, or up to the
+    /// first stop; many times `friction` if the push passes near a singular pose.
     pub path_friction: [f64; 2],
-    /// σ_min at the point of `path_friction`.
+    /// Smallest singular value of the scaled task rows at the point where `path_friction` occurs.
     pub path_sigma: [f64; 2],
-    /// Displacement of the axis at that point.
+    /// Displacement of the axis at the point where `path_friction` occurs.
     pub path_distance: [f64; 2],
-    /// Deviation beyond which the target stops or follows the tool; ∞ without such a limit and toward sides that
-    /// yield.
+    /// Deviation, pushed toward (−, +), beyond which the target waits or follows the tool; ∞ without such a limit and
+    /// toward sides that yield.
     pub deviation_limit: [f64; 2],
     /// Behaviour of the target beyond the deviation limit.
     pub on_deviation_limit: OnDeviationLimit,
 }
 
-/// Reports on the pose and the limits of the last step.
+/// Returns the capabilities of the arm in the pose and with the torque limits of the controller's last step.
 ///
 /// # Errors
 /// [`Error::Config`] before the first step.
@@ -115,7 +121,8 @@ pub fn report(controller: &Controller) -> Result<PoseReport> {
     Ok(build_report(controller))
 }
 
-/// Reports on the arm at rest on its target in `q` (n) [rad]. Does not change the controller.
+/// Returns the capabilities of the arm at rest on its target at the joint positions `q` (n) [rad]. Does not change the
+/// controller.
 ///
 /// # Errors
 /// As [`Controller::step`].
@@ -131,7 +138,7 @@ pub fn report(controller: &Controller) -> Result<PoseReport> {
 /// let report = report_at(&controller, &[-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17])?; // [rad]
 /// let y = &report.axes[1];
 /// assert_eq!(y.name, "y");
-/// assert!(y.capacity[0] > 0.0); // [N], all that the servos can answer to a push toward −y
+/// assert!(y.capacity[0] > 0.0); // [N], largest push toward −y that the servos can hold
 /// assert!(report.to_string().contains("gives way"));
 /// # Ok(())
 /// # }
@@ -140,11 +147,12 @@ pub fn report_at(controller: &Controller, q: &[f64]) -> Result<PoseReport> {
     Ok(build_report(&at_rest(controller, q)?))
 }
 
-/// Returns a copy of this controller after its first step, on its target in `q`.
+/// Returns a copy of the controller after a first step at rest at the joint positions `q` [rad], with the target at the
+/// tool.
 pub(super) fn at_rest(controller: &Controller, q: &[f64]) -> Result<Controller> {
     let at = controller.model().joints_within("q", q, COORDINATE_BOUND)?;
     let mut copy = controller.clone();
-    // At rest the goals have reached their final values.
+    // Without slew limit, this one step moves the goals to the values that they have at rest.
     copy.settings.tracking.goal_slew = f64::INFINITY;
     copy.reset(q)?;
     let mut frames = JointFrames::default();
@@ -220,7 +228,8 @@ fn build_report(controller: &Controller) -> PoseReport {
     }
 }
 
-/// Returns the push paths from the last step's pose; `friction` at rest [N·m].
+/// Returns the simulation of pushes from the pose of the last step; `friction` is the static friction of the joints
+/// [N·m].
 pub(super) fn push_path<'a>(controller: &'a Controller, frames: &JointFrames, friction: &'a JointVec) -> PushPath<'a> {
     let base_from_task = controller.params.base_from_task::<crate::math::simd::BaselineF64>(&frames.tool);
     PushPath {
@@ -232,7 +241,7 @@ pub(super) fn push_path<'a>(controller: &'a Controller, frames: &JointFrames, fr
     }
 }
 
-/// Returns the arm with its last command, for a host loss now.
+/// Returns the simulation of a host loss after the last step, with the last goals [rad] and torque limits [N·m].
 pub(super) fn host_loss_now<'a>(
     controller: &'a Controller,
     frames: &JointFrames,
@@ -253,7 +262,7 @@ pub(super) fn host_loss_now<'a>(
     }
 }
 
-/// Returns the limits of the last command.
+/// Returns the torque limits of the last command [N·m].
 pub(super) fn current_limits(controller: &Controller) -> JointVec {
     pad(controller.command.torque_limit(), 0.0)
 }

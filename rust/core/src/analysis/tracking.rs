@@ -1,4 +1,4 @@
-//! Settings with a strength soft enough to yield and firm enough to track.
+//! Raises `soft` to the strength that an axis needs to track a moving target despite joint friction.
 
 use std::sync::Arc;
 
@@ -11,16 +11,17 @@ use crate::model::Model;
 use crate::params::{Servos, Settings, joint_space};
 use crate::{AxisVec, MAX_AXES};
 
-/// Strength of an axis that tracks a moving target, relative to its static friction, which it must overcome at starts
-/// and reversals, before the feed-forward acts. Measured with sinusoids: 2 is enough if friction is known, 3 if it is
-/// known to 30 % and delayed by one step each way; with 1 the axis lags, below 1 it does not move.
+/// Ratio of strength to static friction with which an axis tracks a moving target. The axis must overcome this friction
+/// at starts and reversals, before the feed-forward acts. Measured with sinusoidal targets: a ratio of 2 is enough if
+/// the friction is known exactly, 3 if it is known to 30 % and measurement and command are each delayed by one step;
+/// with 1 the axis lags, below 1 it does not move.
 const TRACKING_FRICTION_RATIO: f64 = 3.0;
 
-/// Returns the settings with `soft` of every yielding axis raised to at least three times its friction: a softer
-/// axis may not track.
+/// Returns the settings with `soft` of every yielding axis raised to at least three times its static friction (law
+/// `paper`: once), because a softer axis may not track a moving target.
 ///
-/// Uses the worst pose of `path`, one posture (n) [rad] each; without a path, the median over the arm's joint
-/// space. Raises `firm` and `hold` if they would be smaller.
+/// Uses the largest friction over the postures (n) [rad] of `path`; for an empty path, the median over the arm's joint
+/// space. Raises `firm` and `hold` where they would be smaller than `soft`.
 ///
 /// # Errors
 /// As [`Controller::new`] and [`Controller::step`].
@@ -60,7 +61,7 @@ pub fn raise_soft(
             let axis = &mut raised.axes[row.axis];
             axis.yields = Some(axis.compliant_side());
             axis.soft = Some(soft);
-            // A value that is not set adapts by itself.
+            // Unset values of `firm` and `hold` are derived from `soft` when the settings are resolved.
             axis.firm = axis.firm.map(|firm| [0, 1].map(|side| firm[side].max(soft[side])));
             let max = soft[0].max(soft[1]);
             axis.hold = axis.hold.map(|hold| hold.max(max));
@@ -69,8 +70,8 @@ pub fn raise_soft(
     Ok(raised)
 }
 
-/// Returns the strength with which each axis tracks a moving target, from rest in `q`. Law `paper` has budgets, not
-/// forces: there it is the friction.
+/// Returns the strength that each axis needs to track a moving target from rest at `q` [N, N·m]: three times its static
+/// friction; once under law `paper`, whose strengths are torque budgets, not forces.
 fn min_tracking_strength(controller: &Controller, q: &[f64]) -> Result<AxisVec> {
     let resting = at_rest(controller, q)?;
     let record = resting.diagnostics();

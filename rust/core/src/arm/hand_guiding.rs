@@ -1,8 +1,9 @@
 //! Hand guiding: the arm feels weightless and rests when released; k_p need not be exact.
 //!
-//! A first swing up and down, outside this module, measures the lead that carries each joint at gravity torque g₀, and
-//! its friction ρ: the mean of both leads and half their difference. Both are in rad and independent of k_p. Then the
-//! goals follow the arm with backlash-like play. Per joint:
+//! First, the caller swings each joint slowly up and down. The lead (goal − q) of the two directions differs: its mean
+//! lead₀ holds the joint against the gravity torque g₀, and half the difference is the friction ρ. Both are in rad and
+//! independent of k_p. Then the goals follow the arm with a play, like a drive with backlash. Per joint, with the
+//! predicted position q̂, the filtered speed v, the viscous damping d and `c = ½ (c_low + c_high)`:
 //!
 //! ```text
 //! anchor = clip(anchor, q̂ − w, q̂ + w)
@@ -10,9 +11,10 @@
 //! w      = w₀ (1 − 0.9 tanh |v|/v₀) + ½ (c_high − c_low) |g − g₀|
 //! ```
 //!
-//! [c_low, c_high] is the interval of the compliance 1/k_p. The play w grows by the possible error of the lead, so a
-//! wrong k_p can let the arm sag within the play but cannot make it drift. Whenever the arm rests after a motion, its
-//! lead is right within ρ; that narrows the interval and the play.
+//! [c_low, c_high] is the interval that contains the compliance 1/k_p. The play w grows by the possible error of the
+//! lead, so a wrong k_p can let the arm sag within the play but cannot make it drift. When the arm rests after a
+//! motion, its lead is known within the friction ρ and the least play; this narrows the interval, and the play shrinks
+//! during the next motion.
 
 use std::sync::Arc;
 
@@ -26,54 +28,60 @@ use crate::model::Model;
 use crate::params::Servos;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Fed-forward shares of friction and damping, and share of the delay for prediction.
+/// Share b_f of the friction that is fed forward.
 const FRICTION_SHARE: f64 = 0.8;
+/// Share b_d of the viscous damping that is fed forward.
 const DAMPING_SHARE: f64 = 0.8;
+/// Share of the delay over which positions are predicted.
 const PREDICTION_SHARE: f64 = 0.9;
-/// Speed at which the friction feed-forward saturates [rad/s], and time constant of the speed filter [s].
+/// Speed v₀ in the friction feed-forward `tanh(v/v₀)` [rad/s].
 const FRICTION_SPEED: f64 = 0.05;
+/// Time constant of the speed filter [s].
 const SPEED_FILTER: f64 = 0.02;
-/// Share of its play that a moving joint loses.
+/// Share of its least play w₀ that a fast joint loses.
 const PLAY_LOSS: f64 = 0.9;
-/// Time without motion beyond a count until the arm counts as at rest [s]; least motion [rad].
+/// Time without motion after which the arm counts as at rest [s].
 const REST_TIME: f64 = 0.4;
+/// Smallest change of a joint position that counts as motion [rad]; at least 1.1 encoder counts are required.
 const MIN_MOTION: f64 = 5e-4;
-/// Error of the lead from the swing, as a share of the friction that it averages out.
+/// Assumed error of the lead measured in the swing, relative to the friction ρ.
 const LEAD_ERROR_SHARE: f64 = 0.15;
-/// Motion time in which the play shrinks to its value learnt at rest [s].
+/// Time constant with which the excess play decreases while a joint moves [s].
 const SHRINK_TIME: f64 = 0.5;
-/// Least play at rest: in rad, in encoder counts, and as a share of the friction ρ.
+/// Lower bound on the least play w₀ [rad].
 const MIN_PLAY: f64 = 2e-3;
+/// Lower bound on the least play w₀, in encoder counts.
 const MIN_PLAY_COUNTS: f64 = 1.5;
+/// Lower bound on the least play w₀, relative to the friction ρ.
 const MIN_PLAY_FRICTION: f64 = 0.15;
 /// Largest speed of the goals [rad/s].
 const MAX_GOAL_SPEED: f64 = 3.0;
 
-/// Result of the first swing, and the arm at its end; joint vectors have n entries.
+/// Measurements of a slow swing of the joints up and down, and the arm at its end; vectors have n entries.
 #[derive(Debug, Clone, Copy)]
 pub struct SwingResult<'a> {
-    /// Positions [rad] and goals [rad] at the end of the swing.
+    /// Joint positions at the end of the swing [rad].
     pub q: &'a [f64],
     /// Goals at the end of the swing [rad].
     pub goal: &'a [f64],
-    /// Joints that swung; of the others only the servo table is known.
+    /// True for joints that swung; the lead of the others is computed from the assumed k_p.
     pub swung: &'a [bool],
-    /// Mean of the leads that move a joint up and down [rad]; 0 for a joint that did not swing.
+    /// Mean of the leads (goal − q) in the motions up and down [rad]; 0 for a joint that did not swing.
     pub lead: &'a [f64],
-    /// Half the difference of these leads: friction [rad].
+    /// Friction as a lead: half the difference of the leads in the motions up and down [rad].
     pub friction: &'a [f64],
 }
 
 /// Options of [`HandGuiding`].
 #[derive(Debug, Clone, Copy)]
 pub struct HandGuidingOptions {
-    /// Factor ≥ 1 by which a stiffness may be wrong in either direction.
+    /// Factor ≥ 1 by which the true k_p may be larger or smaller than the assumed one.
     pub stiffness_error: f64,
     /// Time from the reading to the arrival of the goal [s].
     pub delay: f64,
-    /// Torque allowed on top of gravity, as a share of the usable torque.
+    /// Part of the torque limit beyond what the joint needs against gravity, relative to the usable torque.
     pub torque_share: f64,
-    /// Payload in addition to the model's: mass [kg] and mass times centre in the tool frame [kg·m].
+    /// Payload in addition to the model's: mass [kg], then mass times centre of mass in the tool frame [kg·m].
     pub payload_moments: [f64; 4],
 }
 
@@ -87,33 +95,43 @@ pub struct HandGuiding {
     kp: JointVec,
     max_torque: JointVec,
     encoder_step: JointVec,
-    /// Viscous damping, derivative gain and back-EMF together [N·m·s/rad].
+    /// Sum of viscous damping, derivative gain and back-EMF [N·m·s/rad].
     damping: JointVec,
-    /// Interval of the compliance 1/k_p [rad/(N·m)].
+    /// Lower end of the interval that contains the compliance 1/k_p [rad/(N·m)].
     low: JointVec,
+    /// Upper end of the interval that contains the compliance 1/k_p [rad/(N·m)].
     high: JointVec,
-    /// Carrying lead, friction [rad] and gravity torque [N·m] of the swing.
+    /// Lead (goal − q) that holds the joint against the torque `gravity` [rad].
     lead: JointVec,
+    /// Friction as the lead that overcomes it [rad].
     friction: JointVec,
+    /// Gravity torque where `lead` was measured [N·m]; 0 for a joint that did not swing.
     gravity: JointVec,
+    /// Least play w₀ [rad].
     min_play: JointVec,
+    /// Play w in this tick [rad].
     play: JointVec,
-    /// Play beyond the learnt one, which shrinks with motion [rad].
+    /// Part of the play that keeps the goals unchanged after a correction at rest; it decreases with motion [rad].
     excess_play: JointVec,
     anchor: JointVec,
     goal: JointVec,
-    /// Positions with a hysteresis of one count [rad], and their filtered speed [rad/s].
+    /// Positions with a hysteresis of one encoder count [rad].
     filtered_q: JointVec,
+    /// Filtered rate of `filtered_q` [rad/s].
     speed: JointVec,
+    /// Positions at the last motion [rad].
     rest_q: JointVec,
+    /// Positions at the last correction [rad].
     learnt_q: JointVec,
+    /// Time since the last motion [s].
     rest_time: f64,
+    /// True if the arm has moved far enough since the last correction for another one.
     has_moved: bool,
 }
 
 impl HandGuiding {
-    /// Starts from the result of the first swing. `servos` holds the assumed k_p; `damping` (n) [N·m·s/rad] is the
-    /// joints' viscous damping, derivative gain and back-EMF together.
+    /// Starts hand guiding from the result of a swing. `servos` holds the assumed k_p; `damping` (n) [N·m·s/rad] is the
+    /// sum of the joints' viscous damping, derivative gain and back-EMF.
     ///
     /// # Errors
     /// [`Error::Shape`] if a vector does not have n entries; [`Error::OutOfRange`] for a number that is not finite;
@@ -176,7 +194,7 @@ impl HandGuiding {
                 }
             }
             guiding.min_play[i] = MIN_PLAY.max(MIN_PLAY_COUNTS * count).max(MIN_PLAY_FRICTION * friction[i]);
-            // A joint that swung rests in the middle of its friction band; another keeps its goal.
+            // A joint that swung rests in the middle of its friction band; the anchor of another keeps its goal.
             let carrying = lead[i] + 0.5 * (guiding.low[i] + guiding.high[i]) * (gravity[i] - guiding.gravity[i]);
             guiding.anchor[i] = if swing.swung[i] { q[i] } else { goal[i] - carrying };
             guiding.excess_play[i] = ((guiding.anchor[i] - q[i]).abs() - guiding.min_play[i]).max(0.0);
@@ -184,17 +202,17 @@ impl HandGuiding {
         Ok(guiding)
     }
 
-    /// Interval of k_p after all rests so far [N·m/rad]: lower and upper ends (n).
+    /// Returns the interval that contains k_p as known so far [N·m/rad]: lower ends (n), then upper ends (n).
     pub fn stiffness(&self) -> [Vec<f64>; 2] {
         [&self.high, &self.low].map(|compliance| compliance[..self.n].iter().map(|c| 1.0 / c).collect())
     }
 
-    /// Play of each joint in this tick (n) [rad].
+    /// Returns the play of each joint in the last tick (n) [rad].
     pub fn play(&self) -> &[f64] {
         &self.play[..self.n]
     }
 
-    /// Filtered joint speeds (n) [rad/s].
+    /// Returns the filtered joint speeds (n) [rad/s].
     pub fn speed(&self) -> &[f64] {
         &self.speed[..self.n]
     }
@@ -204,7 +222,7 @@ impl HandGuiding {
     ///
     /// # Errors
     /// [`Error::Shape`] if q does not have n entries; [`Error::OutOfRange`] if one is not finite or dt is not above 0.
-    /// Nothing has changed.
+    /// After an error the state is unchanged.
     pub fn step(&mut self, q: &[f64], dt: f64) -> Result<Command> {
         let q = finite_joint_vector("q", self.n, q)?;
         if !(dt > 0.0 && dt.is_finite()) {
@@ -220,7 +238,7 @@ impl HandGuiding {
             let lead = self.lead[i] + 0.5 * (self.low[i] + self.high[i]) * change;
             let uncertainty = 0.5 * (self.high[i] - self.low[i]) * change.abs();
             let direction = (self.speed[i] / FRICTION_SPEED).tanh();
-            // No goal moves at rest; a correction learnt at rest takes effect with the motion.
+            // A correction learnt at rest takes effect only with motion, so that no goal moves at rest.
             self.excess_play[i] *= 1.0 - direction.abs() * (dt / SHRINK_TIME).min(1.0);
             self.play[i] = self.min_play[i] * (1.0 - PLAY_LOSS * direction.abs()) + uncertainty + self.excess_play[i];
             self.anchor[i] = self.anchor[i].max(ahead[i] - self.play[i]).min(ahead[i] + self.play[i]);
@@ -237,7 +255,7 @@ impl HandGuiding {
         Ok(Command::new(self.n, self.goal, limit, [f64::INFINITY; MAX_JOINTS]))
     }
 
-    /// At rest after a motion, narrows the interval of 1/k_p; the goal does not move.
+    /// Narrows the interval of 1/k_p when the arm rests after a motion; the goals do not move.
     fn learn_at_rest(&mut self, q: &JointVec, dt: f64) {
         let has_moved_by =
             |from: &JointVec, least: &dyn Fn(usize) -> f64| (0..self.n).any(|i| (q[i] - from[i]).abs() > least(i));
@@ -265,9 +283,9 @@ impl HandGuiding {
         }
     }
 
-    /// Intersects the interval of 1/k_p with these ends.
+    /// Intersects the interval of 1/k_p of joint i with the interval between `one` and `other`.
     ///
-    /// If the intersection is empty (a hand leans on the arm, a payload), the interval stays.
+    /// If the intersection is empty, e.g. under a hand that leans on the arm or an unknown payload, the interval stays.
     fn narrow(&mut self, i: usize, one: f64, other: f64) {
         let (low, high) = (self.low[i].max(one.min(other)), self.high[i].min(one.max(other)));
         if low < high {
@@ -275,7 +293,7 @@ impl HandGuiding {
         }
     }
 
-    /// Updates the filtered speed, from readings with a hysteresis of one count.
+    /// Updates the filtered speeds from positions with a hysteresis of one encoder count.
     fn update_speed(&mut self, q: &JointVec, dt: f64) {
         for i in 0..self.n {
             let filtered = self.filtered_q[i].max(q[i] - self.encoder_step[i]).min(q[i] + self.encoder_step[i]);
@@ -285,7 +303,7 @@ impl HandGuiding {
         }
     }
 
-    /// Torques that hold the arm with its payload [N·m].
+    /// Returns the torques that hold the arm at q with the model's and the additional payload [N·m].
     fn holding_torque(&self, q: &JointVec) -> JointVec {
         let mut torques = holding_torque(&self.model, &self.masses, q);
         let [mass, moments @ ..] = self.options.payload_moments;

@@ -1,18 +1,19 @@
 //! Descent of an arm: goals and torque limits, tick by tick, from measured positions.
 //!
-//! A position servo carries a weight by its lead, the distance from the joint to its goal. The lead is measured.
-//! Stiffness, payload and friction are not, so the measured lead drives the descent. Goals start at their present values
-//! and move toward the joints, in proportion to the lead:
+//! A position servo holds a load by its lead, the distance goal − q from the joint to its goal. The lead is measured.
+//! Stiffness, payload and friction are not, so the measured lead drives the descent. Goals start at their present
+//! values and move toward the joints, in proportion to the lead:
 //!
 //! `goal ← goal + dt r u`, `u = −40/s (goal − q − ℓ*)`.
 //!
-//! So the arm descends its real potential, and transfers its weight to the object on which it comes to rest. A goal never
-//! follows a joint upward. `ℓ* = ∓ 2 τ_f / k_p` lets a joint press downward with little more than its own friction. The
-//! factor r keeps every point of the arm below the allowed speed and below the speed at which an impact on an object of
-//! stiffness k exceeds the allowed force, `v √(k m)`, with m the effective mass of the point along its path. r decreases
-//! further if the arm moves faster than its goals.
+//! So every joint moves in the direction in which its real load pulls it, until the object on which the arm comes to
+//! rest carries the weight. Motion that would raise the tool is removed. `ℓ* = ∓ 2 τ_f / k_p` lets a joint press
+//! downward with little more than its own friction. The factor r keeps the speed v of every point of the arm below the
+//! allowed speed, and the force of its impact on an object of stiffness k, `v √(k m)`, below the allowed force; m is the
+//! effective mass of the point along its path. r decreases further if a point is measured above 60 % of its allowed
+//! speed, and is 0 above 110 %.
 //!
-//! If positions no longer arrive, a model of the arm replaces the measured one.
+//! If positions no longer arrive, positions computed with the model of the arm replace them.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -25,73 +26,82 @@ use crate::model::Model;
 use crate::params::Servos;
 use crate::{JointVec, MAX_JOINTS};
 
-/// Ratio of holding torque to gravity torque.
+/// Ratio of the least torque limit of a joint during a descent to its gravity torque.
 pub const SUPPORT: f64 = 1.1;
-/// Largest speed of the arm's points during a descent [m/s].
+/// Default of the largest speed of the arm's points during a descent [m/s].
 pub const DEFAULT_SPEED: f64 = 0.15;
 
-/// Largest speed of any joint [rad/s], and lowest speed written to servos [rad/s]: some interpret 0 as no limit.
+/// Largest speed of a joint's goal [rad/s].
 const MAX_JOINT_SPEED: f64 = 0.8;
+/// Lowest speed limit written to a servo [rad/s]; some servos interpret 0 as no limit.
 const MIN_SPEED_LIMIT: f64 = 0.01;
-/// Rates of the two descents [1/s], and the fade-in time [s].
+/// Ratio of goal speed to the joint's distance from the rest pose [1/s].
 const REST_RATE: f64 = 4.0;
+/// Ratio of goal speed to the excess of the lead when descending without a rest pose [1/s].
 const DOWN_RATE: f64 = 40.0;
+/// Time in which the goals' speed rises from zero at the start of a phase [s].
 const FADE_IN: f64 = 0.3;
-/// Distance at which a joint counts as arrived at the rest pose [rad].
+/// Largest distance of a joint from the rest pose at which the arm counts as arrived [rad].
 const ARRIVED: f64 = 0.02;
-/// Least progress toward the rest pose [rad]; and the time without progress, or with goals and arm at a standstill,
-/// after which a phase ends [s].
+/// Smallest decrease of the distance to the rest pose that counts as progress [rad].
 const MIN_PROGRESS: f64 = 0.01;
+/// Time without progress after which the motion toward the rest pose ends, and time at a standstill after which the
+/// joints of a descending arm count as unloaded [s].
 const STANDSTILL_TIME: f64 = 1.5;
-/// Largest impact force [N] on an object of this stiffness [N/m], with an additional unknown load at the tool [kg]. For
-/// arms of less reach than this [m], the force is reduced in proportion.
+/// Largest allowed force of an impact [N]; less for arms whose reach is below [`FULL_FORCE_REACH`].
 const IMPACT_FORCE: f64 = 10.0;
+/// Assumed stiffness of an object that the arm hits [N/m].
 const OBJECT_STIFFNESS: f64 = 2e4;
+/// Unknown load that is added to the effective mass of each point of the arm [kg].
 const UNKNOWN_LOAD: f64 = 0.5;
+/// Reach above which the full impact force is allowed [m]; below, the force is proportional to the reach.
 const FULL_FORCE_REACH: f64 = 0.55;
-/// Downward torque over friction, by the assumed stiffness; and the largest force of a joint's lowest point on an
-/// object below it [N].
+/// Ratio of the torque with which a joint presses downward to its friction.
 const PRESS_RATIO: f64 = 2.0;
+/// Largest force with which the lowest point that a joint moves presses downward [N].
 const MAX_PRESS_FORCE: f64 = 1.5;
-/// Gravity torque over friction at which the downward press reaches its full value.
+/// Ratio of gravity torque to friction above which a joint presses with its full torque; below, in proportion.
 const FULL_PRESS_RATIO: f64 = 0.5;
-/// Time in which the limit of a sinking joint rises from zero to the servo's maximum [s].
-const LIMIT_RISE_TIME: f64 = 0.1;
-/// Time over which goals slow down if the arm moves faster than they do [s].
+/// Time in which a torque limit changes by the usable torque of its servo [s].
+const LIMIT_CHANGE_TIME: f64 = 0.1;
+/// Time constant with which goals slow down if the arm is too fast [s].
 const SLOWDOWN_TIME: f64 = 0.2;
-/// Increase of the lead from which on a joint is sinking [rad]; at least two counts.
+/// Increase of the lead above which a joint counts as sinking [rad]; at least two encoder counts are required.
 const SINKING: f64 = 0.004;
-/// Lead that counts as zero [rad]; and how long all leads must be below it before the limits fall [s].
+/// Excess of the lead below which a joint counts as unloaded [rad]; 1.5 encoder counts if that is more.
 const ZERO_LEAD: f64 = 0.003;
+/// Time for which all joints must be unloaded before the press or the descent ends [s].
 const SETTLING_TIME: f64 = 0.3;
 /// Window over which the speed of the arm is measured [s].
 const SPEED_WINDOW: f64 = 0.15;
-/// Speed of the arm's points that counts as still, and above which the arm is sliding [m/s].
+/// Speed of the arm's points below which the arm counts as still [m/s].
 const STILL: f64 = 0.01;
+/// Speed of the arm's points above which the arm counts as sliding [m/s].
 const SLIDING: f64 = 0.04;
-/// Time in which limits fall to zero [s]; the second applies if a joint has no position.
+/// Time in which the torque limits fall to zero if all joints have positions [s].
 const RAMP_TIME: f64 = 1.0;
+/// Time in which the torque limits fall to zero if a joint has no position [s].
 const BLIND_RAMP_TIME: f64 = 6.0;
-/// After this long without any position the descent goes blind; a single joint that is silent for as long keeps its
-/// goal [s].
+/// Time without a position after which a joint keeps its goal [s]. Once it has passed for all joints, positions of the
+/// model replace the measured ones.
 const MAX_SILENCE: f64 = 0.2;
-/// Longest descent before an arm with measured positions is released where it is [s].
+/// Duration of a descent after which an arm with measured positions is released where it is [s].
 const MAX_DURATION: f64 = 60.0;
-/// Upper bound of the time between two ticks [s].
+/// Upper bound on the time between two ticks [s]; a longer time counts as this one.
 const MAX_TICK: f64 = 0.1;
-/// Entries of the histories of positions and goals.
+/// Largest number of entries in a history of positions or goals.
 const HISTORY: usize = 256;
 
 /// Phase of a descent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LoweringPhase {
-    /// Moves toward the rest pose, `u = 4/s (q_rest − q)`.
+    /// Moves toward the rest pose: the goals move at `u = 4/s (q_rest − q)`.
     Rest,
     /// Descends until no joint carries a load.
     Down,
     /// Reduces the limits to zero, and waits while anything moves.
     Ramp,
-    /// The arm rests; torque can be switched off.
+    /// The torque limits are zero; torque can be switched off.
     Done,
 }
 
@@ -100,17 +110,18 @@ pub enum LoweringPhase {
 pub struct LoweringStart<'a> {
     /// Last good joint positions [rad].
     pub q: &'a [f64],
-    /// Last goals sent [rad]; `None`: holding goals by the servo table.
+    /// Last goals sent [rad]; `None`: positions plus gravity torque divided by k_p.
     pub goal: Option<&'a [f64]>,
-    /// Last limits sent [N·m]; `None`: the weight and a margin.
+    /// Last torque limits sent [N·m]; `None`: 1.1 times the gravity torque plus [`torque_margin`].
     pub torque_limit: Option<&'a [f64]>,
-    /// Rest pose [rad]; `None`: straight down.
+    /// Joint positions toward which the arm moves before it descends [rad]; `None`: it descends at once.
     pub rest_q: Option<&'a [f64]>,
-    /// Largest speed of any point of the arm [m/s].
+    /// Largest allowed speed of any point of the arm [m/s].
     pub speed: f64,
 }
 
-/// Returns the torque margin (n) [N·m] of joints over their gravity torque (n) [N·m].
+/// Returns the torque margin of each joint beyond its gravity torque (n) [N·m]: the largest of 10 % of the usable
+/// torque, twice the friction, and 30 % of the gravity torque.
 pub fn torque_margin(servos: &Servos, gravity: &[f64]) -> Vec<f64> {
     let rows = servos.max_torque.iter().zip(&servos.friction).zip(gravity);
     rows.map(|((max_torque, friction), gravity)| margin(*max_torque, *friction, *gravity)).collect()
@@ -120,7 +131,7 @@ fn margin(max_torque: f64, friction: f64, gravity: f64) -> f64 {
     (0.1 * max_torque).max(2.0 * friction).max(0.3 * gravity.abs())
 }
 
-/// Values of the recent past, oldest first.
+/// Joint vectors of the recent past with their times [s], oldest first.
 #[derive(Debug, Clone)]
 struct History(VecDeque<(f64, JointVec)>);
 
@@ -143,7 +154,7 @@ impl History {
         self.0.push_back((time, *value));
     }
 
-    /// Drops entries before the last one that is at least this old, keeping `least` entries.
+    /// Drops the oldest entry while the next one is not later than `time`, but keeps at least `least` entries.
     fn drop_before(&mut self, time: f64, least: usize) {
         while self.0.len() > least && self.0.get(1).is_some_and(|(next, _)| *next <= time + 1e-9) {
             self.0.pop_front();
@@ -180,34 +191,42 @@ pub struct Lowering {
     goal: JointVec,
     torque_limit: JointVec,
     lead: JointVec,
-    /// Least lead since a joint last sank [rad].
+    /// Smallest recent |lead| [rad]; it follows a larger |lead| at a distance of two [`SINKING`].
     least_lead: JointVec,
-    /// Measured minus modelled lead, added to the modelled one while blind [rad].
+    /// Measured minus modelled lead [rad]; added to the modelled lead while no positions arrive.
     unmodelled_lead: JointVec,
-    /// Lead at which a joint last moved freely toward the rest pose [rad].
+    /// Filtered lead with which a joint last moved freely toward the rest pose [rad].
     free_lead: JointVec,
     positions: History,
     goals: History,
-    /// Time in this phase, time in all, time at rest, time without progress [s].
+    /// Time since the start of this phase [s].
     phase_time: f64,
+    /// Time since the start of the descent [s].
     time: f64,
+    /// Time for which all joints have been unloaded and the arm calm [s].
     rest_time: f64,
+    /// Time without progress toward the rest pose; later, time at a standstill [s].
     standstill: f64,
-    /// Smallest distance to the rest pose so far [rad].
+    /// Smallest distance to the rest pose so far, that of the farthest joint [rad].
     nearest: f64,
+    /// True while joints press downward with more than their friction.
     presses: bool,
-    /// Requested over allowed speed, and the speed of the goals' fastest point [m/s].
+    /// Largest ratio of requested to allowed speed of the arm's points.
     demand: f64,
+    /// Speed of the fastest point if the arm follows its goals [m/s].
     goal_speed: f64,
+    /// Factor (0 to 1) on the goals' speed that brakes an arm that is too fast.
     slowdown: f64,
-    /// Share of limits and leads that `Ramp` has left, and their values at its start.
+    /// Share (1 to 0) of torque limits and leads that remains while they are reduced to zero.
     ramp: f64,
+    /// Torque limits at the start of the present phase [N·m].
     ramp_limit: JointVec,
+    /// |goal − q| at the start of the present phase [rad].
     ramp_lead: JointVec,
 }
 
 impl Lowering {
-    /// Starts from the last good reading.
+    /// Starts a descent from the last good reading.
     ///
     /// # Errors
     /// [`Error::Shape`] if a vector does not have n entries; [`Error::OutOfRange`] for a number that is not finite or a
@@ -282,12 +301,12 @@ impl Lowering {
         Ok(lowering)
     }
 
-    /// Phase of the descent.
+    /// Returns the phase of the descent.
     pub const fn phase(&self) -> LoweringPhase {
         self.phase
     }
 
-    /// True if positions have been missing for so long that the model's replace them.
+    /// Returns true if positions of the model replace the measured ones, because no joint has had one for 0.2 s.
     pub const fn is_blind(&self) -> bool {
         self.blind
     }
@@ -296,10 +315,11 @@ impl Lowering {
     ///
     /// `q` (n) [rad] are the last positions, `fresh` (n) marks those that are new; NaN and infinities count as lost.
     /// `dt` is the time since the last tick [s], `age` the age of the goals that were in force when q was sampled [s].
-    /// Speed limits [rad/s] are finite only while blind, so that a joint does not jump to a goal after lost packets.
+    /// Speed limits [rad/s] are finite only while no positions arrive, so that a joint that missed packets does not
+    /// jump to a later goal.
     ///
     /// # Errors
-    /// [`Error::Shape`] if `q` or `fresh` does not have n entries; nothing has changed.
+    /// [`Error::Shape`] if `q` or `fresh` does not have n entries; the state is then unchanged.
     pub fn step(&mut self, q: &[f64], fresh: &[bool], dt: f64, age: f64) -> Result<Option<Command>> {
         for (name, len) in [("q", q.len()), ("ok", fresh.len())] {
             if len != self.n {
@@ -309,7 +329,7 @@ impl Lowering {
         if self.phase == LoweringPhase::Done {
             return Ok(None);
         }
-        // A NaN counts as 0.
+        // A NaN or negative time counts as 0.
         let dt = if dt > 0.0 { dt.min(MAX_TICK) } else { 0.0 };
         let mut good = [false; MAX_JOINTS];
         for i in 0..self.n {
@@ -341,7 +361,7 @@ impl Lowering {
         Ok(Some(Command::new(self.n, self.goal, self.torque_limit, speed_limit)))
     }
 
-    /// Updates goals and limits; joints without a position keep their goal.
+    /// Updates goals and torque limits for one tick; a `lost` joint keeps its goal while others have positions.
     fn advance(&mut self, dt: f64, lost: &[bool; MAX_JOINTS], speed_limit: &mut JointVec) {
         let (here, gravity) = (self.points.evaluate(&self.q), self.gravity());
         self.positions.push(self.time, &self.q);
@@ -384,7 +404,7 @@ impl Lowering {
         }
     }
 
-    /// Joint velocities of the descent [rad/s], before the speed limit.
+    /// Returns the goal velocities of the phase `Down` [rad/s], before they are scaled to the allowed speed.
     fn downward(&self, here: &ArmGeometry, gravity: &JointVec) -> JointVec {
         let load = self.excess_lead(here, gravity);
         std::array::from_fn(|i| {
@@ -393,7 +413,7 @@ impl Lowering {
         })
     }
 
-    /// Lead minus that of a lightly pressing joint [rad].
+    /// Returns lead − ℓ* [rad], with ℓ* the lead of a joint that presses lightly downward; ℓ* = 0 without press.
     fn excess_lead(&self, here: &ArmGeometry, gravity: &JointVec) -> JointVec {
         let lever = here.lowest_lever(&self.up);
         std::array::from_fn(|i| {
@@ -404,13 +424,13 @@ impl Lowering {
         })
     }
 
-    /// Goals in force when the present positions were sampled [rad].
+    /// Returns the goals [rad] that were in force `age` [s] ago, when the present positions were sampled.
     fn goal_before(&mut self, age: f64) -> JointVec {
         self.goals.drop_before(self.time - age.max(0.0), 1);
         self.goals.oldest().1
     }
 
-    /// Joint velocities toward the rest pose [rad/s].
+    /// Returns the goal velocities toward the rest pose [rad/s], and measures the time without progress.
     fn toward_rest(&mut self, dt: f64) -> JointVec {
         let rest = self.rest_q.unwrap_or(self.q);
         let away: JointVec = std::array::from_fn(|i| rest[i] - self.q[i]);
@@ -423,7 +443,7 @@ impl Lowering {
         away.map(|away| REST_RATE * away)
     }
 
-    /// Keeps goals within a margin of the lead at which joints last moved freely.
+    /// Keeps each lead within the torque margin of the lead with which the joint last moved freely.
     fn limit_lead(&mut self, gravity: &JointVec, u: &JointVec) {
         let speed = self.joint_speeds();
         for i in 0..self.n {
@@ -436,12 +456,12 @@ impl Lowering {
         }
     }
 
-    /// True if a joint is at a position limit and u moves it outward.
+    /// Returns true if joint i is at a position limit and the velocity u moves it outward.
     fn is_outward(&self, i: usize, u: f64) -> bool {
         (u < 0.0 && self.q[i] <= self.lower[i]) || (u > 0.0 && self.q[i] >= self.upper[i])
     }
 
-    /// Removes from u [rad/s] the part that raises the tool.
+    /// Removes from the goal velocities u [rad/s] the part that raises the tool.
     fn remove_rise(&self, here: &ArmGeometry, gravity: &JointVec, u: &mut JointVec) {
         let rise = here.tool_rise(&self.up);
         let climb = dot(&rise, u);
@@ -470,7 +490,8 @@ impl Lowering {
         }
     }
 
-    /// Scales u [rad/s] down to the allowed speed; `speeds` are the measured ones of the points [m/s].
+    /// Scales the goal velocities u [rad/s] down to the allowed speed; `speeds` are the measured speeds of the arm's
+    /// points [m/s].
     fn pace(&mut self, here: &ArmGeometry, u: &mut JointVec, speeds: &[f64; MAX_POINTS], dt: f64) {
         let velocity = here.velocity(u);
         let mass = here.effective_mass(&velocity);
@@ -486,7 +507,7 @@ impl Lowering {
         let joint_speed = u.iter().fold(0.0, |max: f64, u| max.max(u.abs()));
         let mut scale = 1.0_f64.min(1.0 / demand.max(1e-9)).min(MAX_JOINT_SPEED / joint_speed.max(1e-9));
         scale *= (self.phase_time / FADE_IN).min(1.0);
-        // If the arm moves faster than its goals, slow the goals down so that the servos brake it.
+        // If the arm comes near its allowed speed, slow the goals down so that the servos brake it.
         let allowed = (2.2 - 2.0 * measured).clamp(0.0, 1.0);
         self.slowdown += (dt / SLOWDOWN_TIME).min(1.0) * (allowed - self.slowdown);
         scale *= self.slowdown;
@@ -496,14 +517,14 @@ impl Lowering {
         }
     }
 
-    /// Updates the torque limits to fit the lead; they rise fast for a sinking joint.
+    /// Reduces the torque limits to what lead and weight need; raises that of a sinking joint.
     fn update_limit(&mut self, dt: f64, gravity: &JointVec) {
         for i in 0..self.n {
             let (size, weight) = (self.lead[i].abs(), gravity[i].abs());
             let sinks = size > self.least_lead[i] + SINKING.max(2.0 * self.encoder_step[i]);
             self.least_lead[i] = self.least_lead[i].max(size - 2.0 * SINKING).min(size);
             let enough = (SUPPORT * weight).max(self.kp[i] * size) + self.margin(i, gravity[i]);
-            let change = self.max_torque[i] * dt / LIMIT_RISE_TIME;
+            let change = self.max_torque[i] * dt / LIMIT_CHANGE_TIME;
             let limit = if sinks {
                 self.torque_limit[i] + change
             } else {
@@ -530,7 +551,7 @@ impl Lowering {
         }
         let load = self.excess_lead(here, gravity);
         let stands = fastest < STILL && self.goal_speed < STILL / 2.0;
-        // Encoder flicker makes goals tremble; the timer tolerates this on average.
+        // Count down instead of restarting: encoder noise moves the goals for single ticks.
         self.standstill = (self.standstill + if stands { dt } else { -dt }).max(0.0);
         let light =
             (0..self.n).all(|i| idle[i] || load[i] * sign(gravity[i]) < ZERO_LEAD.max(1.5 * self.encoder_step[i]));
@@ -540,17 +561,18 @@ impl Lowering {
         if self.is_late() || (self.rest_time > SETTLING_TIME && !self.presses) {
             self.enter(LoweringPhase::Ramp);
         } else if self.rest_time > SETTLING_TIME {
-            // Stop pressing and check again: only the press may have moved the arm.
+            // Stop pressing and check again with a smaller speed limit: the press itself may have moved the arm.
             (self.presses, self.rest_time) = (false, 0.0);
         }
     }
 
-    /// True after the longest descent. No timeout while blind: the model's arm comes to rest, a real one may still hang.
+    /// Returns true after the longest descent; never while positions are those of the model, because the real arm may
+    /// still hang.
     fn is_late(&self) -> bool {
         self.time > MAX_DURATION && !self.blind
     }
 
-    /// Reduces leads and limits to zero while the arm is still.
+    /// Reduces leads and torque limits to zero while the arm is still; descends again if the arm slides.
     fn release(&mut self, dt: f64, fastest: f64, lost: &[bool; MAX_JOINTS]) {
         let late = self.is_late();
         if fastest > SLIDING && !late {
@@ -574,7 +596,7 @@ impl Lowering {
         }
     }
 
-    /// Mean joint velocities over the window, without one count of flicker [rad/s].
+    /// Returns the mean joint velocities over [`SPEED_WINDOW`] [rad/s]; the first encoder count of motion is ignored.
     fn joint_speeds(&self) -> JointVec {
         let (began, q) = self.positions.oldest();
         let duration = self.positions.0.back().map_or(0.0, |(time, _)| time - began);
@@ -593,7 +615,7 @@ impl Lowering {
         self.ramp_lead = std::array::from_fn(|i| (self.goal[i] - self.q[i]).abs());
     }
 
-    /// Torques that hold the arm at the last good positions, by the model [N·m].
+    /// Returns the gravity torques of the model at the present positions, measured or modelled [N·m].
     fn gravity(&self) -> JointVec {
         holding_torque(&self.model, &self.masses, &self.q)
     }
@@ -602,7 +624,7 @@ impl Lowering {
         margin(self.max_torque[i], self.friction[i], gravity)
     }
 
-    /// Starts to use the model's positions in place of the measured ones.
+    /// Starts to use positions of the model in place of the measured ones.
     fn go_blind(&mut self) {
         if !self.blind {
             self.blind = true;
@@ -611,7 +633,7 @@ impl Lowering {
         }
     }
 
-    /// Moves the model's arm to the positions that its goals hold.
+    /// Sets the positions to those at which the modelled servos hold the arm with the present goals.
     fn follow_model(&mut self, gravity: &JointVec) {
         for i in 0..self.n {
             self.lead[i] = gravity[i] / self.kp[i] + self.unmodelled_lead[i];
@@ -619,7 +641,7 @@ impl Lowering {
         }
     }
 
-    /// Continues from the measured positions; they may be far from the model's.
+    /// Returns to measured positions; moves the goals to them, because they may be far from those of the model.
     fn resume_measured(&mut self) {
         self.blind = false;
         let gravity = self.gravity();
@@ -641,12 +663,12 @@ fn norm(v: &[f64; 3]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// x within ±bound.
+/// Returns x clamped to ±bound.
 fn clip(x: f64, bound: f64) -> f64 {
     x.max(-bound).min(bound)
 }
 
-/// Sign of x; 0 for 0.
+/// Returns the sign of x; 0 for 0.
 fn sign(x: f64) -> f64 {
     if x == 0.0 { 0.0 } else { x.signum() }
 }

@@ -1,6 +1,7 @@
-//! Laws of an arm beside the controller: descent, hand guiding and the servos' thermal budget.
+//! Functions of an arm beside the controller: descent, hand guiding, and the thermal limits of its servos.
 //!
-//! Each runs once per tick, does not allocate, and needs positions only.
+//! Each is called once per tick and does not allocate in that call. Descent and hand guiding measure joint positions
+//! only.
 
 mod hand_guiding;
 mod lowering;
@@ -15,7 +16,7 @@ pub use hand_guiding::{HandGuiding, HandGuidingOptions, SwingResult};
 pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, SUPPORT, torque_margin};
 pub use thermal::{ThermalModel, ThermalOptions};
 
-/// Copies n finite numbers.
+/// Copies n numbers into a joint vector; returns an error for another length or a number that is not finite.
 fn finite_joint_vector(name: &str, n: usize, values: &[f64]) -> Result<JointVec> {
     if values.len() != n {
         return Err(Error::length(name, values.len(), n));
@@ -26,12 +27,12 @@ fn finite_joint_vector(name: &str, n: usize, values: &[f64]) -> Result<JointVec>
     Ok(padded(values, 0.0))
 }
 
-/// Copies numbers and fills the remaining entries.
+/// Copies numbers into a joint vector and sets its remaining entries to `fill`.
 fn padded(values: &[f64], fill: f64) -> JointVec {
     std::array::from_fn(|i| values.get(i).copied().unwrap_or(fill))
 }
 
-/// Torques that hold the arm at q, with the model's payload [N·m].
+/// Returns the torques that hold the arm at q against gravity, for the given masses [N·m].
 fn holding_torque(model: &Model, masses: &GroupMasses, q: &JointVec) -> JointVec {
     let (mut frames, mut torques) = (JointFrames::default(), [0.0; MAX_JOINTS]);
     model.chain().forward(q, &mut frames);

@@ -1,15 +1,15 @@
-//! Thermal and electrical budget of servos: torque limits are reduced before the hardware protects itself.
+//! Thermal model of servos and current limit of their supply: reduces torque limits before the hardware switches off.
 
 use crate::error::{Error, Result};
 
-/// Share of the thermal budget from which on limits are reduced.
+/// Share of the thermal budget above which torque limits are reduced.
 const WARM: f64 = 0.8;
-/// Range below the last allowed temperature over which limits are reduced [°C]; and distance of that temperature from
-/// the servo's own shutdown temperature [°C].
+/// Range of temperatures over which torque limits fall from their full value to zero [°C].
 const DERATING_RANGE: f64 = 8.0;
+/// Difference between the servo's shutdown temperature and the temperature at which its limit is zero [°C].
 const SHUTDOWN_MARGIN: f64 = 2.0;
-/// Halvings of the search for the share of the limits that the supply allows.
-const HALVINGS: usize = 12;
+/// Evaluations of the current in the bisection for the share of the torque limits that the supply allows.
+const MAX_EVALUATIONS: usize = 12;
 
 /// Parameters of a [`ThermalModel`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,28 +18,28 @@ pub struct ThermalOptions {
     pub continuous: f64,
     /// Thermal time constant of the winding [s].
     pub time_constant: f64,
-    /// Largest current of the supply [A]; `None`: no limit.
+    /// Largest current that the supply delivers to all servos together [A]; `None`: no limit.
     pub supply: Option<f64>,
     /// Temperature at which the servos switch off [°C].
     pub shutdown_temperature: f64,
 }
 
-/// Thermal model of N servos, and the torque limits that follow from it.
+/// Thermal model of N servos, from which torque limits follow.
 ///
-/// `ḣ = ((τ/τ_max)²/continuous² − h) / time_constant`, where h is the share of the thermal budget in use; h = 1 in
-/// steady state at the continuous torque.
+/// The heat h of a servo is the share of its thermal budget in use: `ḣ = ((τ/τ_max)²/continuous² − h) / time_constant`
+/// with torque τ and usable torque τ_max. In steady state at the continuous torque, h is 1.
 #[derive(Debug, Clone)]
 pub struct ThermalModel {
     options: ThermalOptions,
     max_torque: Vec<f64>,
-    /// Current over torque [A/(N·m)]; empty where unknown.
+    /// Stall current per usable torque of each servo [A/(N·m)]; empty if the stall currents are unknown.
     current_per_torque: Vec<f64>,
     heat: Vec<f64>,
     temperature: Vec<f64>,
 }
 
 impl ThermalModel {
-    /// Starts with cold servos of these usable torques (N) [N·m] and stall currents (N) [A].
+    /// Creates the model of cold servos with the usable torques (N) [N·m] and stall currents (N) [A]; `None`: unknown.
     ///
     /// # Errors
     /// [`Error::Config`] if an option is out of range, or if a supply is given and the currents are not known.
@@ -70,12 +70,12 @@ impl ThermalModel {
         })
     }
 
-    /// Share of the thermal budget in use (N).
+    /// Returns the share of the thermal budget in use (N); 1 in steady state at the continuous torque.
     pub fn heat(&self) -> &[f64] {
         &self.heat
     }
 
-    /// Last known temperatures (N) [°C]; NaN where unknown.
+    /// Returns the last measured temperatures (N) [°C]; NaN before the first measurement.
     pub fn temperature(&self) -> &[f64] {
         &self.temperature
     }
@@ -87,12 +87,12 @@ impl ThermalModel {
         }
     }
 
-    /// Temperature at which a limit reaches zero [°C].
+    /// Returns the temperature at which the torque limit of a servo becomes zero [°C].
     pub fn last_temperature(&self) -> f64 {
         self.options.shutdown_temperature - SHUTDOWN_MARGIN
     }
 
-    /// Updates the heat with torques (N) [N·m] exerted over dt [s].
+    /// Updates the heat after the servos have exerted the torques (N) [N·m] for `dt` [s].
     pub fn update(&mut self, torque: &[f64], dt: f64) {
         let gain = -(-dt / self.options.time_constant).exp_m1();
         for ((heat, torque), max_torque) in self.heat.iter_mut().zip(torque).zip(&self.max_torque) {
@@ -101,7 +101,8 @@ impl ThermalModel {
         }
     }
 
-    /// Writes the largest torque limits (N) [N·m] at the present heat and temperature.
+    /// Writes the largest torque limits (N) [N·m] that the present heat and temperature allow; an unknown temperature
+    /// reduces nothing.
     pub fn torque_ceiling(&self, out: &mut [f64]) {
         for (i, ceiling) in out.iter_mut().enumerate().take(self.heat.len()) {
             let over = ((self.heat[i] - WARM) / (1.0 - WARM)).clamp(0.0, 1.0);
@@ -113,11 +114,11 @@ impl ThermalModel {
         }
     }
 
-    /// Reduces torque limits (N) [N·m] so that the current stays within the supply: `least + s (limit − least)` with
-    /// the largest s in [0, 1] that the supply allows.
+    /// Reduces the torque limits `limit` (N) [N·m] to `least + s (limit − least)` with the largest s in [0, 1] for
+    /// which the total current stays within the supply; s = 0 if there is none. Does nothing without a supply limit.
     ///
-    /// `torque` (N) are the expected torques without limits, `least` (N) the limits that are never reduced, those of
-    /// the arm's weight [N·m].
+    /// `torque` (N) holds the expected torques without limits, `least` (N) the limits that hold the weight of the arm
+    /// and are never reduced [N·m].
     pub fn limit_current(&self, torque: &[f64], least: &[f64], limit: &mut [f64]) {
         let (Some(supply), false) = (self.options.supply, self.current_per_torque.is_empty()) else { return };
         let bounded = |i: usize, share: f64, limit: &[f64]| {
@@ -134,7 +135,7 @@ impl ThermalModel {
         if is_allowed(high, limit) {
             return;
         }
-        for _ in 1..HALVINGS {
+        for _ in 1..MAX_EVALUATIONS {
             let share = 0.5 * (low + high);
             if is_allowed(share, limit) {
                 low = share;

@@ -1,4 +1,4 @@
-//! Steps of many arms at once: inputs, outputs and states row by row, in chunks on all cores.
+//! Control steps of many arms at once: one row of input, output and state per arm, computed in chunks on all cores.
 
 mod soa;
 pub(crate) mod state;
@@ -21,10 +21,10 @@ use crate::{JointVec, MAX_JOINTS};
 
 pub use state::BatchState;
 
-/// Arms per chunk, one bit each in a mask. A batch of this size runs on the caller's thread.
+/// Arms per chunk: a 64-bit mask has one bit for each. A batch of at most one chunk runs on the caller's thread.
 const CHUNK: usize = 64;
 
-/// Targets (`N`) of the arms.
+/// Targets of `N` arms.
 #[derive(Debug, Clone, Copy)]
 pub enum Targets<'a> {
     /// One target for all arms.
@@ -38,10 +38,10 @@ pub enum Targets<'a> {
 /// Handling of an arm whose positions, target or velocity are invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OnInvalid {
-    /// Step no arm; the error names the first such row.
+    /// Return the error of the first such row; the states of all arms stay unchanged.
     #[default]
     Error,
-    /// Its command is NaN and its state is unchanged; the others are stepped.
+    /// Write NaN as the command of that arm and leave its state unchanged; step the other arms.
     Nan,
 }
 
@@ -50,17 +50,17 @@ pub enum OnInvalid {
 pub struct BatchInput<'a> {
     /// Measured joint positions (`N` × n) [rad].
     pub q: &'a [f64],
-    /// Targets.
+    /// Targets of the arms.
     pub targets: Targets<'a>,
     /// Time since the last step [s]; `None`: 1 / rate.
     pub dt: Option<f64>,
-    /// Joint velocities (`N` × n) [rad/s] in place of the filtered ones.
+    /// Joint velocities (`N` × n) [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
-    /// Handling of invalid rows.
+    /// Handling of arms whose input is invalid.
     pub invalid: OnInvalid,
 }
 
-/// Output of `N` arms: as [`Command`](crate::Command), one row (n) per arm.
+/// Output arrays for the commands of `N` arms, one row (n) per arm, as in [`Command`](crate::Command).
 #[derive(Debug)]
 pub struct BatchCommand<'a> {
     /// Goals of the position servos [rad].
@@ -71,7 +71,7 @@ pub struct BatchCommand<'a> {
     pub velocity: &'a mut [f64],
 }
 
-/// Input of a batch and the parameters that its arms share.
+/// Input of a batch, with the model and the parameters that its arms share.
 #[derive(Clone, Copy)]
 pub(crate) struct Batch<'a> {
     pub(crate) input: &'a BatchInput<'a>,
@@ -83,9 +83,9 @@ pub(crate) struct Batch<'a> {
     pub(crate) simd_level: SimdLevel,
 }
 
-/// Input of one arm.
+/// Validated input of one arm of a batch.
 pub(crate) struct ArmInput<'a> {
-    /// Index of the arm.
+    /// Index of the arm in the batch.
     pub(crate) row: usize,
     q: JointVec,
     n: usize,
@@ -94,7 +94,7 @@ pub(crate) struct ArmInput<'a> {
 }
 
 impl ArmInput<'_> {
-    /// Measured joint positions (n) [rad].
+    /// Returns the measured joint positions (n) [rad].
     pub(crate) fn q(&self) -> &[f64] {
         &self.q[..self.n.min(MAX_JOINTS)]
     }
@@ -102,16 +102,14 @@ impl ArmInput<'_> {
 
 impl<'a> BatchInput<'a> {
     /// Creates the input from measured joint positions `q` (`N` × n, row by row) [rad] and targets, without optional
-    /// values.
-    ///
-    /// The step checks the lengths.
+    /// values. The step checks the lengths.
     pub fn new(q: &'a [f64], targets: Targets<'a>) -> Self {
         Self { q, targets, dt: None, dq: None, invalid: OnInvalid::default() }
     }
 }
 
 impl<'a> Batch<'a> {
-    /// Checks lengths and kind of the targets; returns the number of arms.
+    /// Checks the lengths of inputs and outputs and the kind of the targets; returns the number of arms.
     pub(crate) fn check(&self, out: &BatchCommand<'_>) -> Result<usize> {
         let (n, input) = (self.model.n(), self.input);
         if !input.q.len().is_multiple_of(n) {
@@ -137,7 +135,8 @@ impl<'a> Batch<'a> {
         Ok(count)
     }
 
-    /// Checks all rows before anything is changed.
+    /// Checks the input and the state of every arm; returns the error of the first invalid row. Called before a step
+    /// changes any state.
     pub(crate) fn check_rows(&self, rows: &[f64]) -> Result<()> {
         let (n, first) = (self.model.n(), FirstError::default());
         let check = |(index, rows): (usize, &[f64])| {
@@ -165,8 +164,9 @@ impl<'a> Batch<'a> {
         first.result()
     }
 
-    /// Steps all arms. `make` creates the stepper of a chunk; `step` steps one of its arms, with its state, and writes
-    /// goals, torque limits and speeds.
+    /// Steps all arms. `make` creates the controller that a thread uses for its chunks; `step` steps one arm with it,
+    /// from the row of its state, and writes goal, torque limit and speed. An arm whose step fails gets a command of
+    /// NaN.
     pub(crate) fn run<A>(
         &self,
         state: Option<&mut [f64]>,
@@ -264,7 +264,7 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// Error of the first failed row, from any thread.
+/// Error of the failed row with the lowest index, collected from all threads.
 #[derive(Default)]
 struct FirstError(Mutex<Option<(usize, Error)>>);
 

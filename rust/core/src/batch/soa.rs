@@ -1,6 +1,6 @@
 //! Stateless steps of several arms at once: each SIMD lane holds one arm.
 //!
-//! Rare cases (an invalid input, a joint at its limit) are left to single steps.
+//! Arms in rare cases (an invalid input, a joint at its limit) are left to the step for a single arm.
 
 use crate::batch::{Batch, Targets};
 use crate::command::goal::{JointTargets, profile_velocity};
@@ -18,19 +18,19 @@ use crate::task::demand::AxisDemand;
 use crate::task::{ArmState, pose_error_by};
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// One chunk of the rows of a batch.
+/// Step of one chunk of arms of a batch.
 pub(super) struct SoaStep<'a> {
     pub(super) batch: &'a Batch<'a>,
-    /// Index of the first row.
+    /// Index of the first arm of the chunk in the batch.
     pub(super) first: usize,
-    /// Goals, torque limits, velocities.
+    /// Goals [rad], torque limits [N·m] and speeds [rad/s] of the chunk, one row per arm.
     pub(super) outs: [&'a mut [f64]; 3],
 }
 
-/// Jacobians; the arms of a chunk share their memory one after another. The columns after the last joint stay 0.
+/// Jacobians of one register of arms, in memory that the next registers reuse. Columns after the last joint stay 0.
 type Jacobians<W> = [[W; MAX_JOINTS]; MAX_AXES];
 
-/// Returns true if the settings and the arm allow interleaved steps.
+/// Returns true if the settings and the arm allow steps with one arm per SIMD lane.
 pub(super) fn supports_soa(params: &Params) -> bool {
     params.n <= SOA_MAX_JOINTS
         && is_published(params)
@@ -39,7 +39,7 @@ pub(super) fn supports_soa(params: &Params) -> bool {
 }
 
 impl Kernel for SoaStep<'_> {
-    /// Rows that are left to single steps, the first in the lowest bit.
+    /// Mask of the arms that are left to the step for a single arm; the lowest bit is the first arm of the chunk.
     type Output = u64;
 
     #[inline(always)]
@@ -60,7 +60,8 @@ impl Kernel for SoaStep<'_> {
 }
 
 impl SoaStep<'_> {
-    /// Steps one register of rows, beginning at `from`; returns 0 for rows that are left to single steps, else 1.
+    /// Steps one register of arms, beginning at arm `from` of the chunk; returns 0 in the lanes of arms that are left
+    /// to the step for a single arm, otherwise 1.
     #[inline(always)]
     fn rows<W: SoaLanes>(&mut self, n: usize, from: usize, jacobians: &mut Jacobians<W>) -> W {
         let Batch { params, settings, model, masses, gravity, input, .. } = *self.batch;
@@ -142,7 +143,7 @@ impl SoaStep<'_> {
         valid
     }
 
-    /// Loads the targets of the arms beginning at `row`; sets `valid` to 0 for targets that may be invalid.
+    /// Returns the targets of the arms from `row` on; sets `valid` to 0 in the lanes of targets that may be invalid.
     #[inline(always)]
     fn targets<W: SoaLanes>(&self, row: usize, valid: &mut W) -> Pose<W> {
         let (zero, one) = (W::splat(0.0), W::splat(1.0));
@@ -180,7 +181,7 @@ impl SoaStep<'_> {
     }
 }
 
-/// Flushes a negligibly small position to 0, as a single step does.
+/// Replaces a negligibly small number by 0, as the step for a single arm does.
 #[inline(always)]
 fn flush_subnormals<W: SoaLanes>(value: W) -> W {
     W::select_lt(W::abs(value), W::splat(NEGLIGIBLE), W::splat(0.0), value)

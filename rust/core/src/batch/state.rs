@@ -5,45 +5,48 @@ use crate::params::Settings;
 use crate::pose::COORDINATE_BOUND;
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Length of the row of an arm of `n` joints.
+/// Returns the number of values in the row of an arm of `n` joints.
 pub(crate) const fn row_len(n: usize) -> usize {
     2 + 7 * n + 3 * MAX_AXES + 2 * POSE + MAX_AXES + 2
 }
 
-/// Rotation matrix and position.
+/// Number of values of a pose: rotation matrix and position.
 const POSE: usize = 12;
 
-/// Status flags; their sum is element 0 of the row. 0: not started, the positions of the next step become the reset
-/// positions.
+/// Status flags of an arm; their sum is element 0 of its row. The sum 0 marks an arm that is not started: its next step
+/// resets it to the measured positions.
 #[derive(Clone, Copy)]
 pub(crate) enum Flag {
+    /// At least one reset or step has run.
     Started = 1,
+    /// The singular vectors must be computed from scratch.
     Cold = 2,
+    /// The row holds torque limits, from which the next ones are slewed.
     Limited = 4,
-    /// Reset to the stored goals before the next step.
+    /// The row holds only joint positions, to which the next step resets the arm.
     ReferenceHold = 8,
 }
 
 /// Status of an arm whose state is in a row.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum RowStatus<'a> {
-    /// Not started.
+    /// Not started: the next step resets the arm to its measured positions.
     New,
-    /// Reset to these positions before the next step.
+    /// The next step resets the arm to these positions (n) [rad].
     ReferenceHold(&'a [f64]),
-    /// At least one step has run.
+    /// At least one step has run; the row holds the state after it.
     Running,
 }
 
-/// State of many arms for [`Controller::step_batch`](crate::Controller::step_batch): `8 (52 + 7 n)` bytes each.
+/// State of many arms for [`Controller::step_batch`](crate::Controller::step_batch): `8 (52 + 7 n)` bytes per arm.
 ///
-/// Independent of the controller: any controller of arms with the same number of joints can continue with it. An arm
-/// that was never stepped resets to the positions of its next step.
+/// Any controller of arms with the same number of joints can continue with it. The first step of an arm resets it to
+/// its measured positions, or to those given to [`BatchState::reset`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct BatchState {
     n: usize,
     rows: Vec<f64>,
-    /// Settings of the last step: if they change, the singular vectors are computed from scratch.
+    /// Settings of the last step; the next step with other settings resets the parts of the state that depend on them.
     pub(crate) settings: Option<Box<Settings>>,
 }
 
@@ -65,7 +68,7 @@ impl BatchState {
         Ok(Self { n, rows, settings: None })
     }
 
-    /// Creates the state from the result of [`BatchState::numbers`].
+    /// Creates the state from the result of [`BatchState::as_slice`].
     ///
     /// # Errors
     /// As [`BatchState::new`]; [`Error::Shape`] if the length is not a multiple of one arm's length.
@@ -77,17 +80,17 @@ impl BatchState {
         Ok(Self { rows: numbers, ..empty })
     }
 
-    /// Returns the whole state, to be stored and read by the same version of this crate.
+    /// Returns the whole state. Only the same version of this crate can read it.
     pub fn as_slice(&self) -> &[f64] {
         &self.rows
     }
 
-    /// Number of joints of an arm.
+    /// Returns the number of joints of an arm.
     pub fn n(&self) -> usize {
         self.n
     }
 
-    /// Number of arms.
+    /// Returns the number of arms.
     pub fn len(&self) -> usize {
         self.rows.len() / row_len(self.n)
     }
@@ -97,7 +100,7 @@ impl BatchState {
         self.rows.is_empty()
     }
 
-    /// Resets arm `index`: its next step starts from `q` (`n`) [rad], or from its measured positions.
+    /// Resets arm `index`: its next step starts from `q` (`n`) [rad]; `None`: from its measured positions.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if `index` is too large or `q` is not finite, [`Error::Shape`] for a wrong length of `q`.
@@ -116,7 +119,7 @@ impl BatchState {
         Ok(())
     }
 
-    /// Returns the rows of `count` arms of `n` joints.
+    /// Returns the rows of all arms; an error if the state is not one of `count` arms of `n` joints.
     pub(crate) fn rows_of(&mut self, n: usize, count: usize) -> Result<&mut [f64]> {
         let got = self.len();
         if self.n != n || got != count {
@@ -132,14 +135,14 @@ impl BatchState {
 
 impl Flag {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a sum of flags")]
-    /// Returns true if the sum contains this flag.
+    /// Returns true if the sum of flags contains this flag.
     pub(crate) fn is_in(self, flags: f64) -> bool {
         (flags as u32) & self as u32 != 0
     }
 }
 
 impl<'a> RowStatus<'a> {
-    /// Returns the status of a row of an arm of `n` joints.
+    /// Returns the status of an arm of `n` joints from its row.
     pub(crate) fn of(row: &'a [f64], n: usize) -> Self {
         match row.split_first() {
             Some((&flags, rest)) if Flag::ReferenceHold.is_in(flags) => Self::ReferenceHold(&rest[..n.min(rest.len())]),
@@ -148,7 +151,7 @@ impl<'a> RowStatus<'a> {
         }
     }
 
-    /// Resets `row`: to `q`, or to the positions of its next step.
+    /// Resets an arm in its `row`: to `q` [rad]; `None`: to the measured positions of its next step.
     pub(crate) fn reset_row(row: &mut [f64], q: Option<&[f64]>) {
         row.fill(0.0);
         if let (Some(q), Some((first, rest))) = (q, row.split_first_mut()) {

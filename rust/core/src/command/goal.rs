@@ -1,4 +1,4 @@
-//! Goals: scaling of parts, joints at their position limits, slew.
+//! Goals of the servos: their parts, the bounds at position limits, and the slew.
 
 use crate::MAX_AXES;
 use crate::command::DEFAULT_OFFSET_LIMIT;
@@ -10,13 +10,15 @@ use crate::params::{Params, Settings};
 use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
 
-/// Distance beyond a position limit [rad] over which an outward lead fades to zero, if the delay allows that slope.
+/// Distance beyond a position limit [rad] over which an outward lead fades to zero; longer if the loop delay requires a
+/// smaller slope.
 const STOP_WIDTH: f64 = 0.02;
 
-/// Fades the outward part of a `lead` [rad] that exerts a force, for joints at `q` beyond their limits.
+/// Reduces a `lead` [rad] that exerts a force, where a joint at `q` is beyond a position limit and the lead points
+/// farther out.
 ///
 /// The goal may exceed the limit, otherwise a joint at its stop could exert no torque. But it must not push the joint
-/// itself farther out. `slope` is the largest reduction per rad: a stiffer stop rings with the delay.
+/// farther out. `slope` is the largest reduction per rad of overtravel: a steeper one oscillates because of the delay.
 #[inline(always)]
 pub(crate) fn fade_past_limit<J: JointVector>(lead: J, q: J, lower: J, upper: J, slope: f64) -> J {
     let zero = J::splat(0.0);
@@ -26,7 +28,7 @@ pub(crate) fn fade_past_limit<J: JointVector>(lead: J, q: J, lower: J, upper: J,
     J::copy_sign(J::max(faded, zero), lead)
 }
 
-/// Result of the law.
+/// Parts of the joint goals that follow from the result of the law.
 #[derive(Clone, Copy)]
 pub(crate) struct JointTargets<J: JointVector> {
     pub(crate) motion: LawOutput<J>,
@@ -42,7 +44,7 @@ pub(crate) struct JointTargets<J: JointVector> {
 }
 
 impl<J: JointVector> JointTargets<J> {
-    /// Lines 7 to 11 from the law's result, as if no joint had a position limit.
+    /// Computes the parts of the goals from the result of the law, without redistribution at position limits.
     #[inline(always)]
     pub(crate) fn new(
         params: &Params,
@@ -52,7 +54,7 @@ impl<J: JointVector> JointTargets<J> {
     ) -> Self {
         let (kp, compliance) = (J::load(&params.servos.kp), J::load(&params.servos.compliance));
         let (mut soft_offset, mut friction) = (motion.soft_offset, motion.feed_forward);
-        // Both are zero under law `paper`.
+        // Soft offset and friction feed-forward are zero under law `paper`.
         if params.law.by_force() {
             let (lower, upper) = (J::load(&params.lower), J::load(&params.upper));
             soft_offset = fade_past_limit(soft_offset, arm.q, lower, upper, params.limit_fade_slope);
@@ -69,8 +71,7 @@ impl<J: JointVector> JointTargets<J> {
         }
     }
 
-    /// Returns the terms from which line 12 computes the limits under the rule of demand, for measured positions and
-    /// the stored lead [rad].
+    /// Returns the terms of the torque limits, for the measured positions and the stored lead `(q, integral)` [rad].
     #[inline(always)]
     pub(crate) fn limit_terms(
         &self,
@@ -83,7 +84,7 @@ impl<J: JointVector> JointTargets<J> {
         let motion = &self.motion;
         let wrench = motion.wrench.total();
         let pull = tr_mul(arm.rows, &wrench.to_axes());
-        // Null-space part, and the joint's part of the wrench that a position limit removed.
+        // Lead without the part that exerts the wrench: the null space, minus what position limits removed.
         let lead =
             J::fnma(J::load(&params.servos.compliance), pull, motion.stiff_offset + motion.soft_offset + motion.null);
         let ahead = arm.q - q;
@@ -97,7 +98,7 @@ impl<J: JointVector> JointTargets<J> {
         }
     }
 
-    /// Returns the goals before the slew [rad]. Under law `paper` they lead no farther than the limits can use.
+    /// Returns the goals before the slew [rad]. Under law `paper` their lead is at most [`lead_limit`].
     #[inline(always)]
     pub(crate) fn goal(&self, params: &Params, settings: &Settings, limit: J) -> J {
         let mut goal = self.q_goal + self.q_force_offset;
@@ -111,7 +112,8 @@ impl<J: JointVector> JointTargets<J> {
     }
 }
 
-/// Returns the largest lead of the goals under law `paper` [rad]: slightly more than the torque limit can use.
+/// Returns the largest lead of the goals under law `paper` [rad]: that of the settings; otherwise slightly more than
+/// the torque limit can use; without known k_p [`DEFAULT_OFFSET_LIMIT`].
 #[inline(always)]
 fn lead_limit<J: JointVector>(params: &Params, settings: &Settings, limit: J) -> J {
     match settings.paper_options.lead_limit {
@@ -121,7 +123,7 @@ fn lead_limit<J: JointVector>(params: &Params, settings: &Settings, limit: J) ->
     }
 }
 
-/// Goals of the servos, and their part that carries gravity [rad].
+/// Goals of the servos [rad], and the part of them that carries gravity [rad].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Goals<J> {
     pub(crate) goal: J,
@@ -154,9 +156,9 @@ pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) ->
 /// Joint speeds [rad/s] for the servos' own profiles: the speed at which one joint alone keeps the tool within its
 /// `[linear, angular]` speed, but at least the goals' own `slew` [rad/s] and at most the `joint` speed limit.
 ///
-/// Joints that work against each other turn faster than the tool's speed suggests. A profile slower than the goals lags
-/// behind them, and the servo then pulls with an unintended lead, on soft axes too. `j_base` is the Jacobian in base
-/// axes.
+/// The speed is at least `slew` because joints whose motions cancel at the tool may turn faster than the tool's speed
+/// suggests. A servo whose profile is slower than its goal lags behind, and then pulls with an unintended lead, on soft
+/// axes too. `j_base` is the Jacobian in base axes.
 #[inline(always)]
 pub(crate) fn profile_velocity<J: JointVector>(j_base: &[J; MAX_AXES], tool: [f64; 2], slew: f64, joint: J) -> J {
     let mut out = J::splat(f64::INFINITY);
@@ -187,7 +189,7 @@ mod tests {
         values.to_joints()[0]
     }
 
-    /// Returns goals and gravity parts after a slew by at most `step`.
+    /// Returns goals and gravity offsets of two joints after one slew by at most `step`.
     fn slewed(goal: [f64; 2], gravity_offset: [f64; 2], to: [f64; 2], new: [f64; 2], step: f64) -> [[f64; 2]; 2] {
         let goals =
             |goal: &[f64], gravity_offset: &[f64]| Goals { goal: vector(goal), gravity_offset: vector(gravity_offset) };

@@ -1,4 +1,5 @@
-//! Force on a hand after a loss of the host: the servos keep their last goals and limits.
+//! Largest force on a hand that pushes the arm after a host loss, when the servos keep their last goals and torque
+//! limits.
 
 use crate::kinematics::statics::yield_forces;
 use crate::kinematics::{GroupMasses, JointFrames};
@@ -8,30 +9,38 @@ use crate::model::Chain;
 use crate::params::{LimitRule, Params};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Distance over which a hand is simulated [m, rad], and its speed [m/s, rad/s].
+/// Distance of a simulated push: along a translation [m], about a rotation [rad].
 pub(crate) const TRAVEL: [f64; 2] = [0.15, 0.4];
+
+/// Speed of the hand in a simulated push: along a translation [m/s], about a rotation [rad/s].
 const SPEED: [f64; 2] = [0.025, 0.067];
 
-/// Steps on that path, maximum number of steps, and the longest step of one joint [rad or m].
+/// Number of steps of a push if no joint needs shorter ones.
 const STEPS: f64 = 50.0;
+
+/// Maximum number of steps of a push.
 const MAX_STEPS: usize = 120;
+
+/// Largest motion of a joint in one step [rad; m if prismatic].
 const MAX_JOINT_STEP: f64 = 0.04;
 
-/// Lever of the yielding joint, on an arm of 0.71 m [m] or about a rotation, below which it counts as at its dead
-/// centre and does not follow the hand.
+/// Lever of the yielding joint below which the joint counts as at its dead centre and does not follow the hand: for a
+/// translation in m on an arm of 0.71 m, proportional to the arm's reach; for a rotation in rad per rad.
 const DEAD_CENTRE: f64 = 0.015;
 
-/// Maximum number of steps to equilibrium, and the rotation below which it is reached [rad or m].
+/// Maximum number of steps in the search for the equilibrium.
 const MAX_SETTLING_STEPS: usize = 40;
+
+/// Joint motion per step below which the equilibrium counts as reached [rad; m if prismatic].
 const SETTLED: f64 = 1e-4;
 
-/// Maximum number of Newton steps to the force between rest and yielding; two or three are usual.
+/// Maximum number of Newton steps in the search for the force that moves the tool; two or three are usual.
 const MAX_NEWTON_STEPS: usize = 20;
 
-/// Bisection steps for the share of the limits that is removed.
+/// Number of bisection steps in the search for the share by which torque limits are reduced.
 const HALVINGS: u32 = 6;
 
-/// An arm whose goals and limits stay constant.
+/// Arm after a host loss, whose goals and torque limits stay constant.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HostLoss<'a> {
     pub(crate) chain: &'a Chain,
@@ -42,30 +51,33 @@ pub(crate) struct HostLoss<'a> {
     pub(crate) q: &'a JointVec,
     pub(crate) goal: &'a JointVec,
     pub(crate) limit: &'a JointVec,
-    /// Static dry friction [N·m].
+    /// Static dry friction of each joint [N·m].
     pub(crate) friction: &'a JointVec,
 }
 
-/// Largest force on a hand along its path.
+/// Result of a simulated push.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PushResult {
-    /// Force from servos, gears and gravity [N, N·m].
+    /// Largest force on the hand along its path, from servos, gears and gravity [N, N·m].
     pub(crate) force: f64,
-    /// True if the path ends before the hand does: the joints that could yield are at a position limit or at their dead
-    /// centre.
+    /// True if the push ends before its full distance, because the joints that could yield are at a position limit or
+    /// at their dead centre.
     pub(crate) blocked: bool,
 }
 
-/// The arm at one point of the path.
+/// Arm at one point of the path of a push.
 struct PushPoint {
+    /// Motion of the tool in the direction of the push per joint motion [m/rad, 1].
     lever: JointVec,
+    /// Gravity torques [N·m].
     holding: JointVec,
     /// Torque of the servos minus the gravity torque [N·m].
     pull: JointVec,
 }
 
 impl HostLoss<'_> {
-    /// Returns the equilibrium of the arm without a hand and with all goals reached.
+    /// Returns the joint positions at which the arm comes to rest without a hand [rad]; the present ones without known
+    /// k_p.
     pub(crate) fn equilibrium(&self) -> JointVec {
         let (n, mut q) = (self.params.n, *self.q);
         if !self.params.servos.has_kp {
@@ -89,11 +101,12 @@ impl HostLoss<'_> {
     /// Returns the largest force along one task axis, toward `sign`, on a hand that pushes the arm at `rest` and leaves
     /// all other axes free.
     ///
-    /// Each joint is a spring to its goal that slips at its torque limit and has friction. Under a push F joint i gets
-    /// the torque `F a_i`. The arm follows in small steps, each with the smallest F that moves the tool. First the
-    /// springs stretch, until the limit, friction and gravity torque of one joint are overcome, `F = (L_i + τ_f,i + s_i
-    /// g_i)/|a_i| + d_i v/a_i²`. From there that joint turns alone until another joint is weaker. A joint at its
-    /// position limit yields no farther; it turns back if the push changes its side along the path.
+    /// Each joint is a spring to its goal that slips at its torque limit L and has friction τ_f. A push F loads joint i
+    /// with the torque `F a_i`, where a is its lever. The arm follows in small steps, each with the smallest F that moves
+    /// the tool. First the springs stretch, until at joint i the push overcomes limit, friction, gravity torque g and
+    /// damping d at the hand's speed v: `F = (L_i + τ_f,i + s_i g_i)/|a_i| + d_i v/a_i²` with `s_i = sign(a_i)`. From
+    /// there that joint turns alone until another joint is weaker. A joint at its position limit does not yield; it turns
+    /// back if the push changes its direction along the path.
     pub(crate) fn max_push_force(&self, rest: &JointVec, row: usize, sign: f64) -> PushResult {
         let n = self.params.n;
         let kind = usize::from(self.params.per_axis[row].axis >= 3);
@@ -183,7 +196,7 @@ impl HostLoss<'_> {
         (force, turn)
     }
 
-    /// Returns true if joint i is at its position limit and is pushed outward; `push` gives the sign.
+    /// Returns true if joint i is at a position limit and the sign of `push` points outward.
     fn at_hard_stop(&self, q: &JointVec, i: usize, push: f64) -> bool {
         if push < 0.0 { q[i] <= self.params.lower[i] } else { q[i] >= self.params.upper[i] }
     }
@@ -196,7 +209,7 @@ impl HostLoss<'_> {
         PushPoint { lever: lever.map(|a| sign * a), holding, pull }
     }
 
-    /// Returns the gravity torques at `q`, and the servo torques minus these [N·m].
+    /// Returns the joint frames at `q`, the gravity torques, and the servo torques minus the gravity torques [N·m].
     fn torques(&self, q: &JointVec) -> (JointFrames, [JointVec; 2]) {
         let (mut frames, mut holding, mut pull) = (JointFrames::default(), [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
         self.chain.forward(q, &mut frames);
@@ -208,8 +221,8 @@ impl HostLoss<'_> {
         (frames, [holding, pull])
     }
 
-    /// Returns `q` after a displacement, no joint by more than the longest step; a joint beyond its limits may stay
-    /// there.
+    /// Returns `q` after the displacement `turn` [rad], scaled so that no joint moves farther than [`MAX_JOINT_STEP`].
+    /// Joints stop at their position limits; one that is beyond its limit moves no farther out.
     fn advance(&self, q: &JointVec, turn: &JointVec) -> JointVec {
         let longest = turn.iter().fold(0.0_f64, |max, x| max.max(x.abs()));
         let (share, mut next) = ((MAX_JOINT_STEP / longest).min(1.0), *q);
@@ -220,8 +233,9 @@ impl HostLoss<'_> {
         next
     }
 
-    /// Returns the largest force on a hand along any translation of the task [N], without position limits and a
-    /// stretched arm, its row and its side. Stops early above `enough`.
+    /// Returns the largest force on a hand along any translation of the task [N], the task row, and the direction (±1).
+    /// A push that ends at position limits or at a stretched arm counts up to there. Returns the first force above
+    /// `enough` without testing the others.
     pub(crate) fn worst_push(&self, enough: f64) -> (f64, usize, f64) {
         let (rest, mut worst) = (self.equilibrium(), (f64::NEG_INFINITY, 0, 1.0));
         for row in (0..self.params.k).filter(|&row| self.params.per_axis[row].axis < 3) {
@@ -238,8 +252,9 @@ impl HostLoss<'_> {
         worst
     }
 
-    /// Returns the limits with which the force on a hand is at most `max` [N]: first removes part of the `margin`,
-    /// then part of the excess over `base`, the gravity torques [N·m]. Returns `base` if that is not enough.
+    /// Returns torque limits with which the force on a hand is at most `max` [N]: removes as much of the `margin` as is
+    /// needed, then as much of the excess over `base`, the limits that hold the arm's weight [N·m]. If that is not
+    /// enough, returns the smaller of `base` and the present limit of each joint.
     fn limits_within(&self, max: f64, base: &JointVec, margin: &JointVec) -> JointVec {
         let is_within = |limit: &JointVec| HostLoss { limit, ..*self }.worst_push(max).0 <= max;
         if is_within(self.limit) {
@@ -264,26 +279,28 @@ impl HostLoss<'_> {
     }
 }
 
-/// Arm at the end of a step, whose torque limits shall bound the force on a hand after a host loss.
+/// Arm at the end of a control step, whose torque limits are to bound the force on a hand after a host loss.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HostLossBound<'a> {
     pub(crate) chain: &'a Chain,
     pub(crate) params: &'a Params,
     pub(crate) masses: &'a GroupMasses,
     pub(crate) gravity: &'a [f64; 3],
-    /// Factor s_g on gravity in the limits.
+    /// Factor s_g on the gravity torques in the limits.
     pub(crate) gravity_scale: f64,
     pub(crate) base_from_task: Mat3,
     pub(crate) q: JointVec,
     pub(crate) goal: JointVec,
     pub(crate) limit: JointVec,
-    /// Gravity torques, and their part in the limits [N·m].
+    /// Gravity torques [N·m].
     pub(crate) holding: JointVec,
+    /// Gravity torques that the limits include [N·m]; 0 if the settings exclude gravity from the limits.
     pub(crate) in_limit: JointVec,
 }
 
 impl HostLossBound<'_> {
-    /// Returns the torque limits with which the arm pushes a hand with at most `max` [N] if the host dies now.
+    /// Returns the torque limits with which the force on a hand after a host loss is at most `max` [N], but at least
+    /// those that hold the arm.
     #[cold]
     #[inline(never)]
     pub(crate) fn limits(&self, max: f64) -> JointVec {

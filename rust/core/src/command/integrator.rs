@@ -1,4 +1,4 @@
-//! The integrating goal of stiff axes, with anti-windup.
+//! Integration of the lead of stiff axes into a stored lead of the goals, with anti-windup.
 
 use crate::command::DEFAULT_OFFSET_LIMIT;
 use crate::math::ldlt6::Ldlt6;
@@ -7,26 +7,26 @@ use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps};
 use crate::params::Params;
 use crate::{AxisVec, JointVec, Rows};
 
-/// Addition of one step to the stored lead.
+/// Inputs with which one step updates the stored lead.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Integrator<'a> {
-    /// Lead of the stiff axes and of the null space [rad].
+    /// Lead of the stiff axes and of the null space in this step [rad].
     pub(crate) offset: &'a JointVec,
-    /// Share of the lead that is stored: rate × dt.
+    /// Share of that lead that is added to the stored one: rate × dt.
     pub(crate) share: f64,
-    /// Gravity in the limits, with its factor [N·m].
+    /// Gravity torques times their factor s_g in the limits [N·m].
     pub(crate) gravity: &'a JointVec,
-    /// Softness of each axis.
+    /// Softness w of each task axis, 0 (stiff) to 1 (soft).
     pub(crate) softness: &'a AxisVec,
-    /// Task rows.
+    /// Task rows of the Jacobian.
     pub(crate) rows: &'a Rows,
-    /// λ² of each row.
+    /// Damping λ² of each task row.
     pub(crate) damping: &'a AxisVec,
 }
 
 impl Integrator<'_> {
-    /// Adds to `stored` [rad] and removes the part that would act on soft axes: these store nothing. If strengths are
-    /// forces, also removes the part that exceeds the strength of the stiff axes.
+    /// Adds the lead of this step to `stored` [rad], then removes from `stored` the part that acts on soft axes. Under
+    /// laws `cap` and `impedance` also removes the part that exerts more than `hold` on stiff axes.
     pub(crate) fn update(&self, stored: &mut JointVec, params: &Params) {
         let (k, n, servos) = (params.k, params.n, &params.servos);
         for i in 0..n {
@@ -39,7 +39,7 @@ impl Integrator<'_> {
         if !by_force && self.softness.iter().all(|&w| w <= 0.0) {
             return;
         }
-        // Wrench that the stored lead exerts, W = (C + λ²/k̄)⁻¹ J z, minus the part that may stay.
+        // Wrench that the stored lead z exerts, W = (C + λ²/k̄)⁻¹ J z, minus the part that may stay.
         let (rows, compliance) = (load_rows(self.rows), JointVec16::load(&servos.compliance));
         let c = damped(weighted_gram(&rows, compliance), &self.damping.map(|squared| squared / servos.kp_mean));
         let mut wrench = Ldlt6::new::<BaselineF64>(&c).solve::<BaselineF64>(&mul(&rows, JointVec16::load(stored)));

@@ -1,9 +1,9 @@
-//! From motion and force to the servo command: lines 11 and 12 of the control step.
+//! Servo command from the motion and force of the law: goals and torque limits.
 
 pub(crate) mod goal;
 pub(crate) mod host_loss;
 pub(crate) mod integrator;
 pub(crate) mod torque_limit;
 
-/// Largest offset of a goal from the measured position [rad] without known servos.
+/// Largest lead (goal − q) if the servos' stiffness or usable torque is unknown [rad].
 const DEFAULT_OFFSET_LIMIT: f64 = 0.3;

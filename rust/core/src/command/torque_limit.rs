@@ -1,36 +1,37 @@
-//! Joint torque limits.
+//! Joint torque limits: three rules for the wanted limits, and their bounds and slew.
 
 use crate::law::activation::Activation;
 use crate::math::simd::{JointVec16, JointVector, RealOps, SingleArmJoints};
 use crate::params::Params;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Terms of the torque limits; all in N·m, one per joint.
+/// Terms of the torque limits; vectors in N·m, one entry per joint.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LimitTerms<J> {
-    /// Gravity torques.
+    /// Gravity torques g that the limits include; 0 if the settings exclude gravity from the limits.
     pub(crate) gravity: J,
     /// Feed-forward of friction and damping.
     pub(crate) feed_forward: J,
-    /// Torque of the task, `JᵀW′`.
+    /// Torque of the task, `JᵀW′`, with the wrench W′ bounded by the strengths of the axes.
     pub(crate) task: J,
-    /// Torque of all other parts of the goal: `K_p (null + q̂ − q)`.
+    /// Torque of the other parts of the goal: null space, stored lead z and prediction, `K_p (null + z + q̂ − q)`.
     pub(crate) offset: J,
-    /// Factor s_g on gravity.
+    /// Factor s_g on the gravity torques.
     pub(crate) gravity_scale: f64,
-    /// Margin m.
+    /// Margin m of the limits above the demand.
     pub(crate) margin: J,
 }
 
 impl<J: JointVector> LimitTerms<J> {
-    /// Line 12: torque that the law demands in this step, at least gravity, plus a margin.
+    /// Returns the limits of the rule `Demand`: the torque that the law demands in this step, at least `s_g |g|`, plus
+    /// the margin.
     #[inline(always)]
     pub(crate) fn demand(&self) -> J {
         let wanted = self.gravity + self.task + self.feed_forward + self.offset;
         J::max(J::abs(wanted), J::splat(self.gravity_scale) * J::abs(self.gravity)) + self.margin
     }
 
-    /// (11) with gravity: the budgets of law `paper` plus the gravity torques.
+    /// Returns the limits of law `paper`: the budgets τ^q of (11) plus `s_g |g|`.
     #[inline(always)]
     pub(crate) fn budget(&self, budget: J) -> J {
         J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), budget)
@@ -38,7 +39,8 @@ impl<J: JointVector> LimitTerms<J> {
 }
 
 impl<J: SingleArmJoints> LimitTerms<J> {
-    /// Sum over all axes of their largest demands: `s_g |g| + Σ_j |J_ji| most_j + null_i + |ff|`.
+    /// Returns the limits of the rule `Sum`, which adds up the largest demands of all axes j:
+    /// `s_g |g_i| + Σ_j |J_ji| max_j + null_i + |ff_i|`.
     #[cold]
     #[inline(never)]
     pub(crate) fn sum(&self, rows: &Rows, max: &AxisVec, null: &JointVec) -> JointVec {
@@ -53,7 +55,7 @@ impl<J: SingleArmJoints> LimitTerms<J> {
     }
 }
 
-/// Inputs of the sum rule, which few settings use.
+/// Inputs of the rule `Sum`, which few settings use.
 pub(crate) struct SumRuleInput {
     pub(crate) rows: Rows,
     pub(crate) gradient: JointVec,
@@ -85,14 +87,15 @@ impl SumRuleInput {
     }
 }
 
-/// Applies minimum, ceiling and slew: limits fall at once and rise within the stiffening time.
+/// Clamps the `wanted` limits between `floor` and `ceiling`. They may rise above the limits `before` by at most `rise`
+/// and may fall at once; `None`: no bound on the rise.
 #[inline(always)]
 pub(crate) fn bound_and_slew<J: JointVector>(wanted: J, before: Option<J>, floor: J, ceiling: J, rise: J) -> J {
     let mut limit = J::min(wanted, ceiling);
     if let Some(before) = before {
         limit = J::min(limit, before + rise);
     }
-    // Apply the minimum last: a raised minimum takes effect at once.
+    // The floor applies after the bound on the rise, so that a raised floor takes effect at once.
     J::min(J::max(limit, floor), ceiling)
 }
 

@@ -1,19 +1,19 @@
-//! Touch and stop events: two thresholds per axis, with hysteresis and a minimum time.
+//! Touch and stop events: one force threshold per axis and kind, with hysteresis and a minimum time.
 
 use crate::{AxisVec, MAX_AXES};
 
-/// One kind of event for all axes.
+/// State of one kind of event, touch or stop, for all axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Events {
-    /// Thresholds [N, N·m]; ∞ for no threshold.
+    /// Threshold for each axis [N, N·m]; ∞ for an axis without events.
     thresholds: AxisVec,
-    /// Hysteresis as a share of the threshold.
+    /// Share of the threshold by which the force must fall below it to end an event.
     hysteresis: f64,
-    /// Minimum duration of a change [s].
+    /// Time for which the force must be beyond a threshold before an event begins or ends [s].
     min_time: f64,
-    /// Factor on the uncertainty, the lower bound of the thresholds.
+    /// Factor on the uncertainty that gives the lowest threshold.
     guard: f64,
-    /// Duration for which the force of each axis has contradicted its state [s].
+    /// Time for which the force along each axis has required a change of its state in `on` [s].
     against: AxisVec,
     on: [bool; MAX_AXES],
 }
@@ -28,17 +28,17 @@ impl Events {
         (self.against, self.on) = ([f64::NEG_INFINITY; MAX_AXES], [false; MAX_AXES]);
     }
 
-    /// Updates the events after `dt` [s] with this force and uncertainty.
+    /// Updates the events with force and uncertainty [N, N·m] `dt` [s] after the last update; returns which are on.
     ///
-    /// An event begins once the force has been above `max(threshold, guard · uncertainty)` for the minimum time, not
-    /// counting the first reading. It ends once the force has been below `(1 − hysteresis)` times that for the same
-    /// time.
+    /// An event begins once |force| has been above `max(threshold, guard · uncertainty)` for the minimum time, which
+    /// starts at the first such reading. It ends once |force| has been below `(1 − hysteresis)` times that value for
+    /// the same time.
     pub(super) fn update(&mut self, force: &AxisVec, uncertainty: &AxisVec, dt: f64) -> [bool; MAX_AXES] {
         for axis in 0..MAX_AXES {
             let threshold = self.thresholds[axis].max(self.guard * uncertainty[axis]);
             let size = force[axis].abs();
             let contradicts = if self.on[axis] { size < (1.0 - self.hysteresis) * threshold } else { size > threshold };
-            // The first reading beyond a threshold has a duration of zero.
+            // The time starts at 0 with the first reading beyond a threshold.
             self.against[axis] = if contradicts { self.against[axis].max(-dt) + dt } else { -dt };
             if contradicts && self.against[axis] >= self.min_time - 1e-9 {
                 self.on[axis] = !self.on[axis];

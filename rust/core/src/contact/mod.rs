@@ -1,8 +1,11 @@
 //! Contact estimation with position servos: wrench at the tool, error bound and events.
 //!
-//! The servos' torques follow from goals, limits and positions. The part beyond gravity, friction and acceleration is
-//! caused by the surroundings: `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`. The
-//! estimate runs beside the controller's steps and does not change them.
+//! The servos' torques follow from goals, limits and positions. What remains of the torque balance after gravity,
+//! friction and acceleration is caused by the surroundings:
+//!
+//! `JᵀF = g + M q̈ + τ_f tanh(v/v₀) + d v − clip(k_p (goal − q) − k_v v, ±limit)`
+//!
+//! The estimate runs beside the controller's steps and does not change them.
 
 mod events;
 mod options;
@@ -22,21 +25,22 @@ pub use options::ContactOptions;
 use events::Events;
 use residual::{ModelErrors, ServoModel};
 
-/// Number of stored commands: a goal acts T_d after the reading from which it was computed.
+/// Number of stored commands; a goal acts only after the delay T_d, so the one in force is an older one.
 const HISTORY: usize = 64;
 
-/// Optional measurements besides positions.
+/// Optional inputs of an update besides the positions.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ContactInput<'a> {
     /// Time since the last reading [s]; `None`: 1 / rate of the controller's settings.
     pub dt: Option<f64>,
-    /// Joint velocity (n) [rad/s] in place of the filtered one.
+    /// Joint velocity (n) [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
-    /// Measured torques (n) of the servos [N·m], instead of those computed from lead and limit.
+    /// Measured torques (n) of the servos [N·m]; `None`: computed from `current`, or else from goal, position and
+    /// limit.
     pub load: Option<&'a [f64]>,
-    /// Currents (n) of the motors [A]; needs [`ContactOptions::torque_constant`].
+    /// Currents (n) of the motors [A], used if `load` is `None`; needs [`ContactOptions::torque_constant`].
     pub current: Option<&'a [f64]>,
-    /// Goals [rad] and limits [N·m] (n) last sent to the servos, if they differ from the controller's last command.
+    /// Goals (n) [rad], then torque limits (n) [N·m] last sent to the servos; `None`: the controller's last command.
     pub sent: Option<[&'a [f64]; 2]>,
 }
 
@@ -47,30 +51,31 @@ pub struct ContactInput<'a> {
 pub struct WrenchEstimate {
     /// Number of joints.
     pub n: usize,
-    /// Wrench along the axes of the task frame; 0 along axes that are not estimated.
+    /// Wrench along the axes of the task frame [N, N·m]; 0 along axes that are not estimated.
     pub force: AxisVec,
-    /// Bound on the error of `force`, valid if the options describe the arm correctly; ∞ along axes that are not
-    /// estimated.
+    /// Bound on the error of `force` [N, N·m], valid if the options describe the arm correctly; ∞ along axes that are
+    /// not estimated.
     pub uncertainty: AxisVec,
-    /// `force` in base axes.
+    /// Wrench along the base axes [N, N·m].
     pub force_base: AxisVec,
-    /// `uncertainty` in base axes.
+    /// Bound on the error of `force_base` [N, N·m].
     pub uncertainty_base: AxisVec,
-    /// Torque of the surroundings on each joint [N·m], filtered.
+    /// Torque of the surroundings on each joint, low-passed, relative to the tare if there is one [N·m].
     pub torque_residual: JointVec,
-    /// Bound on the error of `torque_residual` [N·m], without the unknown payload, which only `uncertainty` includes.
+    /// Bound on the error of `torque_residual` [N·m]. Unlike `uncertainty` it does not include the unknown payload.
     pub torque_uncertainty: JointVec,
-    /// Largest |residual| / uncertainty over the joints. A value above 1 proves a contact anywhere on the arm.
+    /// Largest |`torque_residual`| / `torque_uncertainty` over the joints, after subtracting the possible effect of the
+    /// unknown payload. A value above 1 proves a contact somewhere on the arm.
     pub residual_ratio: f64,
-    /// Torque of each servo [N·m], computed from lead and limit or measured.
+    /// Torque of each servo [N·m], measured or computed from goal, position and limit.
     pub torque: JointVec,
-    /// Joint velocity [rad/s] that the estimate used.
+    /// Joint velocity used for the estimate [rad/s].
     pub velocity: JointVec,
-    /// Joints whose servo is at its torque limit.
+    /// True for joints whose servo is at its torque limit; false for all if torques are measured.
     pub saturated: [bool; MAX_JOINTS],
-    /// Axes with a touch event.
+    /// True for axes with a touch event.
     pub touch: [bool; MAX_AXES],
-    /// Axes with a stop event.
+    /// True for axes with a stop event.
     pub stop: [bool; MAX_AXES],
 }
 
@@ -94,24 +99,25 @@ impl WrenchEstimate {
     }
 }
 
-/// A goal and a limit that were or will be sent to the servos.
+/// Goals [rad] and torque limits [N·m] of one command to the servos.
 #[derive(Debug, Clone, Copy)]
 struct Sent {
     goal: JointVec,
     limit: JointVec,
 }
 
-/// State of the tare.
+/// Quantities stored at a tare, to which later estimates are relative; all 0 without a tare.
 #[derive(Debug, Clone, Copy)]
 struct Tare {
     /// Residual at the tare [N·m].
     residual: JointVec,
-    /// Servo and gravity torques at the tare [N·m]; errors proportional to them count from there.
+    /// Servo torques at the tare [N·m]; their error is proportional to the change since then.
     servo_torque: JointVec,
+    /// Gravity torques at the tare [N·m]; their error is proportional to the change since then.
     gravity: JointVec,
-    /// Bound on the friction torque contained in the tare.
+    /// Bound on the friction torque contained in `residual` [N·m].
     friction_bound: JointVec,
-    /// Torques per mass at the tool [N·m/kg].
+    /// Gravity torques per mass at the tool at the tare [N·m/kg].
     payload: JointVec,
 }
 
@@ -129,26 +135,32 @@ impl Tare {
 #[derive(Debug, Clone, Copy)]
 struct State {
     filter: VelocityFilter,
-    /// Previous reading [rad], and low-passed velocity [rad/s].
+    /// Positions of the previous reading [rad].
     previous_q: JointVec,
+    /// Low-passed velocity [rad/s], from which the acceleration is computed.
     lowpassed_velocity: JointVec,
-    /// `g − τ`, delayed like the velocities; low-passed residual without acceleration; with acceleration [N·m].
+    /// `g − τ`, delayed like the velocities [N·m].
     static_residual: JointVec,
+    /// Low-passed residual torques without the acceleration term [N·m].
     low_passed: JointVec,
+    /// Residual torques with the acceleration term [N·m].
     residual: JointVec,
+    /// Low-passed bound on the error of `residual`, without noise and payload [N·m].
     uncertainty: JointVec,
     /// True after the first reading.
     started: bool,
     /// True if residual and uncertainty are valid.
     filters_ready: bool,
+    /// Last commands, in a ring buffer.
     sent: [Sent; HISTORY],
-    /// Index of the newest command, and number of commands.
+    /// Index of the newest command in `sent`.
     newest: usize,
+    /// Number of commands in `sent`.
     count: usize,
     touch: Events,
     stop: Events,
     estimate: WrenchEstimate,
-    /// Tare that the present reading would give.
+    /// Quantities of the present reading, which [`ContactEstimator::tare`] stores.
     tare_candidate: Tare,
 }
 
@@ -179,7 +191,7 @@ struct State {
 pub struct ContactEstimator {
     options: ContactOptions,
     joints: ServoModel,
-    /// Indices of the estimated axes.
+    /// Indices of the estimated axes among x, y, z, roll, pitch, yaw.
     axes: Vec<usize>,
     max_wrench: AxisVec,
     errors: ModelErrors,
@@ -257,17 +269,17 @@ impl ContactEstimator {
         Ok(contact)
     }
 
-    /// The current options.
+    /// Returns the options of this estimator.
     pub const fn options(&self) -> &ContactOptions {
         &self.options
     }
 
-    /// Names of the estimated axes.
+    /// Returns the names of the estimated axes.
     pub fn axes(&self) -> Vec<&'static str> {
         self.axes.iter().map(|&axis| AXIS_NAMES[axis]).collect()
     }
 
-    /// The last estimate.
+    /// Returns the last estimate; before the first reading its force is 0 and its uncertainty ∞.
     pub const fn estimate(&self) -> &WrenchEstimate {
         &self.state.estimate
     }
@@ -277,7 +289,7 @@ impl ContactEstimator {
         self.tared
     }
 
-    /// Clears velocity, filter, commands and events; keeps the tare.
+    /// Clears velocities, filters, stored commands, events and the estimate; keeps the tare.
     pub fn reset(&mut self) {
         let state = &mut self.state;
         (state.started, state.filters_ready, state.count) = (false, false, 0);
@@ -286,10 +298,10 @@ impl ContactEstimator {
         state.estimate = WrenchEstimate::empty(self.joints.n);
     }
 
-    /// Takes the present residual as zero: later estimates are relative to it.
+    /// Stores the present residual as zero: later estimates are relative to it.
     ///
-    /// Errors of k_p and gravity then count relative to the tare. Dry friction that the tare may contain is added to
-    /// the uncertainty.
+    /// From then on, the errors of k_p and gravity are proportional to the change of the torques since the tare. The
+    /// dry friction that the stored residual may contain is added to the uncertainty.
     ///
     /// # Errors
     /// [`Error::Config`] before the first reading.
@@ -301,13 +313,13 @@ impl ContactEstimator {
         Ok(())
     }
 
-    /// Removes the tare.
+    /// Removes the tare; later estimates are absolute.
     pub const fn clear_tare(&mut self) {
         (self.tare, self.tared) = (Tare::NONE, false);
     }
 
-    /// Returns the time from a change at the joints to an event [s]: the controller's delay, the low-pass, the minimum
-    /// time.
+    /// Returns the typical time from a change at the joints to an event [s]: the sum of the controller's delay, the
+    /// time constant of the low-pass and the minimum time of events.
     pub fn latency(&self, controller: &Controller) -> f64 {
         controller.delay() + self.options.filter + self.options.min_time
     }

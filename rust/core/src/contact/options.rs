@@ -1,16 +1,16 @@
-//! Options of the contact estimator, including the accuracy of the arm's model.
+//! Options of the contact estimator, among them the accuracy with which the arm's model is known.
 
 use crate::error::{Error, Result};
 use crate::params::AXIS_NAMES;
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Upper bound for filter and minimum event time [s].
+/// Upper bound on the options `filter` and `min_time` [s].
 const LONGEST: f64 = 10.0;
 
-/// Largest plausible force and torque [N, N·m].
+/// Largest accepted force [N], torque [N·m] or torque constant [N·m/A] in the options.
 const FORCE_BOUND: f64 = 1e6;
 
-/// Options of a [`ContactEstimator`](crate::ContactEstimator). Shares are relative to the quantity itself: 0.3 is 30 %.
+/// Options of a [`ContactEstimator`](crate::ContactEstimator). Relative errors are fractions: 0.3 is 30 %.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContactOptions {
     /// Axes of the task frame to estimate; the wrench along the others is assumed zero. `None`: all six if the arm has
@@ -24,27 +24,28 @@ pub struct ContactOptions {
     pub kp_error: Option<f64>,
     /// Relative error of the gravity torques.
     pub gravity_error: f64,
-    /// Possible unknown mass at the tool [kg].
+    /// Largest mass at the tool that the payload does not include [kg].
     pub payload_error: f64,
-    /// Relative error of the acceleration torques of the point masses.
+    /// Relative error of the acceleration torques `M q̈`.
     pub inertia_error: f64,
     /// Relative error of a measured load or current.
     pub load_error: f64,
-    /// Torque of the motors, gears included, per current [N·m/A]; needed if a current is given.
+    /// Joint torque per motor current, gears included (n) [N·m/A]; needed if currents are given.
     pub torque_constant: Option<Vec<f64>>,
-    /// Largest plausible force [N] and torque [N·m] of the surroundings: the uncertainty of unobservable axes.
+    /// Largest plausible force [N] and torque [N·m] of the surroundings; also the uncertainty along unobservable axes.
     pub max_wrench: [f64; 2],
-    /// Threshold of a touch [N] ([N·m]), per axis.
+    /// Threshold of a touch event for each axis [N, N·m]; `None`: no event.
     pub touch: [Option<f64>; MAX_AXES],
-    /// Threshold of a stop [N] ([N·m]), per axis.
+    /// Threshold of a stop event for each axis [N, N·m]; `None`: no event.
     pub stop: [Option<f64>; MAX_AXES],
-    /// Hysteresis: share of its threshold by which a force must fall to end an event.
+    /// Share of its threshold by which the force must fall below it to end an event.
     pub hysteresis: f64,
-    /// Minimum time [s] beyond a threshold before an event begins or ends.
+    /// Time for which the force must be beyond a threshold before an event begins or ends [s].
     pub min_time: f64,
-    /// Factor on the uncertainty; a force below the product never counts. At 1 every event is proven.
+    /// Factor (0 to 1) on the uncertainty that gives the lowest threshold of an event. With 1, every event proves a
+    /// contact.
     pub guard: f64,
-    /// Accepts thresholds below the uncertainty, without a guard.
+    /// True to accept thresholds below the uncertainty; `guard` then has no effect.
     pub accept_thresholds: bool,
 }
 
@@ -118,7 +119,7 @@ impl ContactOptions {
         self.check_constants(n)
     }
 
-    /// Factor on the uncertainty that is the lower bound of the thresholds.
+    /// Returns the factor on the uncertainty that gives the lowest threshold of an event; 0 with `accept_thresholds`.
     pub(super) const fn guard(&self) -> f64 {
         if self.accept_thresholds { 0.0 } else { self.guard }
     }

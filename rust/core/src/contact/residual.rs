@@ -5,23 +5,24 @@ use crate::math::rows::{JointMatrix, pad};
 use crate::params::{ServoArrays, Servos};
 use crate::{JointVec, MAX_JOINTS};
 
-/// Smallest uncertainty of a joint's torque, as a share of the usable torque.
+/// Ratio of the smallest uncertainty of a joint's torque to its usable torque.
 const MIN_UNCERTAINTY: f64 = 1e-4;
 
-/// Servo parameters of the estimator, neutral values in the padding.
+/// Servo parameters of the estimator.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ServoModel {
     pub(super) n: usize,
     pub(super) kp: JointVec,
     pub(super) kv: JointVec,
-    /// Friction parameters.
+    /// Servo parameters of the controller, used for friction.
     pub(super) servos: ServoArrays,
-    /// Damping of gears and back-EMF, not subject to the torque limit.
+    /// Damping of gears and back-EMF, to which the torque limit does not apply [N·m·s/rad].
     pub(super) gear_damping: JointVec,
-    /// Part of `gear_damping` that a measured load already includes: the back-EMF of duty-limited servos.
+    /// Part of `gear_damping` that a measured load already includes: the back-EMF of servos that limit the PWM duty
+    /// cycle [N·m·s/rad].
     pub(super) back_emf: JointVec,
     pub(super) armature: JointVec,
-    pub(super) count: JointVec,
+    pub(super) encoder_step: JointVec,
     /// Usable torque [N·m].
     pub(super) max_torque: JointVec,
 }
@@ -37,19 +38,19 @@ impl ServoModel {
             gear_damping: [0.0; MAX_JOINTS],
             back_emf: [0.0; MAX_JOINTS],
             armature: pad(&servos.armature, 0.0),
-            count: pad(&servos.encoder_step, 0.0),
+            encoder_step: pad(&servos.encoder_step, 0.0),
             max_torque: pad(&servos.max_torque, 0.0),
         };
         let servo_damping: JointVec = pad(&servos.damping, 0.0);
         for i in 0..out.n {
-            // The controller's damping is the sum of gears, the servo's own damping and back-EMF.
+            // The controller's damping is the sum of gear damping, derivative gain k_v and back-EMF.
             out.gear_damping[i] = arrays.damping[i] - out.kv[i];
             out.back_emf[i] = out.gear_damping[i] - servo_damping[i];
         }
         Ok(out)
     }
 
-    /// Returns the torque of each servo [N·m], `clip(k_p (goal − q) − k_v v, ±limit)`, and whether it is at the limit.
+    /// Returns the torque of each servo, `clip(k_p (goal − q) − k_v v, ±limit)` [N·m], and true where it is clipped.
     #[inline]
     pub(super) fn servo_torque(
         &self,
@@ -69,13 +70,16 @@ impl ServoModel {
     }
 }
 
-/// Relative errors of the parts of a residual.
+/// Relative errors of the terms of a torque balance.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ModelErrors {
-    /// Errors of friction and damping, of the servos' torque, of gravity, of acceleration.
+    /// Error of friction and damping.
     pub(super) friction: f64,
+    /// Error of the servos' torques.
     pub(super) servo_torque: f64,
+    /// Error of the gravity torques.
     pub(super) gravity: f64,
+    /// Error of the acceleration torques.
     pub(super) inertia: f64,
 }
 
@@ -83,36 +87,38 @@ pub(super) struct ModelErrors {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Balance<'a> {
     pub(super) joints: &'a ServoModel,
-    /// Torque of the servos [N·m], and whether it was measured.
+    /// Torque of the servos [N·m].
     pub(super) servo_torque: &'a JointVec,
+    /// True if `servo_torque` was measured, false if it was computed from goal, position and limit.
     pub(super) measured: bool,
     pub(super) saturated: &'a [bool; MAX_JOINTS],
     pub(super) gravity: &'a JointVec,
-    /// Mass matrix of the links [kg·m²]; rotor inertia is added.
+    /// Mass matrix of the links without the rotors' inertia [kg·m²].
     pub(super) mass: &'a JointMatrix,
-    /// Filtered velocity, and its error bound [rad/s].
+    /// Filtered velocity [rad/s].
     pub(super) velocity: &'a JointVec,
+    /// Bound on the error of `velocity` [rad/s].
     pub(super) velocity_error: &'a JointVec,
     /// Low-passed acceleration [rad/s²].
     pub(super) acceleration: &'a JointVec,
     pub(super) noise: &'a Noise,
-    /// v₀ of the feed-forward [rad/s]: speed scale of the sign change of dry friction.
+    /// Speed v₀ over which dry friction changes its sign, `tanh(v/v₀)` [rad/s].
     pub(super) friction_speed: f64,
 }
 
-/// Standard deviations caused by encoder quantization; independent between joints.
+/// Standard deviations of the noise caused by encoder quantization, which is independent between joints.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Noise {
-    /// Low-passed mean reading [rad].
+    /// Noise of the low-passed mean of two readings [rad].
     pub(super) reading: JointVec,
-    /// Velocity [rad/s].
+    /// Noise of the velocity [rad/s].
     pub(super) velocity: JointVec,
-    /// Acceleration [rad/s²].
+    /// Noise of the acceleration [rad/s²].
     pub(super) acceleration: JointVec,
 }
 
 impl Balance<'_> {
-    /// `g − τ` without the servos' own damping [N·m]: the part that depends on positions.
+    /// Returns the part of the residual that depends on positions [N·m]: `g − τ` without the damping `−k_v v` in τ.
     #[inline]
     pub(super) fn static_residual(&self) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
@@ -122,7 +128,7 @@ impl Balance<'_> {
         out
     }
 
-    /// `τ_f tanh(v/v₀) + d v` with the servos' own damping [N·m]: the part that depends on velocities.
+    /// Returns the part of the residual that depends on velocities [N·m]: `τ_f tanh(v/v₀) + (d + k_v) v`.
     #[inline]
     pub(super) fn friction_torque(&self) -> JointVec {
         let (joints, v) = (self.joints, self.velocity);
@@ -134,7 +140,7 @@ impl Balance<'_> {
         out
     }
 
-    /// `M q̈` [N·m].
+    /// Returns the acceleration torques `M q̈`, rotors included [N·m].
     #[inline]
     pub(super) fn inertial_torque(&self) -> JointVec {
         let mut out = [0.0; MAX_JOINTS];
@@ -147,28 +153,29 @@ impl Balance<'_> {
         out
     }
 
-    /// Returns the uncertainty from friction, damping, velocity and acceleration [N·m].
+    /// Returns the bound on the error caused by friction, damping, velocity and acceleration [N·m].
     ///
-    /// Dry friction of a joint that may be at rest lies anywhere within ±τ_f (1 + share). Of a joint that certainly
-    /// moves only its share is uncertain.
+    /// The dry friction of a joint that may be at rest lies anywhere within ±τ_f (1 + ε), with ε the relative error of
+    /// friction. If the joint certainly moves, only ε τ_f is uncertain.
     #[inline]
     pub(super) fn friction_error(&self, errors: &ModelErrors) -> JointVec {
         let (joints, inertial_torque) = (self.joints, self.inertial_torque());
         let mut out = [0.0; MAX_JOINTS];
         for i in 0..joints.n {
-            let (speed, off) = (self.velocity[i].abs(), self.velocity_error[i]);
-            let believed = (speed / self.friction_speed).tanh();
-            let sure = ((speed - off).max(0.0) / self.friction_speed).tanh();
+            let (speed, speed_error) = (self.velocity[i].abs(), self.velocity_error[i]);
+            let estimated_sign = (speed / self.friction_speed).tanh();
+            let certain_sign = ((speed - speed_error).max(0.0) / self.friction_speed).tanh();
             let (moving, rest) = (self.friction(i), joints.servos.friction_at_rest(i, self.servo_torque[i]));
-            let share = errors.friction * (sure * moving + (1.0 - sure) * rest);
-            let dry = rest * (1.0 + believed - 2.0 * sure) + share;
+            let share = errors.friction * (certain_sign * moving + (1.0 - certain_sign) * rest);
+            let dry = rest * (1.0 + estimated_sign - 2.0 * certain_sign) + share;
             let viscous = errors.friction * self.damping(i) * speed;
             out[i] = dry + viscous + errors.inertia * inertial_torque[i].abs() + MIN_UNCERTAINTY * joints.max_torque[i];
         }
         out
     }
 
-    /// Returns the noise that is independent per joint: through the lead, and through damping [N·m].
+    /// Returns the standard deviation of the torque noise that is independent for each joint: that of the position
+    /// through k_p, and that of the velocity through damping [N·m].
     #[inline]
     pub(super) fn own_noise(&self) -> JointVec {
         let (joints, noise) = (self.joints, self.noise);
@@ -181,7 +188,8 @@ impl Balance<'_> {
         out
     }
 
-    /// Returns the noise that the acceleration of one joint causes in all joints: column j is `M_j σ_j` [N·m].
+    /// Returns the noise that the acceleration noise σ_j of each joint j causes in all joints: column j is `M_j σ_j`
+    /// [N·m].
     #[inline]
     pub(super) fn shared_noise(&self) -> JointMatrix {
         let mut out = [[0.0; MAX_JOINTS]; MAX_JOINTS];
@@ -194,7 +202,8 @@ impl Balance<'_> {
         out
     }
 
-    /// Returns the dry friction at this speed and torque [N·m], by the model of the feed-forward.
+    /// Returns the dry friction of joint i at its present speed and servo torque [N·m], by the friction model of the
+    /// feed-forward.
     #[inline]
     fn friction(&self, i: usize) -> f64 {
         let servos = &self.joints.servos;
@@ -204,7 +213,7 @@ impl Balance<'_> {
         servos.friction[i] + at_rest * servos.stribeck[i] + loaded * self.servo_torque[i].abs()
     }
 
-    /// Returns the servo's own damping if it is known to be part of the torque [N·m·s/rad].
+    /// Returns k_v [N·m·s/rad] if the torque was computed and not clipped, so that it contains −k_v v; otherwise 0.
     #[inline]
     fn own_damping(&self, i: usize) -> f64 {
         if self.measured || self.saturated[i] { 0.0 } else { self.joints.kv[i] }

@@ -1,4 +1,4 @@
-//! Update with one reading: residual, low-pass, wrench, events; and the uncertainty of an arm at rest.
+//! Update of the estimate with one reading: residual, low-pass, wrench and events. Uncertainty of an arm at rest.
 
 use super::residual::{Balance, ModelErrors, Noise};
 use super::wrench::Estimator;
@@ -12,37 +12,37 @@ use crate::params::{AXIS_NAMES, joint_space};
 use crate::pose::COORDINATE_BOUND;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Largest plausible torque or current.
+/// Largest plausible torque [N·m] or current [A].
 const LOAD_BOUND: f64 = 1e6;
 
 /// Standard deviation [counts] of a reading that is rounded to counts and toggles by one count half of the time.
 const QUANTIZATION_STD: f64 = 0.76;
 
-/// Number of standard deviations taken as the noise bound.
+/// Number of standard deviations of the noise that its bound covers.
 const NOISE_SIGMAS: f64 = 3.0;
 
-/// Stride over the survey's poses at which the uncertainty is evaluated.
+/// Stride over the sampled configurations of the joint space: every eighth is used for the typical uncertainty.
 const SAMPLE_STRIDE: usize = 8;
 
-/// State of the arm at one reading.
+/// Kinematics and gravity torques of the arm at one reading.
 struct ArmState {
-    /// Rows of the estimated axes, in the task frame.
+    /// Jacobian rows of the estimated axes, in the task frame.
     rows: Rows,
     base_from_task: [[f64; 3]; 3],
     gravity: JointVec,
-    /// Gravity torques of a mass at the tool [N·m/kg].
+    /// Gravity torques per mass at the tool [N·m/kg].
     payload: JointVec,
     frames: JointFrames,
 }
 
-/// Motion of the joints.
+/// Motion of the joints at one reading.
 #[derive(Default)]
 struct JointMotion {
-    /// Mean of the last two positions, which corresponds to the servos' mean torque.
+    /// Mean of the last two positions [rad], which corresponds to the mean torque of the servos between the readings.
     middle: JointVec,
     velocity: JointVec,
     velocity_error: JointVec,
-    /// Low-passed like the residual.
+    /// Acceleration with the same low-pass as the residual [rad/s²].
     acceleration: JointVec,
     noise: Noise,
 }
@@ -51,8 +51,8 @@ impl ContactEstimator {
     /// Processes one reading `q` (n) [rad]. Call it before the controller's step of the same cycle, while the servos
     /// still follow its last command.
     ///
-    /// Allocates nothing. Without a given load, and until the command at the time of the reading is known, the force is
-    /// 0 and the uncertainty ∞.
+    /// Allocates nothing. Without measured load or current, the force is 0 and the uncertainty ∞ until the command in
+    /// force at the time of the reading is known.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for an invalid input, [`Error::Config`] for a current without torque
@@ -110,7 +110,8 @@ impl ContactEstimator {
         let resistance = balance.friction_error(&errors);
         let (static_part, moving) = (balance.static_residual(), balance.friction_torque());
         let static_uncertainty = self.static_uncertainty(&errors, &resistance, &torque, &arm.gravity);
-        // Velocities lag behind positions: delay the terms without velocity, so that all terms refer to the same time.
+        // Filtered velocities are later than positions: delay the terms without velocity, so that all refer to one
+        // time.
         let wait = if state.filters_ready && dq.is_none() {
             dt / (controller.settings().tracking.velocity_filter + dt)
         } else {
@@ -120,7 +121,7 @@ impl ContactEstimator {
         for i in 0..self.joints.n {
             state.static_residual[i] += wait * (static_part[i] - state.static_residual[i]);
             state.low_passed[i] += share * (state.static_residual[i] + moving[i] - state.low_passed[i]);
-            // Until the filters have settled, bound the residual by the full servo torque.
+            // The first reading adds the full servo torque, which decays while the filters settle.
             let before = state.uncertainty[i];
             state.uncertainty[i] = if state.filters_ready {
                 before + share * (static_uncertainty[i] - before)
@@ -128,7 +129,7 @@ impl ContactEstimator {
                 static_uncertainty[i] + self.joints.max_torque[i]
             };
         }
-        // The low-pass of an acceleration is the velocity minus its own low-pass: no second differentiation.
+        // The acceleration is low-passed already: (velocity − low-passed velocity) / time constant.
         let inertial_torque = balance.inertial_torque();
         (0..self.joints.n).for_each(|i| state.residual[i] = state.low_passed[i] + inertial_torque[i]);
         state.filters_ready = true;
@@ -161,7 +162,7 @@ impl ContactEstimator {
         Ok(self.at_rest(controller, &q))
     }
 
-    /// Returns the median of [`ContactEstimator::uncertainty_at`] over poses in the whole joint space.
+    /// Returns the median of [`ContactEstimator::uncertainty_at`] over joint positions in the whole joint space.
     pub fn typical_uncertainty(&self, controller: &Controller) -> AxisVec {
         let found: Vec<AxisVec> = joint_space::sample_configurations(controller.model())
             .step_by(SAMPLE_STRIDE)
@@ -174,7 +175,8 @@ impl ContactEstimator {
         out
     }
 
-    /// Refuses thresholds that are below the uncertainty in the median pose.
+    /// Returns an error if a threshold is below the guarded typical uncertainty or belongs to an axis that is not
+    /// estimated; checks nothing with `accept_thresholds`.
     pub(super) fn check_thresholds(&self, controller: &Controller) -> Result<()> {
         let (options, asked) = (&self.options, |thresholds: &[Option<f64>]| thresholds.iter().any(Option::is_some));
         if options.accept_thresholds || !(asked(&options.touch) || asked(&options.stop)) {
@@ -229,7 +231,7 @@ impl ContactEstimator {
         self.wrench(&arm, &zero, &static_uncertainty, &balance).uncertainty
     }
 
-    /// Returns torques from a measured load or current.
+    /// Returns the servo torques [N·m] from a measured load or current; `None` if neither is given.
     fn measured(&self, controller: &Controller, input: &ContactInput<'_>) -> Result<Option<JointVec>> {
         if let Some(load) = input.load {
             return controller.model().joints_within("load [N·m]", load, LOAD_BOUND).map(Some);
@@ -246,7 +248,7 @@ impl ContactEstimator {
         Ok(Some(load))
     }
 
-    /// Returns the motion of the joints, from readings unless `dq` is given.
+    /// Returns the motion of the joints and updates its filters; the velocity is `dq`, or filtered from the positions.
     fn motion(
         &self,
         controller: &Controller,
@@ -263,7 +265,7 @@ impl ContactEstimator {
         let backlash_output = JointVec16::load(q);
         state.filter.set(match dq {
             Some(dq) => Filtered { backlash_output, velocity: JointVec16::load(dq) },
-            None => state.filter.update(backlash_output, JointVec16::load(&self.joints.count), filter, dt),
+            None => state.filter.update(backlash_output, JointVec16::load(&self.joints.encoder_step), filter, dt),
         });
         let velocity = state.filter.velocity;
         let mut motion = JointMotion { velocity, ..JointMotion::default() };
@@ -274,11 +276,11 @@ impl ContactEstimator {
             motion.acceleration[i] = (velocity[i] - state.lowpassed_velocity[i]) / span;
             state.lowpassed_velocity[i] += dt * motion.acceleration[i];
             if dq.is_none() {
-                let count = self.joints.count[i];
-                motion.velocity_error[i] = count / (filter + dt) + filter * motion.acceleration[i].abs();
+                let encoder_step = self.joints.encoder_step[i];
+                motion.velocity_error[i] = encoder_step / (filter + dt) + filter * motion.acceleration[i].abs();
                 // Differences of noisy readings after a one-pole filter; the backlash of one count suppresses toggling
                 // at rest.
-                let toggling = QUANTIZATION_STD * count * share / dt * (2.0 / (2.0 - share)).sqrt();
+                let toggling = QUANTIZATION_STD * encoder_step * share / dt * (2.0 / (2.0 - share)).sqrt();
                 motion.noise.velocity[i] = toggling.min(velocity[i].abs());
                 motion.noise.acceleration[i] = motion.noise.velocity[i] / span;
             }
@@ -287,11 +289,11 @@ impl ContactEstimator {
         motion
     }
 
-    /// Returns the noise of the low-passed mean of two readings [rad].
+    /// Returns the standard deviation of the low-passed mean of two readings [rad].
     fn reading_noise(&self, dt: f64) -> JointVec {
         let share = dt / (self.options.filter + dt);
         let passed = QUANTIZATION_STD * (0.5 * (share / (2.0 - share)).max(0.0)).sqrt();
-        self.joints.count.map(|count| passed * count)
+        self.joints.encoder_step.map(|step| passed * step)
     }
 
     fn arm_state(&self, controller: &Controller, q: &JointVec) -> ArmState {
@@ -312,8 +314,8 @@ impl ContactEstimator {
         ArmState { rows, base_from_task, gravity, payload, frames }
     }
 
-    /// Returns the uncertainty of a residual without the tool's load [N·m]; errors that a tare removed count from the
-    /// tare.
+    /// Returns the bound on the error of the residual torques, without noise and unknown payload [N·m]. Errors of servo
+    /// and gravity torques are proportional to the change since the tare.
     fn static_uncertainty(
         &self,
         errors: &ModelErrors,
@@ -330,7 +332,7 @@ impl ContactEstimator {
         out
     }
 
-    /// Computes the wrench from a residual minus the tare, in task and base axes.
+    /// Computes the wrench and its error bound, in task and base axes, from the residual minus that of the tare.
     fn wrench(
         &self,
         arm: &ArmState,
@@ -344,7 +346,7 @@ impl ContactEstimator {
             external[i] = residual[i] - self.tare.residual[i];
             payload[i] = self.options.payload_error * (arm.payload[i] - self.tare.payload[i]);
         }
-        // Constant errors add up linearly (worst case), noise by squares (three standard deviations).
+        // Systematic errors add up linearly (worst case), standard deviations of independent noise by squares.
         let (noise, shared) = (balance.own_noise(), balance.shared_noise());
         let mut total = *uncertainty;
         for i in 0..n {
@@ -385,7 +387,7 @@ impl ContactEstimator {
 }
 
 impl State {
-    /// Returns the command that the servos followed when the current reading was taken, `None` if unknown.
+    /// Returns the command that the servos followed when the present reading was taken; `None` if it is not stored.
     fn command_at_reading(&self, delay: f64, dt: f64) -> Option<Sent> {
         let mut ago = 0;
         let mut passed = 0.5 * dt;
@@ -397,7 +399,7 @@ impl State {
     }
 }
 
-/// Returns the newest command, `None` before the first.
+/// Returns the command last sent: that of the input, or else the controller's last one; `None` before its first step.
 fn sent(controller: &Controller, input: &ContactInput<'_>) -> Result<Option<Sent>> {
     if let Some([goal, limit]) = input.sent {
         let goal = controller.model().joints_within("goal", goal, COORDINATE_BOUND)?;

@@ -1,23 +1,25 @@
-//! Wrench and error bound from residual joint torques.
+//! Linear estimate of the wrench, with its error bound, from residual joint torques.
 
 use crate::math::ldlt6::factor_gram;
 use crate::math::rows::{JointMatrix, load_rows, store_rows};
 use crate::math::simd::{BaselineF64, JointVec16, JointVector};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Linear estimate `F = G r` of `r = JᵀF + ε`, `|ε_i| ≤ u_i`, `|F_k| ≤ most_k`.
+/// Linear estimate `F = G r` from residual torques `r = JᵀF + ε` with `|ε_i| ≤ u_i` and `|F_k| ≤ max_wrench_k`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Estimator {
-    /// `G = (J W Jᵀ + P⁻¹)⁻¹ J W` with `W = diag(1/u²)`, `P = diag(most²)`: k × n.
+    /// Gain `G = (J W Jᵀ + P⁻¹)⁻¹ J W` with `W = diag(1/u²)`, `P = diag(max_wrench²)`: k × n.
     gain: Rows,
-    /// `|G Jᵀ − I| max_wrench`: bias of the estimator itself, equal to `max_wrench` along unobservable axes.
+    /// Bound on the bias of the estimator itself, `|G Jᵀ − I| max_wrench` [N, N·m]; `max_wrench` along unobservable
+    /// axes.
     regularization_bias: AxisVec,
     k: usize,
     n: usize,
 }
 
 impl Estimator {
-    /// Creates the estimator for `k` rows of `n` joints; all entries of `uncertainty` and `max_wrench` are positive.
+    /// Creates the estimator for `k` Jacobian rows of `n` joints; all entries of `uncertainty` [N·m] and `max_wrench`
+    /// [N, N·m] must be positive.
     #[inline]
     pub(super) fn new(rows: &Rows, uncertainty: &JointVec, max_wrench: &AxisVec, k: usize, n: usize) -> Self {
         let (k, n) = (k.min(MAX_AXES), n.min(MAX_JOINTS));
@@ -45,7 +47,7 @@ impl Estimator {
         Self { gain, regularization_bias, k, n }
     }
 
-    /// `G v`.
+    /// Returns `G v` [N, N·m] for joint torques v [N·m].
     #[inline]
     pub(super) fn apply(&self, v: &JointVec) -> AxisVec {
         let mut out = [0.0; MAX_AXES];
@@ -57,7 +59,8 @@ impl Estimator {
         out
     }
 
-    /// Returns the standard deviations of `G ε`: `own` noise of each joint, and column j of `shared` in all joints.
+    /// Returns the standard deviations of `G ε` [N, N·m], where ε is the sum of independent `noise` of each joint and,
+    /// for each column of `shared`, one independent noise that acts on all joints [N·m].
     #[inline]
     pub(super) fn noise(&self, noise: &JointVec, shared: &JointMatrix) -> AxisVec {
         let mut out = [0.0; MAX_AXES];
@@ -74,7 +77,7 @@ impl Estimator {
         out
     }
 
-    /// `|G| u + |G Jᵀ − I| max_wrench`: bound on the error of the estimate.
+    /// Returns the bound on the error of the estimate, `|G| u + |G Jᵀ − I| max_wrench` [N, N·m].
     #[inline]
     pub(super) fn bound(&self, uncertainty: &JointVec) -> AxisVec {
         let mut out = self.regularization_bias;

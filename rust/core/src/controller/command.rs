@@ -1,10 +1,10 @@
-//! Output of a step.
+//! Output of a control step: goals, torque limits and speed limits of the servos.
 
 use std::fmt;
 
 use crate::{JointVec, MAX_JOINTS};
 
-/// Command to the servos: one entry per joint.
+/// Command to the servos, one entry per joint.
 #[derive(Clone, Copy, PartialEq)]
 pub struct Command {
     pub(super) n: usize,
@@ -18,24 +18,25 @@ impl Command {
         Self { n, goal, torque_limit, speed_limit }
     }
 
-    /// Goals of the position servos (n) [rad].
+    /// Returns the goals of the position servos (n) [rad].
     pub fn goal(&self) -> &[f64] {
         &self.goal[..self.n.min(MAX_JOINTS)]
     }
 
-    /// Magnitude of the torque each servo may use (n) [N·m].
+    /// Returns the largest torque that each servo may exert in either direction (n) [N·m].
     pub fn torque_limit(&self) -> &[f64] {
         &self.torque_limit[..self.n.min(MAX_JOINTS)]
     }
 
-    /// Speed for a servo's profile velocity register (n) [rad/s]: the largest with which this joint alone keeps the
-    /// tool within its speed limit; ∞ if neither tool nor joint has a speed limit.
+    /// Returns the speeds for the servos' profile velocity registers (n) [rad/s]: the largest speed at which the joint
+    /// alone keeps the tool within its speed limit, but at least the slew of the goals and at most the speed limit of
+    /// the joint. ∞ if neither tool nor joint has a speed limit.
     pub fn speed_limit(&self) -> &[f64] {
         &self.speed_limit[..self.n.min(MAX_JOINTS)]
     }
 }
 
-/// Prints the arm's own joints only, without the padding.
+/// Formats the arm's own joints only, without the padding.
 impl fmt::Debug for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Command")

@@ -1,4 +1,4 @@
-//! Diagnostics: all intermediates of the last step.
+//! Diagnostics: intermediate results of the last control step.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -9,26 +9,28 @@ use crate::params::Params;
 use crate::pose::Pose;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Intermediates of the last step; 6-vectors hold one entry per task axis, in the order of the task's axes.
+/// Intermediate results of the last control step. Six-vectors have one entry per task axis, in the order of the task;
+/// entries beyond the task axes are unused.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Diagnostics {
-    /// Predicted positions q̂ [rad].
+    /// Predicted joint positions q̂ [rad].
     pub q: JointVec,
-    /// Filtered velocity v [rad/s].
+    /// Joint velocity v, filtered or given [rad/s].
     pub velocity: JointVec,
-    /// Deviation e from the reference, in the task frame [m, rad].
+    /// Deviation e of the tool from the reference along the task axes [m, rad].
     pub deviation: AxisVec,
-    /// Adapted deviation ẽ [m, rad].
+    /// Deviation ẽ from the adapted target along the task axes, `(1 − η w) e` [m, rad].
     pub adapted_deviation: AxisVec,
-    /// Δx = K_x ẽ + twist within its per-axis limits [m/s, rad/s].
+    /// Commanded velocity of the task axes, `Δx = K_x ẽ + twist`, within its limits [m/s, rad/s].
     pub task_velocity: AxisVec,
-    /// Softness w ∈ [0, 1] for the side the axis is pushed from.
+    /// Softness w of each axis for the side from which it is pushed, 0 (stiff) to 1 (soft).
     pub softness: AxisVec,
-    /// Compliance c ∈ [0, 1] of (8).
+    /// Compliance c of each axis by (8), 1 at a small and 0 at a large deviation.
     pub compliance: AxisVec,
-    /// Current strength, `w F + (1 − w) hold`: holding torque τ^x of (9) under law `paper`, else cap [N, N·m].
+    /// Present strength of each axis, `w F + (1 − w) hold` [N, N·m]: holding torque τ^x of (9) under law `paper`, force
+    /// cap under the other laws.
     pub axis_strength: AxisVec,
-    /// Wrench W on the target [N, N·m] (not under law `paper`).
+    /// Wrench W that the law exerts on the tool along the task axes [N, N·m]; 0 under law `paper`.
     pub wrench: AxisVec,
     /// Gravity torques at q̂ [N·m]; computed on request if the step does not use them.
     pub gravity: JointVec,
@@ -36,29 +38,30 @@ pub struct Diagnostics {
     pub feed_forward: JointVec,
     /// Gradient of the null-space cost.
     pub gradient: JointVec,
-    /// Task rows (k × n) in the task frame.
+    /// Rows of the Jacobian for the task axes (k × n), in the task frame.
     pub rows: Rows,
-    /// Smallest and largest singular value of the task rows, with translations divided by the arm's length; `None` if
-    /// the step uses neither: then [`Controller::sigma`](crate::Controller::sigma) computes them.
+    /// Smallest and largest singular value of the scaled task rows; `None` if the step does not need them, then
+    /// [`Diagnostics::sigma`] computes them.
     pub(crate) followed_sigma: Option<[f64; 2]>,
-    /// Damping λ.
+    /// Damping λ of the inverse.
     pub damping: f64,
-    /// γ: factor on feed-forward and prediction.
+    /// Factor γ on feed-forward and prediction, smaller near singular poses.
     pub gamma: f64,
-    /// Factors by which null-space, soft and stiff part were scaled to satisfy torque ceilings and speed limits.
+    /// Scale factors (0 to 1) of the null-space, soft and stiff parts of the motion, which keep it within the torque
+    /// and speed limits.
     pub factors: [f64; 3],
-    /// Factor ≤ 1 on the gain of the stiff axes: on K_x, required by the delay; under law `impedance` on the stiffness,
-    /// required by delay and pose.
+    /// Factor ≤ 1 by which the delay reduces the gain K_x; under law `impedance`, the factor by which delay and pose
+    /// reduce the stiffness.
     pub gain_factor: f64,
-    /// Joints whose torque limit is at the ceiling, computed on request. `factors` give the scaling of the motion that
-    /// this required.
+    /// True for joints whose torque limit is at the servo's usable torque. Computed by
+    /// [`Controller::diagnostics`](crate::Controller::diagnostics).
     pub saturated: [bool; MAX_JOINTS],
-    /// Joints at a position limit, removed from the inverse kinematics.
+    /// True for joints at a position limit that the step has left out of the inverse kinematics.
     pub locked: [bool; MAX_JOINTS],
-    /// Task axes at their deviation limit.
+    /// True for task axes at their deviation limit.
     pub deviation_limited: [bool; MAX_AXES],
-    /// The reference pose: the target after the tool's speed limit and the deviation limits. The deviation is taken
-    /// from it.
+    /// Reference pose, from which the deviation is computed: the target after the limits on speed, acceleration and
+    /// deviation.
     pub reference: Pose,
 }
 
@@ -102,29 +105,29 @@ impl Diagnostics {
         step_pseudo_inverse(params, &self.rows, self.damping)
     }
 
-    /// Returns A of (10) over all joints, including locked ones.
+    /// Returns the activation matrix A of (10) over all joints, including locked ones.
     pub(crate) fn shares(&self, params: &Params) -> Activation<JointVec16> {
         Activation::of_step(params, &self.rows, &self.gradient, self.damping, || self.sigma(params))
     }
 
-    /// Activation matrix A of (10), n × (k + 1), the null-space column last.
+    /// Returns the activation matrix A of (10) as an n × (k + 1) matrix, the null-space column last.
     pub(crate) fn activation(&self, params: &Params) -> DMatrix<f64> {
         self.shares(params).matrix(params.k, params.n)
     }
 
-    /// Responsibility R of (6), (7), n × (k + 1): `|J⁺ diag(Δx)|` and `|α N∇g|`.
+    /// Returns the responsibility R of (6) and (7), n × (k + 1): `|J⁺ diag(Δx)|`, then the column `|α N∇g|`.
     pub(crate) fn responsibility(&self, params: &Params) -> DMatrix<f64> {
         let projector = step_projector(params, &self.rows, self.damping, || self.sigma(params));
         let null = product(&projector, &self.gradient);
         responsibility(&self.pseudo_inverse(params), &self.task_velocity, &null, params.alpha, (params.k, params.n))
     }
 
-    /// The task rows, k × n.
+    /// Returns the task rows, k × n.
     pub(crate) fn task_jacobian(&self, params: &Params) -> DMatrix<f64> {
         DMatrix::from_fn(params.k, params.n, |r, i| self.rows[r][i])
     }
 
-    /// All singular values of the scaled task rows, largest first (an SVD: off the hot path).
+    /// Returns all singular values of the scaled task rows, largest first. Computes an SVD; not for use within a step.
     pub(crate) fn singular_values(&self, params: &Params) -> DVector<f64> {
         let scaled = |r: usize, i: usize| params.row_scale[r] * self.rows[r][i];
         crate::math::svd::singular_values(&DMatrix::from_fn(params.k, params.n, scaled))

@@ -1,4 +1,4 @@
-//! Validation of a step's inputs; the code after it does not check again.
+//! Validation of the inputs of a control step; later code relies on it.
 
 use crate::error::{Error, Result};
 use crate::kinematics::velocity_filter::SPEED_BOUND;
@@ -13,23 +13,24 @@ use crate::{AxisVec, JointVec};
 pub struct StepInput<'a> {
     /// Time since the last step [s], at most 1; `None`: 1 / rate.
     pub dt: Option<f64>,
-    /// Joint velocity [rad/s] in place of the filtered one.
+    /// Joint velocity (n) [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
-    /// Velocity of the target (6,) [m/s, rad/s], base axes.
+    /// Velocity of the target, linear then angular, in base axes [m/s, rad/s]; `None`: not fed forward.
     pub twist: Option<&'a [f64; 6]>,
-    /// Gradient of a user's null-space cost, added to the others.
+    /// Gradient (n) of a null-space cost of the user, added to that of the settings.
     pub gradient: Option<&'a [f64]>,
-    /// Rest posture of this step [rad].
+    /// Rest posture of this step (n) [rad]; `None`: that of the settings, or else the positions at the last reset.
     pub posture: Option<&'a [f64]>,
 }
 
-/// Shortest time [s] used as a divisor: two readings of one instant must not give infinite speeds.
+/// Shortest time between two readings that is used as a divisor [s]: readings of the same time must not give infinite
+/// speeds.
 const SHORTEST_PERIOD: f64 = 1e-6;
 
-/// Longest time between two steps [s], that of the lowest rate. A larger value is usually given in milliseconds.
+/// Longest allowed time between two steps [s]. A larger value is usually one in milliseconds.
 const LONGEST_PERIOD: f64 = 1.0;
 
-/// Validated input of a step; `None` for optional inputs that are absent.
+/// Validated inputs of a step; `None` for those that are absent.
 #[derive(Default)]
 pub(super) struct Input {
     pub(super) dt: f64,
@@ -61,7 +62,7 @@ impl Input {
     }
 }
 
-/// Reads the time [s] since the last step or reading, at least the shortest divisor.
+/// Returns the time since the last step or reading [s], raised to at least 1 µs; an error outside (0, 1] s.
 #[inline]
 pub(crate) fn period(dt: f64) -> Result<f64> {
     if dt > 0.0 && dt <= LONGEST_PERIOD { Ok(dt.max(SHORTEST_PERIOD)) } else { Err(no_period(dt)) }
@@ -74,7 +75,7 @@ fn no_period(dt: f64) -> Error {
     Error::out_of_range("dt [s]", dt, format!("(0, {LONGEST_PERIOD}]{hint}"))
 }
 
-/// Flushes negligibly small positions to 0.
+/// Replaces negligibly small positions by 0, because subnormal numbers are slow.
 #[inline(always)]
 pub(super) fn flush_subnormals<J: JointVector>(q: J) -> J {
     J::select_lt(J::abs(q), J::splat(NEGLIGIBLE), J::splat(0.0), q)

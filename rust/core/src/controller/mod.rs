@@ -1,4 +1,4 @@
-//! The controller: construction, settings and read-outs of the control step.
+//! Controller of one arm: construction, changes while running, control steps, and their results.
 
 mod command;
 mod diagnostics;
@@ -46,10 +46,10 @@ pub struct Controller {
     pub(crate) params: Params,
     pub(crate) masses: GroupMasses,
     payload: Option<Payload>,
-    /// `Some` during a payload change.
+    /// Ramp to the payload during a payload change; otherwise `None`.
     payload_ramp: Option<PayloadRamp>,
     pub(crate) gravity: [f64; 3],
-    /// 1/k_g if gravity was captured.
+    /// Compliance 1/k_g of the gravity offset [rad/(N·m)]; `None` if it was not captured.
     captured: Option<JointVec>,
     delay: f64,
     pub(crate) state: State,
@@ -60,7 +60,8 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// Validates everything and surveys the arm (a few milliseconds).
+    /// Creates a controller: validates settings and servos, and computes defaults from sampled configurations of the
+    /// arm (a few milliseconds).
     ///
     /// # Errors
     /// [`Error::OutOfRange`], [`Error::Shape`] or [`Error::Config`], naming the setting and the remedy.
@@ -100,8 +101,8 @@ impl Controller {
         self.step_impl(q, target, input)
     }
 
-    /// Runs one control step toward joint positions. The target pose is their forward kinematics; the rest posture is
-    /// the joint positions.
+    /// Runs one control step toward the joint positions `q_target` (n) [rad]. The target is their tool pose; they are
+    /// also the rest posture.
     ///
     /// # Errors
     /// As [`Controller::step`].
@@ -112,19 +113,19 @@ impl Controller {
         self.step_impl(q, &frames.tool, &StepInput { posture: Some(q_target), ..*input })
     }
 
-    /// Runs one control step of `N` arms; the controller's own state and record do not change.
+    /// Runs one control step of `N` arms; the controller's own state and diagnostics do not change.
     ///
-    /// With a `state` each row is bit-identical to the result of a separate controller. Without `state` each row is the
-    /// first step of a controller that was just reset to its q, with unbounded `goal_slew` and `max_tool_speed`. If the
-    /// law is the published one (damping, projector and inverse of the paper) and the arm has at most seven joints,
-    /// such steps are interleaved, one arm per SIMD lane. They equal single steps up to rounding, below 1e-11 of a
+    /// With a `state`, each row of the result is bit-identical to that of a separate controller. Without `state`, each
+    /// row is the first step of a controller that was just reset to its q, with unbounded `goal_slew` and
+    /// `max_tool_speed`. If law, damping, projector and inverse are those of the paper and the arm has at most seven
+    /// joints, stateless steps compute one arm per SIMD lane. They equal single steps up to rounding: below 1e-11 of a
     /// row's largest number at λ ≥ 0.02.
     ///
     /// # Errors
     /// [`Error::Shape`] for inconsistent lengths; [`Error::Config`] for positions as targets of a task with rotations.
-    /// With [`OnInvalid::Refuse`] the error of [`Controller::step`] for the first invalid row; `state` is then unchanged
-    /// and `out` is undefined. A command that is not finite is found only during the step: the state of that arm is
-    /// then unchanged, while other arms have been stepped.
+    /// With [`OnInvalid::Error`] the error of [`Controller::step`] for the first invalid row; `state` is then unchanged
+    /// and the content of `out` is undefined. A command that is not finite is found only during the step: the state of
+    /// that arm is then unchanged, while other arms have been stepped.
     ///
     /// ```
     /// # use pliant_core::{BatchCommand, BatchInput, BatchState, Controller, Model, ModelOptions, Servos, Settings, Targets};
@@ -157,7 +158,7 @@ impl Controller {
                 free.settings.tracking.goal_slew = f64::INFINITY;
                 free.settings.max_tool_speed = [f64::INFINITY; 2];
                 let step = |arm: &mut Self, one: &ArmInput<'_>, _: Option<&mut [f64]>, out: [&mut [f64]; 3]| {
-                    // The governor's start is irrelevant here: its speed is unbounded.
+                    // The start pose of the governor has no effect here, because its speed is unbounded.
                     arm.state = if arm.params.deviation_limits.is_empty() {
                         State::resting(one.q(), one.target)
                     } else {
@@ -197,9 +198,10 @@ impl Controller {
         }
     }
 
-    /// Clears velocity, slew and γ. Takes `q` as start of the goals and, unless the settings give one, as rest posture.
+    /// Resets the state to an arm at rest in `q` (n) [rad]: the goals start there, and `q` is the rest posture unless
+    /// the settings have one.
     ///
-    /// A captured gravity offset stays.
+    /// A payload change takes full effect at once; a captured gravity offset stays.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for `q`; the controller is then unchanged.
@@ -209,7 +211,8 @@ impl Controller {
         Ok(())
     }
 
-    /// Replaces the settings while running: goals continue from their present values, within their slew.
+    /// Replaces the settings while running: goals and torque limits continue from their present values, within their
+    /// slew.
     ///
     /// # Errors
     /// As [`Controller::new`]; the controller is then unchanged.
@@ -228,7 +231,7 @@ impl Controller {
         if let Some(compliance) = self.captured {
             params.gravity_compliance = compliance;
         }
-        // Keep a measured delay unless the new settings have another delay than the old ones.
+        // Keep a measured delay unless the new settings change the delay.
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
             self.delay = settings.delay;
         }
@@ -245,8 +248,8 @@ impl Controller {
     /// does not make the arm jump.
     ///
     /// # Errors
-    /// [`Error::OutOfRange`] for a negative or non-finite value and, if gravity is compensated, for a load that the
-    /// servos cannot hold in any pose.
+    /// [`Error::OutOfRange`] for an invalid payload and, if gravity is compensated, for a load that the servos cannot
+    /// hold in any of the sampled configurations.
     pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<()> {
         if let Some(payload) = payload {
             payload.validate()?;
@@ -278,7 +281,7 @@ impl Controller {
 
     /// Sets the measured delay T_d [s] from reading to arrival of the goal.
     ///
-    /// If the stiff axes' gain is too high for this delay, the gain is reduced (see [`Controller::gain_factor`]).
+    /// If the gain of the stiff axes is too high for this delay, it is reduced by [`Controller::gain_factor`].
     ///
     /// # Errors
     /// [`Error::OutOfRange`] outside [0, 0.5].
@@ -291,16 +294,17 @@ impl Controller {
         Ok(())
     }
 
-    /// Sets an instruction set other than that of [`SimdLevel::chosen`]; results differ by rounding.
+    /// Sets the instruction set of the steps, by default that of [`SimdLevel::detect`]; results differ by rounding.
     pub fn set_simd_level(&mut self, simd_level: SimdLevel) {
         self.simd_level = simd_level;
     }
 
-    /// Captures the gravity offset of an arm that an integrating goal holds still.
+    /// Measures the stiffness k_g for the gravity offset on an arm that an integrating goal holds still at `q` (n)
+    /// [rad] with the goals `goal` (n) [rad]. Returns k_g (n) [N·m/rad].
     ///
-    /// Uses `k_g,i = g_i / lead_i` with `lead = goal − q` where |g_i| exceeds three times the torque that friction and
-    /// one encoder count of the lead can hide, within 0.3…3 × the configured `k_p`. Uses the configured `k_p` for the
-    /// other joints. The result serves the gravity offset only. Returns k_g [N·m/rad].
+    /// `k_g,i = g_i / lead_i` with `lead = goal − q`, within 0.3…3 × the configured `k_p`, where |g_i| exceeds three
+    /// times the torque that friction and one encoder count of the lead can hide; elsewhere k_g is the configured
+    /// `k_p`. It is used for the gravity offset only.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::OutOfRange`] for `q` or `goal`; [`Error::Config`] without `k_p`.
@@ -312,7 +316,7 @@ impl Controller {
         }
         let holding = self.holding_torques(&q);
         let captured = self.params.servos.captured_compliance(self.params.n, &q, &goal, &holding);
-        // Subtract the share of this offset that the integrating goal holds, so that it does not count twice.
+        // Move the change of the gravity offset out of the integrated lead, so that it does not count twice.
         if self.settings.gravity_use().in_goal() {
             for i in 0..self.params.n {
                 let more = holding[i] * (captured[i] - self.params.gravity_compliance[i]);
@@ -340,7 +344,7 @@ impl Controller {
         }
     }
 
-    /// Creates a controller from a snapshot. If both run on the same instructions, its next step is bit-identical to
+    /// Creates a controller from a snapshot. If both use the same instruction set, its next step is bit-identical to
     /// that of the original.
     ///
     /// The diagnostics of the last step are not part of the snapshot.
@@ -360,8 +364,7 @@ impl Controller {
         if let Some(payload) = &snapshot.payload {
             payload.validate()?;
         }
-        // No check whether the servos can hold the payload: `set_payload` made it with the settings and gravity of that
-        // time.
+        // `set_payload` has already checked, with the settings and gravity of that time, that the servos can hold it.
         controller.payload = snapshot.payload;
         controller.masses = controller.model.chain().masses(snapshot.payload.as_ref());
         controller.gravity = snapshot.gravity;
@@ -377,37 +380,37 @@ impl Controller {
         Ok(controller)
     }
 
-    /// The robot.
+    /// Returns the model of the arm.
     pub fn model(&self) -> &Arc<Model> {
         &self.model
     }
 
-    /// The current settings.
+    /// Returns the current settings.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The servos, if given.
+    /// Returns the servos; `None` if none were given.
     pub fn servos(&self) -> Option<&Servos> {
         self.servos.as_ref()
     }
 
-    /// Delay T_d [s] from reading to arrival of the goal, as set or measured.
+    /// Returns the delay T_d from reading to arrival of the goal [s], from the settings or [`Controller::set_delay`].
     pub const fn delay(&self) -> f64 {
         self.delay
     }
 
-    /// The instruction set that steps run on.
+    /// Returns the instruction set that the steps use.
     pub fn simd_level(&self) -> SimdLevel {
         self.simd_level
     }
 
-    /// The last command; `None` before the first step after construction or reset.
+    /// Returns the last command; `None` before the first step after construction or reset.
     pub fn last_command(&self) -> Option<&Command> {
         self.state.limit.map(|_| &self.command)
     }
 
-    /// Intermediates of the last step.
+    /// Returns the intermediate results of the last step.
     pub fn diagnostics(&self) -> Diagnostics {
         let mut diagnostics = self.diagnostics;
         if !self.params.uses_gravity {
@@ -419,7 +422,7 @@ impl Controller {
         diagnostics
     }
 
-    /// Number of task axes, k.
+    /// Returns the number k of task axes.
     pub fn task_dim(&self) -> usize {
         self.params.k
     }
@@ -436,49 +439,52 @@ impl Controller {
         self.params.per_axis.iter().take(self.params.k).map(impedance).collect()
     }
 
-    /// The damping of the inverse near singular poses, default filled in.
+    /// Returns the damping of the inverse near singular poses, defaults filled in.
     pub fn singularity_damping(&self) -> DampingParams {
         self.params.damping
     }
 
-    /// Factor ≤ 1 on K_x that the delay requires. Under law `impedance`, factor on the stiffness at the last step,
-    /// which also depends on the pose.
+    /// Returns the factor ≤ 1 by which the delay reduces the gain K_x; under law `impedance`, the factor by which delay
+    /// and pose reduced the stiffness in the last step.
     pub fn gain_factor(&self) -> f64 {
         law::gain_factor(&self.params, self.diagnostics.gain_factor)
     }
 
-    /// Factor ≤ 1 on the damping of law `impedance` that delay and pose required at the last step.
+    /// Returns the factor ≤ 1 by which delay and pose reduced the damping of law `impedance` in the last step; 1 under
+    /// the other laws.
     pub fn damping_factor(&self) -> f64 {
         law::damping_factor(&self.params, &self.diagnostics.rows)
     }
 
-    /// Smallest and largest singular value of the last step's task rows, with translations divided by the arm's length.
+    /// Returns the smallest and the largest singular value of the last step's task rows, with translations divided by
+    /// the arm's length.
     pub fn sigma_range(&self) -> [f64; 2] {
         self.diagnostics.sigma(&self.params)
     }
 
-    /// All singular values of the last step's scaled task rows, largest first.
+    /// Returns all singular values of the last step's task rows, with translations divided by the arm's length, largest
+    /// first.
     pub fn singular_values(&self) -> DVector<f64> {
         self.diagnostics.singular_values(&self.params)
     }
 
-    /// Task rows of the last step, k × n, in the task frame.
+    /// Returns the rows of the Jacobian for the task axes in the last step, k × n, in the task frame.
     pub fn task_jacobian(&self) -> DMatrix<f64> {
         self.diagnostics.task_jacobian(&self.params)
     }
 
-    /// Activation matrix A of the last step, n × (k + 1), the null-space column last.
+    /// Returns the activation matrix A of the last step, n × (k + 1), the null-space column last.
     pub fn activation(&self) -> DMatrix<f64> {
         self.diagnostics.activation(&self.params)
     }
 
-    /// Responsibility R of the last step, n × (k + 1).
+    /// Returns the responsibility R of the last step, n × (k + 1), the null-space column last.
     pub fn responsibility(&self) -> DMatrix<f64> {
         self.diagnostics.responsibility(&self.params)
     }
 
-    /// As [`Controller::new`], with a captured gravity offset 1/k_g (n); does not check that the servos can hold the
-    /// arm.
+    /// Creates a controller as [`Controller::new`], with a captured compliance 1/k_g (n) [rad/(N·m)] if given, but does
+    /// not check that the servos can hold the arm.
     #[inline(never)]
     fn build(model: Arc<Model>, settings: Settings, servos: Option<Servos>, captured: Option<&[f64]>) -> Result<Self> {
         let mut joint_space_stats = JointSpaceStats::default();
@@ -512,7 +518,7 @@ impl Controller {
         Ok(controller)
     }
 
-    /// Checks that servos which compensate gravity can hold the arm.
+    /// Checks that the servos can hold the arm, unless gravity is not compensated.
     fn check_holding(&self, known: GravityUse, masses: &GroupMasses) -> Result<()> {
         match known {
             GravityUse::Off => Ok(()),
@@ -520,7 +526,7 @@ impl Controller {
         }
     }
 
-    /// Checks that the rest posture is a plausible joint position.
+    /// Checks that the rest posture of the settings, if any, holds plausible joint positions.
     fn check_posture(&self, settings: &Settings) -> Result<()> {
         settings
             .null_space
@@ -547,7 +553,7 @@ impl Controller {
         holding
     }
 
-    /// Runs a step; validates positions and target.
+    /// Runs one control step; the first one resets the controller to `q`.
     fn step_impl(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
         if q.len() != self.params.n {
             return Err(Error::length("q", q.len(), self.params.n));
@@ -568,7 +574,7 @@ impl Controller {
         Err(self.diagnose(q, target))
     }
 
-    /// Runs the first step, which resets the controller.
+    /// Resets the controller to `q` and runs its first step; restores the state if that fails.
     #[cold]
     fn start(&mut self, q: &[f64], target: &Pose, input: &StepInput<'_>) -> Result<&Command> {
         let before = self.state;
@@ -608,7 +614,7 @@ impl Controller {
         }
     }
 
-    /// Returns the reason why a step refused these positions and this target.
+    /// Returns the error of a step that rejected the positions `q`, the target or its own command.
     #[cold]
     fn diagnose(&self, q: &[f64], target: &Pose) -> Error {
         match self.positions("q", q).map(|_| ()).and_then(|()| self.check_target("target", target)) {
@@ -619,13 +625,13 @@ impl Controller {
         }
     }
 
-    /// Reads the input of a step into `out`.
+    /// Validates the optional inputs of a step and stores them in `out`.
     #[inline]
     fn read(&self, input: &StepInput<'_>, out: &mut Input) -> Result<()> {
         out.read(&self.model, &self.params, self.settings.rate, input)
     }
 
-    /// Returns a batch with this controller's parameters.
+    /// Returns a batch with the input `input` and the parameters of this controller.
     fn batch<'a>(&'a self, input: &'a BatchInput<'a>) -> Batch<'a> {
         Batch {
             input,
@@ -648,17 +654,17 @@ impl Controller {
         Ok(())
     }
 
-    /// Returns a copy in which the ramp has ended.
+    /// Returns a copy of the controller in which a payload change has taken full effect.
     fn without_payload_ramp(&self) -> Self {
         Self { payload_ramp: None, ..self.clone() }
     }
 
-    /// Returns the masses that the steps use at present.
+    /// Returns the masses of the arm that the next step uses, those of the ramp during a payload change.
     fn current_masses(&self) -> &GroupMasses {
         self.payload_ramp.as_ref().map_or(&self.masses, |payload_ramp| &payload_ramp.masses)
     }
 
-    /// Advances the payload ramp by `dt` [s].
+    /// Advances the payload ramp, if any, by `dt` [s]; removes it at its end.
     fn advance_payload_ramp(&mut self, dt: f64) {
         if let Some(payload_ramp) = &mut self.payload_ramp
             && !payload_ramp.advance(dt, self.model.chain(), self.payload.as_ref())
@@ -667,12 +673,12 @@ impl Controller {
         }
     }
 
-    /// Reads joint positions: finite, and no farther beyond the position limits than a real joint can be.
+    /// Returns measured joint positions; an error if one is not finite or implausibly far beyond its position limit.
     pub(crate) fn positions(&self, what: &str, values: &[f64]) -> Result<JointVec> {
         self.params.positions(&self.model, what, values)
     }
 
-    /// Reads target joint positions.
+    /// Returns target joint positions; an error if one is outside the range of targets.
     pub(crate) fn joint_target(&self, what: &str, values: &[f64]) -> Result<JointVec> {
         let [lowest, highest] = &self.params.joint_targets;
         self.model.joints_between(what, values, lowest, highest)

@@ -1,29 +1,30 @@
-//! Snapshot of a controller: its inputs and its state, to continue in another process.
+//! Snapshot of a controller, from which another process can continue.
 
 use crate::batch::state::row_len;
 use crate::error::{Error, Result};
 use crate::model::{Payload, finite_vector};
 use crate::pose::COORDINATE_BOUND;
 
-/// Snapshot of a controller without model, settings and servos. Valid for the same version of this crate only.
+/// Snapshot of a controller without model, settings and servos. Only the same version of this crate can read it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Snapshot {
-    /// Current payload.
+    /// Current payload; `None`: no payload.
     pub payload: Option<Payload>,
     /// Current gravity vector [m/s²], base axes.
     pub gravity: [f64; 3],
-    /// During a payload change: previous mass [kg] and first moment (3) [kg·m], time since the change [s].
+    /// Previous mass [kg], its first moment (3) [kg·m], and time since the change [s] during a payload change;
+    /// otherwise `None`.
     pub payload_ramp: Option<[f64; 5]>,
     /// Current delay T_d [s].
     pub delay: f64,
-    /// 1/k_g (n) [rad/(N·m)] if the gravity offset was captured.
+    /// Compliance 1/k_g of the gravity offset (n) [rad/(N·m)]; `None` if it was not captured.
     pub captured: Option<Vec<f64>>,
-    /// State between steps; empty before the first step if there was no reset.
+    /// State between steps; empty before the first step or reset.
     pub state: Vec<f64>,
 }
 
 impl Snapshot {
-    /// Checks everything but the payload, which the controller checks, for an arm of `n` joints.
+    /// Checks captured compliance and gravity for an arm of `n` joints.
     pub(super) fn validate(&self, n: usize) -> Result<()> {
         let captured = self.captured.as_deref();
         if let Some(other) = captured.filter(|values| values.len() != n) {
@@ -35,7 +36,7 @@ impl Snapshot {
         finite_vector("gravity", "m/s²", &self.gravity)
     }
 
-    /// Checks the state between steps and the ramp.
+    /// Checks the state between steps and the payload ramp for an arm of `n` joints.
     pub(super) fn validate_state(&self, n: usize) -> Result<()> {
         if !self.state.is_empty() && self.state.len() != row_len(n) {
             return Err(Error::length("state", self.state.len(), row_len(n)));

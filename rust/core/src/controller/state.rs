@@ -8,25 +8,25 @@ use crate::pose::Pose;
 use crate::task::reference_governor::ReferenceGovernor;
 use crate::{JointVec, MAX_JOINTS};
 
-/// State between steps; small enough to be copied, so that a failed step leaves it unchanged.
+/// State between steps.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct State {
     /// True after the first reset or step.
     pub(crate) started: bool,
     pub(crate) filter: VelocityFilter,
-    /// γ of the last step.
+    /// Factor γ on feed-forward and prediction, of the last step.
     pub(crate) gamma: f64,
-    /// Last goals: start of the slew.
+    /// Last goals, from which the next ones are slewed [rad].
     pub(crate) goal: JointVec,
-    /// Part of the goals that carries gravity [rad].
+    /// Part of the last goals that carries gravity [rad].
     pub(crate) gravity_offset: JointVec,
-    /// Last limits; `None` before the first, which is not slewed.
+    /// Last torque limits, from which the next ones are slewed [N·m]; `None` before the first step.
     pub(crate) limit: Option<JointVec>,
     pub(crate) singular: SingularValues,
     /// True if the singular vectors must be computed from scratch.
     pub(crate) cold: bool,
     pub(crate) governor: ReferenceGovernor,
-    /// q at reset: the default rest posture.
+    /// Positions at the last reset, the default rest posture [rad].
     pub(crate) rest: JointVec,
     /// Lead stored by the integrating goal [rad].
     pub(crate) integral: JointVec,
@@ -37,12 +37,12 @@ impl State {
         Self::at(&[0.0; MAX_JOINTS], Pose::IDENTITY, false)
     }
 
-    /// State at rest in `q` (n) [rad], with the tool pose `tool`.
+    /// Returns the state of an arm at rest in `q` (n) [rad], with the tool at `tool`.
     pub(crate) fn resting(q: &[f64], tool: Pose) -> Self {
         Self::at(&pad(q, 0.0), tool, true)
     }
 
-    /// State at rest in `q`, with the tool pose `tool`.
+    /// Returns the state of an arm at rest in `q` [rad], with the tool at `tool`.
     pub(crate) fn at(q: &JointVec, tool: Pose, started: bool) -> Self {
         Self {
             started,
@@ -60,10 +60,11 @@ impl State {
     }
 }
 
-/// Visits all fields of the state except the flags, slice by slice, in the same order for writing and reading.
+/// Calls `visit` for all fields of the state except the flags, slice by slice, in the same order for writing and
+/// reading.
 #[inline(always)]
 fn for_each_field(state: &mut State, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
-    // Exhaustive destructuring: a new field must be stored too.
+    // Destructured without `..`, so that a new field that is not stored is a compile error.
     let State {
         filter,
         gamma,
@@ -94,7 +95,7 @@ fn for_each_field(state: &mut State, limit: &mut JointVec, n: usize, mut visit: 
 }
 
 impl State {
-    /// Writes the state into `row`, which is [`row_len`](crate::batch::state::width) long.
+    /// Writes the state of an arm of `n` joints into `row`, whose length is that of `row_len`.
     pub(crate) fn write_to(&mut self, n: usize, row: &mut [f64]) {
         let (mut limit, n) = (self.limit.unwrap_or([0.0; MAX_JOINTS]), n.min(MAX_JOINTS));
         let all = [(self.started, Flag::Started), (self.cold, Flag::Cold), (self.limit.is_some(), Flag::Limited)];
@@ -109,7 +110,7 @@ impl State {
         });
     }
 
-    /// Reads the state from `row`, whose status is [`RowStatus::Running`].
+    /// Reads the state of an arm of `n` joints from `row`, which [`State::write_to`] has written.
     pub(crate) fn read_from(&mut self, n: usize, row: &[f64]) {
         let (Some((&flags, mut rest)), n) = (row.split_first(), n.min(MAX_JOINTS)) else { return };
         let mut limit = [0.0; MAX_JOINTS];

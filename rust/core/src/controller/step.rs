@@ -1,4 +1,6 @@
-//! One control step, from reading to command.
+//! One control step of a single arm, from the measured positions to the command.
+//!
+//! The lines in the docs of the functions are those of the listing in `docs/derivations.md`, "The default law".
 
 use crate::command::goal::{Goals, JointTargets, profile_velocity, slew};
 use crate::command::host_loss::HostLossBound;
@@ -27,20 +29,20 @@ use crate::task::reference_governor::{ReferenceGovernor, ReferenceHold, hold_fra
 use crate::task::{ArmState, pose_error_by};
 use crate::{MAX_AXES, MAX_JOINTS};
 
-/// Longest time [s] by which one step advances a slew or the integrating goal: after a stall of the host the arm must
-/// not lunge.
+/// Longest time by which one step advances a slew or the integrating goal [s]: the arm must not jump after the host has
+/// stalled.
 const LONGEST_SLEW: f64 = 0.1;
 
-/// Reference pose of the tool in this step, and the error to it.
+/// Reference pose of the tool in this step, and the deviation from it.
 struct StepReference<W> {
     reference: Pose,
-    /// Deviation, one value per task row.
+    /// Deviation from the reference, one value per task row [m, rad].
     deviation: W,
-    /// Which of x, y, z, roll, pitch, yaw is at its deviation limit.
+    /// True for those of x, y, z, roll, pitch, yaw that are at their deviation limit.
     limited: [bool; MAX_AXES],
 }
 
-/// Context of one step: its inputs and the state that it changes.
+/// Inputs of one step, and the state that it changes.
 pub(super) struct StepContext<'a> {
     pub(super) params: &'a Params,
     pub(super) settings: &'a Settings,
@@ -57,16 +59,16 @@ pub(super) struct StepContext<'a> {
     pub(super) command: &'a mut Command,
 }
 
-/// Solution with the quantities that only the step of a single arm has.
+/// Joint targets of a step, with the quantities that later stages need.
 #[derive(Clone, Copy)]
 struct StepSolution<J: SingleArmJoints> {
     solution: JointTargets<J>,
     gradient: J,
-    /// λ².
+    /// Damping λ².
     damping: f64,
-    /// γ: factor on feed-forward and prediction.
+    /// Factor γ on feed-forward and prediction.
     gamma: f64,
-    /// λ² of each row.
+    /// Damping λ² of each task row.
     row_damping: J::Axes,
     locked: [bool; MAX_JOINTS],
 }
@@ -77,7 +79,8 @@ struct StepSolution<J: SingleArmJoints> {
 fn cold() {}
 
 impl Kernel for StepContext<'_> {
-    /// False if positions, target or command are invalid: state, record and command are then those of the last step.
+    /// True if the step succeeded; false if positions, target or command are invalid. State, diagnostics and command
+    /// are then those of the last step.
     type Output = bool;
 
     #[inline(always)]
@@ -87,13 +90,13 @@ impl Kernel for StepContext<'_> {
 }
 
 impl StepContext<'_> {
-    /// [`StepContext::tick`] for an arm with more joints than one register row holds, compiled once for all instruction sets.
+    /// Runs the step of an arm with more than [`LANES`] joints; compiled once for all instruction sets.
     #[inline(never)]
     fn step_large_arm(&mut self) -> bool {
         self.step_generic::<JointVec16>()
     }
 
-    /// Lines 1 to 12.
+    /// Runs the step, lines 1 to 12; returns false if positions, target or command are invalid.
     #[inline(always)]
     fn step_generic<J: SingleArmJoints>(&mut self) -> bool {
         let (params, settings) = (self.params, self.settings);
@@ -119,14 +122,14 @@ impl StepContext<'_> {
             let limiter =
                 DeviationLimiter { tool: &tool, base_from_task: &base_from_task, before: &self.state.governor.pose() };
             if let Some(limited) = limit_deviation(params, &limiter, &mut governor) {
-                // A reference that stays where it was leaves the deviation bit-identical.
+                // If the limit does not change the reference, keep the deviation bit-identical.
                 let still = limited.reference == aim.reference;
                 let deviation = if still { aim.deviation } else { params.select_rows(&limited.error) };
                 aim = StepReference { reference: limited.reference, deviation, limited: limited.active };
             }
         }
         let twist = match &self.input.twist {
-            // A reference that was held back is not where its target is.
+            // The deviation limit moves the reference, so its velocity is not that of the target.
             Some(_) if aim.limited.contains(&true) => {
                 params.to_task_rows(&arm.base_from_task, &governor.reference_velocity())
             }
@@ -183,7 +186,7 @@ impl StepContext<'_> {
             (self.state.singular, self.state.cold) = (singular, false);
         }
         self.state.governor = governor;
-        // Do not integrate a deviation that a limit maintains.
+        // Do not integrate while the deviation limit moves the reference: the deviation would not decrease.
         if settings.tracking.integrate > 0.0 && !aim.limited.contains(&true) {
             self.integrate(dt, &arm, &demand, &solved);
         }
@@ -199,8 +202,8 @@ impl StepContext<'_> {
         true
     }
 
-    /// Lines 7 to 11: the law, and the redistribution of motion to the other joints at position limits; updates
-    /// `singular` if the settings need it.
+    /// Computes the joint targets, lines 7 to 11: evaluates the law, and redistributes the motion of joints that would
+    /// exceed a position limit to the others. Updates `singular` if the settings need it.
     #[inline(always)]
     fn solve<J: SingleArmJoints>(
         &self,
@@ -259,7 +262,7 @@ impl StepContext<'_> {
         solved
     }
 
-    /// Adds the lead of stiff axes and null space to the stored lead.
+    /// Adds the lead of stiff axes and null space, without that of locked joints, to the stored lead.
     #[inline(always)]
     fn integrate<J: SingleArmJoints>(
         &mut self,
@@ -284,7 +287,7 @@ impl StepContext<'_> {
         integrator.update(&mut self.state.integral, self.params);
     }
 
-    /// Line 1: filtered velocity.
+    /// Returns the filtered joint velocity, or that of the input (line 1).
     #[inline(always)]
     fn filter<J: SingleArmJoints>(&self, q: J) -> Filtered<J> {
         if let Some(dq) = &self.input.dq {
@@ -294,7 +297,7 @@ impl StepContext<'_> {
         self.state.filter.update(q, encoder_step, self.settings.tracking.velocity_filter, self.input.dt)
     }
 
-    /// Line 1: predicted positions at the arrival of the goal.
+    /// Returns the predicted positions at the arrival of the goal (line 1); the measured ones under law `paper`.
     #[inline(always)]
     fn predict<J: SingleArmJoints>(&self, q: J, filtered: &Filtered<J>) -> J {
         if !self.params.law.by_force() {
@@ -304,7 +307,8 @@ impl StepContext<'_> {
         J::fma(J::splat(ahead), filtered.velocity, q)
     }
 
-    /// Returns the terms that give the tool the velocity and acceleration of its reference.
+    /// Returns the terms that give the tool the velocity and acceleration of its reference; zero if the settings do not
+    /// limit the tool's speed.
     #[inline(always)]
     fn pacing<J: SingleArmJoints>(
         &self,
@@ -322,7 +326,8 @@ impl StepContext<'_> {
         Pacing::new(self.params, arm, filtered.velocity, &velocity, &change)
     }
 
-    /// Line 12 before minimum, ceiling and slew, or (11).
+    /// Returns the torque limits before floor, ceiling and slew: (11) under law `paper`, otherwise line 12 or the sum
+    /// rule.
     #[inline(always)]
     fn wanted_limits<J: SingleArmJoints>(
         &self,
@@ -353,7 +358,7 @@ impl StepContext<'_> {
         }
     }
 
-    /// Records the intermediates of the step.
+    /// Stores the intermediate results of the step in the diagnostics.
     #[inline(always)]
     fn record_diagnostics<J: SingleArmJoints>(
         &mut self,
