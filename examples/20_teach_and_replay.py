@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import pliant.record
+import pliant.teach
 
 import pliant
 import pliant.sim
