@@ -9,8 +9,8 @@
 //! So every joint moves in the direction in which its real load pulls it, until the object on which the arm comes to
 //! rest carries the weight. Motion that would raise the tool is removed. `ℓ* = ∓ 2 τ_f / k_p` lets a joint press
 //! downward with little more than its own friction. The factor r keeps the speed v of every point of the arm below the
-//! allowed speed, and the force of its impact on an object of stiffness k, `v √(k m)`, below the allowed force; m is the
-//! effective mass of the point along its path. r decreases further if a point is measured above 60 % of its allowed
+//! allowed speed, and the force of its impact on an object of stiffness k, `v √(k m)`, below the allowed force; m is
+//! the effective mass of the point along its path. r decreases further if a point is measured above 60 % of its allowed
 //! speed, and is 0 above 110 %.
 //!
 //! If positions no longer arrive, positions computed with the model of the arm replace them.

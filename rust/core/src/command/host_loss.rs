@@ -102,11 +102,11 @@ impl HostLoss<'_> {
     /// all other axes free.
     ///
     /// Each joint is a spring to its goal that slips at its torque limit L and has friction τ_f. A push F loads joint i
-    /// with the torque `F a_i`, where a is its lever. The arm follows in small steps, each with the smallest F that moves
-    /// the tool. First the springs stretch, until at joint i the push overcomes limit, friction, gravity torque g and
-    /// damping d at the hand's speed v: `F = (L_i + τ_f,i + s_i g_i)/|a_i| + d_i v/a_i²` with `s_i = sign(a_i)`. From
-    /// there that joint turns alone until another joint is weaker. A joint at its position limit does not yield; it turns
-    /// back if the push changes its direction along the path.
+    /// with the torque `F a_i`, where a is its lever. The arm follows in small steps, each with the smallest F that
+    /// moves the tool. First the springs stretch, until at joint i the push overcomes limit, friction, gravity torque g
+    /// and damping d at the hand's speed v: `F = (L_i + τ_f,i + s_i g_i)/|a_i| + d_i v/a_i²` with `s_i = sign(a_i)`.
+    /// From there that joint turns alone until another joint is weaker. A joint at its position limit does not yield;
+    /// it turns back if the push changes its direction along the path.
     pub(crate) fn max_push_force(&self, rest: &JointVec, row: usize, sign: f64) -> PushResult {
         let n = self.params.n;
         let kind = usize::from(self.params.per_axis[row].axis >= 3);
