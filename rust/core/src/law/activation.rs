@@ -93,7 +93,7 @@ impl Activation<JointVec16> {
         self.null.to_joints()
     }
 
-    /// Returns the n × (k + 1) matrix, the null-space column last.
+    /// Returns the activation matrix A, n × (k + 1), the null-space column last.
     pub(crate) fn matrix(&self, k: usize, n: usize) -> DMatrix<f64> {
         let columns: Vec<JointVec> = (0..k).map(|axis| self.row(axis)).chain([self.null()]).collect();
         DMatrix::from_fn(n, k + 1, |i, r| columns[r][i])

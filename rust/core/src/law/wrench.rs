@@ -31,8 +31,9 @@ impl<W: TaskVector> Wrench<W> {
 }
 
 impl<J: JointVector> LawInput<'_, J> {
-    /// Returns the lead of the goals [rad] that exerts `wrench`, plus the null-space motion `null` [rad]. Parts that
-    /// exceed the limits are reduced in the order given below.
+    /// Returns the lead of the goals [rad] that exerts `wrench`, plus the null-space motion `null` [rad]. Where the
+    /// usable torques or the joint speeds are exceeded, the null-space part is reduced first (by speed only), then the
+    /// soft, then the stiff part.
     #[inline(always)]
     pub(crate) fn joint_offsets(
         &self,

@@ -209,7 +209,8 @@ pub struct Axis {
     pub damping: Option<[f64; 2]>,
     /// Sides that yield; default both if `soft` or `firm` is set, else none.
     pub yields: Option<CompliantSide>,
-    /// Target adaptation η of (12), 0 ≤ η < 1.
+    /// Target adaptation η of (12), 0 ≤ η < 1: share of the deviation by which the target of a yielding axis follows
+    /// the tool.
     pub adaptation: f64,
     /// Deviation [m or rad] below which the compliance is 1, d⁻ of (8); default 0.01 m or 0.04 rad.
     pub soft_until: Option<f64>,

@@ -80,7 +80,7 @@ pub enum LimitRule {
 /// Choice of the projector into the null space of the task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Projector {
-    /// `I − Jᵀ(JJᵀ + μ²I)⁻¹J` with μ = 0 away from singular poses.
+    /// `I − Jᵀ(JJᵀ + μ²I)⁻¹J`, where μ is 0 except near singular poses.
     #[default]
     Exact,
     /// `I − J⁺J` with the damped J⁺, as printed in (4).

@@ -155,7 +155,7 @@ impl SimdLevel {
             // features.
             #[cfg(target_arch = "x86_64")]
             Set::Avx2 => unsafe { avx2(kernel) },
-            // SAFETY: as above.
+            // SAFETY: as for `Set::Avx2`.
             #[cfg(target_arch = "x86_64")]
             Set::Avx512 => unsafe { avx512(kernel) },
         }

@@ -78,7 +78,7 @@ impl<T> Number for T where
 {
 }
 
-/// Arithmetic of real numbers: one value (`Real = f64`) or several at once.
+/// Arithmetic on real numbers that hold one value (`Real = f64`) or several.
 pub(crate) trait RealOps: Copy + Debug + 'static {
     /// The number type: one value per configuration.
     type Real: Number;

@@ -1,6 +1,7 @@
 //! Vector types in registers of four numbers, for processors with AVX2 and fused multiply-add.
 
-// SAFETY of every `unsafe` below: see the module above.
+// SAFETY of every `unsafe` below: as in the parent module, whose types are used only where the processor has their
+// instructions.
 
 use std::arch::x86_64::{
     __m256d as Register, _CMP_LT_OQ, _mm256_add_epi64, _mm256_add_pd as add, _mm256_and_pd as and,
@@ -37,31 +38,32 @@ vec3_register! { Avx2x4 beside FmaF64, registers of 4: 0 }
 #[inline(always)]
 unsafe fn first_of(values: *const f64, count: usize) -> Register {
     const MASKS: [i64; 8] = [-1, -1, -1, -1, 0, 0, 0, 0];
-    // SAFETY: as above; `values` points to `count` numbers, and the mask is set for no more.
+    // SAFETY: the processor has the instructions, see `SimdLevel`; `values` points to `count` numbers, and the mask is
+    // set for no more.
     unsafe { _mm256_maskload_pd(values, _mm256_loadu_si256(MASKS.as_ptr().add(4 - count.min(4)).cast())) }
 }
 
 #[inline(always)]
 unsafe fn cmp_lt(a: Register, b: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { _mm256_cmp_pd::<_CMP_LT_OQ>(a, b) }
 }
 
 #[inline(always)]
 unsafe fn blend(mask: Register, then: Register, otherwise: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { _mm256_blendv_pd(otherwise, then, mask) }
 }
 
 #[inline(always)]
 unsafe fn mask_any(mask: Register) -> bool {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { _mm256_movemask_pd(mask) != 0 }
 }
 
 #[inline(always)]
 unsafe fn exp2_int(sum: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
         let exponent = _mm256_slli_epi64::<52>(_mm256_castpd_si256(sum));
         _mm256_castsi256_pd(_mm256_add_epi64(exponent, _mm256_set1_epi64x(1023 << 52)))
@@ -70,7 +72,7 @@ unsafe fn exp2_int(sum: Register) -> Register {
 
 #[inline(always)]
 unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
         let quadrant = _mm256_castpd_si256(turns);
         let odd = _mm256_castsi256_pd(_mm256_slli_epi64::<63>(quadrant));
@@ -81,14 +83,14 @@ unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Registe
 
 #[inline(always)]
 fn reduce_halves(n: [Register; 2]) -> Register {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { add(n[0], n[1]) }
 }
 
 /// Returns the products of the two vectors, the upper half added to the lower.
 #[inline(always)]
 fn dot_halves(a: [Register; 2], b: [Register; 2]) -> Register {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { fmadd(a[0], b[0], mul(a[1], b[1])) }
 }
 
@@ -108,7 +110,7 @@ fn transposed_back([[a, e], [b, f], [c, g], [d, h]]: [[Register; 2]; 4]) -> [Reg
 /// Returns the three components of the four vectors from index `first` on.
 #[inline(always)]
 fn components_of_four(cells: &[PaddedVec3; LANES], first: usize) -> [Register; 3] {
-    // SAFETY: as above; a cell has four.
+    // SAFETY: the processor has the instructions, see `SimdLevel`; a cell has four.
     let rows = unsafe {
         [
             loadu(cells[first].as_ptr()),

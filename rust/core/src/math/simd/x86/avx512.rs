@@ -1,6 +1,7 @@
 //! Vector type in registers of eight numbers with masks, for processors with AVX-512.
 
-// SAFETY of every `unsafe` below: see the module above.
+// SAFETY of every `unsafe` below: as in the parent module, whose types are used only where the processor has their
+// instructions.
 
 use std::arch::x86_64::{
     __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm512_add_epi64, _mm512_add_pd as add, _mm512_and_pd as and,
@@ -28,19 +29,20 @@ soa_lanes! { Avx512x8, each row an Avx512x8: 0 1 2 3 4 5 6 7 }
 unsafe fn first_of(values: *const f64, count: usize) -> Register {
     // Separate case for 0: a shift by the full width of the mask would overflow.
     let mask = if count == 0 { 0 } else { Mask::MAX >> (LANES - count.min(LANES)) };
-    // SAFETY: as above; `values` points to `count` numbers, and the mask is set for no more.
+    // SAFETY: the processor has the instructions, see `SimdLevel`; `values` points to `count` numbers, and the mask is
+    // set for no more.
     unsafe { _mm512_maskz_loadu_pd(mask, values) }
 }
 
 #[inline(always)]
 unsafe fn cmp_lt(a: Register, b: Register) -> Mask {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b) }
 }
 
 #[inline(always)]
 unsafe fn blend(mask: Mask, then: Register, otherwise: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { _mm512_mask_blend_pd(mask, otherwise, then) }
 }
 
@@ -51,7 +53,7 @@ unsafe fn mask_any(mask: Mask) -> bool {
 
 #[inline(always)]
 unsafe fn exp2_int(sum: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
         let exponent = _mm512_slli_epi64::<52>(_mm512_castpd_si512(sum));
         _mm512_castsi512_pd(_mm512_add_epi64(exponent, _mm512_set1_epi64(1023 << 52)))
@@ -60,7 +62,7 @@ unsafe fn exp2_int(sum: Register) -> Register {
 
 #[inline(always)]
 unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
         let quadrant = _mm512_castpd_si512(turns);
         let odd = _mm512_test_epi64_mask(quadrant, _mm512_set1_epi64(1));
@@ -73,7 +75,7 @@ unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Registe
 /// Transposes an 8 × 8 matrix, one row per register.
 #[inline(always)]
 fn transpose_8x8(n: [Register; LANES]) -> [Register; LANES] {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
         // First transpose pairs of numbers (even and odd columns), then quarters of registers.
         let even = [low(n[0], n[1]), low(n[2], n[3]), low(n[4], n[5]), low(n[6], n[7])];
@@ -86,7 +88,7 @@ fn transpose_8x8(n: [Register; LANES]) -> [Register; LANES] {
 /// Transposes a 4 × 4 matrix whose entries are quarters of a register, two numbers each.
 #[inline(always)]
 unsafe fn transpose_quarters(n: [Register; 4]) -> [Register; 4] {
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
         let (a, b) = (shuffle::<0x88>(n[0], n[1]), shuffle::<0xdd>(n[0], n[1]));
         let (c, d) = (shuffle::<0x88>(n[2], n[3]), shuffle::<0xdd>(n[2], n[3]));

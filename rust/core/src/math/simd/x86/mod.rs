@@ -20,7 +20,7 @@ macro_rules! simd_type {
 
             #[inline(always)]
             fn neg(self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(xor(self.0[$i], set1(-0.0))),*] })
             }
         }
@@ -32,73 +32,74 @@ macro_rules! simd_type {
 
             #[inline(always)]
             fn splat(value: f64) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self([unsafe { set1(value) }; $count / $width])
             }
 
             #[inline(always)]
             fn fma(a: Self, b: Self, c: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(fmadd(a.0[$i], b.0[$i], c.0[$i])),*] })
             }
 
             #[inline(always)]
             fn fnma(a: Self, b: Self, c: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(fnmadd(a.0[$i], b.0[$i], c.0[$i])),*] })
             }
 
             #[inline(always)]
             fn sqrt(value: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(sqrt(value.0[$i])),*] })
             }
 
             #[inline(always)]
             fn abs(value: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(andnot(set1(-0.0), value.0[$i])),*] })
             }
 
             #[inline(always)]
             fn max(value: Self, bound: Self) -> Self {
-                // SAFETY: as above. If either operand is NaN, these instructions return the second.
+                // SAFETY: the processor has the instructions, see `SimdLevel`. If either operand is NaN, these
+                // instructions return the second.
                 Self(unsafe { [$(max(bound.0[$i], value.0[$i])),*] })
             }
 
             #[inline(always)]
             fn min(value: Self, bound: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(min(bound.0[$i], value.0[$i])),*] })
             }
 
             #[inline(always)]
             fn copy_sign(size: Self, sign: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(or(andnot(set1(-0.0), size.0[$i]), and(set1(-0.0), sign.0[$i]))),*] })
             }
 
             #[inline(always)]
             fn select_lt(a: Self, b: Self, then: Self, otherwise: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(blend(cmp_lt(a.0[$i], b.0[$i]), then.0[$i], otherwise.0[$i])),*] })
             }
 
             #[inline(always)]
             fn any_lt(a: Self, b: Self) -> bool {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 unsafe { false $(| mask_any(cmp_lt(a.0[$i], b.0[$i])))* }
             }
 
             #[inline(always)]
             fn exp2_int(sum: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(exp2_int(sum.0[$i])),*] })
             }
 
             #[inline(always)]
             fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 $((s.0[$i], c.0[$i]) = unsafe { rotate_quadrant(turns.0[$i], s.0[$i], c.0[$i]) };)*
                 (s, c)
             }
@@ -109,13 +110,14 @@ macro_rules! simd_type {
 
             #[inline(always)]
             fn from_array(values: &[f64; LANES]) -> Self {
-                // SAFETY: as above; there are eight values.
+                // SAFETY: the processor has the instructions, see `SimdLevel`; there are eight values.
                 Self(unsafe { [$(loadu(values.as_ptr().add($i * $width))),*] })
             }
 
             #[inline(always)]
             fn load_partial(values: &[f64]) -> Self {
-                // SAFETY: as above; each register reads only the numbers that the previous registers left.
+                // SAFETY: the processor has the instructions, see `SimdLevel`; each register reads only the numbers
+                // that the previous registers left.
                 Self(unsafe { [$({
                     let rest = values.get($i * $width..).unwrap_or_default();
                     first_of(rest.as_ptr(), rest.len())
@@ -124,7 +126,7 @@ macro_rules! simd_type {
 
             #[inline(always)]
             fn store_array(self, values: &mut [f64; LANES]) {
-                // SAFETY: as above; there is room for eight values.
+                // SAFETY: the processor has the instructions, see `SimdLevel`; there is room for eight values.
                 unsafe { $(storeu(values.as_mut_ptr().add($i * $width), self.0[$i]);)* }
             }
         }
@@ -138,7 +140,7 @@ macro_rules! simd_type {
 
             #[inline(always)]
             fn $method(self, other: Self) -> Self {
-                // SAFETY: as above.
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$($method(self.0[$i], other.0[$i])),*] })
             }
         }
@@ -191,13 +193,13 @@ macro_rules! vec3_register {
 
             #[inline(always)]
             fn load_cell(cell: &PaddedVec3) -> Self {
-                // SAFETY: as above; there are four values.
+                // SAFETY: the processor has the instructions, see `SimdLevel`; there are four values.
                 Self(unsafe { [$(loadu(cell.as_ptr().add($i * $width))),*] })
             }
 
             #[inline(always)]
             fn store_cell(self, cell: &mut PaddedVec3) {
-                // SAFETY: as above; there is room for four values.
+                // SAFETY: the processor has the instructions, see `SimdLevel`; there is room for four values.
                 unsafe { $(storeu(cell.as_mut_ptr().add($i * $width), self.0[$i]);)* }
             }
         }
@@ -251,7 +253,7 @@ pub(super) mod sse2;
 fn hsum_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
     use std::arch::x86_64::{_mm256_add_pd, _mm256_hadd_pd, _mm256_permute2f128_pd, _mm256_storeu_pd};
     let mut out = [0.0; 4];
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
         let (ab, cd) = (_mm256_hadd_pd(a, b), _mm256_hadd_pd(c, d));
         let (low, high) = (_mm256_permute2f128_pd::<0x20>(ab, cd), _mm256_permute2f128_pd::<0x31>(ab, cd));
@@ -264,7 +266,7 @@ fn hsum_of_four([a, b, c, d]: [__m256d; 4]) -> [f64; 4] {
 #[inline(always)]
 fn transpose_4x4(r: [__m256d; 4]) -> [__m256d; 4] {
     use std::arch::x86_64::{_mm256_permute2f128_pd, _mm256_unpackhi_pd, _mm256_unpacklo_pd};
-    // SAFETY: as above.
+    // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe {
         let (a, b) = (_mm256_unpacklo_pd(r[0], r[1]), _mm256_unpackhi_pd(r[0], r[1]));
         let (c, d) = (_mm256_unpacklo_pd(r[2], r[3]), _mm256_unpackhi_pd(r[2], r[3]));

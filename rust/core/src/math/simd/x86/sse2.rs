@@ -1,6 +1,7 @@
 //! Vector types in registers of two numbers, for every x86-64 processor.
 
-// SAFETY of every `unsafe` below: see the module above.
+// SAFETY of every `unsafe` below: as in the parent module, whose types are used only where the processor has their
+// instructions.
 
 use std::arch::x86_64::{
     __m128d as Register, _mm_add_epi64, _mm_add_pd as add, _mm_and_pd as and, _mm_and_si128, _mm_andnot_pd as andnot,
@@ -39,7 +40,7 @@ vec3_register! { Sse2x4 beside BaselineF64, registers of 2: 0 1 }
 /// Loads up to two of `count` numbers, zeros in lanes after the last.
 #[inline(always)]
 unsafe fn first_of(values: *const f64, count: usize) -> Register {
-    // SAFETY: as above; `values` points to `count` numbers, and no more are read.
+    // SAFETY: every x86-64 processor has SSE2; `values` points to `count` numbers, and no more are read.
     unsafe {
         match count {
             0 => set1(0.0),
@@ -51,31 +52,31 @@ unsafe fn first_of(values: *const f64, count: usize) -> Register {
 
 #[inline(always)]
 unsafe fn fmadd(a: Register, b: Register, c: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe { add(mul(a, b), c) }
 }
 
 #[inline(always)]
 unsafe fn fnmadd(a: Register, b: Register, c: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe { sub(c, mul(a, b)) }
 }
 
 #[inline(always)]
 unsafe fn blend(mask: Register, then: Register, otherwise: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe { or(and(mask, then), andnot(mask, otherwise)) }
 }
 
 #[inline(always)]
 unsafe fn mask_any(mask: Register) -> bool {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe { _mm_movemask_pd(mask) != 0 }
 }
 
 #[inline(always)]
 unsafe fn exp2_int(sum: Register) -> Register {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe {
         let exponent = _mm_slli_epi64::<52>(_mm_castpd_si128(sum));
         _mm_castsi128_pd(_mm_add_epi64(exponent, _mm_set1_epi64x(1023 << 52)))
@@ -84,7 +85,7 @@ unsafe fn exp2_int(sum: Register) -> Register {
 
 #[inline(always)]
 unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Register, Register) {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe {
         let quadrant = _mm_castpd_si128(turns);
         let one = _mm_set1_epi64x(1);
@@ -99,21 +100,21 @@ unsafe fn rotate_quadrant(turns: Register, s: Register, c: Register) -> (Registe
 
 #[inline(always)]
 fn reduce_halves(n: [Register; 4]) -> Register {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe { add(add(n[0], n[2]), add(n[1], n[3])) }
 }
 
 /// Returns the products of the two vectors, the upper half added to the lower.
 #[inline(always)]
 fn dot_halves(a: [Register; 4], b: [Register; 4]) -> Register {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     reduce_halves(unsafe { [mul(a[0], b[0]), mul(a[1], b[1]), mul(a[2], b[2]), mul(a[3], b[3])] })
 }
 
 #[inline(always)]
 fn sum4([a, b, c, d]: [Register; 4]) -> [f64; 4] {
     let mut out = [0.0; 4];
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe {
         storeu(out.as_mut_ptr(), add(low(a, b), high(a, b)));
         storeu(out.as_mut_ptr().add(2), add(low(c, d), high(c, d)));
@@ -123,7 +124,7 @@ fn sum4([a, b, c, d]: [Register; 4]) -> [f64; 4] {
 
 #[inline(always)]
 fn transposed(n: [Register; LANES]) -> [[Register; 4]; 2] {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe {
         [
             [low(n[0], n[1]), low(n[2], n[3]), low(n[4], n[5]), low(n[6], n[7])],
@@ -134,7 +135,7 @@ fn transposed(n: [Register; LANES]) -> [[Register; 4]; 2] {
 
 #[inline(always)]
 fn transposed_back([a, b]: [[Register; 4]; 2]) -> [Register; LANES] {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     unsafe {
         [
             low(a[0], b[0]),
@@ -151,11 +152,11 @@ fn transposed_back([a, b]: [[Register; 4]; 2]) -> [Register; LANES] {
 
 #[inline(always)]
 fn components(cells: &[PaddedVec3; LANES]) -> [[Register; 4]; 3] {
-    // SAFETY: as above.
+    // SAFETY: every x86-64 processor has SSE2.
     let mut out = unsafe { [[set1(0.0); 4]; 3] };
     for pair in 0..4 {
         let (a, b) = (&cells[2 * pair], &cells[2 * pair + 1]);
-        // SAFETY: as above; a cell has four.
+        // SAFETY: every x86-64 processor has SSE2; a cell has four.
         unsafe {
             let (xy, more) = (loadu(a.as_ptr()), loadu(b.as_ptr()));
             (out[0][pair], out[1][pair]) = (low(xy, more), high(xy, more));
