@@ -12,10 +12,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import pliant.teach
 
 import pliant
 import pliant.sim
+import pliant.teach
 
 HELD = 2.0 if os.environ.get("PLIANT_SHORT") else 5.0  # [s]
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
