@@ -1782,9 +1782,9 @@ class PoseReport:
 
     @property
     def gain_factor(self) -> float:
-        """Factor <= 1 on K_x, required by the delay.
+        """Factor <= 1 on the gain K_x, required by the delay.
 
-        Under law impedance on the stiffness, required by delay and pose.
+        Under law impedance the factor is on the stiffness; delay and pose require it.
         """
 
     @property
@@ -2202,9 +2202,9 @@ class Diagnostics:
 
     @property
     def gain_factor(self) -> float:
-        """Factor <= 1 on K_x, required by the delay.
+        """Factor <= 1 on the gain K_x, required by the delay.
 
-        Under law impedance on the stiffness, required by delay and pose.
+        Under law impedance the factor is on the stiffness; delay and pose require it.
         """
 
     @property
@@ -2299,9 +2299,9 @@ class ContactEstimator:
 
     The torque of the servos beyond gravity, friction and acceleration comes from the surroundings:
     `J' F = r = g + M q'' + t_f tanh(v / v0) + d v - clip(k_p (goal - q) - k_v v, +-limit)`. With
-    `|error of r_i| <= u_i`, `F = (J W J' + P)^-1 J W r`, `W = diag(1/u^2)`, `P = diag(1/most^2)`,
-    and the bound is `|G| u + |G J' - I| most`: a direction that no joint senses has the uncertainty
-    `most`.
+    `|error of r_i| <= u_i`, `F = G r`, `G = (J W J' + P)^-1 J W`, `W = diag(1/u^2)`,
+    `P = diag(1/max_wrench^2)`, and the bound is `|G| u + |G J' - I| max_wrench`: a direction that no
+    joint senses has the uncertainty `max_wrench`.
 
     Call `update` once per tick, before the controller's `step`. Errors are relative: 0.3 is 30 %.
 
@@ -2318,18 +2318,18 @@ class ContactEstimator:
         inertia_error: Error of the acceleration torques, computed with point masses.
         load_error: Error of a measured load or current.
         torque_constant: Torque per current (n,) [N m/A]; required if a current is given.
-        most: Largest plausible force [N] and torque [N m].
+        max_wrench: Largest plausible force [N] and torque [N m].
         touch, stop: Thresholds [N, N m] by axis key, e.g. `{"xyz": 8.0}`. The larger of threshold
             and `guard` times the present uncertainty applies.
         hysteresis: Share of its threshold by which a force must fall to end an event.
         min_time: Minimum time beyond a threshold before an event begins or ends [s].
         guard: Factor on the uncertainty. At 1 an event is proven; 0.6 gave no false alarm in an
             hour (docs/contact.md).
-        accept: `("thresholds",)` accepts thresholds below the uncertainty, without `guard`.
+        accept_thresholds: Accept thresholds below the uncertainty, without `guard`.
 
     Raises:
         OutOfRangeError: An option is out of range; or a threshold is below the uncertainty of the
-            arm at rest in the median pose, with that number.
+            arm at rest in a typical pose, with that number.
         ConfigError, ShapeError: No servos, unknown axes, or constants of another length.
     """
 
@@ -2346,13 +2346,13 @@ class ContactEstimator:
         inertia_error: float = 0.3,
         load_error: float = 0.2,
         torque_constant: ArrayLike | None = None,
-        most: tuple[float, float] = (100.0, 20.0),
+        max_wrench: tuple[float, float] = (100.0, 20.0),
         touch: Mapping[str, float] | None = None,
         stop: Mapping[str, float] | None = None,
         hysteresis: float = 0.3,
         min_time: float = 0.02,
         guard: float = 1.0,
-        accept: Sequence[str] = (),
+        accept_thresholds: bool = False,
     ) -> ContactEstimator: ...
     def update(
         self,
@@ -2414,7 +2414,7 @@ class ContactEstimator:
 
     @property
     def guard(self) -> float:
-        """Factor on the uncertainty that a force must exceed to count; 0 if `accept` removes it."""
+        """Factor on the uncertainty that a force must exceed to count; 0 with `accept_thresholds`."""
 
     @property
     def latency(self) -> float:

@@ -126,7 +126,7 @@ def test_few_joints_look_at_the_axes_of_their_task():
 
 def test_events_of_the_experiment_are_those_of_the_core():
     seen = pushed(
-        pliant.ContactEstimator(controller(), touch={"z": 5.0}, accept=("thresholds",), **KNOWN),
+        pliant.ContactEstimator(controller(), touch={"z": 5.0}, accept_thresholds=True, **KNOWN),
         (0.0, 0.0, 9.0),
     )
     beyond = np.array([abs(felt.force[2]) > 5.0 for felt in seen])

@@ -49,7 +49,7 @@ def test_force_counts_beyond_threshold_and_uncertainty():
     assert judge(push(-9.0))
     assert not judge(push(7.0))
     assert not judge(moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6)))
-    assert rx.Force("z", above=8.0, accept=("thresholds",)).evaluator()(
+    assert rx.Force("z", above=8.0, accept_thresholds=True).evaluator()(
         moment(Felt((0, 0, 9.0, 0, 0, 0), bound=(10.0,) * 6))
     )
     assert not rx.Force("z", above=8.0, toward="+").evaluator()(push(-9.0))

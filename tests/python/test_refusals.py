@@ -85,8 +85,8 @@ def calls(model, q):
             lambda: pliant.ContactEstimator(lone, filter="fast"),
             "a number [s], got 'fast' (str)",
         ),
-        "most": (
-            lambda: pliant.ContactEstimator(lone, most=3),
+        "max_wrench": (
+            lambda: pliant.ContactEstimator(lone, max_wrench=3),
             "a pair (force [N], torque [N·m]), got 3",
         ),
         "axes": (

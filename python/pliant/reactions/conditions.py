@@ -284,14 +284,14 @@ class Force(Condition):
         axes: Axis key of the task frame.
         above, below: Threshold [N], for rotations [N·m]; exactly one of them.
         toward: Direction of the pushes that count.
-        accept: ``("thresholds",)`` uses the threshold without regard to the uncertainty.
+        accept_thresholds: Use the threshold without regard to the uncertainty.
     """
 
     axes: str
     above: float | None = None
     below: float | None = None
     toward: Literal["both", "+", "-"] = "both"
-    accept: tuple[str, ...] = ()
+    accept_thresholds: bool = False
     needs_force = True
 
     def __post_init__(self) -> None:
@@ -300,16 +300,13 @@ class Force(Condition):
         _one_side(self.above, self.below, "Force")
         if self.toward not in {"both", "+", "-"}:
             raise ConfigError(f"Force.toward is 'both', '+' or '-', not {self.toward!r}")
-        unknown = set(self.accept) - {"thresholds"}
-        if unknown:
-            raise ConfigError(f"Force.accept knows 'thresholds', not {sorted(unknown)}")
 
     def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Reject a threshold that the arm at rest cannot distinguish from its own friction."""
         if contact is None:
             return
         indices(self.axes, contact.axes)
-        if self.accept or self.above is None:
+        if self.accept_thresholds or self.above is None:
             return
         bound = contact.guard * contact.typical_uncertainty()
         for axis in indices(self.axes):
@@ -317,9 +314,9 @@ class Force(Condition):
                 unit = "N" if axis < 3 else "N·m"
                 raise OutOfRangeError(
                     f"{self!r}: {AXES[axis]} = {self.above:g} {unit} is outside "
-                    f"[{rounded_up(bound[axis])}, ∞): below it this arm, at rest in the median "
+                    f"[{rounded_up(bound[axis])}, ∞): below it this arm, at rest in a typical "
                     "pose, cannot tell a contact from friction, k_p and gravity; raise it, say in "
-                    "ContactEstimator(...) how well the arm is known, or accept=('thresholds',)"
+                    "ContactEstimator(...) how well the arm is known, or accept_thresholds=True"
                 )
 
     def evaluator(self) -> Evaluator:
@@ -333,14 +330,14 @@ class Force(Condition):
             size = sign * force if sign else np.abs(force)
             if self.above is None:
                 return bool(np.all(size < (self.below or 0.0)))
-            bound = 0.0 if self.accept else now.guard * wrench.uncertainty[chosen]
+            bound = 0.0 if self.accept_thresholds else now.guard * wrench.uncertainty[chosen]
             return bool(np.any(size > np.maximum(self.above, bound)))
 
         return holds
 
     def __repr__(self) -> str:
         side = "" if self.toward == "both" else f", toward={self.toward!r}"
-        accept = f", accept={self.accept!r}" if self.accept else ""
+        accept = ", accept_thresholds=True" if self.accept_thresholds else ""
         return f"Force({_threshold(self.axes, self.above, self.below)}{side}{accept})"
 
 

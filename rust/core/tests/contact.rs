@@ -302,7 +302,7 @@ fn options_are_checked_by_name() {
     let cases = [
         (ContactOptions { filter: -1.0, ..known() }, "filter [s] = -1"),
         (ContactOptions { friction_error: f64::NAN, ..known() }, "friction_error = NaN"),
-        (ContactOptions { max_wrench: [0.0, 1.0], ..known() }, "most (force)"),
+        (ContactOptions { max_wrench: [0.0, 1.0], ..known() }, "max_wrench (force)"),
         (ContactOptions { guard: 1.5, ..known() }, "guard = 1.5"),
         (ContactOptions { hysteresis: 1.0, ..known() }, "hysteresis = 1"),
         (ContactOptions { torque_constant: Some(vec![1.0]), ..known() }, "torque_constant has shape (1,)"),

@@ -11,13 +11,10 @@ use pyo3::types::{PyDict, PyTuple};
 use crate::controller::Controller;
 use crate::error::{OrRaise, config, wrong_type};
 use crate::extras::SECONDS;
-use crate::kinds::{Kind, Names};
+use crate::kinds::{Flag, Kind};
 use crate::ndarray::new_array;
 use crate::read::{joints, number, real, set_if_some, vector};
 use crate::{arguments, in_use};
-
-/// Entry of the argument `accept` that allows thresholds below the uncertainty of the estimate.
-const THRESHOLDS: &str = "thresholds";
 
 #[doc = stub!(WrenchEstimate)]
 #[pyclass(module = "pliant.types", frozen, eq)]
@@ -136,12 +133,14 @@ impl ContactEstimator {
     #[new]
     #[pyo3(signature = (
         controller, *, axes = None, filter = None, friction_error = None, kp_error = None, gravity_error = None,
-        payload_error = None, inertia_error = None, load_error = None, torque_constant = None, most = None,
-        touch = None, stop = None, hysteresis = None, min_time = None, guard = None, accept = None
+        payload_error = None, inertia_error = None, load_error = None, torque_constant = None, max_wrench = None,
+        touch = None, stop = None, hysteresis = None, min_time = None, guard = None,
+        accept_thresholds = None
     ))]
     #[pyo3(text_signature = "(controller, *, axes=None, filter=0.04, friction_error=0.3, kp_error=None, \
         gravity_error=0.05, payload_error=0.0, inertia_error=0.3, load_error=0.2, torque_constant=None, \
-        most=(100.0, 20.0), touch=None, stop=None, hysteresis=0.3, min_time=0.02, guard=1.0, accept=())")]
+        max_wrench=(100.0, 20.0), touch=None, stop=None, hysteresis=0.3, min_time=0.02, guard=1.0, \
+        accept_thresholds=False)")]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
     fn new(
         py: Python<'_>,
@@ -155,32 +154,25 @@ impl ContactEstimator {
         inertia_error: Option<&Bound<'_, PyAny>>,
         load_error: Option<&Bound<'_, PyAny>>,
         torque_constant: Option<&Bound<'_, PyAny>>,
-        most: Option<&Bound<'_, PyAny>>,
+        max_wrench: Option<&Bound<'_, PyAny>>,
         touch: Option<&Bound<'_, PyAny>>,
         stop: Option<&Bound<'_, PyAny>>,
         hysteresis: Option<&Bound<'_, PyAny>>,
         min_time: Option<&Bound<'_, PyAny>>,
         guard: Option<&Bound<'_, PyAny>>,
-        accept: Option<&Bound<'_, PyAny>>,
+        accept_thresholds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        let accept = accept.map_or(Ok(Vec::new()), |accept| Names::read("accept", accept))?;
-        if let Some(unknown) = accept.iter().find(|risk| *risk != THRESHOLDS) {
-            return Err(config(
-                "accept",
-                format!("'{unknown}' is no risk of a contact estimate; there is '{THRESHOLDS}'"),
-            ));
-        }
         let mut options = ContactOptions {
             axes: axes.map(keyed).transpose()?,
             kp_error: kp_error.map(|share| real("kp_error", SHARE, share)).transpose()?,
             torque_constant: torque_constant.map(|values| vector("torque_constant", values)).transpose()?,
             touch: thresholds("touch", touch)?,
             stop: thresholds("stop", stop)?,
-            accept_thresholds: !accept.is_empty(),
+            accept_thresholds: accept_thresholds.map_or(Ok(false), |flag| Flag::read("accept_thresholds", flag))?,
             ..ContactOptions::default()
         };
-        set_if_some(&mut options.max_wrench, most, |pair| {
-            pair.extract().map_err(|_| wrong_type("most", "a pair (force [N], torque [N·m])", pair))
+        set_if_some(&mut options.max_wrench, max_wrench, |pair| {
+            pair.extract().map_err(|_| wrong_type("max_wrench", "a pair (force [N], torque [N·m])", pair))
         })?;
         for (slot, name, expected, value) in [
             (&mut options.filter, "filter", SECONDS, filter),

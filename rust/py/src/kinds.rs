@@ -269,24 +269,6 @@ impl Kind for Dampings {
     }
 }
 
-/// A sequence of names; a single string is read as one name.
-pub(crate) struct Names;
-
-impl Kind for Names {
-    type Core = Vec<String>;
-
-    fn read(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<String>> {
-        if let Ok(one) = value.extract::<String>() {
-            return Ok(vec![one]);
-        }
-        value.extract().map_err(|_| wrong(name, "a tuple of names", value))
-    }
-
-    fn plain<'py>(core: &Vec<String>, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        Ok(PyTuple::new(py, core)?.into_any())
-    }
-}
-
 /// The axes of a task, as an axis key such as `"xyz rpy"`.
 pub(crate) struct AxisKey;
 

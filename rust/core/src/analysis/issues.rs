@@ -25,8 +25,8 @@ impl Worst {
     }
 }
 
-/// Negative of the smallest singular value that the pushes of a path reach at their largest friction; with that push
-/// and the friction along the axis at its start [N, N·m].
+/// Smallest singular value (negated) among the points of largest friction of a path's pushes, with the push that reaches
+/// it and the friction along the axis at the start of that push [N, N·m].
 pub(super) type PathSingularity = (Worst, Option<(PathResult, f64)>);
 
 /// Negative of the smallest displacement at which a push reaches a joint stop [m, rad]; with the index of the joint and
@@ -66,7 +66,7 @@ pub(super) fn joint_issues(
             add(
                 limit[i],
                 format!(
-                    "cannot hold the arm: its limit is {missing} N·m short of its load; gravity belongs into the limits (gravity=True)"
+                    "cannot hold the arm: its limit is {missing} N·m short of its load; include gravity in the limits (gravity=True)"
                 ),
                 Some("gravity"),
                 None,

@@ -366,7 +366,7 @@ impl Lowering {
         let (here, gravity) = (self.points.evaluate(&self.q), self.gravity());
         self.positions.push(self.time, &self.q);
         self.positions.drop_before(self.time - SPEED_WINDOW, 2);
-        let measured = here.velocity(&self.joint_speeds());
+        let measured = here.velocity(&self.joint_velocities());
         let speeds: [f64; MAX_POINTS] = measured.map(|v| norm(&v));
         let fastest = speeds.iter().copied().fold(0.0, f64::max);
         let before = self.goal;
@@ -445,7 +445,7 @@ impl Lowering {
 
     /// Keeps each lead within the torque margin of the lead with which the joint last moved freely.
     fn limit_lead(&mut self, gravity: &JointVec, u: &JointVec) {
-        let speed = self.joint_speeds();
+        let speed = self.joint_velocities();
         for i in 0..self.n {
             let push = self.margin(i, gravity[i]) / self.kp[i];
             let lead = self.goal[i] - self.q[i];
@@ -597,7 +597,7 @@ impl Lowering {
     }
 
     /// Returns the mean joint velocities over [`SPEED_WINDOW`] [rad/s]; the first encoder count of motion is ignored.
-    fn joint_speeds(&self) -> JointVec {
+    fn joint_velocities(&self) -> JointVec {
         let (began, q) = self.positions.oldest();
         let duration = self.positions.0.back().map_or(0.0, |(time, _)| time - began);
         std::array::from_fn(|i| {

@@ -95,7 +95,9 @@ impl ContactOptions {
         within("load_error", self.load_error, 10.0)?;
         within("hysteresis", self.hysteresis, 0.95)?;
         within("guard", self.guard, 1.0)?;
-        for (what, max_wrench) in ["most (force) [N]", "most (torque) [N·m]"].into_iter().zip(self.max_wrench) {
+        for (what, max_wrench) in
+            ["max_wrench (force) [N]", "max_wrench (torque) [N·m]"].into_iter().zip(self.max_wrench)
+        {
             if !(max_wrench > 0.0 && max_wrench <= FORCE_BOUND) {
                 return Err(Error::out_of_range(what, max_wrench, format!("(0, {FORCE_BOUND:e}]")));
             }

@@ -108,19 +108,19 @@ impl ContactEstimator {
             ..self.errors
         };
         let resistance = balance.friction_error(&errors);
-        let (static_part, moving) = (balance.static_residual(), balance.friction_torque());
+        let (static_part, friction) = (balance.static_residual(), balance.friction_torque());
         let static_uncertainty = self.static_uncertainty(&errors, &resistance, &torque, &arm.gravity);
         // Filtered velocities are later than positions: delay the terms without velocity, so that all refer to one
         // time.
-        let wait = if state.filters_ready && dq.is_none() {
+        let lag_share = if state.filters_ready && dq.is_none() {
             dt / (controller.settings().tracking.velocity_filter + dt)
         } else {
             1.0
         };
         let share = if state.filters_ready { dt / (self.options.filter + dt) } else { 1.0 };
         for i in 0..self.joints.n {
-            state.static_residual[i] += wait * (static_part[i] - state.static_residual[i]);
-            state.low_passed[i] += share * (state.static_residual[i] + moving[i] - state.low_passed[i]);
+            state.static_residual[i] += lag_share * (static_part[i] - state.static_residual[i]);
+            state.low_passed[i] += share * (state.static_residual[i] + friction[i] - state.low_passed[i]);
             // The first reading adds the full servo torque, which decays while the filters settle.
             let before = state.uncertainty[i];
             state.uncertainty[i] = if state.filters_ready {
@@ -175,8 +175,8 @@ impl ContactEstimator {
         out
     }
 
-    /// Returns an error if a threshold is below the guarded typical uncertainty or belongs to an axis that is not
-    /// estimated; checks nothing with `accept_thresholds`.
+    /// Returns an error if a threshold is below `guard` times the typical uncertainty, or belongs to an axis that is not
+    /// estimated. With `accept_thresholds` nothing is checked.
     pub(super) fn check_thresholds(&self, controller: &Controller) -> Result<()> {
         let (options, asked) = (&self.options, |thresholds: &[Option<f64>]| thresholds.iter().any(Option::is_some));
         if options.accept_thresholds || !(asked(&options.touch) || asked(&options.stop)) {
@@ -187,7 +187,7 @@ impl ContactEstimator {
             for (axis, threshold) in thresholds.iter().enumerate() {
                 let Some(value) = *threshold else { continue };
                 if !self.axes.contains(&axis) {
-                    let message = "has a threshold but is not among the axes looked at: give axes, or leave it out";
+                    let message = "has a threshold but is not among the estimated axes: give axes, or leave it out";
                     return Err(Error::config(format!("{name}.{}", AXIS_NAMES[axis]), message));
                 }
                 let least = options.guard() * typical[axis];
@@ -199,9 +199,9 @@ impl ContactEstimator {
                         format!("{name}.{} [{unit}]", AXIS_NAMES[axis]),
                         value,
                         format!(
-                            "[{least:.3}, ∞): below it this arm, at rest in the median pose, cannot tell a contact from \
+                            "[{least:.3}, ∞): below it this arm, at rest in a typical pose, cannot tell a contact from \
                              friction, k_p and gravity; raise it, say how well the arm is known (kp_error, \
-                             friction_error, gravity_error), lower guard, or take it by name: accept=(\"thresholds\",)"
+                             friction_error, gravity_error), lower guard, or pass accept_thresholds=True"
                         ),
                     ));
                 }
@@ -361,7 +361,7 @@ impl ContactEstimator {
         // The payload error is one number for all joints, so its effect is not summed joint by joint.
         bound.iter_mut().zip(estimator.apply(&payload)).for_each(|(bound, load)| *bound += load.abs());
         let residual_ratio =
-            (0..n).fold(0.0_f64, |max_wrench, i| max_wrench.max((external[i].abs() - payload[i].abs()) / total[i]));
+            (0..n).fold(0.0_f64, |ratio, i| ratio.max((external[i].abs() - payload[i].abs()) / total[i]));
         let mut out = WrenchEstimate {
             torque_residual: external,
             torque_uncertainty: total,

@@ -84,7 +84,8 @@ fn ritz_2d([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2]
         return None;
     }
     let (wa, za, zb) = (dot(w, a), dot(z, a), dot(z, b));
-    // M in the unit vectors û along a and v̂ along c = b − t a; aᵀ M b equals both w·b and z·a.
+    // Entries of M in the orthonormal basis û ∥ a, v̂ ∥ c, with c = b − t a (Gram–Schmidt). M is symmetric, so that
+    // w·b = z·a and one of the two products is enough.
     let per_aa = 1.0 / aa;
     let t = ab * per_aa;
     let per_cc = 1.0 / (bb - t * ab);

@@ -35,7 +35,8 @@ fn pool() -> Result<Arc<ThreadPool>> {
         let message = format!("no thread can be started ({cause}); set RAYON_NUM_THREADS to fewer");
         Error::config("threads", message)
     })?);
-    // A pool whose threads are in another process cannot be dropped: it would wait for them.
+    // After a fork the threads of the old pool exist only in the parent. Leak the pool: dropping it would signal
+    // these threads, and might block on a lock that one of them held at the fork.
     mem::forget(slot.replace((process, Arc::clone(&pool))));
     Ok(pool)
 }

@@ -80,7 +80,7 @@ impl<T> Number for T where
 
 /// Arithmetic on real numbers that hold one value (`Real = f64`) or several.
 pub(crate) trait RealOps: Copy + Debug + 'static {
-    /// The number type: one value per configuration.
+    /// The number type: `f64`, or a vector with one value per joint, per axis or per configuration.
     type Real: Number;
 
     /// True if a number holds several values: of joints, of axes or of configurations.

@@ -217,7 +217,7 @@ impl Source<'_> {
             let node = self.only_child(parent, part.name, owner)?;
             match (node, part.missing) {
                 (None, Some(missing)) => return Err(self.error_at(parent, format!("{owner}: {missing}"))),
-                // An optional element with required attributes is left out as a whole.
+                // An optional element that the file does not contain is left out if one of its attributes has no default.
                 (None, None) if part.attributes.iter().any(|attribute| attribute.absent.is_none()) => continue,
                 _ => {}
             }
