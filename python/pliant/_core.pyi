@@ -2300,8 +2300,8 @@ class ContactEstimator:
     The torque of the servos beyond gravity, friction and acceleration comes from the surroundings:
     `J' F = r = g + M q'' + t_f tanh(v / v0) + d v - clip(k_p (goal - q) - k_v v, +-limit)`. With
     `|error of r_i| <= u_i`, `F = G r`, `G = (J W J' + P)^-1 J W`, `W = diag(1/u^2)`,
-    `P = diag(1/max_wrench^2)`, and the bound is `|G| u + |G J' - I| max_wrench`: a direction that no
-    joint senses has the uncertainty `max_wrench`.
+    `P = diag(1/max_wrench^2)`, and the bound is `|G| u + |G J' - I| max_wrench`: a direction that
+    no joint senses has the uncertainty `max_wrench`.
 
     Call `update` once per tick, before the controller's `step`. Errors are relative: 0.3 is 30 %.
 
@@ -2414,7 +2414,7 @@ class ContactEstimator:
 
     @property
     def guard(self) -> float:
-        """Factor on the uncertainty that a force must exceed to count; 0 with `accept_thresholds`."""
+        """Factor on the uncertainty that a force must exceed; 0 with `accept_thresholds`."""
 
     @property
     def latency(self) -> float:
