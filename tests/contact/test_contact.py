@@ -97,7 +97,6 @@ def test_a_tare_takes_a_wrong_stiffness_out():
         ({"touch": {"y yaw": 30.0, "y": 20.0}}, "y is named twice"),
         ({"touch": {"w": 3.0}}, "'w' is not an axis"),
         ({"axes": "xy", "stop": {"z": 30.0}}, r"stop\.z: has a threshold but is not among"),
-        ({"accept": ("anything",)}, "'anything' is no risk"),
         ({"guard": 2.0}, "guard = 2"),
         ({"torque_constant": [1.0]}, r"torque_constant has shape \(1,\)"),
     ],

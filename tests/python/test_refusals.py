@@ -93,7 +93,10 @@ def calls(model, q):
             lambda: pliant.ContactEstimator(lone, axes=3),
             "an axis key such as 'xyz rpy', got 3",
         ),
-        "accept": (lambda: pliant.ContactEstimator(lone, accept=3), "a tuple of names, got 3"),
+        "accept_thresholds": (
+            lambda: pliant.ContactEstimator(lone, accept_thresholds=3),
+            "True or False, got 3",
+        ),
         "dt": (lambda: contact.update(q, dt="a"), "a number [s], got 'a' (str)"),
         "sent": (lambda: contact.update(q, sent=3), "a pair (goal, torque_limit), got 3"),
         "count": (lambda: lone.batch_state(-1), "a whole number, 0 or more, got -1 (int)"),
