@@ -240,7 +240,16 @@ class Bench:
     def keep(
         self, pose: int, q: Array, axis: str, sign: float, cap: float, *, guided: bool
     ) -> Promise:
-        """Move one axis away from its target and compare the force with the promise."""
+        """Let the hand displace one axis from its target; compare its force with the promise.
+
+        Args:
+            pose: Index of the pose.
+            q: The pose (n,) [rad].
+            axis: Name of the axis.
+            sign: Direction of the push, 1 or -1.
+            cap: Cap of the axis [N or N·m].
+            guided: True if springs hold the other axes.
+        """
         row, seen = AXES.index(axis), self.disturbance
         named: dict[str, Any] = {
             "pose": pose,

@@ -78,7 +78,7 @@ def kept(conditions: Conditions) -> Figures:
 
 
 def yaw(conditions: Conditions) -> Figures:
-    """Turn the tool by a hand."""
+    """Let a hand turn the tool about yaw, the soft axis."""
     seen = disturbances.drag(controllers.cap(soft="yaw"), YAW, conditions=conditions)
     return {
         "torque [N·m]": seen.force,

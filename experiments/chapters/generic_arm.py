@@ -282,7 +282,13 @@ CAP_SHARE = (0.30, 0.14)
 
 @dataclass(frozen=True, kw_only=True)
 class Strengths:
-    """Default strengths of law cap [N]: soft axis at small and large deviation, and when stiff."""
+    """Default strengths of law cap for the soft axis of an arm [N].
+
+    Attributes:
+        soft: At zero deviation.
+        firm: At a large deviation.
+        hold: If the same axis is stiff.
+    """
 
     soft: float
     firm: float
