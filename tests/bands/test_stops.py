@@ -1,4 +1,4 @@
-"""Position limits in physics: they bound motion, not force."""
+"""Position limits on the simulated arm: excursion beyond a limit, gravity at it, coming to rest."""
 
 import numpy as np
 import pytest

@@ -77,7 +77,7 @@ class Host:
         os.close(self.fd)
 
     def ask(self, request, length, patience=2.0):
-        """Write, and read so many bytes or until the timeout."""
+        """Write `request`; return the reply: `length` bytes, or fewer after `patience` [s]."""
         os.write(self.fd, request)
         answer, end = b"", time.monotonic() + patience
         while len(answer) < length and time.monotonic() < end:

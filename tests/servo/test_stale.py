@@ -1,4 +1,4 @@
-"""Lines that stop for longer than any timeout: no reply is ever taken for a newer one."""
+"""Replies that arrive after their timeout: none is taken for the reply to a later request."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ class LateLine:
 
     Args:
         ids: Servos.
-        held: From a time to the one at which bytes sent then arrive [s].
+        held: Function from the time at which a byte is sent to the time at which it arrives [s].
         keeps_order: True if replies arrive in the order in which they were sent.
     """
 
