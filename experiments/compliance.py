@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pliant.sim import Plant
 
 
-#: A strong hand that takes 6 s for 0.15 m: quasi-static force against deviation.
+#: Strong hand that moves 0.15 m in 6 s, slowly enough to measure static force against deviation.
 STEADY = Drag(
     axis="y",
     distance=0.15,
@@ -29,9 +29,9 @@ STEADY = Drag(
     at="tool",
     course=ForceProfile(start=1.0, rise=6.0, end=7.0),
 )
-#: Wall in front of the tool; path of the target behind it and to the side of it [m].
+#: Distance of the wall from the tool; target behind the wall, and displaced sideways [m].
 GAP, BEHIND, ASIDE = 0.03, 0.07, 0.10
-#: Time at which the wall is removed [s].
+#: Time at which the wall is removed from the scene [s].
 GONE = 6.0
 
 

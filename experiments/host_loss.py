@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-#: Distance of the hand, as in the report, and its duration [m, rad; s].
+#: Distance of the hand as in the report, translations [m] and rotations [rad], and duration [s].
 TRAVEL, TAKES = (0.15, 0.4), 6.0
 #: The motion: speed of the target [m/s], duration before the host loss [s].
 SPEED, WORK = 0.1, (0.6, 1.2)
-#: Displacement by a hand that leans on the yielding axis meanwhile [m], and time without a hand
-#: [s].
+#: Displacement by a hand that leans on the soft axis before the host loss [m], and time between the
+#: host loss and the hand's drag [s].
 LEAN, ALONE = 0.04, 0.5
 #: Largest force of the hand on `arm7` [N, N·m]; on others it scales with their capacity.
 HAND = (80.0, 6.0)
@@ -91,7 +91,7 @@ class HostLossPush:
 
 
 class Bench:
-    """An arm that works and loses its host; made once for all its poses."""
+    """Plant, hand and controller of an arm that loses its host; reused for all its poses."""
 
     def __init__(self, arm: Arm, settings: pliant.Settings | None = None) -> None:
         """Build plant, hand and controller; by default y yields (x on an arm without y)."""
@@ -112,7 +112,7 @@ class Bench:
         return [self.push(pose, axis, sign) for axis in self.arm.axes for sign in (1.0, -1.0)]
 
     def push(self, pose: int, axis: str, sign: float) -> HostLossPush:
-        """Work, lose the host, and be pushed."""
+        """Follow the target, freeze goals and limits, and drag the tool along one axis."""
         leans = bool(pose % 2)
         report = self._work(pose, leans=leans)
         row, kind = AXES.index(axis), AXES.index(axis) // 3

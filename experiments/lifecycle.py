@@ -169,7 +169,7 @@ GRASP: Array = tool(VERTICAL)
 
 
 def _stall(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Compute for a second instead of a tick."""
+    """Block the loop for one second in one tick."""
     if since < 0.005:
         robot.clock.wait_until(robot.clock.now() + LONG)
     return GRASP
@@ -181,7 +181,7 @@ def _nan(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
 
 
 def _nan_caught(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array | None:
-    """Detect the NaN, and skip the tick."""
+    """Skip the tick, as a program does that detects a NaN target itself."""
     if since < LONG:
         tick.skip()
         return None
@@ -220,7 +220,7 @@ def _silence(seconds: float, *, deaf: bool = False) -> Act:
 
 
 def _lost(*, powerless: bool) -> Act:
-    """Lose one joint for good."""
+    """Return an action after which one joint no longer answers."""
 
     def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
         (drive.powerless if powerless else drive.silent).add(LOST)
@@ -230,7 +230,7 @@ def _lost(*, powerless: bool) -> Act:
 
 
 def _interrupt(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Raise Ctrl-C."""
+    """Raise KeyboardInterrupt, as Ctrl-C does."""
     raise KeyboardInterrupt
 
 
