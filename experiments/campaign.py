@@ -358,7 +358,7 @@ class Bench:
     def _capture(self, q: Array) -> tuple[Array, Array]:
         """Hold q for 2 s by an integrating goal; return the arm's positions and the goals."""
         if self._captured is None or self._captured[0] != q.tobytes():
-            # With feed-forward and integration, the arm oscillated in 9 of 20 poses with k_p 25 % low.
+            # With feed-forward and integration it oscillated in 9 of 20 poses with k_p 25 % low.
             holding = self._settings(
                 tracking=pliant.Tracking(integrate=4.0),
                 compensation=pliant.Compensation(friction=0.0, damping=0.0),

@@ -148,7 +148,7 @@ class JumpResult:
 
 
 def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> JumpResult:
-    """Let the target jump aside at 1 s and wait until 5 s.
+    """Let the target jump by 0.10 m in x and in y at 1 s; the run ends at 5 s.
 
     Args:
         law: The settings.

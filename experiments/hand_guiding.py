@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from experiments.poses import Array
 
 
-#: Creep speed of joints held by friction, relative to MuJoCo's default. With the default, 1, joints
-#: slide by up to some mrad/s, and the drift of a small arm is the simulator's.
+#: Creep speed of joints held by friction, relative to MuJoCo's default. With the default of 1,
+#: joints creep by several mrad/s, which would dominate the drift of a small arm.
 CREEP = 0.1
 COUNT, DEADBAND = float(np.deg2rad(0.088)), float(np.deg2rad(0.06))
 #: Times at which the hand comes, reaches the end of its path, lets go, and the run ends [s].

@@ -48,9 +48,9 @@ class Rest:
 
     Attributes:
         arm: By name.
-        ticks: Of delay, each way.
+        ticks: Delay of readings, and of commands [ticks].
         eta: Target adaptation of the soft axis.
-        pose: Index.
+        pose: Index among the arm's poses.
         room: Distance of the nearest joint to its limit at release [rad].
         moves: Largest motion of a joint in a second, from 2.5 s and from 8 s on [rad].
         turns: Number of reversals of a joint that moves 5 mrad in these seconds.

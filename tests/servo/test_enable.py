@@ -11,7 +11,7 @@ from pliant.servo import ServoBus, ServoSpec
 from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
-#: Distance of old goals [counts]: 44° on most encoders.
+#: Distance between old goals and present positions [counts]; 44° on most encoders.
 OFF = 500
 
 

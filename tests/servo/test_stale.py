@@ -76,7 +76,10 @@ class LateLine:
 
 
 def stalls(rng, longest):
-    """Return periods in which no byte passes, a third of the time in all: bytes sent then wait."""
+    """Return `held` for a line that stalls at random for at most `longest` [s].
+
+    Bytes sent during a stall arrive at its end.
+    """
     ends = np.cumsum(rng.exponential([[0.2], [0.1]], (2, 4000)).T.ravel())
     lengths = np.minimum(np.diff(ends)[::2], longest)
     begins = ends[:-1:2]
