@@ -1,4 +1,4 @@
-"""The life cycle down to bytes: emulated servos on a serial port, a simulated arm behind."""
+"""Life cycle of an arm over serial bytes: emulated servos that drive a simulated arm."""
 
 from contextlib import contextmanager
 
