@@ -312,8 +312,8 @@ class Outcome:
         reason: The error that ended the loop, if any.
         speed: Highest speed of the tool from the fault until control ends, while an arm without a
             host is observed, and for at least 1.5 s where torque is lost [m/s].
-        joint: Highest speed of a joint meanwhile [rad/s].
-        drop: Drop of the tool meanwhile [m].
+        joint: Highest speed of a joint in the same time [rad/s].
+        drop: Drop of the tool in the same time [m].
         lowered: Highest speed of the tool during the descent [m/s].
         force: Mean over a tick, 10 ms, of the force on the hand where it is farthest above
             `allowed`, or least below it [N]; 0 without a hand.

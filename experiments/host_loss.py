@@ -35,11 +35,11 @@ SPEED, WORK = 0.1, (0.6, 1.2)
 #: Displacement by a hand that leans on the soft axis before the host loss [m], and time between the
 #: host loss and the hand's drag [s].
 LEAN, ALONE = 0.04, 0.5
-#: Largest force of the hand on `arm7` [N, N·m]; on others it scales with their capacity.
+#: Largest force [N] and torque [N·m] of the hand on `arm7`; they scale with other arms' capacity.
 HAND = (80.0, 6.0)
-#: Poses of `arm7` and of the others.
+#: Number of poses of `arm7`, and of every other arm.
 POSES, OTHERS = 24, 8
-#: Allowance above the report [N, N·m].
+#: Allowed excess of the felt force over the reported one: translations [N], rotations [N·m].
 BEYOND = (3.0, 0.3)
 
 
@@ -54,7 +54,7 @@ class HostLossPush:
         sign: Direction of the push.
         leaned: True if a hand leaned on the arm at the host loss.
         said: `report().host_loss_force` of the last step [N or N·m].
-        felt: Largest force on the hand [N or N·m].
+        felt: Largest measured force on the hand [N or N·m].
         at: Distance of the hand at that force [m or rad].
         hand: Largest force of the hand [N or N·m].
     """
@@ -86,7 +86,7 @@ class HostLossPush:
 
     @property
     def allowed(self) -> bool:
-        """True if it is within the allowance."""
+        """True if the felt force exceeds the reported one by at most the allowance `BEYOND`."""
         return self.above <= BEYOND[AXES.index(self.axis) // 3]
 
 

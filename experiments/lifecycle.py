@@ -176,7 +176,7 @@ def _stall(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
 
 
 def _nan(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Return NaN for a target."""
+    """Return a target of NaN for the duration of the fault, then the grasp pose."""
     return np.full((4, 4), np.nan) if since < LONG else GRASP
 
 
@@ -189,7 +189,7 @@ def _nan_caught(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Arr
 
 
 def _nothing(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array | None:
-    """Write nothing."""
+    """Write no command for the duration of the fault."""
     return None if since < LONG else GRASP
 
 
@@ -199,7 +199,7 @@ def _jump(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
 
 
 def _silence(seconds: float, *, deaf: bool = False) -> Act:
-    """Silence all joints for a while; `deaf`: they also receive nothing."""
+    """Return an action that silences all joints for `seconds`; `deaf`: they lose writes, too."""
 
     def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
         if since < 0.005:
