@@ -30,7 +30,7 @@ ROUNDS = 7
 
 
 def settings() -> dict[str, pliant.Settings]:
-    """Law paper as `benches/peers.py` has it, and the defaults."""
+    """Return settings by law: law `paper` with the numbers of `benches/peers.py`, and defaults."""
     endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     axes = {name: pliant.Axis(**endless) for name in ("x", "z", "roll", "pitch", "yaw")}
     axes["y"] = pliant.Axis(yields="both", adaptation=0.9, **endless)
@@ -61,7 +61,7 @@ def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
         controller = pliant.Controller(model, wanted)
         name = f"step_batch, law {law}"
         found[name] = lambda c=controller: c.step_batch(q, targets, out=out)
-        # A state is large: made only for requested calls.
+        # The state of a batch takes much memory: it is made only if a requested call uses it.
         state = controller.batch_state(count if named(name + ", with a state", only) else 1)
         found[name + ", with a state"] = lambda c=controller, s=state: c.step_batch(
             q, targets, state=s, out=out
@@ -87,7 +87,7 @@ def serve(count: int, only: list[str]) -> None:
 
 
 def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
-    """Start a process that answers."""
+    """Start a process that runs `serve` with this number of threads."""
     command = [sys.executable, __file__, "--count", str(count), "--only", ",".join(only), "--serve"]
     environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
     pipe = subprocess.PIPE
@@ -104,7 +104,7 @@ def ask(server: subprocess.Popen[str], name: str) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """Measure in turns, print one row per call."""
+    """Time one thread and all threads alternately; print one row per call."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--instructions", help="baseline, avx2 or avx512; default: the widest")

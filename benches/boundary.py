@@ -18,7 +18,7 @@ from contest import pliant_peer, problem
 
 import pliant
 
-#: Number of turns, and calls in each.
+#: Number of turns, and number of calls in each turn.
 ROUNDS, CALLS_A_TURN = 100, 1280
 #: Number of states of the path.
 STATES = 1000
@@ -42,7 +42,7 @@ SERVOS = {
 
 
 def names() -> dict[str, Any]:
-    """Return the names that the calls use."""
+    """Return the objects that the timed statements use, by variable name."""
     model = pliant.Model.from_urdf(problem.URDF, tip=problem.TOOL)
     states = problem.states(problem.bench_arm())
     cap = pliant.Controller(model, pliant.Settings.soft("y"), pliant.Servos(**SERVOS))

@@ -23,10 +23,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "benches" / "counts.json"
-#: Largest accepted growth.
+#: Largest accepted growth of a count over the stored one, as a share of it.
 GROWTH = 0.05
 PATHS = ("baseline", "avx2")
-#: By path, by stage: instructions of one call.
+#: Instructions of one call, by code path (instruction set), then by stage.
 Counts = dict[str, dict[str, float]]
 
 
@@ -35,7 +35,7 @@ class Skip(Exception):
 
 
 def main() -> int:
-    """Count; compare or store."""
+    """Count instructions, and compare them with the stored counts or store them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--update", action="store_true", help="store what is counted")
     parser.add_argument("--binary", type=Path, help="the built bench, in place of building it")
@@ -111,7 +111,7 @@ def count_all(binary: Path) -> Counts:
 
 
 def count(binary: Path, stage: str, path: str) -> int:
-    """Return the instructions inside `counted`, of one round over all states."""
+    """Return the number of instructions in function `counted` for one round over all states."""
     command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
     command += ["--toggle-collect=*counted*", str(binary), stage]
     environment = {**os.environ, "PLIANT_INSTRUCTIONS": path}
@@ -138,7 +138,7 @@ def regressions(counts: Counts, stored: Counts) -> list[str]:
 
 
 def table(counts: Counts, stored: Counts) -> str:
-    """Return counts beside the stored ones."""
+    """Return a table of the counts and the stored counts."""
     lines = []
     for path, stages in counts.items():
         for stage, now in stages.items():

@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
 Law = Literal["cap", "impedance", "paper"]
 
-#: Number of states, so that consecutive calls differ.
+#: Number of different states; consecutive calls use different ones.
 STATES = 256
-#: Share of a period that the step may take; the rest belongs to the bus.
+#: Share of the control period available to the step; the bus needs the rest.
 SHARE = 0.1
-#: Share of the time without a core above which it is reported.
+#: A warning is printed if the thread waited for a core for more than this share of the time.
 BUSY = 0.002
 #: Bins of the histogram, as ratios of the median.
 EDGES = (0.0, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 5.0, 20.0, np.inf)
@@ -48,20 +48,20 @@ BAR = 40
 
 @dataclass(frozen=True)
 class Latency:
-    """Times of single calls [s].
+    """Durations of single calls.
 
     Attributes:
-        times: One a call, in order.
+        times: Duration of each call (N,) [s], in order of the calls.
     """
 
     times: Array
 
     def at(self, percent: float) -> float:
-        """Return a percentile [s]."""
+        """Return the duration at a percentile [s]."""
         return float(np.percentile(self.times, percent))
 
     def less(self, seconds: float) -> Latency:
-        """Subtract the overhead of a call; never below zero."""
+        """Return the durations less an overhead [s], at least zero."""
         return Latency(np.maximum(self.times - seconds, 0.0))
 
 
@@ -143,7 +143,7 @@ def path(model: pliant.Model) -> list[Array]:
 
 
 def measure(call: Callable[[int], object], calls: int) -> Latency:
-    """Time calls one by one, with the number of the state, the garbage collector on."""
+    """Time calls one by one with garbage collection on; the argument is the state's index."""
     times = np.empty(calls)
     now = time.perf_counter_ns
     for i in range(STATES):
@@ -162,13 +162,13 @@ def measure(call: Callable[[int], object], calls: int) -> Latency:
 
 
 def _guessed(model: pliant.Model) -> pliant.Servos:
-    """Guess servos of an arm with a URDF only, from its efforts, as the simulator does."""
+    """Guess the servos from the URDF's effort limits, as the simulator does."""
     effort = np.nan_to_num(model.effort_limit, nan=1.0, posinf=1.0)
     return pliant.Servos(kp=effort / 0.07, max_torque=effort, friction=0.02 * effort)
 
 
 def _axes(model: pliant.Model) -> str:
-    """Return as many axes as there are joints, translations first."""
+    """Return the names of as many task axes as the model has joints, translations first."""
     return " ".join(("x", "y", "z", "roll", "pitch", "yaw")[: model.n])
 
 
@@ -229,7 +229,7 @@ def _histogram(found: Latency) -> Table:
 
 
 def _round(rate: float) -> float:
-    """Round down to two digits."""
+    """Round down to two significant digits."""
     scale = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
     return float(np.floor(rate / scale) * scale)
 

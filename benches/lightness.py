@@ -1,9 +1,10 @@
-"""Cost to a user: import time, start of the command line, memory, size of the wheel.
+"""Measure import time, start time of the command line, memory, and size of the wheel.
 
     python benches/lightness.py
 
-Every start is a process of its own. Prints medians of processor time, which is almost independent
-of load, and of wall time, beyond the bare interpreter for NumPy and beyond NumPy for pliant.
+Each start is a separate process. The table has medians of processor time, which hardly depends on
+the machine's load, and of wall time. The time of the bare interpreter is subtracted from NumPy's,
+and that of NumPy from pliant's.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STARTS = 15
-#: Prints its resident memory [MB] while a controller of the built-in arm runs.
+#: Program that prints its resident memory [MB] after running a controller of the built-in arm.
 RUNNING = """
 import numpy as np
 {before}
@@ -36,13 +37,13 @@ for i in range(20_000):
 
 
 def now() -> tuple[float, float]:
-    """Return the children's processor seconds, and the clock."""
+    """Return the processor time of child processes and the wall clock [s]."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime, time.perf_counter()
 
 
 def medians(times: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return the medians of processor and clock."""
+    """Return the medians of processor time and of wall time [s]."""
     return statistics.median(t[0] for t in times), statistics.median(t[1] for t in times)
 
 
@@ -84,7 +85,7 @@ def line(name: str, times: tuple[float, float]) -> None:
 
 
 def main() -> None:
-    """Print one line each."""
+    """Measure and print one line per figure."""
     print(f"{'':30}processor    clock")
     bare = starts("-c", "pass")
     line("python", bare)

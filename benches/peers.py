@@ -1,10 +1,11 @@
-"""Times our calls beside those of other libraries, doing the same work, in one run.
+"""Compare the time of pliant's calls with that of other libraries for the same computation.
 
     make peers                      (or: python benches/peers.py --rounds 40 --plot out.png)
 
-Each peer runs in a process of its own, in this environment if it has the library and otherwise in
-one made for it under build/peers. Its results must agree with a NumPy reference to 1e-9 before it
-is timed. Turns are in random order; ratios are within a round. Missing peers are reported.
+Each peer runs in a separate process, in this environment if it has the library and otherwise in
+one made under build/peers. A peer is timed only if its results agree with a NumPy reference to
+1e-9. In every round each peer is timed once, in random order; ratios compare times of the same
+round. Missing peers are reported.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from contest.turns import Racer, race
 
 
 def main() -> None:
-    """Start, verify, time, print, plot."""
+    """Start and verify the peers, time them, and print and plot the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--only", default="", help="peers by part of their name, comma-separated")

@@ -1,4 +1,4 @@
-"""The slowest of many steps from Python, and the cost of special poses.
+"""Tail latency of the step called from Python, and its cost in special poses.
 
     python benches/tail.py                 10⁷ steps in a row, then 10⁶ in turn; --steps, --turns
 
@@ -29,7 +29,7 @@ import pliant
 Array = NDArray[np.float64]
 URDF = Path(__file__).resolve().with_name("arm7_bench.urdf")
 BLOCK, STATES = 64, 256
-#: Ratio to the ordinary poses that still counts as equal cost.
+#: A case counts as equal in cost up to this ratio of its time to that of ordinary poses.
 SAME = 1.2
 
 
@@ -39,7 +39,7 @@ class Case:
 
     Attributes:
         name: Description.
-        states: q (7,) and target (4, 4).
+        states: Pairs of joint positions q (7,) [rad] and target pose (4, 4).
     """
 
     name: str
@@ -57,7 +57,7 @@ def servos() -> pliant.Servos:
 
 
 def cases(model: pliant.Model) -> list[Case]:
-    """Return the poses; every case has states that change with every call."""
+    """Return the cases, the ordinary poses included."""
     turns = 2.0 * np.pi * np.arange(STATES)[:, None] / STATES + 0.9 * np.arange(model.n)
     middle, half = 0.5 * (model.lower + model.upper), 0.5 * (model.upper - model.lower)
     ordinary = middle + 0.4 * half * np.sin(turns)
@@ -84,7 +84,7 @@ def cases(model: pliant.Model) -> list[Case]:
 
 
 def stepper(case: Case, settings: pliant.Settings) -> Callable[[], Array]:
-    """Return a function for the times [ns] of the next block of steps of one controller."""
+    """Return a function that runs a block of steps and returns their times [ns]."""
     model = pliant.Model.from_urdf(URDF)
     controller = pliant.Controller(model, settings, servos())
     parts = itertools.cycle(range(0, STATES, BLOCK))
@@ -111,7 +111,7 @@ def nothing() -> Array:
 
 
 def waiter(length: float) -> Callable[[], Array]:
-    """Return times [ns] of empty calls of this duration [ns]: they touch no memory of their own."""
+    """Return a function for the times [ns] of calls that only wait for `length` [ns]."""
 
     def block(turns: int) -> Array:
         times, now, forget = [], time.perf_counter_ns, deque[None](maxlen=0).extend
@@ -135,13 +135,13 @@ def waited() -> int:
 
 
 def laws() -> dict[str, pliant.Settings]:
-    """Return the two laws, y yielding."""
+    """Return the settings of the two laws by name, with soft axis y."""
     paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)})
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
 
 def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
-    """Return times [ns] of so many calls without a pause, and of those in calm blocks."""
+    """Run `steps` calls without pause; return times [ns] of all, and of those in calm blocks."""
     count = max(steps // BLOCK, 1)
     times, calm = np.empty((count, BLOCK), dtype=np.float32), np.empty(count, dtype=bool)
     for i in range(count):
@@ -152,7 +152,7 @@ def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
 
 
 def consecutive(model: pliant.Model, steps: int) -> None:
-    """Measure the tail of steps in a row, beside empty calls."""
+    """Print the tail latency of consecutive steps and of empty calls."""
     case = cases(model)[0]
     blocks = {"(nothing)": nothing} | {
         f"law {law}": stepper(case, settings) for law, settings in laws().items()
@@ -175,7 +175,7 @@ def consecutive(model: pliant.Model, steps: int) -> None:
 
 
 def main() -> None:
-    """Measure steps in a row, then cases in turn, one row per case."""
+    """Measure consecutive steps, then the cases in alternating blocks; print a row for each."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--steps", type=int, default=10_000_000, help="in a row, of each law")
     parser.add_argument("--turns", type=int, default=1_000_000, help="of all cases and laws")
@@ -213,7 +213,7 @@ def main() -> None:
 
 
 def chosen(settings: pliant.Settings) -> str:
-    """Return the instructions that the controller uses."""
+    """Return the name of the instruction set that the controller uses."""
     controller = pliant.Controller(pliant.Model.from_urdf(URDF), settings, servos())
     return str(getattr(controller, "simd_level", "of any machine"))
 

@@ -3,7 +3,7 @@
 This folder is not installed. Its modules run from the root of a clone (extra `experiments`), for
 example `python -m experiments.descent`.
 
-Scenarios (`disturbances`, `tracking`, `doors`, `cap_accuracy`, ...) run one thing and return its
-numbers. `chapters` combine runs, statements and figures. `demonstration.run` runs the chapters and
+Scenarios (`disturbances`, `tracking`, `doors`, `cap_accuracy`, ...) simulate a task and return its
+results. `chapters` combine runs, statements and figures. `demonstration.run` runs the chapters and
 writes a report.
 """

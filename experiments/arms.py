@@ -1,4 +1,4 @@
-"""Arms of the cap campaign: built-in ones, and real robots found beside the project."""
+"""Arms of the cap campaign: built-in arms, and real robots whose URDF is available locally."""
 
 from __future__ import annotations
 
@@ -19,26 +19,31 @@ if TYPE_CHECKING:
 
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-#: Number of drawn poses, and the share of the median σ below which one is left out.
+#: Number of random poses. A pose is left out if its smallest singular value σ is below this share
+#: of the median σ.
 DRAWN, LEAST_SIGMA = 512, 0.65
-#: Caps as shares of the arm's median static capacity, translations and rotations.
+#: Caps as shares of the arm's median static capacity: for translations, and for rotations.
 SHARES = ((0.15, 0.30, 0.60), (0.07, 0.14))
-#: Reach [m] that gives the length 1 m for weighing rotations against translations.
+#: Reach [m] of an arm for which 1 rad weighs as much as 1 m; the length scales with the reach.
 REACH_OF_ONE = 0.71
 
 
 def _robots() -> Path:
-    """Return the folder of real robots: `PLIANT_ROBOTS`, or beside a clone, else `robots`."""
+    """Return the folder of real robots' descriptions.
+
+    It is `PLIANT_ROBOTS` if set, else `shared/robots` beside a clone, else `robots`.
+    """
     if folder := os.environ.get("PLIANT_ROBOTS"):
         return Path(folder)
     root = Path(__file__).resolve().parents[1]
-    # Only beside a clone: folders beside an installed package belong to others.
+    # `shared` is used only beside a clone, which has a pyproject.toml. A folder of this name beside
+    # an installed package is unrelated.
     return (
         root.parent / "shared" / "robots" if (root / "pyproject.toml").is_file() else Path("robots")
     )
 
 
-#: Real robots' descriptions: URDF, base and tip by name.
+#: Folder of real robots' descriptions.
 ROBOTS = _robots()
 BESIDE = {
     "so101 (real)": ("so101/so101_new_calib.urdf", "base_link", "gripper_frame_link"),
@@ -55,7 +60,7 @@ class Arm:
     """A robot with its servos, controlled axes and poses.
 
     Attributes:
-        name: For tables.
+        name: Name in tables.
         model: The robot, servos attached.
     """
 
@@ -64,7 +69,7 @@ class Arm:
 
     @property
     def servos(self) -> pliant.Servos:
-        """Servo table, true in the nominal case."""
+        """Servo parameters that the controller assumes; in the nominal case also the true ones."""
         table = self.model.servos
         if table is None:
             raise pliant.ConfigError(f"{self.name} has no servos")
@@ -72,7 +77,7 @@ class Arm:
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """Controlled axes: all, xyz with five joints, x z pitch with four."""
+        """Controlled axes: x, y, z with five joints; x, z, pitch with four; otherwise all six."""
         few = {5: AXES[:3], 4: ("x", "z", "pitch")}
         return few.get(self.model.n, AXES)
 
@@ -83,14 +88,14 @@ class Arm:
 
     @cached_property
     def drawn(self) -> Array:
-        """Random poses (512, n) inside the limits, ±π for joints without [rad]."""
+        """Random poses (512, n) [rad] inside the limits; a joint without limits takes ±π."""
         low, high = np.asarray(self.model.lower), np.asarray(self.model.upper)
         endless = ~(np.isfinite(low) & np.isfinite(high))
         low, high = np.where(endless, -np.pi, low), np.where(endless, np.pi, high)
         return np.random.default_rng(0).uniform(low, high, (DRAWN, self.model.n))
 
     def poses(self, count: int) -> Array:
-        """Return the first `count` drawn poses (count, n) away from singular ones [rad]."""
+        """Return the first `count` drawn poses (count, n) [rad] that are not near-singular."""
         jacobians = self.model.jacobian_batch(self.drawn)[:, self.rows, :]
         length = self.model.reach / REACH_OF_ONE
         weight = np.array([1.0 / length if row < 3 else 1.0 for row in self.rows])
@@ -99,7 +104,7 @@ class Arm:
         return good[:count]
 
     def capacity(self, q: Array, row: int, sign: float, payload: float = 0.0) -> float:
-        """Return `capacity` of this arm; 0 for an axis that no joint moves."""
+        """Return `capacity` of this arm [N or N·m]; 0 for an axis that no joint moves."""
         size = capacity(self.model, self.servos, q, row, sign, payload=payload)
         return 0.0 if np.isinf(size) else size
 
@@ -115,7 +120,7 @@ class Arm:
         return median([r for r in self.rows if r < 3]), median([r for r in self.rows if r > 2])
 
     def caps(self, row: int) -> tuple[float, ...]:
-        """Return the caps of an axis to one digit; `arm7`: 5, 10, 20 N and 0.5, 1 N·m."""
+        """Return the caps [N or N·m] of an axis, rounded; for `arm7` 5, 10, 20 N or 0.5, 1 N·m."""
         kind = row // 3
         return tuple(float(f"{s * self.median_capacity[kind]:.0e}") for s in SHARES[kind])
 
@@ -131,8 +136,9 @@ def capacity(
 ) -> float:
     """Return the largest push [N or N·m] along an axis that the torque limits hold at q (n,).
 
-    ``min_i (usable_i + sign(a_i) g_i) / |a_i|`` with ``a = sign J_row``; negative: the arm cannot
-    hold itself; infinite: no joint moves the axis. `payload` [kg] is at the tool.
+    It is ``min_i (usable_i + sign(a_i) g_i) / |a_i|`` with ``a = sign J_row`` and gravity torques
+    g. It is negative if the arm cannot hold its own weight, and infinite if no joint moves the
+    axis. `payload` [kg] is at the tool.
     """
     jacobian = model.jacobian(q)
     gravity = model.gravity(q) - payload * model.gravity_vector @ jacobian[:3]
@@ -168,7 +174,7 @@ def available() -> tuple[list[str], list[str]]:
 
 
 def _table(name: str, bare: pliant.Model) -> pliant.Servos:
-    """Return servos of a real robot: of a similar built-in arm, or guessed from its efforts."""
+    """Return servos of a real robot: those of a similar built-in arm, or guessed from efforts."""
     like = {"so101 (real)": "so101", "koch (real)": "koch"}.get(name)
     if like is not None:
         ours = load(like).servos

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from experiments.poses import Array
 
 
-#: The rows: name, unknown load at the tool [kg], and True for a table.
+#: Rows of the table: name, unknown load at the tool [kg], True if there is a table under the arm.
 CASES = (
     ("no obstacle", 0.0, False),
     ("unknown load of 0.3 kg", LOAD, False),
@@ -37,9 +37,9 @@ class LowerResult:
     """Result of one torque-on and descent.
 
     Attributes:
-        sank: Sag of the tool as torque came on [m].
+        sank: Sag of the tool when torque is switched on [m].
         left: Remaining sag after `enable` [m].
-        lifted: Highest speed of the tool meanwhile [m/s].
+        lifted: Highest speed of the tool during `enable` [m/s].
         speed: Highest speed of the tool during the descent [m/s].
         force: Largest mean over a tick of the force on one point of the table [N].
         resting: Weight on the table once torque is off [N].

@@ -24,7 +24,7 @@ from pliant.emulator import Device, Emulator, EmulatorProcess, Timing
 from pliant.loop import Loop
 from pliant.servo import ServoBus, ServoSpec, wire_time
 
-#: Servos on the line, its speed [bit/s], and duration of the control [s].
+#: Number of servos, baud rate [bit/s], and duration of the run under control [s].
 SERVOS, BAUD, CONTROLLED = 7, 1_000_000, 10.0
 #: Representative servo of each family.
 MODELS = {"sts": "STS3215-12V", "x": "XM540-W270", "p1": "EX-106+"}
@@ -45,7 +45,7 @@ class Rate:
 
     @property
     def ratio(self) -> float:
-        """Share of the wire's own rate."""
+        """Measured rate over the rate that the wire alone would allow."""
         return self.wire / self.median
 
 
@@ -115,7 +115,7 @@ def main(cycles: tyro.conf.Positional[int] = 1000) -> None:
     """Print the table.
 
     Args:
-        cycles: Of a measurement.
+        cycles: Number of cycles per measurement.
     """
     columns = (
         "7 servos, 1 Mbit/s",

@@ -44,17 +44,17 @@ if TYPE_CHECKING:
     Key = tuple[str, str]
     #: Promises by arm and disturbance.
     Found = Mapping[tuple[str, str], Sequence["Promise"]]
-    #: Promises by the label of their line.
+    #: Promises by the label of their line in the picture.
     Groups = Mapping[str, Sequence["Promise"]]
 
-#: Distance of the hand: the distance at which the cap is reached, times this, plus an offset [m,
-#: rad].
+#: The hand moves WAY times the distance at which the cap is reached, plus MORE [m], for rotations
+#: [rad].
 WAY, MORE = 1.25, (0.005, 0.03)
-#: Largest distance, beyond which the pose is another one [m, rad].
+#: Largest distance that the hand moves, since the results belong to one pose [m], rotations [rad].
 FARTHEST = (0.10, 0.40)
-#: Start of the motion, its length, rest, and the evaluated part of the end [s].
+#: Start and duration of the hand's motion, rest after it, and evaluated part of the end [s].
 START, RISE, REST, LOOK = 0.1, 0.7, 0.7, 0.15
-#: Speed of a hand that keeps moving [m/s, rad/s].
+#: Speed of a hand that is evaluated in motion: translations [m/s], rotations [rad/s].
 MOVING = (0.05, 0.25)
 
 
@@ -63,7 +63,7 @@ class Disturbance:
     """One deviation from nominal conditions.
 
     Attributes:
-        name: For tables.
+        name: Name in tables.
         eta: Target adaptation of the soft axis.
         moving: True if the hand is evaluated in motion.
         short: Largest share of the report's `stop_distance` that the hand moves.
@@ -97,7 +97,7 @@ class Disturbance:
         return self.kp != 1.0 and not self.identified
 
 
-#: Share of the distance to an announced stop up to which the cap has to hold.
+#: The cap has to hold up to this share of the distance to a stop that the report announced.
 SHORT = 0.9
 
 UNDISTURBED = Disturbance(name="nominal")
@@ -138,7 +138,7 @@ class Promise:
             of the remaining joints there, `stop_friction`, exceeds the band.
         rubs: `stop_friction` of the report [N or N·m].
         promise: min(F, K_x h (1 - η)|e| / C_jj) at the deviation reached [N or N·m].
-        felt: Force on the hand [N or N·m].
+        felt: Measured force on the hand [N or N·m].
         friction: Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|), which the assumed joints may hide [N or N·m].
         true_friction: The same with the true dry friction.
         band: Largest difference that keeps the promise [N or N·m].
@@ -199,7 +199,7 @@ class Promise:
 
 
 class Bench:
-    """An arm under one disturbance; made once, used for all its promises."""
+    """Plant, hand and controller of an arm under one disturbance, reused for all its promises."""
 
     def __init__(self, arm: Arm, disturbance: Disturbance = UNDISTURBED) -> None:
         """Build plant and hand."""
@@ -240,7 +240,16 @@ class Bench:
     def keep(
         self, pose: int, q: Array, axis: str, sign: float, cap: float, *, guided: bool
     ) -> Promise:
-        """Move one axis away from its target and compare the force with the promise."""
+        """Let the hand displace one axis from its target; compare its force with the promise.
+
+        Args:
+            pose: Index of the pose.
+            q: The pose (n,) [rad].
+            axis: Name of the axis.
+            sign: Direction of the push, 1 or -1.
+            cap: Cap of the axis [N or N·m].
+            guided: True if springs hold the other axes.
+        """
         row, seen = AXES.index(axis), self.disturbance
         named: dict[str, Any] = {
             "pose": pose,
@@ -264,7 +273,7 @@ class Bench:
         way, speed = self._way(q, row, cap)
         if seen.short < np.inf:
             way = min(way, seen.short * stop_distance)
-        # To keep the promise the tool has to move this far: the hand's own spring takes the rest.
+        # The tool moves less than the hand, whose spring yields under the largest allowed force.
         allowed, rubs = (0.40 if seen.wrong else 0.15) * cap, report.friction
         far = way - (cap + allowed + rubs) / grip.stiffness[row]
         announced = stop is not None and stop.distance < far and stop.friction > rubs + allowed
@@ -326,7 +335,7 @@ class Bench:
         return not any(row > 2 for row in self.arm.rows)
 
     def _way(self, q: Array, row: int, cap: float) -> tuple[float, float]:
-        """Return distance and speed of the hand: until the axis gives the cap, and beyond."""
+        """Return distance [m or rad] and speed [m/s or rad/s] of the hand along the axis."""
         kind = row // 3
         c = float(self.arm.model.jacobian(q)[row] ** 2 @ self.compliance)
         alone = WAY * cap * c / (1.0 - self.disturbance.eta) + MORE[kind]
@@ -349,7 +358,7 @@ class Bench:
     def _capture(self, q: Array) -> tuple[Array, Array]:
         """Hold q for 2 s by an integrating goal; return the arm's positions and the goals."""
         if self._captured is None or self._captured[0] != q.tobytes():
-            # Feed-forward and integration together oscillate: 9 of 20 poses with k_p 25 % too low.
+            # With feed-forward and integration it oscillated in 9 of 20 poses with k_p 25 % low.
             holding = self._settings(
                 tracking=pliant.Tracking(integrate=4.0),
                 compensation=pliant.Compensation(friction=0.0, damping=0.0),
@@ -384,7 +393,7 @@ class Bench:
 
 # --- Jobs of the cap campaign, pose by pose, in one process or several ---
 
-#: Number of poses of `arm7` and of the other arms; share of the former under each disturbance.
+#: Number of poses of `arm7`, and of every other arm; each disturbance uses 1/TENTH of the former.
 POSES, OTHER_POSES, TENTH = 200, 50, 10
 #: Names of the identified gears, by arm.
 REAL_GEARS = {"arm7": Friction.of([MX106] * 4 + [MX64] * 3), "so101": STS3215}
@@ -467,13 +476,13 @@ def run_campaign(work: Sequence[Job], processes: int = 1) -> Iterator[tuple[Key,
 
 #: Distance from the stops above which a pose is clear [rad].
 CLEAR = 0.15
-#: Required shares of kept promises: nominal, disturbed.
+#: Required shares of kept promises: without a disturbance, and with one.
 GOALS = (0.97, 0.95)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """Figures of one arm under one disturbance; shares are of the runs, errors of the cap.
+    """Figures of one arm under one disturbance; errors are shares of the cap.
 
     Attributes:
         arm, disturbance: Names.
@@ -651,7 +660,7 @@ def draw_errors(panels: Mapping[str, Groups], folder: Path, stem: str) -> None:
 
 
 def _strips(ax: Any, groups: Groups) -> None:
-    """Draw a line per group: the middle 95 % and half of the errors, median, share in band."""
+    """Draw per group the ranges of the middle 95 % and 50 % of errors, median and share in band."""
     for place, promises in enumerate(reversed(list(groups.values()))):
         run = [p for p in promises if not p.refused]
         if not run:

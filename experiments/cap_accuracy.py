@@ -25,23 +25,23 @@ if TYPE_CHECKING:
     from pliant.sim import Hand
 
 
-#: Measured caps: 15, 30, 60 % of the arm's median capacity [N], 7, 14 % for rotations [N·m].
+#: Caps: 15, 30, 60 % of the arm's median force capacity [N], 7, 14 % of its torque capacity [N·m].
 FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
-#: Distance of the hand: the distance at which the cap is reached, times this, plus an offset [m,
-#: rad].
+#: The hand moves WAY times the distance at which the cap is reached, plus MORE [m], for rotations
+#: [rad].
 WAY, MORE = 1.25, (0.005, 0.03)
-#: Time at which the hand holds still and its force is taken [s].
+#: The force is averaged from SETTLED, when the hand holds still, to END [s].
 SETTLED, END = 2.5, 3.0
 #: Poses with a smallest singular value below this share of the median are left out.
 LEAST_SIGMA = 0.65
-#: Distance of every joint from its stops above which a pose is clear [rad]; below it the stop may
-#: push back, not the law.
+#: A pose is clear if all joints are farther than this from their stops [rad]. Otherwise a stop may
+#: take part of the push.
 CLEAR = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One promise: a pose, an axis, a side, a cap."""
+    """Push to measure: pose, axis, direction and cap."""
 
     q: Array
     axis: str
@@ -60,8 +60,8 @@ class CapResult:
     """One axis pushed in one pose: the promise and the force on the hand [N or N·m].
 
     Attributes:
-        axis, sign: Of the push.
-        cap: Setting.
+        axis, sign: Axis and direction of the push.
+        cap: Cap of the axis.
         promise: min(F, K_x h (1 - η)|e| / C_jj) at the measured deviation.
         measured: Force on the hand.
         friction: Σ_i |J⁺_ij| τ_f,i, the part that the joints' friction may hide.
@@ -97,7 +97,7 @@ def evaluate(
         model: The arm.
         table: Its servos.
         rows: Task axes.
-        row: The pushed one.
+        row: Row of the pushed axis.
         sign: Direction.
         cap: Setting [N or N·m].
     """

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pliant.sim import Plant
 
 
-#: A strong hand that takes 6 s for 0.15 m: quasi-static force against deviation.
+#: Strong hand that moves 0.15 m in 6 s, slowly enough to measure static force against deviation.
 STEADY = Drag(
     axis="y",
     distance=0.15,
@@ -29,9 +29,9 @@ STEADY = Drag(
     at="tool",
     course=ForceProfile(start=1.0, rise=6.0, end=7.0),
 )
-#: Wall in front of the tool; path of the target behind it and to the side of it [m].
+#: Distance of the wall from the tool; target behind the wall, and displaced sideways [m].
 GAP, BEHIND, ASIDE = 0.03, 0.07, 0.10
-#: Time at which the wall is removed [s].
+#: Time at which the wall is removed from the scene [s].
 GONE = 6.0
 
 
@@ -148,7 +148,7 @@ class JumpResult:
 
 
 def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> JumpResult:
-    """Let the target jump aside at 1 s and wait until 5 s.
+    """Let the target jump by 0.10 m in x and in y at 1 s; the run ends at 5 s.
 
     Args:
         law: The settings.

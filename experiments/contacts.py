@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 RATE = 100.0
-#: Start of a hand, and its duration [s].
+#: Start and duration of a hand's contact [s].
 COMES, STAYS = 0.7, 0.8
 #: Random contacts: stiffness [N/m], speed [m/s] and largest force [N] of the hand, speed of the arm
 #: [m/s]; the first two are drawn by their logarithms.
@@ -54,16 +54,16 @@ class Case:
     """Errors of the controller's assumptions, and the part of them that the estimator knows.
 
     Attributes:
-        name: For tables.
-        arm: By name.
+        name: Name in tables.
+        arm: Name of the arm.
         encoder: True if readings have counts that flicker.
         friction: Share by which assumed friction and damping are off, at random by joint.
-        kp: The same of k_p.
+        kp: Share by which assumed k_p is off, at random by joint.
         gears: True if friction depends on speed and load.
         identified: True if the controller knows the gears' friction by speed and load.
         sensed: True if servos report their load, 10 % off at most and with 1 % of noise.
         delay: Known delay of readings and commands [ticks].
-        told: Options of `pliant.ContactEstimator`.
+        told: Further options of `pliant.ContactEstimator`.
     """
 
     name: str
@@ -126,7 +126,7 @@ class Bump:
 
 
 class Bench:
-    """One arm in one case; every run is seeded by its number."""
+    """Runs of one arm in one case; the run's number is the random seed."""
 
     def __init__(self, case: Case) -> None:
         self.case = case
@@ -242,7 +242,7 @@ class Bench:
 
 
 class _Path:
-    """Joints from point to point with minimum jerk, and rests."""
+    """Joint motion from point to point with minimum jerk, with random rests."""
 
     def __init__(self, rng: np.random.Generator, middle: Array, low: Array, high: Array) -> None:
         self._rng, self._middle = rng, middle
@@ -277,12 +277,12 @@ def _log(rng: np.random.Generator, span: tuple[float, float]) -> float:
 
 # --- Detection of recorded contacts by thresholds: detections, false alarms, latency ---
 
-#: Readings beyond a threshold that make an event: 20 ms, without the first.
+#: Consecutive readings beyond a threshold that make a contact: the last is 20 ms after the first.
 READINGS = 3
-#: A contact is strong if its true force exceeds this share of the median static capacity for so
-#: many readings.
+#: A contact is strong if its true force exceeds this share of the median static capacity, for this
+#: number of readings.
 STRONG_FORCE, STRONG = 0.15, 10
-#: Skipped readings at the start of a run, while the estimate settles.
+#: Number of readings skipped at the start of a run, while the estimate settles.
 START = 30
 #: First reading that can include the hand.
 FIRST = round(COMES * RATE) + 1
@@ -290,7 +290,7 @@ FIRST = round(COMES * RATE) + 1
 SHARES = (0.03, 0.05, 0.075, 0.10, 0.125, 0.15, 0.20, 0.25, 0.30, 0.40)
 
 
-#: Shares of the uncertainty that guard a threshold, and of the joints' bounds.
+#: Sizes of rules `guarded` (share of the uncertainty) and `evidence` (share of the joints' bounds).
 GUARDS, EVIDENCE = (0.4, 0.5, 0.6, 0.8, 1.0), (0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5)
 
 
@@ -468,7 +468,7 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
                     (row for row in rows if row.case == case and row.rule.kind == kind),
                     key=lambda row: row.rule.size,
                 )
-                # Zero alarms in so many hours are drawn at half an alarm in that time.
+                # The axis is logarithmic: zero alarms are drawn as half an alarm in the same time.
                 rate = [max(row.alarms, 0.5) / row.hours for row in mine]
                 seen = [100.0 * row.seen for row in mine]
                 ax.plot(rate, seen, "o-", color=colour, markersize=3, linewidth=1.2, label=label)
@@ -483,7 +483,7 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
 
 # --- The program ---
 
-#: The case of the documented numbers, and the others.
+#: The case of the documented numbers; the other cases follow.
 MAIN = Case("encoder, friction ±30 %")
 OTHERS = (
     Case("a tick each way", delay=(1, 1)),
@@ -509,7 +509,7 @@ class Job:
     seconds: float | None = None
 
     def run(self) -> Record:
-        """Record it."""
+        """Run it and return its record."""
         bench = Bench(self.case)
         if self.seconds is None:
             return bench.contact(self.number)

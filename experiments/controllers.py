@@ -1,6 +1,7 @@
 """The controllers of the experiments, by name, as settings.
 
-All of them run without tool speed limit and stiffening rate, which would blur the laws themselves.
+All of them have no tool speed limit and no bound of the stiffening rate, so that the results show
+the laws alone.
 
 | name | what it is |
 |---|---|
@@ -206,10 +207,10 @@ def rec_at_edge(torque: float = 8.0, **more: Any) -> Settings:
 
 # --- Baselines: made for a model and a control period, they step like `pliant.Controller` ---
 
-#: Springs [N/m], [N·m/rad]: stable bounds through position servos at 100 Hz, and with torque
-#: sources at 1 kHz.
+#: Largest stable stiffness, translations [N/m] and rotations [N·m/rad]: with position servos at
+#: 100 Hz, and with torque sources at 1 kHz.
 STIFFNESS, TORQUE_STIFFNESS = (800.0, 20.0), (1600.0, 40.0)
-#: Lead of the goal where the limit itself is the torque command [rad].
+#: Distance of the goal from q [rad] for a torque source, whose torque limit is the torque command.
 FAR = 1.0
 #: Shares of friction and damping that are fed forward, and the speed of full friction [rad/s], as
 #: in the default law; filter of the velocity [s].
@@ -251,7 +252,7 @@ class Joints:
 
 
 class JointPosition:
-    """Inverse kinematics and stiff servos, at full torque or at a fraction of it."""
+    """Position control by inverse kinematics, at full or a fraction of the servo torque."""
 
     def __init__(self, model: pliant.Model, period: float, *, fraction: float = 1.0) -> None:
         """Take the arm; `fraction` of the servos' torque is the limit of every joint."""
@@ -263,7 +264,7 @@ class JointPosition:
         self._goal = q.copy()
 
     def step(self, q: Array, target: Array) -> Goals:
-        """Follow the pose (4, 4) of the target, whatever the arm does."""
+        """Return goals for the target pose (4, 4); the measured positions are not used."""
         self._goal = np.asarray(self._model.inverse_kinematics(target, self._goal).q)
         return Goals(self._goal, self._limit)
 
@@ -340,7 +341,7 @@ def torque_impedance(
     spring: float = 0.0,
     compensated: bool = False,
 ) -> FromModel:
-    """Return ideal impedance; to be run at 1 kHz."""
+    """Return impedance control with ideal torque sources, for a control rate of 1 kHz."""
     return partial(
         Impedance, soft=soft, stiffness=stiffness, spring=spring, compensated=compensated
     )
@@ -366,7 +367,7 @@ class Current:
 
 @dataclass(frozen=True, kw_only=True)
 class Virtual:
-    """The virtual body that the estimated force moves.
+    """Virtual mass, damper and spring that turn the estimated force into a motion.
 
     Attributes:
         mass: [kg]
@@ -436,7 +437,7 @@ class Admittance:
         body = self._virtual
         felt = np.sign(force) * max(abs(force) - body.dead_zone, 0.0)
         pull = felt - body.damper * self._speed - body.spring * self._offset
-        # Semi-implicit, because of a stiff damper at a slow rate.
+        # Semi-implicit Euler: stable with a stiff damper at a low control rate.
         self._speed += pull * self._period / (body.mass + body.damper * self._period)
         self._speed = float(np.clip(self._speed, -body.most_speed, body.most_speed))
         self._offset += self._speed * self._period
@@ -452,7 +453,7 @@ def by_current(*, spring: float = 0.0, soft: str = "y", noise: float = Current.n
     Args:
         spring: Toward the target [N/m].
         soft: The soft translation.
-        noise: Of the current, as a share of the largest torque.
+        noise: Standard deviation of the current, as a share of the largest torque.
     """
     return partial(
         Admittance, soft=soft, current=Current(noise=noise), virtual=Virtual(spring=spring)

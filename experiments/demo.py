@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from experiments.demonstration import Demonstration, Subject
     from experiments.report import Chapter, Check
 
-#: Beyond this number of processes the longest run decides.
+#: Maximum number of processes; with more, the longest run would still determine the duration.
 MOST_JOBS = 16
 
 
@@ -177,7 +177,7 @@ def _close(console: Console, done: Demonstration) -> None:
     console.print(
         f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s"
     )
-    # Not by rich: a wrapped path is not clickable.
+    # Printed without rich, which would wrap the path: a terminal cannot open a wrapped path.
     print(done.report.resolve())
 
 

@@ -48,7 +48,7 @@ LOAD, STEPS, DELAYS = 0.5, (0.09, 0.3), (0, 1, 2, 3)
 TABLE = 0.10
 #: Share of the usable torque that holding the arm and its load may take.
 HOLDS = 0.85
-#: Working poses, for the last row (n,) [rad].
+#: Ready pose of each arm (n,) [rad]; the last row of the table uses it.
 READY = {"arm7": tuple(VERTICAL), **POSES}
 #: Time before the descent, and after torque off [s].
 BEFORE, AFTER = 0.3, 1.0
@@ -80,10 +80,10 @@ class Outcome:
     Attributes:
         apart: Largest ratio between true and assumed stiffness of a joint.
         strain: Largest share of its servo's true torque that a joint needed for weight and load
-            during the descent: above 1 nothing can hold the arm there.
+            during the descent; above 1 the servos cannot hold the arm.
         moved: Largest displacement of the tool while the arm was taken over from a program that
             held it; on bytes from a hand [m].
-        jerk: Highest speed of the tool meanwhile [m/s].
+        jerk: Highest speed of the tool while the arm was taken over [m/s].
         woken, stir: The same, where torque came on at the end of the descent [m], [m/s].
         rise: Rise of the tool above its start during the descent [m].
         speed: Highest speed of the tool during the descent [m/s].
@@ -181,7 +181,7 @@ class Seen:
 
 
 class Watch:
-    """Observes the true state of an arm after every run of its physics.
+    """Records the true state of an arm each time its physics has advanced.
 
     Attributes:
         plant: The true state.
@@ -203,7 +203,7 @@ class Watch:
         self._steps, self._force = 0, np.zeros((len(self.plant.hands), 3))
 
     def look(self, steps: int) -> None:
-        """Record, so many physics steps after the last time."""
+        """Record the state; `steps` physics steps have passed since the last record."""
         plant, seen = self.plant, self.seen
         tool = plant.tool[:3, 3]
         seen.moved = max(seen.moved, float(np.linalg.norm(tool - self.start)))
@@ -393,7 +393,7 @@ def rows(name: str, work: Sequence[Job], seen: Sequence[Outcome]) -> list[str]:
     """Return lines of the table: worst (median), and in brackets the number of the worst pose."""
     lines = []
     pairs = list(zip(work, seen, strict=True))
-    # Arms too weak for the descent are not judged.
+    # Runs in which the true servos were too weak to hold the arm are left out.
     strong = [(job, one) for job, one in pairs if one.strain < 1.0]
     cases = {
         "free": [(job, one) for job, one in strong if job.number >= 0 and not job.over_table],

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Law = pliant.Settings | FromModel
 
-#: A 15 N hand that takes 4 s for 0.08 m: the effect of dry friction.
+#: Hand of at most 15 N that moves 0.08 m in 4 s: slow, so that dry friction dominates.
 SLOW = Drag(distance=0.08, course=ForceProfile(start=2.0, rise=4.0, end=6.5))
 
 
@@ -36,16 +36,16 @@ class DragResult:
 
     Attributes:
         moved: Largest change of the dragged axis since the hand came, while it pulls [m or rad].
-        before: Largest change of that axis in the 2 s before.
+        before: Largest change of that axis in the 2 s before the hand comes [m or rad].
         force: Largest mean over a tick of the hand's force or torque [N or N·m].
-        peak: The same of any physics step.
+        peak: Largest force or torque of the hand in any physics step [N or N·m].
         held: Mean force while the hand holds still, along the axis; positive: toward + [N or N·m].
         position: Largest deviation of the other positions while the hand pulls [m].
         drift: The same, relative to their values when the hand came [m].
         rotation: Largest deviation of the other rotations [rad].
-        back: Distance of the axis from its start 1 s after the release, unsigned.
-        end: The same at the end.
-        stays: Distance from its farthest position to the end.
+        back: Distance of the axis from its start 1 s after the release, unsigned [m or rad].
+        end: Distance of the axis from its start at the end of the run [m or rad].
+        stays: Distance between the axis' farthest position and its final one [m or rad].
         fastest: Largest speed of a joint after the release [rad/s].
         trace: The run.
     """

@@ -104,16 +104,16 @@ def open_door(
 
 #: End stop of the leaf [deg].
 STOP = 45.0
-#: Force that indicates the end of a motion [N], and its minimum duration [s].
+#: The end of a motion is detected if the force exceeds THRESHOLD [N] for PERSISTENCE [s].
 THRESHOLD, PERSISTENCE = 15.0, 0.2
-#: Speed of the target [m/s], rest between opening and closing [s], first motion [s].
+#: Speed of the target [m/s], rest between opening and closing [s], start of the first motion [s].
 SPEED, REST, BEGIN = 0.05, 1.0, 1.0
 #: Longest duration of a motion [s].
 LONGEST = 8.0
 
 
 class ByResistance:
-    """A controller that moves its target: pulls until resistance, rests, pushes until resistance.
+    """Controller that moves its target: it pulls until it detects resistance, rests, then pushes.
 
     Attributes:
         ends: Times at which an end was detected [s].

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pliant.emulator import ArmEmulator
 
 
-#: Minimum reply timeout [s]; emulated time stands still meanwhile. On a computer that is busy for
-#: longer a reply counts as lost.
+#: Minimum reply timeout by the wall clock [s]. If a busy computer delays a reply by more than this,
+#: the reply counts as lost.
 PATIENCE = 0.05
 
 

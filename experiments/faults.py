@@ -44,7 +44,7 @@ ALWAYS = 10**9
 
 
 class HostDiedError(Exception):
-    """The process is killed: none of its code runs any more."""
+    """Stands for a killed host process: it ends control without any clean-up."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,8 @@ class FaultCase:
 
     Attributes:
         title: Description.
-        act: Called at every tick from then on; returns the target, or None where it has written.
+        act: Called at every tick from the fault on. It returns the target, or None if it has
+            already written a command.
         family: Affected servos.
         state: `runs`: servos have power and torque, and a host; `host loss`: no host; `no torque`:
             a servo has lost power or torque.
@@ -91,7 +92,7 @@ class FaultCase:
 
 
 def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
-    """Act in the first tick, and hold the pose in all."""
+    """Return an action that calls `do` in the first tick only; the target stays constant."""
 
     def act(scene: Scene) -> Array | None:
         if scene.first:
@@ -311,8 +312,8 @@ class Outcome:
         reason: The error that ended the loop, if any.
         speed: Highest speed of the tool from the fault until control ends, while an arm without a
             host is observed, and for at least 1.5 s where torque is lost [m/s].
-        joint: Highest speed of a joint meanwhile [rad/s].
-        drop: Drop of the tool meanwhile [m].
+        joint: Highest speed of a joint in the same time [rad/s].
+        drop: Drop of the tool in the same time [m].
         lowered: Highest speed of the tool during the descent [m/s].
         force: Mean over a tick, 10 ms, of the force on the hand where it is farthest above
             `allowed`, or least below it [N]; 0 without a hand.
@@ -367,12 +368,12 @@ class Watcher:
         bus.world.physics.step = self.step  # type: ignore[method-assign]
 
     def begin(self) -> None:
-        """Start: the fault occurs now."""
+        """Start to observe, at the time of the fault."""
         self.begun = self.bus.plant.time
         self.start = self.lowest = float(self.bus.plant.tool[2, 3])
 
     def end(self) -> None:
-        """Stop: control has ended."""
+        """Note that control has ended."""
         self.ended = max(self.bus.plant.time, self.begun + self._least)
 
     def _felt(self, count: int) -> tuple[float, float]:
@@ -393,7 +394,7 @@ class Watcher:
         return float(max(sizes)), float(share @ [a for _, _, a in self._tick])
 
     def step(self, count: int) -> None:
-        """Run the physics, and record."""
+        """Advance the physics by `count` steps; record the tool's speed and the hand's force."""
         self._step(count)
         plant = self.bus.plant
         if plant.time <= self.begun:
@@ -446,7 +447,7 @@ def run_fault(
 def _run(
     case: FaultCase, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
 ) -> tuple[str, bool]:
-    """Control until it ends; return the reason, and True if torque is left."""
+    """Run the control loop; return the reason of its end, and True if torque is still on."""
     arm.enable()
     settings = pliant.Settings.soft("y")
     controller = pliant.Controller(arm.model, settings, arm.servos)
@@ -503,7 +504,7 @@ class Grasp:
     at = TOOL
 
     def __init__(self, since: float) -> None:
-        """Hold nothing before `since` [s]."""
+        """Make a hand that takes hold of the tool at `since` [s]."""
         self._since = since
         self._hand: Drag | None = None
 

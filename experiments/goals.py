@@ -36,7 +36,7 @@ def hold(conditions: Conditions) -> Figures:
 
 
 def strong(law: disturbances.Law) -> Measure:
-    """Move one soft axis with a strong hand."""
+    """Return a measurement in which a strong hand moves one soft axis."""
 
     def measure(conditions: Conditions) -> Figures:
         seen = disturbances.drag(law, STRONG, conditions=conditions)
@@ -46,7 +46,7 @@ def strong(law: disturbances.Law) -> Measure:
 
 
 def light(law: disturbances.Law) -> Measure:
-    """Move the wrist with a 15 N hand."""
+    """Return a measurement in which a hand of at most 15 N moves the wrist."""
 
     def measure(conditions: Conditions) -> Figures:
         seen = disturbances.drag(law, LIGHT, conditions=conditions)
@@ -63,7 +63,7 @@ def capped(conditions: Conditions) -> Figures:
 
 
 def kept(conditions: Conditions) -> Figures:
-    """Measure all 200 poses where everything is known, a seeded tenth of them elsewhere."""
+    """Measure kept caps: in 200 poses if everything is known, else in a seeded tenth of them."""
     poses = 200 if conditions == NOMINAL else 20
     runs = [
         (case, cap_accuracy.keep(case, guided=guided, conditions=conditions).kept)
@@ -78,7 +78,7 @@ def kept(conditions: Conditions) -> Figures:
 
 
 def yaw(conditions: Conditions) -> Figures:
-    """Turn the tool by a hand."""
+    """Let a hand turn the tool about yaw, the soft axis."""
     seen = disturbances.drag(controllers.cap(soft="yaw"), YAW, conditions=conditions)
     return {
         "torque [N·m]": seen.force,
@@ -88,7 +88,7 @@ def yaw(conditions: Conditions) -> Figures:
 
 
 def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
-    """Swing every axis in turn, compliant meanwhile; return the worst."""
+    """Return a measurement that swings each axis while it is compliant; figures are the worst."""
 
     def measure(conditions: Conditions) -> Figures:
         seen = [tracking.track(law(soft=a, eta=0.0), a, conditions=conditions) for a in AXES]
@@ -101,7 +101,7 @@ def sinusoids(law: Callable[..., disturbances.Law]) -> Measure:
 
 
 def door(scene: str, law: Callable[..., disturbances.Law] = controllers.cap) -> Measure:
-    """Open a rigidly gripped door."""
+    """Return a measurement in which the arm opens a rigidly gripped door."""
 
     def measure(conditions: Conditions) -> Figures:
         seen = doors.open_door(law, scene, "rigid", conditions=conditions)
@@ -225,7 +225,10 @@ class _Entry:
 
 
 def _worst(values: list[float], goal: Goal) -> float:
-    """Return the value farthest outside a goal, or closest to its edge; else the largest."""
+    """Return the value that is farthest outside the goal, or nearest to a bound if none is outside.
+
+    Return the largest value if the goal has no bounds.
+    """
     if np.isinf(goal.low) and np.isinf(goal.high):
         return max(values)
     return max(values, key=lambda value: max(goal.low - value, value - goal.high))

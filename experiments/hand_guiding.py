@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from experiments.poses import Array
 
 
-#: Creep speed of joints held by friction, relative to MuJoCo's default. With the default, 1, joints
-#: slide by up to some mrad/s, and the drift of a small arm is the simulator's.
+#: Creep speed of joints held by friction, relative to MuJoCo's default. With the default of 1,
+#: joints creep by several mrad/s, which would dominate the drift of a small arm.
 CREEP = 0.1
 COUNT, DEADBAND = float(np.deg2rad(0.088)), float(np.deg2rad(0.06))
-#: Times at which the hand comes, has completed its path, lets go, and the end [s].
+#: Times at which the hand comes, reaches the end of its path, lets go, and the run ends [s].
 COMES, THERE, GONE, END = 22.0, 24.0, 25.0, 35.0
 #: Distance by which it moves the tool of each arm along y [m].
 WAYS = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
@@ -39,9 +39,9 @@ class GuidingResult:
     Attributes:
         idle: Largest displacement of the tool in the 10 s after the first swing, untouched.
         force: Median force of the hand while it moves the tool.
-        led: Distance that the hand moved it.
+        led: Distance that the hand moved the tool.
         sag: Largest displacement of the tool in the 10 s after the hand let go.
-        later: The same without the first second.
+        later: Same as `sag`, without the first second after the release.
     """
 
     idle: float

@@ -28,18 +28,18 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-#: Distance of the hand, as in the report, and its duration [m, rad; s].
+#: Distance of the hand as in the report, translations [m] and rotations [rad], and duration [s].
 TRAVEL, TAKES = (0.15, 0.4), 6.0
 #: The motion: speed of the target [m/s], duration before the host loss [s].
 SPEED, WORK = 0.1, (0.6, 1.2)
-#: Displacement by a hand that leans on the yielding axis meanwhile [m], and time without a hand
-#: [s].
+#: Displacement by a hand that leans on the soft axis before the host loss [m], and time between the
+#: host loss and the hand's drag [s].
 LEAN, ALONE = 0.04, 0.5
-#: Largest force of the hand on `arm7` [N, N·m]; on others it scales with their capacity.
+#: Largest force [N] and torque [N·m] of the hand on `arm7`; they scale with other arms' capacity.
 HAND = (80.0, 6.0)
-#: Poses of `arm7` and of the others.
+#: Number of poses of `arm7`, and of every other arm.
 POSES, OTHERS = 24, 8
-#: Allowance above the report [N, N·m].
+#: Allowed excess of the felt force over the reported one: translations [N], rotations [N·m].
 BEYOND = (3.0, 0.3)
 
 
@@ -54,7 +54,7 @@ class HostLossPush:
         sign: Direction of the push.
         leaned: True if a hand leaned on the arm at the host loss.
         said: `report().host_loss_force` of the last step [N or N·m].
-        felt: Largest force on the hand [N or N·m].
+        felt: Largest measured force on the hand [N or N·m].
         at: Distance of the hand at that force [m or rad].
         hand: Largest force of the hand [N or N·m].
     """
@@ -86,12 +86,12 @@ class HostLossPush:
 
     @property
     def allowed(self) -> bool:
-        """True if it is within the allowance."""
+        """True if the felt force exceeds the reported one by at most the allowance `BEYOND`."""
         return self.above <= BEYOND[AXES.index(self.axis) // 3]
 
 
 class Bench:
-    """An arm that works and loses its host; made once for all its poses."""
+    """Plant, hand and controller of an arm that loses its host; reused for all its poses."""
 
     def __init__(self, arm: Arm, settings: pliant.Settings | None = None) -> None:
         """Build plant, hand and controller; by default y yields (x on an arm without y)."""
@@ -112,7 +112,7 @@ class Bench:
         return [self.push(pose, axis, sign) for axis in self.arm.axes for sign in (1.0, -1.0)]
 
     def push(self, pose: int, axis: str, sign: float) -> HostLossPush:
-        """Work, lose the host, and be pushed."""
+        """Follow the target, freeze goals and limits, and drag the tool along one axis."""
         leans = bool(pose % 2)
         report = self._work(pose, leans=leans)
         row, kind = AXES.index(axis), AXES.index(axis) // 3

@@ -39,7 +39,7 @@ GEARS = {
     "so101": STS3215,
     "koch": STS3215,
 }
-#: Options of the plant under each name; `lift` is a share of that payload.
+#: Options of the plant by case; `lift` is a share of the arm's payload in `STARTS`.
 CASES: dict[str, dict[str, Any]] = {
     "as the table": {},
     "k_p × 0.8": {"kp_scale": 0.8},
@@ -71,11 +71,12 @@ class Outcome:
     Attributes:
         arm, case: Names.
         kp, friction, damping: Identified over true. Damping is everything that grows with speed.
-        kp_bars: Errors of k_p in their own standard deviations.
+        kp_bars: Errors of k_p as multiples of their estimated standard deviations.
         loaded: Joints whose gravity exceeds three times their friction at the start.
         delay: Identified minus true [s].
-        mass, mass_bars: Identified minus true [kg], and in its own standard deviations.
-        centre: Distance of the centre from the true one [m]; NaN without a payload.
+        mass, mass_bars: Identified minus true mass [kg], and as a multiple of its estimated
+            standard deviation.
+        centre: Distance of the payload's centre from the true one [m]; NaN without a payload.
         spread: Residuals over what friction and encoder explain.
         seconds: Duration on the arm [s].
         found: The complete result.

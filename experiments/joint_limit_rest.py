@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 #: Largest distance of the joint from its limit [rad].
 ROOM = 0.06
-#: The hand: start, duration and speed, and release [s; m/s].
+#: The hand: start [s], duration of its motion [s], its speed [m/s], time of release [s].
 COMES, GOES, SPEED, LEAVES = 0.1, 0.5, 0.1, 3.0
-#: Start and length of the observation after release [s].
+#: Starts of the two observations after the release, and the duration of each [s].
 LOOKS, FOR = (2.5, 8.0), 1.0
 #: Poses of each arm.
 POSES = 20
@@ -48,9 +48,9 @@ class Rest:
 
     Attributes:
         arm: By name.
-        ticks: Of delay, each way.
+        ticks: Delay of readings, and of commands [ticks].
         eta: Target adaptation of the soft axis.
-        pose: Index.
+        pose: Index among the arm's poses.
         room: Distance of the nearest joint to its limit at release [rad].
         moves: Largest motion of a joint in a second, from 2.5 s and from 8 s on [rad].
         turns: Number of reversals of a joint that moves 5 mrad in these seconds.

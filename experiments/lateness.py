@@ -68,7 +68,7 @@ class Way:
 
 
 class Timed:
-    """A link that requests a stop after some time, and counts; it works without a page."""
+    """Link that counts snapshots and requests a stop after `ticks`; its page is optional."""
 
     def __init__(self, link: Link | None, ticks: int) -> None:
         """Start the time."""

@@ -169,19 +169,19 @@ GRASP: Array = tool(VERTICAL)
 
 
 def _stall(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Compute for a second instead of a tick."""
+    """Block the loop for one second in one tick."""
     if since < 0.005:
         robot.clock.wait_until(robot.clock.now() + LONG)
     return GRASP
 
 
 def _nan(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Return NaN for a target."""
+    """Return a target of NaN for the duration of the fault, then the grasp pose."""
     return np.full((4, 4), np.nan) if since < LONG else GRASP
 
 
 def _nan_caught(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array | None:
-    """Detect the NaN, and skip the tick."""
+    """Skip the tick, as a program does that detects a NaN target itself."""
     if since < LONG:
         tick.skip()
         return None
@@ -189,7 +189,7 @@ def _nan_caught(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Arr
 
 
 def _nothing(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array | None:
-    """Write nothing."""
+    """Write no command for the duration of the fault."""
     return None if since < LONG else GRASP
 
 
@@ -199,7 +199,7 @@ def _jump(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
 
 
 def _silence(seconds: float, *, deaf: bool = False) -> Act:
-    """Silence all joints for a while; `deaf`: they also receive nothing."""
+    """Return an action that silences all joints for `seconds`; `deaf`: they lose writes, too."""
 
     def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
         if since < 0.005:
@@ -220,7 +220,7 @@ def _silence(seconds: float, *, deaf: bool = False) -> Act:
 
 
 def _lost(*, powerless: bool) -> Act:
-    """Lose one joint for good."""
+    """Return an action after which one joint no longer answers."""
 
     def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
         (drive.powerless if powerless else drive.silent).add(LOST)
@@ -230,7 +230,7 @@ def _lost(*, powerless: bool) -> Act:
 
 
 def _interrupt(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Raise Ctrl-C."""
+    """Raise KeyboardInterrupt, as Ctrl-C does."""
     raise KeyboardInterrupt
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from experiments.simulation import Trace
 
 
-#: Times at which the hands pull, and at which their holding force is taken [s].
+#: Time span in which the hands pull, and the one in which their holding force is averaged [s].
 PULLING = (2.0, 5.0)
 HELD = (4.4, 4.95)
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 #: Exceptions raised where no off-screen drawing is possible.
 CANNOT_DRAW = (mujoco.FatalError, OSError, RuntimeError)
-#: Supersampling factor: smooth edges of the cut-out.
+#: Supersampling factor; it makes the edges of the cut-out smooth.
 FINER = 3
 BONE, JOINT, HAND = (0.80, 0.82, 0.85, 1.0), (0.20, 0.24, 0.30, 1.0), (0.90, 0.38, 0.0, 1.0)
 LEAF = (0.62, 0.72, 0.80, 0.80)

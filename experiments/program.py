@@ -1,4 +1,4 @@
-"""What the programs share: command line, tables in Markdown, `results.json`."""
+"""Shared code of the experiments' programs: command line, Markdown tables, `results.json`."""
 
 from __future__ import annotations
 

@@ -31,8 +31,8 @@ SLOW_FILES = {
     "test_latency.py",
     "test_mismatch.py",
 }
-#: Tests, or files, of slow tests that share a run: each line goes to one worker, which makes the
-#: run once.
+#: Groups of slow tests or test files that use the same simulated run. pytest-xdist runs a group in
+#: one worker, so that the run is made only once.
 SHARED = (
     (
         "tests/demo/test_chapters.py",
@@ -45,7 +45,7 @@ SHARED = (
     *((f"tests/view/test_{name}.py",) for name in ("browser", "page")),
 )
 UNITS = {name: line[0] for line in SHARED for name in line}
-#: Files of other tests of which each starts a program.
+#: Further test files that start a separate program in each test.
 PROGRAMS = {"tests/test_house.py"}
 #: Workers beyond the number of cores: many tests wait for an emulated bus or another process. With
 #: more of them, arms in real time miss their replies.

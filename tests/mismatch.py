@@ -1,8 +1,8 @@
-"""Plant-model mismatch: what an arm is and what its controller assumes, stated and read back.
+"""Plant-model mismatch: a test states true and assumed parameters, which are then verified.
 
-A test in which something is assumed wrongly states both sides. Equal sides are refused, and at the
-end of the block every plant and every consumer of a servo table that was made in it is compared
-with them, so that a drive or an experiment that hands out the plant's own numbers fails:
+A test with wrong assumptions states both sets of parameters; equal sets are rejected. At the end of
+the `with` block, each plant and each user of a servo table created in it is compared with them. A
+drive or an experiment that passes the plant's true parameters to the controller therefore fails:
 
     with Mismatch(plant=Parameters(kp=1.25), assumed=Parameters()):
         run = lower(grasp, kp_scale=1.25)
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from experiments.simulation import Conditions
     from pliant.sim.friction import Friction
 
-#: Random value: it only has to differ from the other side.
+#: Stands for a random value, which only has to differ from that of the other side.
 DRAWN = float("nan")
 #: Relative difference below which two numbers are equal.
 SAME = 1e-6
@@ -37,7 +37,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """One side.
+    """Parameters of one side: of the plant, or as assumed.
 
     Attributes:
         kp, friction, damping, torque: Over the robot's servo table, scalars or (n,). Damping is
@@ -69,7 +69,7 @@ def differs(plant: ArrayLike, assumed: ArrayLike) -> bool:
 
 
 def under(conditions: Conditions) -> Mismatch:
-    """Hold what is made in a block to the mismatch of these conditions, which must have one."""
+    """Return the mismatch of these conditions, for a `with` block; they must have one."""
     delay = sum(conditions.delay) / conditions.rate
     plant = Parameters(delay=delay, gears=conditions.gears)
     share = conditions.believed
@@ -79,7 +79,7 @@ def under(conditions: Conditions) -> Mismatch:
 
 
 class Mismatch:
-    """Builds plant and assumptions apart, and checks the objects made in its block against them.
+    """Context manager that checks the objects created in its block against the stated parameters.
 
     Attributes:
         plant, assumed: The two sides.
@@ -90,7 +90,7 @@ class Mismatch:
     def __init__(
         self, *, plant: Parameters, assumed: Parameters, compared: tuple[str, ...] = NUMBERS
     ) -> None:
-        """State both sides; `compared`: the readable numbers, all except behind emulated servos.
+        """State both sides; only the parameters named in `compared` are compared.
 
         Raises:
             AssertionError: They are equal.

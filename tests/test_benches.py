@@ -1,4 +1,4 @@
-"""The benches measure the same work, and the counters detect regressions."""
+"""All peers of the benches compute the same results; instruction counts detect regressions."""
 
 from __future__ import annotations
 

@@ -164,7 +164,7 @@ def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
 
 
 def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
-    """A slice of it is sound only as long as its caller keeps a promise."""
+    """A slice of this memory is sound only if the caller ensures that no other code changes it."""
     text = (ROOT / "rust" / "py" / "src" / "ndarray.rs").read_text(encoding="utf-8")
     signatures = re.findall(r"^(?:pub\(crate\) )?(?:unsafe )?fn [^{;]*", text, re.MULTILINE)
     lenders = [s for s in signatures if re.search(r"->[^{]*&'?\w* ?(mut )?\[f64\]", s)]

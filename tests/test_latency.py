@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def latency():
     spec = importlib.util.spec_from_file_location("latency", ROOT / "benches" / "latency.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclass looks itself up there
+    sys.modules[spec.name] = module  # `dataclass` looks up the module of a class there
     spec.loader.exec_module(module)
     yield module
     del sys.modules[spec.name]

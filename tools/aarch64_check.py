@@ -14,7 +14,7 @@ GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "data" / "golden"
 
 
 def main() -> None:
-    """Import, compare kinematics, run a few steps of every law."""
+    """Compare kinematics with the golden file, then run a few steps of every law."""
     model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool")
     cases = json.loads((GOLDEN / "golden.json").read_text(encoding="utf-8"))
     for case in cases:

@@ -21,12 +21,12 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-# A folder of the clone that is not installed draws the pictures.
+# The modules that draw the pictures are in the clone but not in the installed package.
 sys.path.insert(0, str(ROOT))
 EXAMPLES, GALLERY = ROOT / "examples", ROOT / "docs" / "gallery"
 #: Examples whose page has a replay: a file of about 100 KB each.
 REPLAYED = ("01", "07")
-#: Time between two frames of a replay [s], largest number of frames, and frames of a strip.
+#: Replay: time between two frames [s] and maximum number of frames. Strip: number of frames.
 EVERY, MOST, STRIP = 0.05, 240, 4
 #: Timeout of an example [s].
 LONGEST = 600.0
@@ -56,7 +56,7 @@ def record(example: Path) -> None:
     )
     if done.returncode != 0:
         raise SystemExit(f"{example.name} failed:\n{done.stderr}")
-    # Temporary folders have another name in every run.
+    # Names of temporary folders differ between runs.
     said = re.sub(r"/tmp/\w+", "/tmp", done.stdout)
     text = f"{digest(example)}\n{said.rstrip()}\n"
     (GALLERY / f"{example.stem}.txt").write_text(text, encoding="utf-8")
@@ -89,7 +89,7 @@ class Film:
     """Record of one simulated arm."""
 
     def __init__(self, plant: object) -> None:
-        """Start; a reset restarts the record."""
+        """Start the record; a reset of the simulated arm restarts it."""
         self.plant = plant
         self.frames: list[dict[str, object]] = []
 
@@ -134,13 +134,13 @@ class Film:
         return [self.frames[min(int(place), len(self.frames) - 1)] for place in places]
 
     def show(self, frame: dict[str, object]) -> None:
-        """Restore the simulated arm of a frame."""
+        """Set the simulated arm to the state of a frame."""
         data = self.plant.mj_data
         data.qpos[:] = frame["qpos"]
         data.mocap_pos[:], data.mocap_quat[:] = frame["mocap"]
 
     def strip(self, path: Path) -> None:
-        """Write frames side by side."""
+        """Write the frames side by side into one picture."""
         import numpy as np
         from PIL import Image
 

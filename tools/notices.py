@@ -68,7 +68,7 @@ def text(crate: dict, licence: str) -> str:
 
 
 def notices() -> str:
-    """Return the text of the file."""
+    """Return the text of THIRD_PARTY_LICENSES."""
     crates = linked()
     out = HEAD + "".join(f"{c['name']} {c['version']}: {chosen(c)}\n" for c in crates)
     for crate in crates:

@@ -1,1 +1,1 @@
-"""Comparison with peers: the problem, the peers, a process for each, and their turns."""
+"""Speed comparison with other libraries: the problem, one module per kind of peer, the timing."""

@@ -1,4 +1,4 @@
-"""The whole step by hand for compilers of Python code: Numba and JAX."""
+"""Peers that implement the whole step in Python code compiled by Numba or JAX."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contest.peer import Pair, Peer
 
 
 def numba() -> Peer:
-    """Numba: plain loops over fixed sizes."""
+    """Make the Numba peer: plain loops over arrays of fixed size."""
     import numba as nb
 
     from contest import numba_step
@@ -23,7 +23,7 @@ def numba() -> Peer:
 
 
 def jax() -> Peer:
-    """JAX on the CPU: the same formulas, traced, compiled by XLA; arrays come back to NumPy."""
+    """Make the JAX peer: formulas compiled by XLA for the CPU; results are NumPy arrays."""
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
     import jax as library
     import jax.numpy as jnp

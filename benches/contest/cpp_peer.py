@@ -1,4 +1,4 @@
-"""A C++ extension with every size fixed, built by the system's compiler for this very CPU."""
+"""Peer in C++ with fixed array sizes, built by the system's compiler for this machine's CPU."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def compiler() -> str:
 
 
 def constants(arm: problem.Arm) -> Array:
-    """Return the numbers of the struct, in its order."""
+    """Return the constants of the C++ struct in the order of its members."""
     yields = np.arange(6) == problem.YIELDS
     parts = (
         arm.links,
@@ -50,7 +50,7 @@ def constants(arm: problem.Arm) -> Array:
 
 
 def make() -> Peer:
-    """Compile, load, configure."""
+    """Compile and load the extension, pass it the constants, and return the peer."""
     built = Path(os.environ["PEERS_BUILD"]) / "fixed_arm.so"
     include = [f"-I{sysconfig.get_path('include')}", f"-I{np.get_include()}"]
     command = [compiler(), *FLAGS, *include, str(SOURCES / "module.cpp"), "-o", str(built)]

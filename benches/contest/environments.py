@@ -1,4 +1,4 @@
-"""Environment of each peer: this interpreter if it has the library, else one of its own."""
+"""Python environment of each peer: this one if it has the library, else a separate one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BUILD = ROOT / "build" / "peers"
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of the table.
+    """A peer to time: one row of the table.
 
     Attributes:
         name: Name in the table.
@@ -41,7 +41,7 @@ OURS = tuple(
 PEERS = (
     Entry("C++ for this CPU", "cpp_peer:make"),
     Entry("Numba", "compiled_peers:numba", "numba", "numba"),
-    # It works in threads of its own, and its caller waits for them.
+    # JAX computes in its own threads, so its process is not tied to one core.
     Entry("JAX", "compiled_peers:jax", "jax", "jax", {"PEERS_PIN": "0"}),
     Entry("Pinocchio + NumPy", "library_peers:pinocchio", "pinocchio", "pin"),
     Entry("MuJoCo + NumPy", "library_peers:mujoco", "mujoco", "mujoco"),

@@ -1,4 +1,4 @@
-"""Kinematics libraries: they provide pose and Jacobian, the law around them is NumPy."""
+"""Peers from kinematics libraries: the library gives pose and Jacobian, NumPy evaluates the law."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _peer(version: str, kinematics: Callable[[Array], Pair]) -> Peer:
 
 
 def pinocchio() -> Peer:
-    """Pinocchio: one call updates the frame and gives its Jacobian."""
+    """Make the Pinocchio peer: one call updates the tool frame and returns its Jacobian."""
     import pinocchio as pin
 
     model = pin.buildModelFromUrdf(str(problem.URDF))
@@ -32,7 +32,7 @@ def pinocchio() -> Peer:
 
 
 def mujoco() -> Peer:
-    """MuJoCo: positions of all bodies, then the Jacobian of one of them."""
+    """Make the MuJoCo peer: it computes all body positions, then the Jacobian of one body."""
     import mujoco as mj
 
     keep = '<mujoco><compiler fusestatic="false" discardvisual="false"/></mujoco></robot>'
@@ -56,7 +56,11 @@ def mujoco() -> Peer:
 
 
 def dynibo() -> Peer:
-    """Dynibo (Rust): pose as a quaternion, Jacobian into the caller's array, angular rows first."""
+    """Make the Dynibo peer (Rust).
+
+    Dynibo returns the rotation as a quaternion and writes the Jacobian, angular rows first, into
+    the caller's array; both are converted here.
+    """
     import dynibo as library
 
     robot = library.Robot.from_urdf(str(problem.URDF))
@@ -80,10 +84,11 @@ def dynibo() -> Peer:
 
 
 def optik() -> Peer:
-    """Optik (Rust): nested lists; its Jacobian is in the tool's axes and is turned here.
+    """Make the optik peer (Rust).
 
-    It does not turn the second of two consecutive fixed origins by the first, which displaces the
-    whole arm by 4 mm; the missing constant is added.
+    Optik returns nested lists and a Jacobian in tool axes, which is rotated to base axes here. For
+    two consecutive fixed joints, optik does not rotate the second origin by the first, so its tool
+    position is off by a constant 4 mm; `missing` corrects it.
     """
     from importlib.metadata import version
 
@@ -102,7 +107,7 @@ def optik() -> Peer:
 
 
 def placo() -> Peer:
-    """placo: a floating base, whose columns come first, around Pinocchio."""
+    """Make the placo peer; the Jacobian's first columns, of a floating base, are cut off here."""
     from importlib.metadata import version
 
     import placo as library

@@ -1,4 +1,4 @@
-"""The step as loops that Numba compiles; results go into arrays made in the call."""
+"""Control step as loops that Numba compiles; each call allocates its result arrays."""
 
 from __future__ import annotations
 

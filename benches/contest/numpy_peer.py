@@ -1,4 +1,4 @@
-"""NumPy by hand: the reference for all others, and the law for kinematics libraries."""
+"""Peer in NumPy: the reference for all peers' results, and the law for kinematics libraries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from contest.problem import Array
 
 
 def kinematics_of(arm: problem.Arm) -> Callable[[Array], Pair]:
-    """Return pose and Jacobian of one configuration."""
+    """Return a function that computes pose and Jacobian of one configuration."""
     n, links, last = arm.n, arm.links[:-1], arm.links[-1]
     first, second, local = links[:, :, 0], links[:, :, 1], links.copy()
     frames = np.empty((n, 4, 4))
@@ -40,7 +40,7 @@ def kinematics_of(arm: problem.Arm) -> Callable[[Array], Pair]:
 
 
 def batch_of(arm: problem.Arm) -> Callable[[Array], Pair]:
-    """Return the same for many configurations at once, without a Python loop over them."""
+    """Return a function for poses and Jacobians of N configurations, without a loop over them."""
 
     def batch(configurations: Array) -> Pair:
         count, n = configurations.shape
@@ -65,7 +65,7 @@ def batch_of(arm: problem.Arm) -> Callable[[Array], Pair]:
 
 
 def law_of(arm: problem.Arm) -> Callable[[Array, Array, Array, Array], Pair]:
-    """Evaluate law `paper`, (3)–(12), for a pose and a Jacobian from any source."""
+    """Return a function that evaluates law `paper`, (3)–(12), given pose and Jacobian."""
     compliant = np.arange(6) == problem.YIELDS
     pull = problem.GAIN * (1.0 - problem.ETA * compliant)
     keep = pull / problem.GAIN
@@ -100,7 +100,7 @@ def law_of(arm: problem.Arm) -> Callable[[Array, Array, Array, Array], Pair]:
 def with_law(
     arm: problem.Arm, kinematics: Callable[[Array], Pair]
 ) -> Callable[[Array, Array], Pair]:
-    """Return a step from other kinematics and the law in NumPy."""
+    """Return a step function that combines the given kinematics with the law in NumPy."""
     law = law_of(arm)
 
     def step(q: Array, target: Array) -> Pair:
@@ -111,7 +111,7 @@ def with_law(
 
 
 def make() -> Peer:
-    """Make the peer in NumPy alone."""
+    """Make the peer whose kinematics and law are NumPy."""
     arm = problem.bench_arm()
     kinematics = kinematics_of(arm)
     return Peer(

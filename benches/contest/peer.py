@@ -1,4 +1,4 @@
-"""Interface of a peer."""
+"""Interface that every compared implementation (peer) provides."""
 
 from __future__ import annotations
 
@@ -42,7 +42,10 @@ class Peer:
 
 
 def loop(kinematics: Callable[[Array], Pair]) -> Callable[[Array], Pair]:
-    """Return a batch for a library without one: a Python loop into its own arrays."""
+    """Return a batch function that calls `kinematics` for each configuration in a Python loop.
+
+    It is for libraries without a batch call. Each call allocates the result arrays.
+    """
     import numpy as np
 
     def batch(configurations: Array) -> Pair:

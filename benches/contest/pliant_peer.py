@@ -1,4 +1,4 @@
-"""pliant, by the calls of a user."""
+"""The pliant peer, made of pliant's public functions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from contest.problem import Array
 
 
 def controller(model: pliant.Model) -> pliant.Controller:
-    """Return law `paper`: fixed λ, printed projector, limit cost; no gravity, no step limits."""
+    """Return a controller with law `paper` and the numbers of `problem`.
+
+    The damping λ is constant, the null-space projector is the paper's, and the null space avoids
+    joint limits. Gravity compensation and step limits are off.
+    """
     endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     stiff = pliant.Axis(**endless)
     soft = pliant.Axis(soft=problem.SOFT, firm=problem.FIRM, adaptation=problem.ETA, **endless)
@@ -32,7 +36,7 @@ def controller(model: pliant.Model) -> pliant.Controller:
 
 
 def make() -> Peer:
-    """Make the step, the kinematics into the caller's arrays, and the batch."""
+    """Make the peer; its kinematics call writes into the caller's arrays."""
     model = pliant.Model.from_urdf(problem.URDF, tip=problem.TOOL)
     ours = controller(model)
     pose, jacobian = np.empty((4, 4)), np.empty((6, model.n))
@@ -57,5 +61,5 @@ def make() -> Peer:
 
 
 def instructions(of: pliant.Controller) -> str:
-    """Return the instructions chosen for this machine, where the build has a choice."""
+    """Return the name of the instruction set that the controller's code path uses."""
     return str(getattr(of, "simd_level", "one path for all machines"))

@@ -1,7 +1,7 @@
-"""The problem of every peer: the bench arm, 64 states, and the numbers of the law. NumPy only.
+"""Problem that every peer solves: the bench arm, 64 states, and the numbers of law `paper`.
 
-The arm is read here by a few lines that are independent of `pliant`: hand-written peers must not
-inherit an error of pliant.
+The module needs only NumPy. It parses the URDF without `pliant`, so that an error of pliant's
+parser would not also be in the hand-written peers.
 """
 
 from __future__ import annotations
@@ -18,23 +18,24 @@ Array = NDArray[np.float64]
 URDF = Path(__file__).resolve().parents[1] / "arm7_bench.urdf"
 TOOL = "tool"
 STATES = 64
-#: Law `paper`, (3)–(12): λ, K_x [1/s], h [s], α [1/s], weight of the joint-limit cost.
+#: Parameters of law `paper`, (3)–(12): damping λ, gain K_x [1/s], horizon h [s], null-space gain
+#: α [1/s], weight of the joint-limit cost.
 DAMPING, GAIN, HORIZON, ALPHA, LIMIT_WEIGHT = 0.02, 4.0, 0.25, 4.0, 0.1
-#: The yielding axis (y), and its η.
+#: Index of the soft axis (y), and its target adaptation η.
 YIELDS, ETA = 1, 0.9
-#: d⁻, d⁺ of x y z roll pitch yaw [m, rad].
+#: Deviations d⁻ and d⁺ of x, y, z [m] and roll, pitch, yaw [rad].
 D_MINUS = np.array([0.01] * 3 + [0.04] * 3)
 D_PLUS = np.array([0.1] * 3 + [0.4] * 3)
-#: Budgets [N·m].
+#: Torque budgets [N·m]: soft axis at small deviation, at large deviation, stiff axis, null space.
 SOFT, FIRM, HOLD, NULL = 0.5, 10.0, 10.0, 2.0
 
 
 @dataclass(frozen=True)
 class Arm:
-    """The bench arm, every frame turned so that its joint rotates about its own z.
+    """The bench arm, with frames rotated so that every joint axis is the z axis of its frame.
 
     Attributes:
-        links: (n + 1, 4, 4); the tool is at Π_i links[i] Rz(q_i) · links[n].
+        links: Constant transforms (n + 1, 4, 4); the tool pose is Π_i (links[i] Rz(q_i)) links[n].
         lower, upper: Position limits (n,) [rad].
     """
 
@@ -64,7 +65,7 @@ class Arm:
 
 
 def bench_arm() -> Arm:
-    """Read the bench arm: one chain, revolute and fixed joints, in the order of the file."""
+    """Read the bench arm from its URDF, a serial chain with joints listed from base to tool."""
     links, lower, upper = [], [], []
     here = np.eye(4)
     for joint in ET.parse(URDF).getroot().iter("joint"):
@@ -83,7 +84,7 @@ def bench_arm() -> Arm:
 
 
 def states(arm: Arm) -> list[tuple[Array, Array]]:
-    """Return a closed path in the middle of the ranges: each q, and the joints slightly ahead."""
+    """Return pairs of joint positions: points of a closed path, and points slightly ahead."""
 
     def at(turn: float, phase: float) -> Array:
         wave = np.sin(turn + 0.9 * np.arange(arm.n) + phase)

@@ -22,7 +22,7 @@ class Row:
         step, kinematics: Median over rounds [µs], the empty loop subtracted; NaN where not done.
         tail: p99.9 of single steps [µs], the empty call subtracted.
         batch: Millions of configurations a second and core.
-        ratio, kinematics_ratio: How many times ours, median of the ratios within a round.
+        ratio, kinematics_ratio: Time of the peer over that of pliant; median over the rounds.
     """
 
     name: str
@@ -64,7 +64,7 @@ def net(racer: Racer, task: str) -> np.ndarray:
 
 
 def where() -> str:
-    """Return commit, processor, Python and load, which the numbers depend on."""
+    """Return a line with commit, processor, Python version and machine load."""
     commit = _git("rev-parse", "--short=12", "HEAD") or "unknown commit"
     if _git("status", "--porcelain", "--untracked-files=no"):
         commit += " with changes"
@@ -87,7 +87,7 @@ def processor() -> str:
 
 
 def markdown(found: list[Row]) -> str:
-    """Return the table."""
+    """Return the rows as a Markdown table."""
     lines = [
         "| | step, median | × ours | p99.9 | FK + J | × ours | batch FK + J, one core |",
         "|---|---:|---:|---:|---:|---:|---:|",
@@ -113,7 +113,7 @@ def floor(racers: list[Racer]) -> float:
 
 
 def plot(found: list[Row], path: Path, note: str) -> None:
-    """Draw dots on a logarithmic scale: the step with its p99.9 left, kinematics right."""
+    """Draw the times on a logarithmic scale: left the step and its p99.9, right kinematics."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -1,4 +1,4 @@
-"""The peers' processes, and the rounds in which they take turns."""
+"""Start the peers' processes, and time their tasks in rounds of random order."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from contest.environments import BUILD, OURS, PATHS, ROOT, Entry, python_for
 
 TASKS = ("kinematics", "step", "batch")
 TOLERANCE = 1e-9
-#: One thread per library: a control loop has one, and batches are compared per core.
+#: Libraries limited to one thread: a control loop uses one, and batches are compared per core.
 ONE_THREAD = ("OMP", "OPENBLAS", "MKL", "NUMBA", "RAYON")
 #: Seconds of one turn.
 TURN = {"whole": 0.01, "single": 0.04}
@@ -31,7 +31,8 @@ class Racer:
     Attributes:
         entry: Its row.
         version: Reported version.
-        medians: By task, the median time of a call in each round [ns]; NaN where all was disturbed.
+        medians: By task, the median time of a call in each round [ns]; NaN for a round in which
+            every block was disturbed.
         singles: By task, times of single calls over all rounds [ns].
     """
 
@@ -51,7 +52,10 @@ class Racer:
 
     @classmethod
     def start(cls, entry: Entry) -> tuple[Self | None, str]:
-        """Start and verify it; return the reason without a racer."""
+        """Start a peer and verify its results.
+
+        Return the racer and an empty string, or None and the reason for which it cannot be timed.
+        """
         try:
             python = python_for(entry)
         except RuntimeError as error:
@@ -85,7 +89,7 @@ class Racer:
         return racer, ""
 
     def ask(self, task: str, seconds: float) -> list[float]:
-        """Run one turn."""
+        """Time a task in the peer's process for about `seconds`; return times per call [ns]."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"task": task, "seconds": seconds}) + "\n")
         self.process.stdin.flush()
@@ -104,7 +108,7 @@ class Racer:
 
 
 def disagreement(results: dict[str, Any]) -> str:
-    """Return what differs from the NumPy reference by more than 1e-9; empty if nothing does."""
+    """Describe results that differ from the NumPy reference by more than 1e-9; "" if none does."""
     arm = problem.bench_arm()
     reference = numpy_peer.make()
     assert reference.kinematics is not None

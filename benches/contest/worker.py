@@ -1,8 +1,8 @@
 """One peer in a process of its own: verifies, then times blocks on request.
 
-It uses one JSON line per message on its standard streams. Blocks are short; one that had to wait
-for the CPU, by the scheduler's own counter, is not reported. A batch takes too long for that and is
-counted in CPU time instead.
+Requests and replies are JSON lines on the standard streams. Calls are timed in short blocks. A
+block during which the thread waited for the CPU, by the scheduler's counter, is not reported. A
+batch takes too long to run without such waits, so its CPU time is reported instead.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ import numpy as np
 from contest import numpy_peer, problem
 from contest.peer import Peer
 
-#: A peer with threads of its own is not tied to one core; waiting for them is part of its work.
+#: True if the process is tied to one core; False for a peer that computes in its own threads.
 PINNED = os.environ.get("PEERS_PIN") != "0"
-#: Duration of a block [ns], less than a scheduler's slice, and its largest number of calls.
+#: Duration of a block [ns], shorter than a time slice of the scheduler, and maximum calls in it.
 BLOCK_TIME, BLOCK_CALLS = 300_000, 4 * problem.STATES
-#: A block of calls timed as a whole, and one of calls timed one by one.
+#: Source code of two loops: one times all its calls together, the other each call separately.
 WHOLE = """
 def block():
     pairs = next(chunks)
@@ -112,7 +112,10 @@ def results(peer: Peer, pairs: list[Any]) -> dict[str, Any]:
 
 
 def run(blocks: dict[str, Callable[[], list[float]]], task: str, seconds: float) -> list[float]:
-    """Return times per call [ns] of undisturbed blocks, of about as many as fit; at least one."""
+    """Run a task's blocks for about `seconds`, at least one; return times per call [ns].
+
+    Disturbed blocks are left out.
+    """
     block, times = blocks.get(task), []
     if block is None:
         return times

@@ -90,7 +90,7 @@ def matrix(pose: str, *, damped: bool = False) -> Array:
 
 
 def jobs(options: Options) -> list[Job]:
-    """Return two jobs per pose: as drawn, and with the damping of the other chapters."""
+    """Return two jobs per pose: without damping, as drawn, and with that of the other chapters."""
     return [
         *(Job(pose, matrix, (pose,)) for pose in POSES),
         *(Job(f"{pose} damped", matrix, (pose,), {"damped": True}) for pose in POSES),
@@ -148,7 +148,7 @@ def _top(column: Array, count: int) -> str:
 
 
 def _lead(column: Array, wanted: tuple[int, ...], ignored: tuple[int, ...] = ()) -> float:
-    """Return by how much the least of the wanted joints exceeds the largest of the others."""
+    """Return the smallest share of the wanted joints less the largest share of the others."""
     rest = [i for i in range(7) if i not in {*wanted, *ignored}]
     return float(column[list(wanted)].min() - column[rest].max())
 
@@ -232,11 +232,11 @@ def draw(outcomes: Mapping[str, Array], options: Options) -> None:
 
 # --- Fig. 3: activation matrices as annotated heat maps, each beside its posture ---
 
-#: Colour scale up to the blue of the common style. Text on it has colours of its own, which no
-#: theme changes.
+#: Colour scale up to the blue of the common style. The colours of the text on it are fixed, so that
+#: they do not change with the theme.
 SHADES = LinearSegmentedColormap.from_list("shares", ["#f3f7fb", "#9ecae1", BLUE, "#08306b"])
 DARK, PALE = "#1b1f25", "#fefefe"
-#: Share with the full shade.
+#: Shares from this value on have the darkest colour.
 FULL = 0.55
 #: Camera of the postures; a bar in the hand distinguishes the grasps.
 VIEW: dict[str, Any] = {
@@ -246,7 +246,7 @@ VIEW: dict[str, Any] = {
     "elevation": -20.0,
     "handle": True,
 }
-#: Gap before the column of the null space, in columns.
+#: Width of the gap before the null space's column, as a share of a column's width.
 GAP = 0.25
 
 

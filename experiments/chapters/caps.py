@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 NUMBER = 6
 TITLE = "Are the caps kept?"
-#: Poses of each arm; the first draws of the campaign.
+#: Number of poses of each arm: the first poses of the campaign.
 POSES = {"arm7": 12, "so101": 6, "koch": 6}
-#: The one pose of a quick run, clear of the stops.
+#: Arm and pose index of a quick run; no joint is near its stop there.
 QUICK = ("arm7", 2)
 FIGURES = ("poses", "cases", "refused", "kept", "kept_clear", "stopped", "median", "p95")
 

@@ -1,4 +1,8 @@
-"""Shared code of the chapters: picklable calls, and figures of a trace."""
+"""Shared code of the chapters.
+
+It has picklable calls of the scenarios, return time and speed computed from a trace, and the style
+of the plots: colours of the control laws, labels beside points, and shaded time spans.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ if TYPE_CHECKING:
 
     Grid = NDArray[np.object_]
 
-#: Deviation below which an axis counts as back at its target: [m], [rad].
+#: Deviation below which an axis counts as back at its target: translations [m], rotations [rad].
 BACK = (0.015, 0.06)
 #: Time at which the hands let go [s].
 RELEASE = 5.0
@@ -80,7 +84,7 @@ def return_speed(trace: Trace, axis: int, *, release: float = RELEASE) -> float:
 
 
 def seconds(time: float | None) -> str:
-    """Format a time, or state that the axis stays."""
+    """Format a time [s]; for None, state that the axis does not return."""
     return "stays" if time is None else f"{time:.1f} s"
 
 
@@ -98,19 +102,22 @@ LAW_COLOURS = {
 }
 
 
-#: Offsets of a name from its point [pt], best first.
+#: Offsets of a label from its point (dx, dy) [pt], in the order in which they are tried.
 PLACES = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side in (1, -1))
 
 
 def label_points(
     ax: Axes, points: Sequence[tuple[float, float, str, str]], *, size: float = 7.5
 ) -> None:
-    """Write names beside points, each at the first free place.
+    """Write a label beside each point, at the first of `PLACES` where it covers nothing.
+
+    A label without such a place is written at the right of its point. A label that is displaced
+    vertically gets a line to its point.
 
     Args:
         ax: Axes whose limits are final.
-        points: x, y in data units, text, colour.
-        size: Of the type [pt].
+        points: x and y of the point in data units, text and colour of its label.
+        size: Font size [pt].
     """
     figure = ax.get_figure(root=True)
     if figure is None:
@@ -152,7 +159,7 @@ def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
 
 
 def room(row: Grid, share: float) -> None:
-    """Leave a share of the height free around the curves of axes that share their scale."""
+    """Widen the y range of axes that share it by `share` of the curves' range at either end."""
     limits = [value for ax in row for value in ax.dataLim.intervaly if np.isfinite(value)]
     low, high = min(limits), max(limits)
     free = share * (high - low)
@@ -160,7 +167,7 @@ def room(row: Grid, share: float) -> None:
 
 
 def shade(ax: Axes, start: float, end: float, text: str = "") -> None:
-    """Mark a span of time, e.g. the contact of a hand."""
+    """Shade the span from `start` to `end` [s], with an optional text at its top."""
     ax.axvspan(start, end, color=MUTED, alpha=0.10, linewidth=0)
     if text:
         ax.annotate(

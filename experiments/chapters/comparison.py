@@ -62,7 +62,7 @@ class Way:
         make: Makes the law.
         family: Colour of the figures: stiff, uniform, paper, cap, impedance.
         rate: Control rate [Hz]; 1000 for the torque-controlled arm.
-        delay: Ticks from sampling to reading, and from writing to the servo.
+        delay: Ticks from sampling to reading, and ticks from writing to arrival at the servo.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Way:
     delay: tuple[int, int] = (0, 0)
 
 
-#: Spring of the methods that return [N/m]: 15 N where the hand holds still.
+#: Spring of the methods that return to the target [N/m]; 15 N at the distance of the hand.
 SPRING = 100.0
 
 WAYS: Mapping[str, Way] = {
@@ -301,7 +301,7 @@ def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
 
 #: Time at which the host is silent, while the hand moves [s].
 STALL = (2.6, 3.6)
-#: Friction and damping of the gears over the table's.
+#: True friction and damping over those of the servo table: for tight, and for loose gears.
 TIGHT, LOOSE = 1.0 / 0.7, 1.0 / 1.3
 #: Methods that are run: one of each kind.
 WHO = (

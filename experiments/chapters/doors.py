@@ -42,7 +42,7 @@ GRIPS = ("rigid", "turning")
 
 
 def stiff(*, soft: str, **more: Any) -> Law:
-    """Make all axes stiff, whatever the scene's soft axes."""
+    """Return a law with all axes stiff; `soft`, the scene's soft axes, is ignored."""
     return controllers.all_stiff(**more)
 
 
@@ -152,7 +152,7 @@ def draw(outcomes: Mapping[str, Any], options: Options) -> None:
 
 # --- The paper's statements on doors and the fridge, and the results of a run ---
 
-#: Least angle [deg] and largest force [N] of law cap, by scene: rigid grip, turning grip.
+#: Bands of law cap by scene, for rigid and turning grip: least angle [deg], largest force [N].
 BANDS = {
     "door": ((64.0, 32.0), (64.0, 25.0)),
     "fridge": ((64.0, 34.0), (64.0, 32.0)),
@@ -171,7 +171,7 @@ NAMES = {
 }
 #: Opening below which a door with all axes stiff counts as stuck [deg].
 STUCK = 35.0
-#: Allowed distance of a detected end [deg].
+#: Allowed difference between the detected and the true end of a motion [deg].
 NEAR = 1.0
 
 

@@ -59,14 +59,15 @@ if TYPE_CHECKING:
     from pliant.sim import Hand
 
 
-#: Number of poses searched for a good one, and the inner share of the joint ranges they come from.
+#: Number of random poses among which the best is chosen, and the central share of the joint ranges
+#: from which they are drawn.
 SEARCHED, INNER = 512, 0.6
-#: Assumed effort where none is known: this multiple of the largest torque that holds the arm, at
-#: least [N·m].
+#: Assumed effort of a joint without a known one: STRONG_ENOUGH times the largest torque that holds
+#: the arm, at least LEAST_EFFORT [N·m].
 STRONG_ENOUGH, LEAST_EFFORT = 4.0, 0.5
-#: Distance of the soft axis, as a share of the reach, within [m].
+#: Distance that the soft axis moves: share of the reach, and bounds of the result [m].
 WAY_SHARE, WAY_RANGE = 0.2, (0.03, 0.15)
-#: Steps in which a motion is checked beforehand.
+#: Number of points along a motion at which it is checked before the run.
 STEPS = 12
 #: Share of the usable torque that gravity may take in a chosen pose.
 GRAVITY_SHARE = 0.6
@@ -92,7 +93,7 @@ class Arm:
         axes: Task axes that its joints can control.
         soft: The compliant axis.
         pose: Joint positions (n,) [rad] of the experiments.
-        way: Distance that the soft axis can move from there, both ways [m].
+        way: Distance that the soft axis can move from `pose` in either direction [m].
         notes: Assumptions that were made.
     """
 
@@ -185,7 +186,7 @@ def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
 
 
 def ranges(model: pliant.Model) -> tuple[Array, Array]:
-    """Return joint limits (n,), ±π for joints without."""
+    """Return lower and upper joint limits (n,) [rad]; ±π for joints without limits."""
     lower, upper = np.asarray(model.lower), np.asarray(model.upper)
     return np.where(np.isfinite(lower), lower, -np.pi), np.where(np.isfinite(upper), upper, np.pi)
 
@@ -268,11 +269,10 @@ def _can_move(model: pliant.Model, q: Array, axes: tuple[str, ...], soft: str, w
 # --- Runs with any arm, each a picklable call ---
 
 RATE = 100.0
-#: A hand's spring and damper for an arm with caps around 15 N [N/m, N·s/m]; they scale with the
-#: caps.
+#: Spring [N/m] and damper [N·s/m] of a hand for an arm with a cap of USUAL [N]; both scale with the
+#: cap.
 SPRING, DAMPER, USUAL = 2000.0, 30.0, 15.0
-#: Distance of the hand in the test of the promise, as a share of the soft axis' range; rotations
-#: [rad].
+#: Angle by which the hand turns the tool when it tests the cap of a rotation [rad].
 TURN = 0.3
 #: Poses of the promise with a smallest singular value below this share of the median are left out.
 LEAST_SIGMA = 0.65
@@ -282,7 +282,13 @@ CAP_SHARE = (0.30, 0.14)
 
 @dataclass(frozen=True, kw_only=True)
 class Strengths:
-    """Default strengths of law cap [N]: soft axis at small and large deviation, and when stiff."""
+    """Default strengths of law cap for the soft axis of an arm [N].
+
+    Attributes:
+        soft: At zero deviation.
+        firm: At a large deviation.
+        hold: If the same axis is stiff.
+    """
 
     soft: float
     firm: float
@@ -316,7 +322,7 @@ def activation(source: Source) -> Array:
 
 
 def strengths(source: Source) -> Strengths:
-    """Read the default strengths from the controller: near its target, far from it, stiff."""
+    """Return the strengths that the controller reports: near the target, far from it, and stiff."""
     arm = load(source)
     start = np.asarray(arm.model.forward_kinematics(arm.pose))
     row = arm.axes.index(arm.soft)
@@ -398,7 +404,7 @@ def caps(source: Source) -> tuple[float, float]:
 
 
 def promises(source: Source, pose: int, count: int) -> list[CapResult]:
-    """Push every axis of one of `count` poses both ways and compare with the promise."""
+    """Push every axis in both directions in pose `pose` of `count`; compare with the promises."""
     arm = load(source)
     chosen = regular_poses(source, count)
     if pose >= len(chosen):
@@ -448,7 +454,7 @@ def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> CapResult
 
 # --- Chapters that suit any arm: activation, swinging, promises ---
 
-#: Poses of the promise, in a full and in a quick run.
+#: Number of poses in which caps are measured: in a full run, and in a quick run.
 POSES = (12, 2)
 
 
@@ -649,7 +655,7 @@ def experiments(source: Source) -> dict[int, Any]:
 
 # --- The chapter in which a hand drags any arm: one axis soft, and all axes stiff ---
 
-#: Kinds of the drag: stiffness, η, direction.
+#: Runs of the drag by kind: `soft` or `stiff`, η, direction.
 DRAGS = (
     ("soft", 0.999, 1),
     ("soft", 0.999, -1),

@@ -161,11 +161,11 @@ def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
 
 # --- The paper's statements on Figs 4 and 5, and the results of a run ---
 
-#: Deviations at which compliance begins to fade and is gone: d⁻ and d⁺ [m], [rad].
+#: Deviations d⁻, where compliance starts to decrease, and d⁺, where it is zero: y [m], yaw [rad].
 RANGE = {"y": (0.01, 0.10), "yaw": (0.04, 0.40)}
-#: Bound of a slow return [m/s], [rad/s].
+#: Largest speed at which a return counts as slow: y [m/s], yaw [rad/s].
 SLOW = {"y": 0.2, "yaw": 0.8}
-#: Distance of the hand [m], [rad].
+#: Distance that the hand moves the axis: y [m], yaw [rad].
 WAY = {"y": 0.25, "yaw": 0.8}
 NUMBER_OF_FIGURE = {"y": "Fig. 4", "yaw": "Fig. 5"}
 
@@ -176,12 +176,12 @@ def amount(axis: str) -> Callable[[float], str]:
 
 
 def worst(runs: Numbers, name: str) -> float:
-    """Return the largest number of all push directions."""
+    """Return the largest value of figure `name` over the push directions."""
     return float(max(one[name] for one in runs.values()))
 
 
 def least(runs: Numbers, name: str) -> float:
-    """Return the smallest number of all push directions."""
+    """Return the smallest value of figure `name` over the push directions."""
     return float(min(one[name] for one in runs.values()))
 
 
@@ -421,9 +421,9 @@ def return_table(axis: str, numbers: Numbers) -> Table:
 
 ETA_NAMES = ("0", "0.9", "0.999")
 SIGNS = ("+1", "-1")
-#: Time at which the hand comes [s].
+#: Time at which the hand grips the arm [s].
 GRIPPED = 2.0
-#: Time between two runs drawn in a row [s].
+#: Gap between two runs that are drawn one after the other on the time axis [s].
 PAUSE = 0.6
 
 

@@ -55,11 +55,11 @@ LAWS: Mapping[str, Callable[..., Law]] = {
     "paper + gravity": controllers.rec,
     "cap": controllers.cap,
 }
-#: The literal reading, for the loss of z: also without step limits.
+#: Literal reading of the paper, without step limits; it shows the loss of height z.
 LITERAL: Callable[..., Law] = partial(controllers.limits_only, 10.0)
-#: Bound of "tracking very well": rms error over amplitude.
+#: Largest ratio of rms error to amplitude that counts as "tracking very well".
 WELL = 0.10
-#: Bands of law cap: rms error over amplitude.
+#: Largest accepted ratio of rms error to amplitude of law cap, by axis.
 CAP_BANDS = {"x": 0.025, "y": 0.035, "z": 0.06, "roll": 0.025, "pitch": 0.05, "yaw": 0.03}
 
 

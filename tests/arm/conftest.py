@@ -49,7 +49,7 @@ class Scribe(SimDrive):
         self.diary.append(("watchdog", seconds, None))
 
     def verbs(self):
-        """Return the recorded calls without repetitions."""
+        """Return the names of the recorded calls; consecutive equal ones count once."""
         found = []
         for verb, *_ in self.diary:
             if not found or found[-1] != verb:

@@ -19,7 +19,7 @@ def test_order_from_torque_on_to_torque_off(make, grasp):
     ]
     _, goal, limit = arm.drive.diary[0]
     gravity, kp = arm.model.gravity(grasp), np.asarray(arm.servos.kp)
-    # The first command carries the weight of an arm that holds itself up, and little more.
+    # Goal and limit of the first command hold the arm's weight; the limit has a small margin.
     assert goal == pytest.approx(grasp + gravity / kp)
     assert limit == pytest.approx(1.1 * np.abs(gravity) + 2 * np.asarray(arm.servos.friction))
     assert not arm.enabled

@@ -1,4 +1,4 @@
-"""Descent and torque on, with servos, loads, gears and encoders unlike the assumptions."""
+"""Torque on and descent of arms whose servos, load, gears and encoders differ from the model."""
 
 import pytest
 
@@ -6,8 +6,9 @@ pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from experiments import descent
 
-#: Runs of `descent.descents` that always take place, by arm: even in free air, odd over a table.
-#: Without a bound on the press by its force, `so101` 7 pressed with 11.4 N where 5 rest.
+#: Numbers of the runs of `descent.descents` that are always tested, by arm. Even runs are in free
+#: air, odd ones over a table. Run 7 of `so101` tests the bound of the force on the table: without
+#: it the arm pressed with 11.4 N, although its resting weight is 5 N.
 RUNS = {"arm7": (0, 1), "so101": (0, 1, 7), "koch": (0, 3)}
 #: Largest force of an arm on the table [N].
 FORCE = {"so101": 10.0, "koch": 10.0}
@@ -15,7 +16,7 @@ LARGE = 15.0
 
 
 def check(job, run):
-    # The arm assumes other servos than it has: a drive that passes on the true values fails here.
+    # True and assumed stiffness must differ; a drive that passes on the true values fails here.
     assert run.apart == pytest.approx(max(max(s, 1.0 / s) for s in job.truth.stiffness))
     assert run.moved < 0.020
     assert run.jerk < 0.10
@@ -25,7 +26,7 @@ def check(job, run):
     assert run.after < 0.10
     assert run.speed < 0.20
     if job.over_table:
-        # Arm 7 with its load rests with 16.0 N in run 1: no descent presses with less than that.
+        # In run 1 the resting weight of `arm7` and its load is 16.0 N, above the bound of 15 N.
         assert run.force < max(FORCE.get(job.arm, LARGE), run.resting)
     assert run.height > 0.0
 

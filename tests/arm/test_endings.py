@@ -1,4 +1,4 @@
-"""Endings print messages, and complete whatever happens to the reader: each in its own process."""
+"""The end of a program prints messages, and completes even if standard error cannot be written."""
 
 import contextlib
 import logging

@@ -28,10 +28,10 @@ from pliant.sim import Plant, SimDrive
 
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 NUMBERS = [getattr(signal, name) for name in HANDLED if hasattr(signal, name)]
-#: Two signals this close to each other are one request, and this far apart two [s].
+#: Two signals REPEATED [s] apart count as one request, DELIBERATE [s] apart as two.
 REPEATED, DELIBERATE = 0.1, 2.0
 LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
-#: Turns of a descent in this test; real descents are tested elsewhere.
+#: Number of loop iterations of the simulated descent, which replaces a real one here.
 TURNS = 12
 
 
@@ -40,7 +40,7 @@ def expected(number):
 
 
 class Life(RuleBasedStateMachine):
-    """A model beside the arms: which have torque, and which signals came."""
+    """State machine that predicts which arms have torque after random calls and signals."""
 
     def __init__(self):
         super().__init__()
@@ -74,7 +74,7 @@ class Life(RuleBasedStateMachine):
         self.on = [False] * len(self.arms)
 
     def descend(self, io, rest, rate, is_aborted, **_):
-        """Wait for some turns, in which signals come."""
+        """Replace a descent by a wait of `TURNS` iterations, in which signals arrive."""
         for _ in range(TURNS):
             if self.during:
                 number, gap = self.during.pop(0)
@@ -175,7 +175,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: len(getattr(self, "arms", [])) == 2)
     @rule(number=st.sampled_from(NUMBERS), swap=st.booleans())
     def with_both(self, number, swap):
-        """A signal in the body of nested `with` lowers both, in either order."""
+        """A signal inside two nested `with` blocks lowers both arms, in either order of nesting."""
         first, second = self.arms[::-1] if swap else self.arms
         self.last = (0, -10.0)
 

@@ -1,4 +1,4 @@
-"""The loop: timing, silences, missing commands, and no jump after any of them."""
+"""The loop: timing, missing readings, missing commands, and no jump of the goal after them."""
 
 import threading
 import time
@@ -175,7 +175,7 @@ EXPECTED = {
 }
 
 
-#: These always run.
+#: Cases that always run; the others are marked `full`.
 SHORT = {
     "the same, `Loop(max_step_time=2.0)`",
     "no positions for 1 s",

@@ -43,7 +43,7 @@ def test_servos_stiffer_than_assumed(grasp, known):
     assert [arm.servos.stiffness_known for arm in gap.consumers] == [known]
     assert run.speed < 0.18
     assert run.rise < 0.015
-    # With leads from the assumed stiffness it hangs in the air for a minute.
+    # If goal offsets were computed from the assumed stiffness, the descent would take a minute.
     assert run.seconds < 15.0  # (14.0)
 
 
@@ -69,7 +69,7 @@ def test_goes_to_a_rest_pose_first(make):
 def test_ten_poses_over_a_table(bring, ticks):
     runs = [bring(q, over_table=True, ticks=ticks) for q in postures(10)]
     assert max(run.speed for run in runs) < (0.2 if ticks else 0.18)
-    # Where a larger weight rests on the table, the force cannot be smaller.
+    # The force on the table cannot be smaller than the weight that finally rests on it.
     assert max(run.force - max(run.resting, 15.0) for run in runs) < 2.0
 
 
@@ -168,7 +168,7 @@ def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicke
     )
     assert lowering.phase == "done"
     assert len(orders) < 800
-    # The torque of the servos as it goes off is below the gears' friction.
+    # When torque is switched off, the servos' torque is below the friction of the gears.
     left = np.asarray(model.servos.kp) * (orders[-1][1] - q - count / 2)
     assert np.all(np.abs(left) < np.asarray(model.servos.friction))
 

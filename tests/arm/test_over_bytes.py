@@ -1,4 +1,4 @@
-"""The life cycle down to bytes: emulated servos on a serial port, a simulated arm behind."""
+"""Life cycle of an arm over serial bytes: emulated servos that drive a simulated arm."""
 
 from contextlib import contextmanager
 
@@ -16,7 +16,7 @@ from pliant.arm import Arm
 from pliant.emulator import Mount, emulate
 from pliant.servo import ServoBus, ServoSpec
 
-#: A unit of the speed registers [rad/s].
+#: Units of the speed registers [rad/s]: one encoder step per second, and 0.229 rpm.
 STEP, RPM = 2.0 * np.pi / 4096, 0.229 * np.pi / 30.0
 #: Robot and servo of each family.
 FAMILIES = {"sts": ("so101", "STS3215", "STS3215-7.4V", {}), "x": ("koch", "XL430-W250", None, {})}
@@ -150,10 +150,10 @@ def test_lowered_after_the_program_stalled(family, q):
 
 
 def enabled_with_old_goals(family, lost=0):
-    """Enable an arm whose servos have earlier goals, with the lost-th request unheard.
+    """Enable an arm whose servos have old goals; request number `lost` does not reach a servo.
 
     Returns:
-        Distance moved by the tool [m], and the number of each request that carried goals.
+        Distance moved by the tool [m], and the numbers of the requests that contained goals.
     """
     q = [0.1, 0.4, 0.2, 0.1, 0.0]
     with arm_over_bytes(family, q, plant={}, patience=0.01) as (bus, arm):

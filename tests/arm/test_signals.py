@@ -1,4 +1,4 @@
-"""Signals and the end of the interpreter: each in a process of its own, on the simulator."""
+"""Signals and interpreter exit on the simulator; each test runs a separate process."""
 
 import signal
 import textwrap

@@ -1,4 +1,4 @@
-"""Programs that do not return: a thread lowers the arm in their place."""
+"""Programs that do not react to a signal: the supervisor thread lowers the arm instead."""
 
 import sys
 import threading

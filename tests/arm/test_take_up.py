@@ -1,4 +1,4 @@
-"""Torque on with joints whose positions do not arrive."""
+"""Torque on while the positions of some joints do not arrive."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The promised cap in random poses: a seeded part always runs, the rest is marked `full`."""
+"""Force caps in random poses: a few seeded poses always run, the others are marked `full`."""
 
 import json
 

@@ -11,7 +11,7 @@ from experiments.simulation import NOMINAL, Conditions
 from pliant import Axis, Settings
 
 SOFT, FIRM = 4.0, 15.0  # [N]
-#: Friction left by the feed-forward, seen along y, plus a margin [N].
+#: Joint friction that the feed-forward does not compensate, as a force along y, plus a margin [N].
 FRICTION = 1.8
 PLACES = (0.005, 0.02, 0.04, 0.055, 0.07, 0.09, 0.11, 0.13)  # [m]
 NEARLY = [NOMINAL, *(Conditions(delay=(1, 1), believed=share) for share in (0.7, 1.3))]

@@ -4,7 +4,7 @@ import pytest
 
 from experiments import controllers, doors
 
-#: Scene and grip: least angle [deg], largest force [N], set around the figures in brackets.
+#: Bounds by scene and grip: least angle [deg], largest force [N]. Brackets: the measured values.
 CAP = {
     ("door", "rigid"): (64.0, 32.0),  # (67.7, 24.4)
     ("door", "turning"): (64.0, 25.0),  # (69.3, 9.8)

@@ -6,12 +6,12 @@ import pliant
 from experiments.arms import load
 from experiments.host_loss import Bench
 
-#: Largest shortfall below the report, as a share.
+#: Measured force may be below the reported one by this share.
 LOW = 0.3  # (0.16)
 
 
-#: In the second line a joint is at its stop and turns back during the motion, or the arm springs
-#: back.
+#: Arm and number of the pose. In poses of the second line a joint at its stop reverses during the
+#: motion, or the arm springs back.
 POSES = [
     *(("arm7", 2), ("arm7", 11), ("so101", 6), ("koch", 2)),
     *(("so101", 12), ("koch", 28), ("koch", 30), ("koch", 25)),

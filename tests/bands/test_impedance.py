@@ -12,7 +12,7 @@ from pliant import Axis, ConfigError, Controller, Settings, robots
 from pliant.sim import LIGHT, Plant
 from pliant.sim.postures import VERTICAL
 
-#: Springs without derating at any delay, as in the study of the figures in brackets.
+#: Law `impedance` without the reduction of stiffness for delays.
 asked = partial(controllers.impedance, accept_high_stiffness=True)
 
 NOMINAL = Conditions()
@@ -20,7 +20,8 @@ DELAYED = Conditions(delay=(1, 1))
 FAST = Conditions(rate=200.0, delay=(1, 1))
 SLOW = Conditions(rate=50.0, delay=(1, 1))
 
-#: Loop, law: least angle of the door [deg], its largest force [N]; 15 N hand: force [N], drift [m].
+#: By loop: conditions, law; for a door least angle [deg], largest force [N]; for a hand of at most
+#: 15 N largest force [N], drift [m]. The comment behind each entry has the measured values.
 LOOPS = {
     "100 Hz": (NOMINAL, controllers.impedance, 65.0, 16.0, 5.8, 0.0040),  # 65.6, 15.1, 5.3, .0034
     "100 Hz, 1+1": (
@@ -35,7 +36,8 @@ LOOPS = {
     "200 Hz, 1+1": (FAST, controllers.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
     "200 Hz, 1+1, as asked": (FAST, asked, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
 }
-#: Factor on 800 N/m and 20 N·m/rad at which loops ring: ρ T_e .11, .07, .14, .14 s.
+#: By loop: factor on the stiffness of 800 N/m and 20 N·m/rad at which the loop oscillates. ρ T_e is
+#: then .11, .07, .14, .14 s.
 RINGING = {"100 Hz": 8.0, "100 Hz, 1+1": 1.0, "200 Hz, 1+1": 4.0, "50 Hz, 1+1": 1.0}
 CONDITIONS = {
     "100 Hz": NOMINAL,

@@ -1,4 +1,4 @@
-"""Each preset in its scene, in the same run against the same task with all axes stiff."""
+"""Each preset in its scene, compared with the same task with all axes stiff."""
 
 from contextlib import nullcontext
 

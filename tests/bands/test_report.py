@@ -13,9 +13,9 @@ from pliant.sim.postures import AT_DOOR, HORIZONTAL, VERTICAL
 RANDOM = cap_accuracy.poses(4, cap_accuracy.CLEAR)
 #: Axis, side and cap [N, N·m].
 PUSHES = (("y", 1.0, 8.0), ("y", -1.0, 5.0), ("z", 1.0, 8.0), ("x", -1.0, 8.0), ("yaw", 1.0, 1.0))
-#: Beyond promise and friction: the push grows while the arm begins to move, as a share of the cap.
+#: Allowance above cap and friction, as a share of the cap: the push grows while the arm starts.
 LATE = 0.15  # (0.10)
-#: Pushes after a host loss: felt over reported peak.
+#: By direction of the push after a host loss: allowed deviation from the reported peak, as a share.
 DEAD = {"+y": 0.1, "-y": 0.1, "-x": 0.1, "-z": 0.1, "+x": 0.25, "+z": 0.4}
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from experiments import cap_accuracy, controllers, disturbances
 
-#: Sign and axis of the hand: largest force [N].
+#: Largest accepted force on the hand [N], by direction of its motion.
 DEAD = {"+y": 11.0, "-y": 17.0, "-x": 14.0, "-z": 11.0}  # (7.9, 12.4, 9.7, 6.9)
 LEAST_KEPT = 0.92  # (.98)
 

@@ -1,4 +1,4 @@
-"""Tool speed under a bounded target speed: friction releases the tool late."""
+"""Tool speed when the target speed is bounded: after breaking away from friction it catches up."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Position limits in physics: they bound motion, not force."""
+"""Position limits on the simulated arm: excursion beyond a limit, gravity at it, coming to rest."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from pliant import robots
 from pliant.sim import Plant
 from pliant.sim.postures import VERTICAL
 
-#: Start of each arm [rad], caps [N], largest excursion of the first joint [rad].
+#: By arm: initial position [rad], caps [N], largest accepted excursion of the first joint [rad].
 ARMS = {
     "arm7": (VERTICAL, (4.0, 20.0), 0.02),
     "so101": (np.array([0.2, -0.3, 0.3, 0.9, 0.0]), (0.5, 2.0), 0.08),

@@ -16,19 +16,20 @@ BUSES = {
     "250 Hz": Conditions(rate=250.0),
     "100 Hz, 1+1, rough": Conditions(delay=(1, 1), encoder_step=np.deg2rad(0.088), plant=ROUGH),
 }
-#: Delayed loops of `cap`: force [N] (7.0, 5.9, 7.8) and drift [m] (.0028, .0024, .0035), 15 N hand.
+#: Bounds of law `cap` with delay under a hand of at most 15 N, by loop: conditions, force [N]
+#: (measured 7.0, 5.9, 7.8), drift [m] (measured .0028, .0024, .0035).
 DELAYED = {
     "100 Hz, 1+1": (Conditions(delay=(1, 1)), 9.0, 0.005),
     "200 Hz, 1+1": (Conditions(rate=200.0, delay=(1, 1)), 8.0, 0.0045),
     "100 Hz, 2+2": (Conditions(delay=(2, 2)), 10.0, 0.006),
 }
-#: Loops with wrongly assumed friction and damping.
+#: Conditions in which friction and damping are also assumed wrongly.
 LOOPS = {
     "100 Hz": Conditions(),
     "100 Hz, 1+1": Conditions(delay=(1, 1)),
     "200 Hz, 1+1": Conditions(rate=200.0, delay=(1, 1)),
 }
-#: Encoder count [deg]: idle speed [rad/s], force of a slow drag [N], drift in 2 s [m].
+#: Bounds by encoder count [deg]: idle speed [rad/s], force of a slow drag [N], drift in 2 s [m].
 COUNTS = {
     0.06: (0.006, 4.0, 0.003),  # (.002, 1.9)
     0.088: (0.01, 4.0, 0.003),  # (.004, 1.8)

@@ -1,4 +1,4 @@
-"""Motion into a wall with the default law: cap 15 N on the axis of contact."""
+"""Motion into a wall with the default law, whose cap on the axis of contact is 15 N."""
 
 import pytest
 

@@ -125,7 +125,7 @@ def pasted(lines):
 
 @pytest.fixture
 def so101(tmp_path, capsys):
-    """Return a user's file."""
+    """Return the path of a user's configuration file of an SO-101."""
     assert main(["arms", "so101"]) == 0
     file = tmp_path / "mine.toml"
     file.write_text(capsys.readouterr().out, encoding="utf-8")

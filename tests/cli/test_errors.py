@@ -110,7 +110,7 @@ def test_a_low_voltage_servo_on_12_volts(said):
         bus.supply(12.0)
         texts = said(toml(bus.port))
     all_say(texts, "its supply is 12.0 V", "STS3215-7.4V takes", "wrong supply", "another variant")
-    # Once for all five.
+    # The message appears once for all five servos.
     assert texts[0].count("wrong supply") == 1
     assert "shoulder_pan (id 1), shoulder_lift (id 2)" in texts[0]
 

@@ -32,7 +32,7 @@ def arm(tmp_path):
 
 @pytest.fixture
 def done(arm, capsys):
-    """Return the same after a set-up, with the printed text."""
+    """Return the values of `arm` after `setup` has run, and the text that it printed."""
     bus, file, backup = arm
     assert (
         main(["servos", "setup", str(file), "--port", bus.port, "--yes", "--backup", str(backup)])
@@ -55,7 +55,7 @@ def test_the_printed_command_puts_the_values_back(done, capsys, monkeypatch):
     assert main([*words, "--yes"]) == 0
     assert f"{len(old['changes'])} registers written" in capsys.readouterr().out
     assert len(bus.log.eeprom_writes()) == len(old["changes"])
-    # A second time there is nothing to undo: the registers are read, not assumed.
+    # A second undo changes nothing, because it reads the registers first.
     assert main([*words, "--yes"]) == 0
     assert "nothing to change" in capsys.readouterr().out
 

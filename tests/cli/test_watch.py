@@ -85,7 +85,7 @@ def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
     assert "elbow_flex grew" not in out
     assert not bus.log.writes("torque_enable")
     assert not bus.log.eeprom_writes()
-    # The arm sank; by the file with the wrong sign it should have risen.
+    # The arm sank, although it should have risen according to the file with the wrong sign.
     out = watch_while_lifted(bus, mirrored, capsys)
     first, second = (
         line for line in out.splitlines() if "shoulder_lift" in line and " by " in line
@@ -101,7 +101,7 @@ def test_torque_that_is_on_is_in_the_way(capsys):
     )
     out = capsys.readouterr().out
     assert "torque is on already" in out
-    # Markup must not remove the name of the table.
+    # `rich` must not take `[life]` for markup and remove it.
     assert "under [life] of its file" in out
     assert "-0.00" not in out.splitlines()[-1]
 

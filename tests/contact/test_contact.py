@@ -21,7 +21,10 @@ def controller(**settings):
 
 
 def pushed(contact, force=(0.0, 0.0, 0.0), ticks=200, *, build=Plant, tare=None):
-    """Return the estimates of every tick; the push ramps up from 0.5 to 0.7 s; one tick tares."""
+    """Return the estimates of all ticks.
+
+    The push ramps up from 0.5 to 0.7 s. The estimator is tared at tick `tare`; None: never.
+    """
     course = ForceProfile(start=0.5, rise=0.2, end=10.0)
     plant = build(arm(), scene=[Push(force_vector=force, course=course)])
     ctl = contact.controller

@@ -18,13 +18,13 @@ def search_path():
 
 @pytest.fixture
 def demo_command(tmp_path):
-    """Run the demo in a process of its own, in an empty folder and without a display."""
+    """Return a function that runs the demo in a new process, an empty folder, without a display."""
     return runner(tmp_path, "experiments.demo", PYTHONPATH=search_path())
 
 
 @pytest.fixture
 def pliant_command(tmp_path):
-    """Run the command in a process of its own, away from the sources and without a display."""
+    """Return a function that runs `pliant` in a new process and empty folder, without a display."""
     return runner(tmp_path, "pliant.cli")
 
 

@@ -1,4 +1,4 @@
-"""The command line: fast where possible, and every error one line."""
+"""The demo's command line: fast errors, each printed on one line."""
 
 import re
 

@@ -61,7 +61,7 @@ def four(value):
 
 
 class Host:
-    """A minimal serial client: raw bytes, a deadline."""
+    """Minimal serial client that sends and receives raw bytes, with a timeout."""
 
     def __init__(self, path, speed=termios.B1000000):
         self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -77,7 +77,7 @@ class Host:
         os.close(self.fd)
 
     def ask(self, request, length, patience=2.0):
-        """Write, and read so many bytes or until the timeout."""
+        """Write `request`; return the reply: `length` bytes, or fewer after `patience` [s]."""
         os.write(self.fd, request)
         answer, end = b"", time.monotonic() + patience
         while len(answer) < length and time.monotonic() < end:
@@ -89,5 +89,5 @@ class Host:
 
 
 def without_extra():
-    """Raise as a factory does where the simulator is not installed."""
+    """Stand in for a factory whose simulator is not installed: raise the error that it raises."""
     raise ImportError(missing("pliant.sim", "sim"))

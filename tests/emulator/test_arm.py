@@ -1,4 +1,4 @@
-"""A simulated arm behind the bytes."""
+"""Emulated servos that drive the joints of a simulated arm."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ def test_action_without_reg_write_is_an_instruction_error():
 
 
 def saturated(model, seconds, **registers):
-    """Hold a servo at its torque limit for so long."""
+    """Hold a servo at its torque limit for `seconds`."""
     line, servo = one(model, **registers)
     write1(line, 34, *two(200))
     write1(line, 30, *two(0))

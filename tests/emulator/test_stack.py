@@ -1,4 +1,4 @@
-"""The whole stack down to bytes on physics: controller, driver, driver wheel, servos, arm."""
+"""Controller, driver, serial bytes, emulated servos and simulated arm together."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def run(bus, chain, model, settings, share):
             assert np.all(np.abs([d.ceiling for d in drives] - command.torque_limit) <= room)
         assert np.all([d.ceiling for d in drives] <= ceiling * 1.001)
     away = np.linalg.norm(bus.plant.tool[:3, 3] - target[:3, 3])
-    # The gears' dry friction.
+    # Dry friction of the gears.
     stiction = [servo.model.motor.friction for servo in bus.servos] / np.asarray(chain.servos.kp)
     assert away < 1.5 * np.abs(model.jacobian(pose)[:3] @ np.diag(stiction)).sum(axis=1).max()
     assert missed <= 200 * share

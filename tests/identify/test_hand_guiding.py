@@ -1,4 +1,4 @@
-"""Hand guiding: still when untouched, light to move, for any k_p."""
+"""Hand guiding for any k_p: the arm stays when untouched, and moves under a small force."""
 
 from contextlib import nullcontext
 

@@ -28,7 +28,7 @@ SIDES = {
     "gears as they are": {"gears": True},
     "several at once": {"kp": 0.8, "friction": 1.3, "delay": 0.02, "lift": 2 / 3},
 }
-#: Cases without a difference.
+#: Cases in which plant and assumptions are equal.
 AS_ASSUMED = {"as the table", "dead band 0.06°"}
 
 
@@ -130,7 +130,7 @@ BARE = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="
 
 
 def test_an_arm_that_is_held_is_left_holding():
-    """A limit far below gravity stands for a hand that holds the arm down."""
+    """A torque limit far below gravity has the effect of a hand that holds the arm down."""
     model = robots.arm7()
     weak = 3.0 / np.asarray(model.servos.max_torque)
     gap = Mismatch(plant=Parameters(payload=1.5), assumed=Parameters(torque=weak))

@@ -33,7 +33,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def damaged(made, tmp_path):
-    """Write a log with these bytes; return its path."""
+    """Return a function that writes bytes to a log file and returns its path."""
 
     def write(content):
         path = tmp_path / "one.mcap"

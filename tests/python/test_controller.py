@@ -276,7 +276,7 @@ def test_update_takes_over_position_targets(model, q, target):
 
 
 def test_update_surveys_what_a_fresh_controller_would(model, q, target):
-    """Cached surveys belong to axes and frame, not to the last task."""
+    """Surveys are cached by task axes and frame, so a new task never uses those of another task."""
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     tasks = (
         pliant.Task("all"),

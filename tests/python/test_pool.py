@@ -1,4 +1,4 @@
-"""The pool of results: a plain loop allocates nothing, and a kept result never changes."""
+"""Pool of results: a loop that drops them allocates nothing, and a result in use never changes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_kept_commands_are_all_different_and_never_change(controller, q, target)
     assert all(unchanged(command, b) for command, b in zip(kept, before, strict=True))
 
 
-#: Objects that expose the numbers of an array to a caller, and the caller's access.
+#: By name: function that makes a view of an array's data, and function that reads the view.
 VIEWS = {
     "array": (lambda a: a, bytes),
     "slice": (lambda a: a[2:5], bytes),

@@ -7,7 +7,7 @@ import pliant
 import pliant.robots
 from pliant import Axis, Controller, Settings
 
-#: Names used by the text of a preset.
+#: Names that the printed form of a preset uses.
 ROOM = {
     kind.__name__: kind
     for kind in (

@@ -14,8 +14,9 @@ from pliant.servo import BusError, ServoBus, ServoSpec
 class FakeBus:
     """Servos as byte arrays, with scripted failures and stale replies.
 
-    `plan` has one entry per request to come: None, a `BusError`, or "stale" (the reply of the last
-    request comes now). `late` bytes on the line keep that many drain pings from being silent.
+    `plan` has one entry per future request: None for success, a `BusError` to raise, or "stale" to
+    return the reply to the previous request. While `late` is above 0, a drain ping finds bytes on
+    the line and decreases it by 1.
     """
 
     def __init__(self, ids):

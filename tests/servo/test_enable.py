@@ -11,7 +11,7 @@ from pliant.servo import ServoBus, ServoSpec
 from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
-#: Distance of old goals [counts]: 44° on most encoders.
+#: Distance between old goals and present positions [counts]; 44° on most encoders.
 OFF = 500
 
 
@@ -26,7 +26,10 @@ def chain_on(bus, kind, n, patience=0.005):
 
 
 def strike(bus, fault, place):
-    """Lose the request of this number, or its reply; count the requests."""
+    """Apply `fault` to the request number `place`, counted from 1; return the request count.
+
+    The count is a list of one number, which grows with each request.
+    """
     line, count = bus.lines["main"], [0]
 
     def chance():

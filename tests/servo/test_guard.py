@@ -1,4 +1,4 @@
-"""The guard on a scripted bus: drains, one retry, no stale reply, no overrun."""
+"""Transaction guard on a scripted bus: drains, one retry, no stale reply, cycle time kept."""
 
 import pytest
 

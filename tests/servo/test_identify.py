@@ -132,7 +132,7 @@ def test_an_adapter_that_holds_answers_back_is_measured_and_said(model):
         with ServoBus(specs) as chain:
             assert any("ms later than the wire takes" in note for note in chain.found[0].notes)
             ok = [chain.read().ok.all() for _ in range(20)]
-    # Where it is unknown, every reply times out before it arrives.
+    # With an unknown adapter latency, every reply would time out before it arrives.
     assert sum(ok) > 12
     with Emulator(parts, timing=Timing(wire=True)) as bus:
         chain = opened(bus, *({"name": s.name, "model": model, "id": s.id} for s in specs))

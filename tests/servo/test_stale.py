@@ -1,4 +1,4 @@
-"""Lines that stop for longer than any timeout: no reply is ever taken for a newer one."""
+"""Replies that arrive after their timeout: none is taken for the reply to a later request."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ class LateLine:
 
     Args:
         ids: Servos.
-        held: From a time to the one at which bytes sent then arrive [s].
+        held: Function from the time at which a byte is sent to the time at which it arrives [s].
         keeps_order: True if replies arrive in the order in which they were sent.
     """
 
@@ -76,7 +76,10 @@ class LateLine:
 
 
 def stalls(rng, longest):
-    """Return periods in which no byte passes, a third of the time in all: bytes sent then wait."""
+    """Return `held` for a line that stalls at random for at most `longest` [s].
+
+    Bytes sent during a stall arrive at its end.
+    """
     ends = np.cumsum(rng.exponential([[0.2], [0.1]], (2, 4000)).T.ravel())
     lengths = np.minimum(np.diff(ends)[::2], longest)
     begins = ends[:-1:2]

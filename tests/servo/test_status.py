@@ -1,4 +1,4 @@
-"""Status bytes as sentences: refusals, and mere conditions."""
+"""Status bytes as sentences: rejected instructions, and conditions that reject nothing."""
 
 from pliant.servo import get_model
 from pliant.servo._status import conditions, hardware, refusal

@@ -1,4 +1,4 @@
-"""Hands and walls: promised force, its place, and the recorded force."""
+"""Hands and walls: size and point of application of their forces, and the recorded forces."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Drawer, surface, hand-over, socket: their promises, against numbers by hand."""
+"""Drawer, surface, hand-over and socket: simulated forces against values calculated by hand."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,4 @@
-"""The servo's law: never above the limit, gravity over stiffness at rest, losses outside."""
+"""Servo model: torque limit, sag at rest of gravity over stiffness, losses beyond the limit."""
 
 import mujoco
 import numpy as np

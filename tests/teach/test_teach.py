@@ -30,7 +30,11 @@ def wave(seconds=2.0, size=0.3):
 
 
 def play(motion, scene=(), seconds=30.0, during=lambda replay, tick: None, **options):
-    """Play; return rows of clock, tool (3,), force of the hand, and the motion's own tool (3,)."""
+    """Replay a motion on an SO-101; return the replay, an array of rows, and the final state.
+
+    The row of a tick has its time [s], the replay's time [s], the hand's force [N], the tool's
+    position (3,) [m], and the position in the motion (3,) [m].
+    """
     rows = []
     with bare_arm("so101", q=START, scene=scene, on_exit="leave_enabled") as arm:
         controller = pliant.Controller(arm.model, SETTINGS, arm.servos)

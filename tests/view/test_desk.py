@@ -1,4 +1,4 @@
-"""The settings of the page: every preset, law and switch on every kind of task."""
+"""Settings on the page: every preset, law and switch, for every kind of task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Access to the page: the token in the address of the socket, the page's own origin, no cookie."""
+"""Access to the page: it needs a token in the socket's address and the page's origin, no cookie."""
 
 from __future__ import annotations
 

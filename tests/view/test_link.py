@@ -1,4 +1,4 @@
-"""The page's process: it starts, requires its token, never blocks the loop, and may die."""
+"""The page's process: start, token, no blocking of the loop, and its death during a session."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from pliant.view.source import Simulated
 
 
 class Told:
-    """Data of a push: a scene and its snapshots."""
+    """Test data: a scene with a hand's push, and snapshots of its run."""
 
     def __init__(self, script):
         push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
@@ -33,7 +33,7 @@ class Told:
 
 
 class Seen:
-    """A page that shows them."""
+    """A page that shows the scene and snapshots of `Told`."""
 
     def __init__(self, server, told):
         self.info, self.snapshots, self.running = told.info, told.snapshots, told.running
@@ -61,7 +61,7 @@ def server():
 
 @pytest.fixture
 def seen(server, told):
-    """Make a page for each test: workers run tests in any message, and tests move controls."""
+    """Make a new page for each test, because tests run in any order and move controls."""
     server.scene.reset()
     server.gui.reset()
     return Seen(server, told)
