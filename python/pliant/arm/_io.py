@@ -348,7 +348,7 @@ class ArmIO:
         return (*reported, *jumped, *thermal_faults(self.thermal, self.joints.names))
 
     def delay(self, now: float) -> float:
-        """Return the time from the newest position sample to `now`, plus the drive's latency [s]."""
+        """Return the time from the newest sample to `now`, plus the drive's latency [s]."""
         sampled = float(self.positions.time[self.joints.chain].max())
         return max(now - sampled, 0.0) + float(getattr(self.drive, "latency", 0.0))
 

@@ -140,7 +140,7 @@ class Supervisor:
         self._done.set()
 
     def _run(self, timeout: float, done: threading.Event) -> None:
-        """Wait until the program stalls for `timeout` [s], then take the arm over; end at `done`."""
+        """Take the arm over once the program stalls for `timeout` [s]; return at `done`."""
         longest = threading.TIMEOUT_MAX
         while not done.wait(
             min(max(self._last_call + timeout - time.perf_counter(), 1e-3), longest)
@@ -155,7 +155,7 @@ class Supervisor:
                     return
 
     def _take_over(self, silent: float) -> None:
-        """Lower the arm or leave it enabled, after a stall of `silent` [s]; errors go to `reason`."""
+        """Call `leave` after a stall of `silent` [s]; an error of it is added to `reason`."""
         self.reason = f"the program did not come back for {silent:.2f} s: the arm was taken over"
         self.abort.clear()
         interval = sys.getswitchinterval()
