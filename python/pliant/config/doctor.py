@@ -34,7 +34,7 @@ SHORT = 0.0015
 CYCLES, WATCHED = 200, 1.0
 #: Largest acceptable lateness of a tick, as a share of its period.
 LATE = 0.2
-#: Task axes of the check that does not depend on the configured task.
+#: Task axes for the check of the weight; an arm with n < 3 joints gets the first n.
 ANY_TASK = "xyz"
 
 

@@ -290,8 +290,7 @@ def make_simulated(
     made = Plant(model, **options)
     made.reset(start_pose(config, model) if q is None else vector(model, q, "q"))
     check_above_table(made)
-    # The arm gets the file's servo parameters, even if the caller gives the plant others: on real
-    # hardware, too, the assumed parameters differ from the true ones.
+    # The arm gets the file's servo parameters, even if options give the plant other ones.
     return SimDrive(made, servos=model.servos if config.servo else None, real_time=real_time)
 
 

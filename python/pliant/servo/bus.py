@@ -185,12 +185,12 @@ class ServoBus:
             self._pool = None
 
     def __enter__(self) -> ServoBus:
-        """Open."""
+        """Open the bus and return it."""
         self.open()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close; torque stays as it is."""
+        """Close the ports; torque stays as it is."""
         self.close()
 
     def identify(self) -> tuple[ServoInfo, ...]:
