@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
 
-#: Largest size of a settings file, and of a file with samples [bytes].
+#: Largest sizes [bytes]: `SMALL` of a settings file, `LARGE` of a file with samples.
 SMALL, LARGE = 1 << 20, 1 << 28
 
 
@@ -44,13 +44,13 @@ def read_text(path: Path, max_size: int = SMALL) -> str:
 
 
 def printable(text: str) -> str:
-    """Remove control characters from a text, because a terminal would execute them."""
+    """Replace control characters, which a terminal would execute, by U+FFFD."""
     return "".join(c if c.isprintable() or c in " \n\t" else "�" for c in text)
 
 
 #: Number of leading bytes that identify the kind of a file.
 HEAD = 4096
-#: Signature of each kind of file; an empty file may be replaced by any kind.
+#: Test of the first `HEAD` bytes for each kind of file that a command may write.
 KINDS: dict[str, Callable[[bytes], bool]] = {
     "log": lambda head: head.startswith(b"\x89MCAP0\r\n"),
     "motion": lambda head: b"pliant motion" in head,

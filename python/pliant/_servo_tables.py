@@ -1,4 +1,4 @@
-"""Selection, broadcasting and concatenation of servo tables, for all fields."""
+"""Selection, broadcasting and concatenation of servo parameters (`Servos`)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COLUMNS = (
     "armature",
     "encoder_step",
 )
-#: No-load speed that stands for an unlimited one [rad/s].
+#: No-load speed of servos without back-EMF in a table that needs a number [rad/s].
 UNREACHABLE = 1e6
 
 

@@ -33,10 +33,11 @@ class JointReadings:
         ok: Which positions were read in this cycle (N,).
         time: Sample times on the drive's clock [s]: (N,), or one number for all.
         velocity: Velocities as the servos report them (N,) [rad/s]; None: not reported.
-        load: Torques as the servos estimate them from PWM duty or current, not from a torque sensor
-            (N,) [N·m]; None: not reported.
-        current: Motor currents (N,) [A]; None: not reported. In all three, NaN marks single servos
-            that do not report the value.
+        load: Torques that the servos estimate from PWM duty or current (N,) [N·m]; None: not
+            reported.
+        current: Motor currents (N,) [A]; None: not reported.
+
+    In `velocity`, `load` and `current`, NaN marks a servo that does not report the value.
     """
 
     position: Array
@@ -49,7 +50,7 @@ class JointReadings:
 
 @dataclass(frozen=True)
 class ServoStatus:
-    """Slow data of one servo: voltage, temperature, faults and limit.
+    """Status of one servo, read less often than positions: voltage, temperature, faults, limit.
 
     Attributes:
         name: Joint name.
@@ -86,7 +87,7 @@ class Drive(Protocol):
 
     - `clock`: default is the monotonic clock of the machine;
     - `latency`: time from the end of a write to its effect [s];
-    - `overload` (N,): share of the usable torque above which a servo protects itself;
+    - `overload` (N,): share of the usable torque above which a servo's overload protection acts;
     - `stall_current` (N,) [A]: needed for the supply budget;
     - `enabled` (N,): joints whose torque is on already;
     - `orders`: goals (N,) [rad] and limits (N,) [N·m] stored in the servos, NaN if unknown;
@@ -100,14 +101,14 @@ class Drive(Protocol):
 
     @property
     def servos(self) -> Servos:
-        """Servo parameters, one entry per name; after `open`, as read from the servos."""
+        """Servo parameters, one entry per name; `open` updates those that the servos report."""
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Event counters by name: retries, timeouts, ..."""
+        """Counters of bus events, such as retries and timeouts, by name."""
 
     def open(self) -> None:
-        """Connect and identify.
+        """Connect to the servos and check which models they are.
 
         Raises:
             ServoError: The cause and the remedy.
@@ -131,7 +132,7 @@ class Drive(Protocol):
         """
 
     def poll_status(self) -> ServoStatus | None:
-        """Read slow data (voltage, temperature, faults) of the next servo; None: nothing new."""
+        """Return the status of the next servo in turn; None if none was read in this call."""
 
     def enable(self, goal: Array, limit: Array) -> None:
         """Switch torque on: limit, then goal = present position, then torque, then verify.
@@ -146,7 +147,10 @@ class Drive(Protocol):
         """Switch torque off; every joint is tried even if one fails."""
 
     def watchdog(self, seconds: float) -> None:
-        """Make servos stop after this silence [s], where supported; 0 disables it."""
+        """Set the time without messages after which servos stop [s]; 0 disables the watchdog.
+
+        Servos without a watchdog ignore this.
+        """
 
 
 class MonotonicClock:
@@ -169,13 +173,15 @@ class MonotonicClock:
 
 @dataclass(frozen=True)
 class State:
-    """State of an arm in one cycle, joints in chain order; None if the servos do not report it.
+    """State of an arm in one cycle, joints in chain order.
+
+    `dq`, `load` and `current` are None if the servos do not report them.
 
     Attributes:
-        q: Joint positions (n,) [rad]; the last good ones if this tick brought none.
-        dq: Joint velocities (n,) [rad/s].
-        time: Sample time of the positions, on the arm's clock [s].
-        fresh: Whether every joint's position is new in this tick.
+        q: Joint positions (n,) [rad]; a joint without a new position keeps its last accepted one.
+        dq: Joint velocities as the servos report them (n,) [rad/s].
+        time: Sample time of the oldest of the positions, on the arm's clock [s].
+        fresh: Whether every joint's position is new in this cycle.
         extra: Positions of the joints off the chain (a gripper) by name [rad].
         age: Age of each position (n,) [s].
         load: Torque as each servo estimates it (n,) [N·m].

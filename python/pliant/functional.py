@@ -1,4 +1,4 @@
-"""The equations of the paper as functions of a given Jacobian.
+"""Functions that evaluate single equations of the controller's paper.
 
 >>> import pliant.functional as F
 >>> F.compliance(0.03, soft_until=0.01, firm_from=0.10)

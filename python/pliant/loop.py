@@ -1,4 +1,4 @@
-"""Control loop with absolute deadlines, measured times and bounded motion after a silence."""
+"""Control loop that yields one tick per period, and stops if positions or commands are missing."""
 
 from __future__ import annotations
 
@@ -23,19 +23,22 @@ if TYPE_CHECKING:
 LOG = logging.getLogger("pliant")
 #: Gap between two steps after which a controller is reset to the present pose [s].
 RESTART = 0.25
-#: Largest age of a tick whose command is sent, in periods and in seconds; the larger one applies.
+#: A command is rejected if its tick began longer ago than `STALE_PERIODS` periods and `STALE` [s].
 STALE_PERIODS, STALE = 5.0, 0.1
-#: Time step of the first step, which lets the first goal carry the weight [s].
+#: Time step of the controller step after a reset [s]: long enough for a goal that holds the arm
+#: against gravity, because goals move at a limited speed.
 PRIME = 0.1
 #: Extra time before the arm's watchdog acts on a stall, so that the loop detects it first [s].
 GRACE = 0.1
 #: Lowest rate [Hz]: the time step of a controller is at most 1 s.
 LOWEST = 1.0
-#: Ticks over which the delay is averaged; least change that is passed on, absolute [s], relative.
+#: The delay is the median of `AVERAGE` commands. The controller is told if it changes by more than
+#: `CHANGE` [s] and by more than the share `CHANGE_SHARE` of the value reported last.
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 
 
-#: Lower end of the first bin [s], bins per decade, and number of bins: 1 µs to 10 s.
+#: Histogram bins: lower end of the first [s] (`FIRST`), bins per decade (`PER_DECADE`), and number
+#: of bins (`BINS`); they end at 10 s.
 FIRST, PER_DECADE, BINS = 1e-6, 20, 140
 
 
@@ -44,7 +47,7 @@ class LatenessHistogram:
 
     Attributes:
         counts: Ticks per bin (142,): below 1 µs, the 140 bins, above 10 s.
-        largest: Latest tick [s].
+        largest: Largest lateness of a tick [s]; 0 without ticks.
     """
 
     def __init__(self) -> None:
@@ -66,7 +69,10 @@ class LatenessHistogram:
         return int(self.counts.sum())
 
     def percentile(self, share: float) -> float:
-        """Return the lateness percentile `share` (0 to 100) [s], 12 % coarse; 0 without ticks."""
+        """Return the lateness [s] at percentile `share` (0 to 100); 0 without ticks.
+
+        It is the upper end of a bin, so up to 12 % too large, but never above `largest`.
+        """
         total = len(self)
         if total == 0:
             return 0.0
@@ -110,12 +116,13 @@ class Tick:
 
     Attributes:
         q: Joint positions (n,) [rad], new in this tick.
-        dt: Time between the samples of the last positions and of these [s].
+        dt: Time from the position sample of the last tick to that of this tick [s], at least 0.1
+            of a period; one period in the first tick and after a reset of the controller.
         state: State of the arm in this tick.
         time: Start of the tick [s]; 0 at the first tick of the loop, on every backend.
-        index: Number of ticks before this one.
+        index: Number of ticks that the loop yielded before this one.
         began: Start of the tick on the arm's clock, which `state.time` and `arm.time` also use [s].
-        command: Last command given to `write`; None before.
+        command: Last command given to `write` in this tick, sent or not; None before.
     """
 
     __slots__ = ("_loop", "answered", "began", "command", "dt", "index", "q", "state", "time")
@@ -157,14 +164,15 @@ class Tick:
     def write(
         self, command: Commanded, extra: Mapping[str, tuple[float, float]] | None = None
     ) -> bool:
-        """Send a command; if it cannot be sent, goals and limits stay unchanged.
+        """Send a command; if it is rejected, goals and limits in the servos stay unchanged.
 
-        A command is counted and not sent if it is not finite, or if the tick began longer ago than
-        five periods and 0.1 s.
+        A command is rejected, and counted in `Loop.rejected`, if a goal or limit is not finite, or
+        if the tick began longer ago than five periods and 0.1 s.
 
         Args:
-            command: Goals and limits; a `pliant.Command`. Low limits from another source are sent
-                unchanged, and an arm that they do not hold sinks or falls: see `Arm.write`.
+            command: Goals and limits: a `pliant.Command`, or an object with `goal` and
+                `torque_limit`. The limits are not raised to the weight: an arm whose limits are
+                too low sinks or falls, see `Arm.write`.
             extra: Goal [rad] and limit [N·m] of joints off the chain by name.
 
         Returns:
@@ -180,7 +188,11 @@ class Tick:
         return self.answered
 
     def skip(self) -> None:
-        """Keep goals and limits on purpose; call it in every tick without a command."""
+        """Leave goals and limits unchanged in this tick.
+
+        Call it in each tick without a command: the loop raises after `arm.comm_timeout` without
+        commands and without calls of `skip`.
+        """
         self.answered = True
 
 
@@ -189,16 +201,18 @@ class Loop:
 
     A tick is yielded only with new positions of all joints. Goals and limits stay unchanged while
     positions are missing, while commands are missing or not finite, and while the program stalls.
-    After `arm.comm_timeout` of this the loop raises, and the arm's `with` lowers it. After a gap of
-    more than 0.25 s the controller is reset to the present pose, and limits rise again within
-    0.5 s. If the program stalls for the longer of `comm_timeout` and `max_step_time`, plus a period
-    and 0.1 s, a thread lowers an arm in real time.
+    If positions or commands are missing for more than `arm.comm_timeout`, or a tick takes longer
+    than `max_step_time`, the loop raises, and the arm's `with` lowers the arm. After a gap of more
+    than 0.25 s between positions the controller is reset to the present pose, and limits rise again
+    within 0.5 s. If the program makes no call for the longer of `comm_timeout` and `max_step_time`,
+    plus a period and 0.1 s, a thread lowers the arm (not in simulated time).
 
     Args:
         arm: The arm, enabled.
-        controller: Controller to step. The loop sets its delay from measurements, and resets it
-            after gaps. None: no controller.
-        rate: Ticks per second [Hz], at least 1; None: the controller's, or the arm's.
+        controller: Controller that `Tick.step` steps. The loop sets its delay from measurements,
+            and resets it at the start and after gaps. None: no controller.
+        rate: Ticks per second [Hz], at least 1; None: the rate in the controller's settings, or
+            `arm.rate` if it has none.
         duration: Duration of the loop [s]; None: unlimited.
         max_step_time: Longest time that the program may take in one tick [s]; None:
             `arm.comm_timeout`.
@@ -214,12 +228,14 @@ class Loop:
         missed: Number of deadlines skipped because a tick took too long.
         missing: Number of ticks without new positions of all joints.
         rejected: Number of commands that were not sent.
-        restarts: Number of resets of the controller.
-        delay: Measured delay from positions to the arrival of the goal [s].
+        restarts: Number of resets after a gap; the reset at the start is not counted.
+        delay: Median time from the sample of positions to the effect of the goals computed from
+            them [s], over 50 commands; None before.
 
     Raises:
         TypeError: `arm` is not an arm, or `controller` has no `reset`.
-        ConfigError: The rate does not fit, or a time is negative or not a number.
+        ConfigError: The rate is below 1 Hz, or its period is not a multiple of a simulated arm's
+            period; or a time is negative or not a number.
         ServoTimeoutError: While looping: positions, commands or the program stalled.
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
@@ -278,7 +294,7 @@ class Loop:
             self.controller = recorder.start(arm, controller, rate)
 
     def __iter__(self) -> Iterator[Tick]:
-        """Yield ticks: wait for the deadline, read, yield."""
+        """Enable supervision by the arm and yield ticks; close the recorder at the end."""
         if not self._arm.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
@@ -292,7 +308,10 @@ class Loop:
                 self._close(self._recorder, raises=ended)
 
     def _close(self, recorder: TickRecorder, *, raises: bool) -> None:
-        """Close the recorder; log its error if raising would hide another one."""
+        """Close the recorder; its `OSError` is raised if `raises`, else logged.
+
+        It is logged if the loop has ended with an exception, which it would replace.
+        """
         try:
             recorder.close()
         except OSError as error:
@@ -301,7 +320,7 @@ class Loop:
             LOG.error("%s", error)
 
     def _turns(self) -> Iterator[Tick]:
-        """Run the loop."""
+        """Wait for each deadline, read the arm, and yield a tick if all positions are new."""
         arm, clock = self._arm, self._arm.clock
         begin = deadline = clock.now()
         last: float | None = None
@@ -344,8 +363,8 @@ class Loop:
             else:
                 self.missing += 1
                 self._wait_no_longer_than(state, arm.comm_timeout)
-                # Without positions no command could be sent: do not count this time against the
-                # program.
+                # The program gets no tick without positions, so this time must not count as time
+                # without a command.
                 commanded += now - before
             before = now
             deadline += self.period
@@ -370,7 +389,10 @@ class Loop:
             )
 
     def _restart(self, q: Array, *, first: bool) -> None:
-        """Reset the controller to q (n,) [rad]; its first goal then carries the weight."""
+        """Reset the controller to q (n,) [rad], so that its next goal holds the arm at q.
+
+        Unless this is the `first` reset, count it and ramp the torque limits up again.
+        """
         controller = self.controller
         if not first:
             self.restarts += 1
@@ -379,14 +401,19 @@ class Loop:
             return
         if first:
             self._capture(q)
-        # `capture_gravity` alone does not change the goals; the reset applies the captured leads.
+        # `capture_gravity` does not change the goals; `reset` applies the captured leads.
         controller.reset(q)
         if hasattr(controller, "model"):
-            # Goals slew from q: a long step at q takes up the weight before anything is sent.
+            # Goals move from q at a limited speed: one long step, which is not sent, lets them
+            # reach the leads that hold the arm against gravity.
             controller.step(q, controller.model.forward_kinematics(q), dt=PRIME)
 
     def _capture(self, q: Array) -> None:
-        """Pass the measured leads at q (n,) [rad] to the controller if the stiffness is unknown."""
+        """Pass the leads measured at torque on to the controller, if the stiffness is unknown.
+
+        The leads are those at q (n,) [rad]. Joints without a measured lead get the gravity torque
+        divided by the assumed stiffness.
+        """
         arm, capture = self._arm, getattr(self.controller, "capture_gravity", None)
         leads = getattr(arm, "leads", None)
         if capture is None or leads is None or arm.servos.stiffness_known:
@@ -397,7 +424,7 @@ class Loop:
     def _write(
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
     ) -> bool:
-        """Send a command; count it if it is rejected."""
+        """Check and send a command; return False and count it if it is rejected."""
         self._check()
         clock = self._arm.clock
         if not (hasattr(command, "goal") and hasattr(command, "torque_limit")):
@@ -419,7 +446,10 @@ class Loop:
         return True
 
     def _measure(self, delay: float) -> None:
-        """Average the delay; pass changes to the controller."""
+        """Add a delay [s]; after each 50, store their median and tell the controller of a change.
+
+        The drive's latency is added to each delay.
+        """
         self._delays.append(delay + getattr(self._arm.drive, "latency", 0.0))
         if len(self._delays) < AVERAGE:
             return
@@ -434,10 +464,10 @@ class Loop:
 
 
 def _never() -> None:
-    """Do nothing: outside the loop there is no takeover to report."""
+    """Stand in for the supervisor's check before the loop runs; never raises."""
 
 
 def _divides(grain: float, period: float) -> bool:
-    """Return True if `period` is a multiple of `grain`."""
+    """Return True if `period` is a multiple of `grain`, both in [s]."""
     ratio = period / grain
     return ratio > 0.5 and abs(ratio - round(ratio)) < 1e-6

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Distance outside the position limits up to which a pose is clipped to them, and up to which a
-#: joint counts as inside [rad].
+#: A position up to this far outside its limits is accepted; a requested pose is then clipped [rad].
 SLACK = 0.1
 #: Largest `comm_timeout` [s].
 MAX_COMM_TIMEOUT = 60.0
@@ -95,7 +94,7 @@ def outside(model: Model, q: Array) -> Iterator[tuple[str, float, float, float]]
 
 #: Number of poses checked along the path.
 STEPS = 60
-#: Depth by which a point may be inside the table, as models are not exact [m].
+#: Depth by which a point of the model may be inside the table, because models are not exact [m].
 TOLERANCE = 0.005
 
 

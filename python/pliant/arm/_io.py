@@ -1,4 +1,4 @@
-"""Reading and writing of all joints of an arm: plausibility of readings, bounds of commands."""
+"""Reading and writing of all joints of an arm, with checks of readings and of commands."""
 
 from __future__ import annotations
 
@@ -36,17 +36,18 @@ if TYPE_CHECKING:
     Orders = Mapping[str, tuple[float, float]]
 
 
-#: Assumed speed of a joint without a known limit [rad/s]; jump that is always accepted [rad].
+#: `FASTEST`: assumed largest speed of a joint without a known one [rad/s]. `JUMP`: change of
+#: position that is accepted after any time [rad].
 FASTEST, JUMP = 10.0, 0.2
 #: Largest speed of a joint that is pushed, as a multiple of its limit.
 THROWN = 2.0
-#: Implausible readings in a row that are a fault; and the gap between readings after which the
-#: joint may have moved in between [s].
+#: `IMPOSSIBLE`: number of implausible readings in a row that is reported as a fault. `PAUSE`: gap
+#: between readings above which the joint may have moved unseen even after a jump [s].
 IMPOSSIBLE, PAUSE = 3, 0.1
 
 
 class PositionFilter:
-    """Last plausible position of each of N joints.
+    """Filter that rejects implausible positions of N joints.
 
     A position is accepted if it was read in this cycle, is finite, and lies within
     ``2 v_max Δt + 0.2 rad`` of the last accepted one. The check is needed because protocols without
@@ -56,7 +57,7 @@ class PositionFilter:
     Attributes:
         position: Last accepted positions (N,) [rad]; NaN before the first.
         time: Time at which each was sampled (N,) [s].
-        jumps: Number of readings rejected because of a jump.
+        jumps: Number of positions rejected because of a jump.
     """
 
     def __init__(self, fastest: Array) -> None:
@@ -65,8 +66,8 @@ class PositionFilter:
         self.position: Array = np.full(fastest.size, np.nan)
         self.time: Array = np.full(fastest.size, -np.inf)
         self.jumps = 0
-        # Per joint: time of the last reading; time in which it may have moved since the last
-        # accepted position; implausible readings in a row, and the size of the last jump.
+        # Per joint: `_last`: time of the last reading; `_allowed`: Δt of the check; `_rejected`:
+        # implausible readings in a row; `_jump`: size of the last jump [rad].
         self._last: Array = self.time.copy()
         self._allowed: Array = np.zeros(fastest.size)
         self._rejected: NDArray[np.int_] = np.zeros(fastest.size, dtype=np.int_)
@@ -102,7 +103,7 @@ class PositionFilter:
         )
 
     def reset(self) -> None:
-        """Accept any position next, because the arm may have been moved in between."""
+        """Forget all positions, so that the next ones are accepted after any movement."""
         self.position = np.full_like(self._fastest, np.nan)
         self.time = np.full_like(self._fastest, -np.inf)
         self._last = self.time.copy()
@@ -158,7 +159,7 @@ class JointMap:
         return table.replace(stiffness_known=bool(np.broadcast_to(known, size)[self.chain].all()))
 
     def fastest(self, model: Model) -> Array:
-        """Return the largest speeds (N,) [rad/s]: the model's limits, else `FASTEST`."""
+        """Return the largest speeds (N,) [rad/s]: the model's limits; `FASTEST` without one."""
         fastest = np.full(len(self.names), FASTEST)
         known = np.asarray(model.velocity_limit)
         fastest[self.chain] = np.where(np.isfinite(known), known, FASTEST)
@@ -200,19 +201,19 @@ class JointMap:
         return checked
 
 
-#: Share of the weight below which a limit is too low, and for how long before a warning [s].
+#: A limit below `SHARE` of the gravity torque for more than `LASTING` [s] causes a warning.
 SHARE, LASTING = 0.5, 0.2
 
 
 class LowTorqueWarning:
-    """Monitor of limits that a program writes itself; commands of a controller are not checked.
+    """Warning about torque limits too low for the weight, if no controller computed them.
 
     A limit is too low if it is below half of the joint's gravity torque g(q), and limit plus
     friction is below all of it: ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``.
     """
 
     def __init__(self, model: Model, servos: Servos) -> None:
-        """Start without a low limit."""
+        """Store joint names and friction; no limit has been checked yet."""
         self._names, self._friction = model.joint_names, np.asarray(servos.friction)
         self._since: float | None = None
         self._is_warned = False
@@ -247,9 +248,10 @@ class LowTorqueWarning:
         )
 
 
-#: Time over which limits rise to the requested values after torque on or after a silence [s].
+#: Time in which limits rise to the requested values, after torque on and after a gap [s].
 EASE = 0.5
-#: Largest distance of a goal outside the position limits; farther goals are rejected [rad].
+#: Largest distance of a goal outside its position limits, plus the largest lead; a goal farther
+#: outside is rejected [rad].
 FAR = 1.0
 
 
@@ -259,7 +261,7 @@ class ArmIO:
     Attributes:
         servos: Servos of the chain, n entries.
         goal, limit: Goals [rad] and limits [N·m] last sent to the chain (n,).
-        orders: Last goal and limit of each joint off the chain.
+        orders: Last goal [rad] and limit [N·m] of each joint off the chain, by name.
         thermal: Thermal model of the servos.
         positions: Last plausible positions.
     """
@@ -346,7 +348,7 @@ class ArmIO:
         return (*reported, *jumped, *thermal_faults(self.thermal, self.joints.names))
 
     def delay(self, now: float) -> float:
-        """Return the age at `now` of the goals that were in force at the last reading [s]."""
+        """Return the time from the newest sample to `now`, plus the drive's latency [s]."""
         sampled = float(self.positions.time[self.joints.chain].max())
         return max(now - sampled, 0.0) + float(getattr(self.drive, "latency", 0.0))
 
@@ -379,7 +381,7 @@ class ArmIO:
         self._last_access = self.clock.now()
 
     def _rearm_after_silence(self) -> None:
-        """Rearm the watchdog after a long silence; once tripped it refuses goals until cleared."""
+        """Rearm the watchdog after a gap of half its time: servos that it stopped refuse goals."""
         if self._watchdog and self.clock.now() - self._last_access > 0.5 * self._watchdog:
             self._rearm()
 
@@ -398,7 +400,7 @@ class ArmIO:
     # Writing.
 
     def ramp_limits(self, limit: Array | float = 0.0) -> None:
-        """Ramp limits up again, from the holding torque and at least from `limit` (n,) [N·m]."""
+        """Start a ramp of 0.5 s, from the greater of holding torque and `limit` (n,) [N·m]."""
         self._ramp_start, self._min_limit = self.clock.now(), limit
 
     def write(
@@ -440,7 +442,7 @@ class ArmIO:
             self._low_torque.check(limit, gravity, self.clock.now())
 
     def _clip_limits(self, goal: Array, limit: Array, gravity: Array) -> Array:
-        """Return limits (n,) [N·m], bounded by heat, by supply and by the ramp after a silence."""
+        """Return limits (n,) [N·m], bounded by heat, by supply current and by `ramp_limits`."""
         chain, support = self.joints.chain, SUPPORT * np.abs(gravity)
         usable = self._usable[chain]
         holding = np.minimum(
@@ -459,14 +461,16 @@ class ArmIO:
         """Switch torque on with these first goals [rad] and limits [N·m] (n,).
 
         Raises:
-            ServoError: A joint moved or did not obey.
+            ServoError: A joint moved or did not confirm.
         """
         self.goal, self.limit = goal.copy(), limit.copy()
         self._sent = self._in_drive_order(goal, np.minimum(limit, self._usable[self.joints.chain]))
         self.drive.enable(*self._sent)
 
     def send(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
-        """Send goals and limits of the chain (n,) unchanged; joints off the chain get their orders.
+        """Send goals [rad] and limits [N·m] of the chain (n,), and `orders` to all other joints.
+
+        Limits are clipped only to the servos' usable torque.
 
         `velocity` (n,) [rad/s] goes to the servos' speed registers; None: no speed limit.
 
@@ -519,5 +523,5 @@ class ArmIO:
 
 
 def _per_joint(value: ArrayLike, size: int) -> Array:
-    """Return one number per joint."""
+    """Return a new array (size,) from one number or one per joint."""
     return np.broadcast_to(np.asarray(value, dtype=np.float64), size).copy()

@@ -139,5 +139,5 @@ def _is_enabled(level: int) -> bool:
     return level >= logging.INFO
 
 
-#: Speaker of this process.
+#: Message queue of this process.
 MESSAGES = MessageQueue()

@@ -1,4 +1,4 @@
-"""Exits of an arm: the descent, holding the present pose, and the messages meanwhile."""
+"""End of an arm's use: lowering it or holding the present pose, with messages."""
 
 from __future__ import annotations
 
@@ -190,7 +190,8 @@ def brief(error: BaseException) -> str:
     return text if len(text) <= MAX_REASON else f"{text[: MAX_REASON - 3]}..."
 
 
-#: Factors by which servos may be stiffer or softer than assumed for a lead to be kept.
+#: A lead is kept if it fits a servo up to `STIFFER` times stiffer or `SOFTER` times softer than
+#: assumed.
 STIFFER, SOFTER = 2.5, 2.0
 #: Silence of the bus after which a descent is given up [s].
 MAX_SILENCE = 2.0

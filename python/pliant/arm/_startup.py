@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 ATTEMPTS = 10
 #: Largest lead of the first goal of a powered joint whose present orders are unknown [rad].
 LEAD = 0.1
-#: First lead over the lead by the assumed stiffness: enough for half of that stiffness.
+#: Ratio of the first lead to the lead that the weight needs at the assumed stiffness; 2 is enough
+#: for a servo of half that stiffness.
 AHEAD = 2.0
-#: Time in which leads rise to that, stay there, and shrink to zero [s].
+#: Times of the transfer [s]: leads reach `AHEAD` at `RISE`, stay there until `STAY`, and then
+#: shrink to zero within `SHRINK`.
 RISE, STAY, SHRINK = 0.04, 0.2, 1.2
 #: Delay until the sinking of a joint is detected [s].
 DETECTION_DELAY = 0.1
@@ -29,13 +31,14 @@ DETECTION_DELAY = 0.1
 RAISED = 0.1
 #: Time of the same rise for a joint that stays below its first position [s].
 HELD = 1.0
-#: Displacement at which a joint starts to sink (at least two counts), and at which it has sunk (at
-#: least three counts) [rad].
+#: Downward displacement [rad] at which a joint starts to sink (`SINKS`, at least two counts) and
+#: at which it gets more torque if it sinks on (`SUNK`, at least three counts).
 SINKS, SUNK = 0.002, 0.005
-#: Rate at which a joint returns to its first position, per rad of displacement [1/s]; and the
-#: largest such speed [rad/s].
+#: A joint returns to its first position at `BACK` times the displacement ([1/s]), at most at
+#: `RETURN` [rad/s].
 BACK, RETURN = 8.0, 0.1
-#: Displacement at which a joint is back, at least 0.6 of a count [rad]; longest torque on [s].
+#: `RETURNED`: displacement below which a joint has returned, at least 0.6 of a count [rad].
+#: `LONGEST`: time after which the transfer no longer waits for joints to return [s].
 RETURNED, LONGEST = 1.5e-4, 3.0
 #: Longest silence of a joint during torque on [s].
 MAX_SILENCE = 0.5

@@ -20,21 +20,22 @@ SWITCH_INTERVAL = 1e-4
 
 
 class Supervisor:
-    """Lock of an arm, and a thread that lowers the arm when the program makes no more calls.
+    """Lock of an arm, and a watchdog thread that calls `leave` when the program stalls.
 
-    Every call of the program is a `with supervisor`. The thread exists only inside
-    `supervised`. An arm with torque on belongs to one process. A forked process shares its port but
-    must not use it.
+    Each access to the drive is inside `with supervisor`, which restarts the timeout. The thread
+    exists only inside `supervised`. Only the process that switched torque on may use the arm: a
+    forked process shares the open port, and two users would mix their messages.
 
     Attributes:
         owner: Id of the process that switched torque on; None while torque is off.
         lock: Held by the thread that uses the drive.
-        reason: Reason for which the watchdog thread took the arm over; None: it did not.
+        reason: Reason why the watchdog thread took the arm over; None: it did not. `Arm` also sets
+            it when the program ends.
         abort: Set to abort a running descent, in any thread.
     """
 
     def __init__(self, leave: Callable[[], None]) -> None:
-        """Store the function that leaves the arm; it is called with the lock held."""
+        """Store `leave`, which lowers the arm or leaves it enabled; it runs with the lock held."""
         self.lock = threading.RLock()
         self.abort = threading.Event()
         self.reason: str | None = None
@@ -43,10 +44,10 @@ class Supervisor:
         self._done = threading.Event()
 
     def __enter__(self) -> None:
-        """Enter one call of the program.
+        """Take the lock for one access to the drive.
 
         Raises:
-            ServoError: As `check`.
+            ServoError, ServoTimeoutError: As `check`.
         """
         self.check()
         self.lock.acquire()
@@ -82,10 +83,10 @@ class Supervisor:
 
     @contextlib.contextmanager
     def exclusive(self, *, at_once: bool = False) -> Iterator[None]:
-        """Hold the lock while the arm is left.
+        """Return a context that holds the lock while torque is switched on or off.
 
-        Wait until a descent in another thread ends. With `at_once`, or if an exception comes during
-        the wait, that descent is aborted where it is, torque on.
+        It first waits until a descent in another thread ends. With `at_once`, or if an exception
+        comes during the wait, that descent is aborted and the arm stays where it is, torque on.
 
         Raises:
             ServoError: Another process switched torque on.
@@ -105,16 +106,17 @@ class Supervisor:
             self.abort.clear()
             yield
         finally:
-            # The thread waited for the lock meanwhile; do not count this time as a silence.
+            # The watchdog thread must not count the time in this context as a stall.
             self._last_call = time.perf_counter()
             self.lock.release()
 
     @contextlib.contextmanager
     def supervised(self, timeout: float | None) -> Iterator[Callable[[], None]]:
-        """Take the arm over after `timeout` [s] without a call; None: never. Yields `check`.
+        """Run a watchdog thread that takes the arm over after `timeout` [s] without a call.
 
-        An exception does not end the watch, because the program may block before it leaves the arm.
-        `end_supervision`, the next watch or a takeover ends it.
+        With None no thread runs. The context yields `check`. An exception does not stop the thread,
+        because the program may block before it lowers the arm. Then `end_supervision`, the next
+        `supervised` or a takeover stops it.
         """
         if timeout is None:
             yield self.check
@@ -134,11 +136,11 @@ class Supervisor:
         done.set()
 
     def end_supervision(self) -> None:
-        """End the watch."""
+        """Stop the watchdog thread, if one runs."""
         self._done.set()
 
     def _run(self, timeout: float, done: threading.Event) -> None:
-        """Sleep until the next possible timeout and check; repeat."""
+        """Take the arm over once the program stalls for `timeout` [s]; return at `done`."""
         longest = threading.TIMEOUT_MAX
         while not done.wait(
             min(max(self._last_call + timeout - time.perf_counter(), 1e-3), longest)
@@ -146,14 +148,14 @@ class Supervisor:
             if time.perf_counter() - self._last_call < timeout:
                 continue
             with self.lock:
-                # The thread that held the lock until now was not stalled: measure again.
+                # Another thread held the lock until now, so it may have made a call meanwhile.
                 silent = time.perf_counter() - self._last_call
                 if silent >= timeout and not done.is_set() and self.reason is None:
                     self._take_over(silent)
                     return
 
     def _take_over(self, silent: float) -> None:
-        """Leave the arm on behalf of the stalled program."""
+        """Call `leave` after a stall of `silent` [s]; an error of it is added to `reason`."""
         self.reason = f"the program did not come back for {silent:.2f} s: the arm was taken over"
         self.abort.clear()
         interval = sys.getswitchinterval()

@@ -1,4 +1,4 @@
-"""Arm with a safe life cycle: torque on, bounded limits, and a descent at the end."""
+"""Class `Arm`: switches torque on, reads and writes joints, and lowers the arm at the end."""
 
 from __future__ import annotations
 
@@ -45,34 +45,36 @@ if TYPE_CHECKING:
 
 
 class Arm:
-    """An arm over any drive, with its life cycle.
+    """Robot arm whose joints a `Drive` moves.
 
-    `with` opens, identifies and enables the arm, and lowers it at the end, whatever the reason.
-    While torque is on, the arm belongs to the process that switched it on. In a process forked from
-    it, exits do nothing, and `read` and `write` raise.
+    `with` opens and enables the arm. At its end, also after an exception, it acts as `on_exit` says
+    and closes the drive. Only the process that switched torque on may use the arm until torque is
+    off: in a process forked from it, `close` and the end of the program do nothing, and `read` and
+    `write` raise.
 
     Args:
         model: The robot; its joint names are matched with the drive's.
         drive: Interface to the servos or the simulator.
         rest_q: Joint positions (n,) [rad] to which `lower` moves first, if the path is clear of the
             table; None: straight down.
-        on_exit: Action on leaving: `lower`, or `leave_enabled`.
-        rate: Rate of the arm's own loops for enabling and leaving [Hz].
-        comm_timeout: Time without an answer from the bus or the program after which the arm is
-            lowered [s], at most 60.
+        on_exit: What `close` and the end of `with` do while torque is on: `lower`, or
+            `leave_enabled`.
+        rate: Rate of the arm's own loops in `enable` and `lower` [Hz].
+        comm_timeout: Time without positions or without commands after which a `Loop` raises [s],
+            at most 60.
         power_budget: Thermal and supply limits; None: the default.
-        grippers: Configuration of joints off the chain, by name; others take the model's limits.
+        grippers: Configurations of joints off the chain, by name; a joint that is not listed has
+            the default `GripperConfig`.
         watchdog: Silence after which servos stop by themselves, where supported [s]; 0: never. A
             stopped servo holds its present position and loses the lead that carries the weight:
             the arm sinks by ``g/k_p``.
         handle_signals: Whether SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
-        table: Height of the table in base axes [m]; None: no table, or unknown.
-            is not known.
+        table: Height of the table in base axes [m]; None: no table, or its height is unknown.
 
     Attributes:
         model: The given model with the parameters of `servos`.
         drive, rate, rest_q, comm_timeout, table: As given.
-        detour: Reason for which the last descent did not go to the rest pose; None if it did.
+        detour: Reason why the last descent skipped the rest pose; None if there was no reason.
         servos: Servo parameters of the chain, n entries, from the drive; updated when it opens.
         grippers: Grippers by joint name; created again when the drive opens.
         leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN if unknown:
@@ -99,7 +101,7 @@ class Arm:
         handle_signals: bool = True,
         table: float | None = None,
     ) -> None:
-        """Match the joints; nothing is opened or moved yet."""
+        """Match the drive's joints with the model's; open no port and move nothing."""
         if on_exit not in {"lower", "leave_enabled"}:
             raise ConfigError(f"on_exit must be 'lower' or 'leave_enabled', got {on_exit!r}")
         self.model, self.drive = model, drive
@@ -122,15 +124,13 @@ class Arm:
         self.leads: Array = np.full(model.n, np.nan)
 
     def _build(self) -> None:
-        """Create all parts that depend on the servo parameters; `open` may have updated them."""
+        """Create the parts that depend on servo parameters; called again once `open` read them."""
         self._io = ArmIO(self.model, self.drive, self._budget)
         self.servos = self._io.servos
         # The model's own servo parameters may differ from the drive's.
         self.model = self.model.with_servos(self.servos)
         self._points = ArmPoints(self.model, self.servos.armature)
         self.grippers = make_grippers(self._io, self._gripper_configs, self._send_gripper)
-
-    # Life.
 
     @property
     def enabled(self) -> bool:
@@ -141,7 +141,7 @@ class Arm:
         """Connect and identify the servos; torque stays as it is.
 
         Raises:
-            ServoError: A fault on the bus.
+            ServoError: The servos cannot be reached or identified.
         """
         if not self._opened:
             self.drive.open()
@@ -149,10 +149,11 @@ class Arm:
             self._build()
 
     def enable(self) -> None:
-        """Switch torque on: limits, then goals at the present positions, then a ramp of 0.5 s.
+        """Switch torque on at the present positions, and let the servos take up the weight.
 
-        The first limits carry little more than the weight. An arm that is held by torque is taken
-        over; an arm that lies on a table stays there. Signal handlers are installed before.
+        The first limits are little above the gravity torques; then all limits rise within 0.5 s.
+        Joints whose torque is on already keep the goals and limits that hold them, and an arm that
+        lies on a table stays there. Signal handlers are installed before torque comes on.
 
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
@@ -164,7 +165,7 @@ class Arm:
                 self._enable()
 
     def _enable(self) -> None:
-        """Enable the arm with the lock held."""
+        """Enable the arm; the caller holds the lock."""
         self.open()
         self._supervisor.reason = None
         io = self._io
@@ -187,7 +188,7 @@ class Arm:
             self._release()
             raise
         except BaseException:
-            # If a signal comes before torque on, remove the handlers; later signals lower the arm.
+            # A signal before torque on: no descent follows that would remove the handlers.
             if not self.enabled:
                 self._release()
             raise
@@ -222,7 +223,10 @@ class Arm:
         self._descend(target)
 
     def leave_enabled(self) -> None:
-        """Hold the present pose with torque on, also after the program ends. The servos get hot."""
+        """Hold the present pose with torque on, also after the program ends.
+
+        The servos heat up, because nothing reduces their limits any more.
+        """
         with self._supervisor.exclusive():
             if self.enabled:
                 hold_position(self._io)
@@ -242,7 +246,10 @@ class Arm:
                 self._release()
 
     def close(self) -> None:
-        """Leave as `on_exit` says if torque is on, then close the bus."""
+        """If torque is on, lower the arm or leave it enabled, as `on_exit` says; close the drive.
+
+        If another process switched torque on, do nothing.
+        """
         if self._supervisor.is_owned_elsewhere:
             return
         try:
@@ -256,7 +263,7 @@ class Arm:
             MESSAGES.flush()
 
     def _descend(self, rest: Array | None) -> None:
-        """Lower the arm; a second Ctrl-C aborts this, torque on."""
+        """Lower the arm by way of `rest` (n,) [rad]; a second Ctrl-C aborts this, torque on."""
         if not self.enabled:
             return
         error, signals = sys.exception(), self._signals
@@ -296,7 +303,8 @@ class Arm:
                     self._io.set_watchdog(0.0)
                 self.drive.disable(self._io.joints.names)
         except BaseException as error:
-            # The bus hung and a third Ctrl-C aborted the call: do not use the bus again.
+            # SystemExit after an abort: a third Ctrl-C ended a call on a bus that hangs. Another
+            # call could hang too.
             hangs = isinstance(error, SystemExit) and self._supervisor.abort.is_set()
             if not down and not hangs:
                 self._hold()
@@ -314,7 +322,7 @@ class Arm:
             self._exit_message = messages.left_enabled(stopped=True)
 
     def _hold(self) -> None:
-        """Send goals and limits that hold the arm, as far as the bus works."""
+        """Try to send goals and limits that hold the arm; ignore errors."""
         with contextlib.suppress(Exception):
             hold_position(self._io)
 
@@ -336,7 +344,7 @@ class Arm:
         return rest if self.detour is None else None
 
     def _take_down(self) -> None:
-        """Leave on behalf of a stalled program; its signals are not delivered here."""
+        """Lower the arm or leave it enabled, in the watchdog thread, after the program stalled."""
         try:
             if not self.enabled:
                 return
@@ -351,7 +359,7 @@ class Arm:
             self._supervisor.owner = None
 
     def _release(self) -> None:
-        """Release ownership, watchdog and signal handlers."""
+        """Give up ownership, stop the watchdog thread and restore the signal handlers."""
         self._supervisor.owner = None
         self._supervisor.end_supervision()
         atexit.unregister(self._at_exit)
@@ -359,7 +367,7 @@ class Arm:
             self._signals.restore()
 
     def _at_exit(self) -> None:
-        """Leave the arm if the program ends with torque on."""
+        """Close the arm when the interpreter exits with torque on."""
         if not self._supervisor.is_owned_elsewhere:
             self._supervisor.reason = self._supervisor.reason or "the program ends"
         self.close()
@@ -399,8 +407,6 @@ class Arm:
             if isinstance(error, KeyboardInterrupt):
                 _end_at_the_caller(error)
 
-    # Every cycle.
-
     def read(self) -> State:
         """Return the state of the joints in this cycle.
 
@@ -430,9 +436,9 @@ class Arm:
         not for a `Controller`'s commands in `Tick.write`.
 
         Args:
-            goal: Joint goals (n,) [rad], clipped to the position limits and the lead beyond them
-                that the weight needs.
-            limit: Torque limits (n,) [N·m]; None keeps the last.
+            goal: Joint goals (n,) [rad]. They are clipped to the position limits, extended by the
+                lead that the gravity torque needs.
+            limit: Torque limits (n,) [N·m]; None keeps those sent last.
             extra: Goal [rad] and limit [N·m] of joints off the chain by name; others keep theirs.
             lead: Whether goals may lie beyond the position limits to exert a force. A `Controller`
                 makes sure that this moves no joint out of its range; `Tick.write` sets `lead` for
@@ -451,15 +457,20 @@ class Arm:
             self._io.write(goal, limit, extra, lead=lead, velocity=velocity)
 
     def supervised(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
-        """Return a context that leaves an arm in real time after `patience` [s] without a call.
+        """Return a context in which a thread acts as `on_exit` says if the program stalls.
 
-        `Loop` uses this. The context yields a function that raises `ServoTimeoutError` after that.
+        It acts after `patience` [s] without a call of the arm; in simulated time, never. The
+        context yields a function that raises `ServoTimeoutError` once the thread has acted. `Loop`
+        uses this.
         """
         real = getattr(self.clock, "real_time", False)
         return self._supervisor.supervised(patience if real else None)
 
     def ramp_limits(self) -> None:
-        """Ramp limits up again within 0.5 s, from those that hold the arm: after a silence."""
+        """Start a ramp of 0.5 s that bounds limits, from those that hold the arm to the largest.
+
+        `Loop` calls it after a gap, when goals may be far from the present positions.
+        """
         self._io.ramp_limits()
 
     @property
@@ -481,7 +492,7 @@ class Arm:
 
     @property
     def heat(self) -> dict[str, float]:
-        """Share of the thermal budget in use, by joint; limits are reduced from 0.8 on."""
+        """Used share of each joint's thermal budget, by joint name; limits fall from 0.8 on."""
         return dict(zip(self._io.joints.names, self._io.thermal.heat.tolist(), strict=True))
 
     @property
@@ -502,7 +513,7 @@ class Arm:
 
 
 def _end_at_the_caller(error: KeyboardInterrupt) -> None:
-    """Remove this package's frames from the traceback: Ctrl-C can arrive anywhere."""
+    """Cut this package's frames off the traceback of a Ctrl-C; they do not help the user."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         module = trace.tb_next.tb_frame.f_globals.get("__name__", "")

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from pliant._core import Model
     from pliant.arm._io import ArmIO
 
-#: Default limit as a share of the largest torque, and of the overload threshold.
+#: The default limit is the lesser of `DEFAULT_SHARE` of the servo's usable torque and
+#: `OVERLOAD_SHARE` of the torque at which its overload protection acts.
 DEFAULT_SHARE, OVERLOAD_SHARE = 0.3, 0.9
 
 
@@ -26,12 +27,13 @@ class GripperConfig:
     """Configuration of a gripper.
 
     Attributes:
-        opened, closed: Joint positions [rad, m]; None: upper and lower limit in the robot's
-            description.
-        limit: Default torque limit [N·m, N]; None: the lesser of 30 % of the largest torque and 0.9
-            of the overload threshold.
-        lever: Distance from the axis to the middle of the finger [m]. If given, forces are in
-            newtons at the finger and the width is in metres; None: torques [N·m] and angles [rad].
+        opened, closed: Joint positions when open and when closed [rad], of a sliding joint [m];
+            None: the upper and the lower position limit of the model.
+        limit: Default torque limit [N·m], of a sliding joint [N]; None: the lesser of 30 % of the
+            usable torque and 0.9 of the overload threshold.
+        lever: Distance from the axis to the middle of the finger [m]. If given, `Gripper.close`
+            takes a force at the finger [N] and `Gripper.width` is in [m]; None: a torque [N·m] and
+            an angle [rad].
     """
 
     opened: float | None = None
@@ -50,13 +52,14 @@ class GripperConfig:
 class Gripper:
     """A joint off the chain that opens and closes with a bounded torque.
 
-    The goal of `close` is the closed position; an object in between is held with the torque limit.
+    The goal of `close` is the closed position. An object between the fingers is held with at most
+    the torque limit.
 
     Attributes:
         name: Joint name.
-        opened, closed: Joint positions [rad, m].
-        limit: Default limit [N·m, N].
-        largest: Largest limit [N·m, N].
+        opened, closed: Joint positions when open and when closed [rad], of a sliding joint [m].
+        limit: Default torque limit [N·m], of a sliding joint [N].
+        max_limit: Largest torque limit [N·m], of a sliding joint [N].
     """
 
     def __init__(
@@ -70,7 +73,7 @@ class Gripper:
         order: Callable[[str, float, float], None],
         measure: Callable[[str], float],
     ) -> None:
-        """Fill in defaults from the model; `Arm` creates grippers.
+        """Take values that `config` does not set from the model; `Arm` creates grippers.
 
         Raises:
             ConfigError: Neither `config` nor the model gives the ends of the travel.
@@ -105,7 +108,10 @@ class Gripper:
         self.go(self.closed, force)
 
     def go(self, position: float, force: float | None = None) -> None:
-        """Move to a joint position [rad, m], clipped to the travel; `force` as in `close`."""
+        """Move to a joint position [rad] ([m] if it slides), clipped to the travel.
+
+        `force` is as in `close`.
+        """
         low, high = sorted((self.closed, self.opened))
         position = real(position, f"{self.name}: position")
         if not math.isfinite(position):
@@ -114,7 +120,7 @@ class Gripper:
 
     @property
     def position(self) -> float:
-        """Last measured joint position [rad, m]."""
+        """Last measured joint position [rad], of a sliding joint [m]."""
         return self._measure(self.name)
 
     @property
@@ -126,7 +132,10 @@ class Gripper:
         return 2.0 * self._lever * math.sin(min(travel, math.pi) / 2.0)
 
     def _torque(self, force: float | None) -> float:
-        """Return the torque limit [N·m] for a force [N]."""
+        """Return the limit of the joint for `force` of `close`; None: the default limit.
+
+        Limits are in [N·m], of a sliding joint in [N].
+        """
         if force is None:
             return self.limit
         arm = self._lever if self._lever is not None and not self._sliding else 1.0
@@ -138,7 +147,7 @@ class Gripper:
         return torque
 
     def _travel_end(self, configured: float | None, limit: float | None, which: str) -> float:
-        """Return one end of the travel [rad, m]."""
+        """Return the configured end of the travel, or the model's limit if it is None."""
         value = limit if configured is None else configured
         if value is None or not math.isfinite(value):
             raise ConfigError(

@@ -22,9 +22,9 @@ class Budget:
 
     Attributes:
         continuous: Share of the usable torque that a servo can exert continuously, in (0, 1].
-        seconds: Thermal time constant of its winding [s]. At full torque the budget is used up
-            after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
-        supply: Largest current of the supply [A]; None: no limit.
+        seconds: Thermal time constant of a servo's winding [s]. At full torque the budget is used
+            up after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
+        supply: Largest current of the power supply [A]; None: no limit.
         hottest: Temperature at which the servos switch off [°C].
     """
 
@@ -58,7 +58,10 @@ class Budget:
 
 
 def thermal_faults(thermal: ThermalModel, names: tuple[str, ...]) -> list[str]:
-    """Return a sentence for each servo (N,) that is too hot."""
+    """Return a sentence for each servo that exceeds its thermal budget or is about to switch off.
+
+    `names` are the joint names (N,) in the order of `thermal`.
+    """
     found = []
     for name, heat, degrees in zip(names, thermal.heat, thermal.temperature, strict=True):
         if heat > TOO_HOT:

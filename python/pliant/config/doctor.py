@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 Level = Literal["good", "note", "bad"]
 #: Largest acceptable latency timer of an FTDI adapter [s].
 SHORT = 0.0015
-#: Number of cycles that are read; and duration of the clock test [s].
+#: `CYCLES`: number of bus cycles that are timed. `WATCHED`: duration of the clock test [s].
 CYCLES, WATCHED = 200, 1.0
 #: Largest acceptable lateness of a tick, as a share of its period.
 LATE = 0.2
-#: Task axes that are feasible for any arm with so many joints.
+#: Task axes for the check of the weight; an arm with n < 3 joints gets the first n.
 ANY_TASK = "xyz"
 
 
@@ -142,7 +142,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 
 def _clock(rate: float) -> Diagnosis:
-    """Measure how late this machine wakes up."""
+    """Measure how late a wait for a deadline ends on this machine, at `rate` [Hz]."""
     clock, late, period = MonotonicClock(), LatenessHistogram(), 1.0 / rate
     deadline = clock.now()
     end = deadline + WATCHED

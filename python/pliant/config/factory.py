@@ -162,7 +162,7 @@ def check_options(options: Iterable[str], known: Iterable[str]) -> None:
             raise ConfigError(f"an arm has no option {key!r} here; {suggest(key, names)}")
 
 
-#: Largest depth in the table at which a simulated arm may start [m].
+#: Largest depth of a simulated arm inside the table at its start [m].
 INSIDE = 0.001
 
 
@@ -265,7 +265,7 @@ def make_drive(
     real_time: bool = False,
     **plant: Any,
 ) -> Drive:
-    """Create the drive: the bus, its emulation, or the simulator alone."""
+    """Create the drive of the file's backend: servo bus, emulated bus, or simulator."""
     if config.backend == "sim":
         return make_simulated(config, model, q=q, real_time=real_time, **plant)
     if config.backend == "emulator":
@@ -290,7 +290,7 @@ def make_simulated(
     made = Plant(model, **options)
     made.reset(start_pose(config, model) if q is None else vector(model, q, "q"))
     check_above_table(made)
-    # The arm assumes the file's servos, even if the caller gives the plant other ones.
+    # The arm gets the file's servo parameters, even if options give the plant other ones.
     return SimDrive(made, servos=model.servos if config.servo else None, real_time=real_time)
 
 

@@ -133,7 +133,8 @@ class Servo(StrictModel):
             without power (Feetech); None: the maker's default. On the bus it is read from the
             servo.
         kp: Identified stiffness [N·m/rad], overrides that of the gain register.
-        friction, damping: Identified values of the gears, override the table's [N·m, N·m·s/rad].
+        friction: Identified dry friction, overrides the table's [N·m].
+        damping: Identified viscous damping of the gears, overrides the table's [N·m·s/rad].
     """
 
     model: str
@@ -203,8 +204,8 @@ class Loop(StrictModel):
 
     Attributes:
         rate: [Hz]
-        comm_timeout: Time without an answer from the bus or the program after which the arm is
-            lowered [s], at most 60.
+        comm_timeout: Time without positions or without commands after which `pliant.Loop` raises
+            [s], at most 60.
         reply_timeout_min: Minimum reply timeout [s], at most 1; use more than the default on a busy
             computer.
     """
@@ -215,7 +216,7 @@ class Loop(StrictModel):
 
 
 class Life(StrictModel):
-    """Descent at the end.
+    """What the arm does at the end of `with`.
 
     Attributes:
         rest_q: Pose to move to first (n,) [rad]; None: straight down.

@@ -1,4 +1,4 @@
-"""Arms that ship with the package: primitive geometry, round numbers, servos attached.
+"""Built-in arm models with servo parameters; geometry is made of primitive shapes.
 
 | name | joints | servos |
 |---|---|---|
@@ -97,7 +97,7 @@ def rest(name: str) -> Array:
 
 
 def table(name: str) -> float | None:
-    """Return the height of the table under a built-in arm [m]; None: it hangs.
+    """Return the height of the table under a built-in arm [m]; None: the arm hangs, no table.
 
     Raises:
         ConfigError: The name is unknown.
@@ -107,7 +107,7 @@ def table(name: str) -> float | None:
 
 
 def _check(name: str) -> None:
-    """Raise unless the arm exists."""
+    """Raise `ConfigError` unless `name` is a built-in arm."""
     if name not in _ARMS:
         raise ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
 
@@ -137,7 +137,7 @@ def _load(file: str, servos: Callable[[], Servos], options: dict[str, Any]) -> M
 
 
 def _arm7_servos() -> Servos:
-    """Four strong servos, three of the wrist; damping is gears and back-EMF together."""
+    """Return four EX-106+ and three RX-64; `damping` includes the back-EMF."""
     return Servos(
         kp=[150.0] * 4 + [60.0] * 3,
         max_torque=[10.7] * 4 + [6.4] * 3,
@@ -150,10 +150,10 @@ def _arm7_servos() -> Servos:
 
 
 def _so101_servos() -> Servos:
-    """STS3215 at 7.4 V: stall 1.9 N·m, 52 rpm, a duty limit; kp = 0.166 P stall with P = 16.
+    """Return five STS3215 at 7.4 V: stall torque 1.9 N·m, no-load speed 52 rpm, limited by PWM.
 
-    Gears and back-EMF together damp with 0.6 N·m·s/rad; the back-EMF's share is stall over no-load
-    speed.
+    kp is 0.166 times P gain (16) times stall torque. Gears and back-EMF together damp with
+    0.6 N·m·s/rad, of which stall torque over no-load speed is due to the back-EMF.
     """
     stall, no_load = 1.9, 5.45
     return Servos(
@@ -170,10 +170,11 @@ def _so101_servos() -> Servos:
 
 
 def _koch_servos() -> Servos:
-    """XL430-W250 at 11.1 V, XL330-M288 at 5 V: kp = 0.00576 P stall, factory P 640 and 400.
+    """Return two XL430-W250 at 11.1 V and three XL330-M288 at 5 V.
 
-    Stall and no-load speed are the maker's, 1.4 N·m and 57 rpm, 0.52 N·m and 103 rpm; friction,
-    gear damping and rotor inertia are not published and are assumed.
+    kp is 0.00576 times P gain times stall torque, with the factory P gains 640 (XL430) and 400
+    (XL330). Stall torque and no-load speed are the maker's: 1.4 N·m and 57 rpm, 0.52 N·m and
+    103 rpm. Friction, gear damping and rotor inertia are not published and are assumed.
     """
     return Servos(
         kp=[5.2] * 2 + [1.2] * 3,

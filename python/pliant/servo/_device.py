@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 #: Longest undervoltage without a fault [s].
 UNDERVOLTAGE_GRACE = 0.5
-#: Jump that is always accepted, in addition to the distance at twice the no-load speed [rad].
+#: A reading is plausible up to this far [rad] beyond the distance at twice the no-load speed.
 JUMP = 0.1
-#: A register that reads back wrong is a fault after this time [s] and this many packets; a
-#: silent servo is given the same time.
+#: A register that reads back wrong is a fault after `MISMATCH_TIME` [s] and `MISMATCHES` packets.
+#: A servo that does not answer has a fault after `MISMATCH_TIME` too.
 MISMATCH_TIME, MISMATCHES = 0.5, 3
-#: Implausible readings in a row that are a fault; and the gap between readings after which the
-#: joint may have moved in between [s].
+#: `IMPOSSIBLE`: number of implausible readings in a row that is reported as a fault. `PAUSE`: gap
+#: between readings above which the joint may have moved unseen even after a jump [s].
 IMPOSSIBLE, PAUSE = 3, 0.1
-#: Value of a tripped bus watchdog.
+#: Value of the register Bus Watchdog after it has tripped.
 TRIPPED = 255
 
 
@@ -60,7 +60,7 @@ class Device:
         min_voltage: Lowest voltage at which it can be driven [V].
         alerts: Number of errors that appeared in its status, even if the next answer cleared them.
         multi_turn: Whether goals may exceed one turn.
-        overload: Share of the full torque above which it protects itself; None: never.
+        overload: Share of the full torque above which overload protection acts; None: never.
         wraparound: Counts per turn after which positions wrap around; None: they do not.
         enabled: Whether this program switched its torque on, or took it over.
         torque_on: Whether torque was on at the last reading of that register.
@@ -84,7 +84,7 @@ class Device:
     """
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
-        """Store the joint; nothing is known of the servo yet."""
+        """Store joint, id and sign; all values of the servo are unknown until they are read."""
         self.spec, self.joint, self.id = spec, joint, id
         self.row: ServoModel = spec.row
         self.family: Family = self.row.family

@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from pliant.servo.transport import Transport
 
 
-#: Difference between two servos of a joint from which on they work against each other [rad].
+#: Largest difference of the angles that two servos of one joint measure; above it, a fault [rad].
 MAX_DISAGREEMENT = 0.1
 
 
 def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
-    """Set the zero of each second servo from the first one, because the joint couples them.
+    """Set the zero of each joint's second servo so that it measures the angle of the first.
 
     Raises:
-        ServoError: The joint's range then crosses the second servo's encoder seam.
+        ServoError: Within the joint's range, the second servo's count would wrap around.
     """
     for first, *secondaries in joints:
         for secondary in secondaries:
@@ -85,16 +85,16 @@ def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -
     return JointReadings(position, ok, times, velocity, load, current)
 
 
-#: Time for one reading, in periods and in multiples of `reply_timeout_min`; no retries after that.
+#: Time after which a reading makes no retries: this multiple of the period, or of
+#: `reply_timeout_min` if that is longer.
 BUDGET = 3.0
 
 
 class ServoBus:
     """Reads and writes all servos of an arm: goals in rad, torque limits in N·m.
 
-    It handles units and its bus, not kinematics, gravity or control policy. Limits are clamped to
-    the servo's ceiling, and goals to the joint's range. Goals go to enabled joints only. EEPROM is
-    never written.
+    Limits are clamped to the largest value that the servo's registers allow, and goals to the
+    joint's range. Goals go to enabled joints only. EEPROM is never written.
 
     Args:
         specs: One per joint, grippers included; all vectors have their order.
@@ -185,12 +185,12 @@ class ServoBus:
             self._pool = None
 
     def __enter__(self) -> ServoBus:
-        """Open."""
+        """Open the bus and return it."""
         self.open()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close; torque stays as it is."""
+        """Close the ports; torque stays as it is."""
         self.close()
 
     def identify(self) -> tuple[ServoInfo, ...]:
@@ -233,7 +233,7 @@ class ServoBus:
 
     @property
     def overload(self) -> Array:
-        """Share of the usable torque above which a servo protects itself (n,); ∞: never.
+        """Share of the usable torque above which overload protection acts (n,); ∞: never.
 
         For Feetech this is the Overload Torque register, as a share of the full torque.
         """
@@ -285,8 +285,6 @@ class ServoBus:
         """Mask (n,) of joints known to reject goals: watchdog tripped, or wrong read-back."""
         return np.array([any(d.is_refusing for d in joint) for joint in self._joints])
 
-    # The cycle.
-
     def read(self) -> JointReadings:
         """Read all joints; a joint without an answer has `ok` False and keeps its last position.
 
@@ -337,7 +335,7 @@ class ServoBus:
                     )
         for port in self._ports:
             if id(port) in packets:
-                # Counted; the last written values stay in force.
+                # The port counts the error; the servos keep the values written last.
                 with suppress(BusError):
                     port.write(packets[id(port)])
         self._report_lost_ports()
@@ -413,8 +411,6 @@ class ServoBus:
         if silent:
             raise ServoError(f"{', '.join(silent)} did not confirm the bus watchdog")
 
-    # Inside.
-
     def _read_port(self, port: Port) -> set[int]:
         """Return the ids read on one port; empty if the port is gone."""
         try:
@@ -436,7 +432,7 @@ class ServoBus:
                 device.fault("port", True, f"its port {port.path} is gone: is it plugged in?")
 
     def _reset(self) -> None:
-        """Reset all servo state."""
+        """Create new devices, counters and status poller, without any state read from servos."""
         #: Servos of each joint, the primary first.
         self._joints = [
             [Device(spec, i, number, sign) for number, sign in spec.servos]

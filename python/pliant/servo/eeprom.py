@@ -25,11 +25,12 @@ SETUP_REGISTERS = (
     "position_min", "position_max",
 )  # fmt: skip
 OVERLOAD_BIT = 5
-#: Operating modes: current-based position, position.
+#: Values of the register Operating Mode.
 CURRENT_POSITION, POSITION = 5, 3
-#: Secondary ID that disables it.
+#: Value of the register Secondary ID that disables this second id.
 NO_SECONDARY = 255
-#: Unwanted bits of the Drive Mode: follower, time-based profile, torque on by goal.
+#: Bits of the register Drive Mode that a setup clears: follower (bit 1), time-based profile (bit
+#: 2), and torque on by a goal (bit 3).
 UNWANTED_BITS = 0b1110
 #: Slave bit of the Drive Mode of Protocol 1.0.
 SLAVE = 0b10

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: Baud rates to try [bit/s], the most common first.
 BAUDRATES = (1_000_000, 57_600, 115_200, 500_000, 2_000_000, 3_000_000, 4_000_000)
-#: Ids that makers and builders use; a deep scan tries all.
+#: Ids that a scan tries by default: those in common use.
 USUAL = range(41)
 ALL = range(253)
 #: Reply timeout in addition to wire and adapter [s]: the longest return delay of a servo, and a
@@ -29,9 +29,10 @@ PATIENCE = 0.005
 #: Reply timeout if a reply may be late, and silence of the line before such a request [s]: an
 #: adapter that holds replies back for 16 ms, and a busy host.
 CAREFUL = 0.05
-#: Number of ids before one with a late or broken reply that are asked again.
+#: After a late or broken reply, the scan asks this number of preceding ids again.
 BEFORE = 12
-#: Unused id for listening; number of listens; and number of requests to an id with broken replies.
+#: `UNUSED_ID`: id without a servo, for listening. `LISTENS`: number of listens until the line
+#: counts as never silent. `TRIES`: number of requests to an id whose replies are broken.
 UNUSED_ID, LISTENS, TRIES = 252, 20, 3
 #: Longest response delay of a servo [s]: the makers' default is 500 µs.
 SLOWEST_TURN = 0.0006
@@ -109,7 +110,7 @@ def scan(
 
 
 class _Asking:
-    """Requests to ids one by one on an open port; replies are never assigned to a wrong id.
+    """Scan of the ids on an open port, which assigns late replies to no other id.
 
     Each id gets the normal reply time. As soon as any data arrive, even late data of an earlier id,
     the scan listens until the line is silent, and asks the last ids again with a longer timeout.
@@ -150,7 +151,7 @@ class _Asking:
         return found
 
     def _stirs(self, number: int) -> bool:
-        """Return True if any data arrive after a request."""
+        """Send a request to an id; return True if any data arrive."""
         self._io.set_timeout(self._quick)
         try:
             self._io.read(number, MODEL_AT[self._protocol][0], 2)

@@ -95,7 +95,8 @@ class ServoSpec:
         stall: Stall torque at the rated voltage, overrides the table [N·m].
         torque_offset: Torque loss in the gears: ``torque = k · register - offset`` [N·m].
         kp: Identified joint stiffness, overrides that of the gain register [N·m/rad].
-        friction, damping: Identified values of the gears [N·m, N·m·s/rad].
+        friction: Identified dry friction, overrides the table's [N·m].
+        damping: Identified viscous damping of the gears, overrides the table's [N·m·s/rad].
         calibration: LeRobot's calibration of this joint; checked against the servo at open.
 
     Raises:

@@ -40,7 +40,8 @@ class GraspedObject(Fixture):
     Attributes:
         grip: `rigid` (a weld) or `turning` (the handle rotates in the grip).
         name: Unique in a scene; prefix of all bodies and joints.
-        force, torque: Present force and torque in the grip [N], [N·m]; 0 torque if `turning`.
+        force: Norm of the force in the grip in the last physics step [N].
+        torque: Norm of the torque in the grip in the last physics step [N·m]; 0 if `turning`.
         peak_force, peak_torque: Largest of any physics step since 0.5 s after the reset.
     """
 
@@ -134,7 +135,9 @@ class HandoverObject(GraspedObject):
     Attributes:
         mass: Mass of the ball [kg].
         displacement: Displacement of the hand (3,) in base axes [m].
-        stiffness, damping, limit: Parameters of the person's arm [N/m], [N·s/m], [N].
+        stiffness: Stiffness of the person's arm [N/m].
+        damping: Damping of the person's arm [N·s/m].
+        limit: Largest force of the person [N].
         course: When the hand takes hold, and the duration of its motion.
         effort: Present force of the person [N].
         peak_effort: Largest force so far [N].

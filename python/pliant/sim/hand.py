@@ -29,7 +29,7 @@ _ZERO = np.zeros(3)
 
 
 class Hand(Protocol):
-    """Interface of everything that pulls at the arm."""
+    """Protocol of a force law that acts on one frame of the arm."""
 
     @property
     def at(self) -> str:
@@ -116,7 +116,9 @@ class Drag:
     Attributes:
         axis: `x`, `y`, `z` or a direction (3,) in base axes.
         distance: Commanded displacement [m].
-        stiffness, damping, limit: Parameters of the grip [N/m], [N·s/m], [N].
+        stiffness: Stiffness of the grip [N/m].
+        damping: Damping of the grip [N·s/m].
+        limit: Largest force of the grip [N].
         at: Frame on which it acts.
         course: Time course.
         offset: Displacement of the frame from its start at which the hand takes hold of it [m].
@@ -158,7 +160,9 @@ class Twist:
     Attributes:
         axis: `roll`, `pitch`, `yaw` or a direction (3,).
         angle: Commanded rotation [rad].
-        stiffness, damping, limit: Parameters of the grip [N·m/rad], [N·m·s/rad], [N·m].
+        stiffness: Stiffness of the grip [N·m/rad].
+        damping: Damping of the grip [N·m·s/rad].
+        limit: Largest torque of the grip [N·m].
         at: Frame on which it acts.
         course: Time course.
     """

@@ -36,9 +36,10 @@ if TYPE_CHECKING:
 
 
 class Fixture(Protocol):
-    """A thing with bodies of its own (a door); hands and walls are only force laws.
+    """Scene object with bodies in the physics model, such as a door.
 
-    A subclass needs only the methods in which it does something.
+    Hands and walls have no bodies: they only exert forces. A subclass overrides only the methods
+    that it needs.
     """
 
     def add(self, build_spec: Build) -> None:
@@ -182,7 +183,7 @@ class Plant:
             dt=self.dt,
             off_chain=off_chain,
             payload=checks.load(payload),
-            # MuJoCo has no dry friction that holds a joint entirely.
+            # In MuJoCo a joint held by dry friction always creeps.
             creep=number(friction_creep, "friction_creep", 1e-3, 1.0),
             extra=checks.extra(model, extra_servos),
         )
@@ -212,8 +213,6 @@ class Plant:
         lower, upper = np.asarray(model.lower), np.asarray(model.upper)
         finite = np.isfinite(lower) & np.isfinite(upper)
         self.reset(np.where(finite, (np.where(finite, lower, 0) + upper) / 2, 0.0))
-
-    # The bus interface, which hardware also has.
 
     @property
     def sent(self) -> Command:
@@ -315,8 +314,6 @@ class Plant:
         self._bus.reset(first, self._bank.angles())
         self._bus.sample(self.q, self._bank.angles(), 0.0)
         return self.read()
-
-    # The true state, which only a simulation has.
 
     @property
     def q(self) -> Array:

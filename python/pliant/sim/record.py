@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 class Recorder:
     """Records the true state of a run, and other signals that the caller adds.
 
-    Signals of every row: `t` [s], `q`, `dq` (n,) [rad, rad/s], `tool` (4, 4), `torque` (n,), mean
-    servo torque of the period [N·m], and per hand k `force{k}`, `torque{k}` (3,), means of the
-    period [N, N·m].
+    Signals of every row: time `t` [s]; joint positions `q` (n,) [rad]; velocities `dq` (n,)
+    [rad/s]; tool pose `tool` (4, 4) in base axes; servo torques `torque` (n,) [N·m]; and per hand
+    k its force `force{k}` (3,) [N] and torque `torque{k}` (3,) [N·m]. Torques and forces are means
+    over the last period.
 
     Example:
         >>> record = Recorder(plant)
@@ -29,13 +30,13 @@ class Recorder:
     """
 
     def __init__(self, plant: Plant) -> None:
-        """Start empty."""
+        """Start a record of `plant` without rows."""
         self._plant = plant
         self._rows: dict[str, list[Array]] = {}
         self._count = 0
 
     def add(self, **signals: ArrayLike) -> None:
-        """Add a row: the plant's truth, and the given signals, the same ones in every call.
+        """Add a row: the plant's true state and the given signals, the same ones in every call.
 
         Raises:
             ShapeError: A signal appears late, is missing, or changes its shape.
@@ -64,7 +65,7 @@ class Recorder:
         self._count += 1
 
     def __len__(self) -> int:
-        """Rows so far."""
+        """Return the number of rows."""
         return self._count
 
     def __getitem__(self, name: str) -> Array:

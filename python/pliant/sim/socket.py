@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 #: contype and conaffinity of plug and walls: they touch only each other.
 TOUCHING = {"contype": 2, "conaffinity": 2}
-#: Contact parameters: time constant [s], and solimp.
+#: MuJoCo's contact parameters: time constant of `solref` [s], and the first three of `solimp`.
 HARDNESS, IMPEDANCE = 0.005, (0.95, 0.99, 0.0005)
 #: Time over which contact forces are averaged [s]: hard contacts chatter from step to step.
 FORCE_FILTER = 0.01
 #: Length of the plug [m].
 LENGTH = 0.08
-#: Thickness of the walls [m], and how far they reach beyond the hole.
+#: Thickness of the walls, and the distance by which they extend beyond the hole [m].
 WALL = 0.03
 
 

@@ -28,7 +28,7 @@ VERTICAL = 0.999
 
 @dataclass(kw_only=True, eq=False)
 class Tabletop(Fixture):
-    """A horizontal plane that stops every link that can move up or down.
+    """Horizontal plane in contact with every link that can move up or down.
 
     The contact geometry of a link is the capsules that draw it. Links that only turn about a
     vertical axis above the base never change their height and never touch.
