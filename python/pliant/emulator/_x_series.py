@@ -41,7 +41,10 @@ class XServo(Servo):
             self.put("torque_enable", 1)
 
     def _within_a_turn(self) -> None:
-        """Count from within one turn again: at power-up, and in position mode at torque-on."""
+        """Drop whole turns, so that the position count starts within one turn.
+
+        Called at power-up, and in position mode when the mode or torque enable is written.
+        """
         self._turns = -math.floor(self.shaft.angle / self.model.count / 4096 + 1e-9)
 
     def _reset_mode(self) -> None:

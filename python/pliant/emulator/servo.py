@@ -276,7 +276,7 @@ class Servo(ABC):
         self._strain = self._strain + seconds if at_limit and still else 0.0
         return self._strain > OVERLOAD_TIME
 
-    # Family.
+    # Members that a servo family implements, or overrides if its registers differ.
 
     @property
     def baud(self) -> int:
@@ -326,11 +326,11 @@ class Servo(ABC):
 
     @abstractmethod
     def check_read(self, address: int, length: int) -> int:
-        """Return the error of reading this block."""
+        """Return the protocol's error code for a read of `length` bytes; 0 if it is accepted."""
 
     @abstractmethod
     def check_write(self, address: int, data: bytes) -> int:
-        """Return the error of writing this block."""
+        """Return the error code of a write: 0 if accepted, -1 if ignored without a reply."""
 
     @abstractmethod
     def on_write(self, address: int, data: bytes) -> None:

@@ -271,7 +271,11 @@ def _vertex(grid: Array, cost: Array) -> float:
 def _misfit(
     rig: Excitation, record: Record, joint: int, solution: Solution, *, gravity: float, grid: Array
 ) -> Array:
-    """Return the mean squared misfit of one joint's steps per delay, at its best inertia."""
+    """Return the mean squared position error of a joint's simulated step responses [rad²].
+
+    One value for each delay in `grid` [s]: the smallest over the trial inertias. Each includes the
+    variance of the encoder's resolution, which is the same for all delays.
+    """
     q, goal, limit, _ = (rows[:, joint] for rows in record.arrays())
     value = {name: float(array[joint]) for name, array in solution.value.items()}
     late, inertia = (x.ravel() for x in np.meshgrid(grid, INERTIAS * value["kp"], indexing="ij"))

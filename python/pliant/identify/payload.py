@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Relative standard deviation of a stiffness: if known by the table, and if not.
+#: Relative standard deviation of the prior of the stiffness k_p: `KNOWN` if the servo table has
+#: `stiffness_known=True`, else `UNKNOWN`.
 KNOWN, UNKNOWN = 0.05, 0.3
 
 
@@ -56,14 +57,14 @@ def estimate_payload(
     amplitude: float = 0.05,
     loop: Iterable[Tick] | None = None,
 ) -> PayloadEstimate:
-    """Estimate the payload of the tool, and set it in the controller if there is one.
+    """Estimate the payload at the tool; if one is found, set it in the controller.
 
     A slow swing approaches every pose from both sides, so that friction and delay cancel; a few
     seconds per pose. Do not touch the arm.
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
-        controller: Gets `set_payload` with the result, which replaces the model's payload.
+        controller: Its `set_payload` is called with the result if a payload is found.
         poses: Number of poses to choose within `span`, or postures (K, n) [rad].
         span: Largest distance of chosen poses from the present one, per joint [rad].
         amplitude: Swing about each pose [rad], without the part that friction takes.
@@ -72,7 +73,9 @@ def estimate_payload(
     Raises:
         ConfigError: The controller has no servos.
         OutOfRangeError: The motion would leave the position limits, or the servos cannot hold the
-            payload. ServoError: A joint does not follow; the arm keeps holding its position.
+            payload.
+        ServoError: A joint does not follow, and the arm keeps holding its position; or no joint
+            moved steadily.
     """
     procedure = _make_procedure(controller, poses=poses, span=span, amplitude=amplitude)
     return run_procedure(arm, procedure, loop, rate=controller.settings.rate)

@@ -1,4 +1,4 @@
-"""Portable logs: MCAP with ROS 2 messages, with all data to run the controller again.
+"""Logs in MCAP files with ROS 2 messages, complete enough to recompute every command.
 
 >>> for tick in pliant.Loop(arm, controller, recorder=pliant.log.Recorder("run.mcap")):
 ...     tick.step(target)

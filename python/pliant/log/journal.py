@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pliant.log.frames import Sender
 
 
-#: Sequence number of the call, and 1 for `step_joints`, else 0.
+#: Header of a recorded step: number of the call, then 1 for `step_joints` or 0 for `step`.
 STEP = struct.Struct("<QB")
 
 
@@ -33,14 +33,15 @@ class StepInputs(TypedDict, total=False):
 
 
 class Journal:
-    """Replaces a controller: same calls, same results, and a record of each call.
+    """Wraps a controller, and records each successful call that changes its state.
 
-    Everything except calls that change the controller is forwarded unchanged. Code that requires a
-    `pliant.Controller` (`ContactEstimator`) takes `journal.inner`.
+    Recorded calls, such as `step`, `reset` and `update`, return what the controller returns. All
+    other attributes are forwarded to the controller and not recorded. Pass `journal.inner` to code
+    that requires a `pliant.Controller`, such as `ContactEstimator`.
 
     Attributes:
         inner: The controller.
-        calls: Calls so far.
+        calls: Number of recorded calls.
         delay: The last delay set in the controller [s].
     """
 
@@ -137,7 +138,7 @@ class Journal:
     def _note(
         self, slot: str, q: ArrayLike, target: Array, inputs: StepInputs, command: Command
     ) -> None:
-        """Record a successful step."""
+        """Record a successful call of `step` or `step_joints`."""
         slots = self._slots
         self._row.fill(np.nan)
         joints = slot == "q_target"
@@ -154,7 +155,7 @@ class Journal:
         self.calls += 1
 
     def _call(self, what: str, **arguments: Any) -> None:
-        """Record any other successful call."""
+        """Record a successful call other than `step` and `step_joints`."""
         text = words.write({"sequence": self.calls, "what": what, "arguments": arguments})
         self._sender.send(frames.CALL, text.encode())
         self.calls += 1

@@ -122,7 +122,7 @@ class Condition(ABC):
 
     @abstractmethod
     def evaluator(self) -> Evaluator:
-        """Return a new judge of this condition."""
+        """Return a new evaluator of this condition, a function called once per tick."""
 
     def validate(  # noqa: B027 - optional for a subclass
         self, contact: ContactEstimator | None, controller: Controller
@@ -181,12 +181,12 @@ class Joined(Condition):
         return self.one.needs_force or self.other.needs_force
 
     def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
-        """Check both."""
+        """Check both conditions; see `Condition.validate`."""
         self.one.validate(contact, controller)
         self.other.validate(contact, controller)
 
     def evaluator(self) -> Evaluator:
-        """Return a judge that evaluates both at every tick, so that both keep their durations."""
+        """Return an evaluator that calls both at every tick, so that both track durations."""
         one, other, both = self.one.evaluator(), self.other.evaluator(), self.how == "&"
 
         def holds(now: TickContext) -> bool:

@@ -1,6 +1,6 @@
-"""Teach by hand and replay, softly.
+"""Record a motion while a person guides the arm by hand, and replay it with a compliant arm.
 
->>> motion = pliant.teach.record(arm, seconds=20.0)     # float, lead it, rest: it ends
+>>> motion = pliant.teach.record(arm, seconds=20.0)     # ends earlier if the arm is left at rest
 >>> motion.save("wave.json")
 >>> replay = pliant.teach.Replay(controller, motion, speed=1.0)
 >>> for tick in pliant.Loop(arm, controller):
