@@ -19,7 +19,6 @@ UNDERVOLTAGE_GRACE = 0.5
 #: A reading is plausible up to this far [rad] beyond the distance at twice the no-load speed.
 JUMP = 0.1
 #: A register that reads back wrong is a fault after `MISMATCH_TIME` [s] and `MISMATCHES` packets.
-#: A servo that does not answer has a fault after `MISMATCH_TIME` too.
 MISMATCH_TIME, MISMATCHES = 0.5, 3
 #: `IMPOSSIBLE`: number of implausible readings in a row that is reported as a fault. `PAUSE`: gap
 #: between readings above which the joint may have moved unseen even after a jump [s].

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 MAX_MOTION = 0.05
 #: Largest distance between measured and expected position before torque on [rad].
 MAX_START_ERROR = 0.15
-#: Tries to send goals until they read back; and drift of a joint without torque from its goal after
-#: which it gets a new one [rad].
+#: `MAX_SENDS`: number of attempts to send goals until they read back. `MAX_DRIFT`: a joint without
+#: torque that drifts farther than this from its goal gets a new goal [rad].
 MAX_SENDS, MAX_DRIFT = 5, 0.01
 #: Longest restart of a servo [s].
 REBOOT = 2.0
 #: Registers that are checked before torque on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
-#: Number of torque-off packets sent if no answer comes, and number of tries.
+#: `OFF_PACKETS`: number of torque-off packets sent if no answer comes. `OFF_TRIES`: tries.
 OFF_PACKETS, OFF_TRIES = 3, 30
 MAY_BE_ON = "torque may still be on: "
 

@@ -30,7 +30,7 @@ MAX_MISSES, PROBE_CYCLES = 3, 8
 RESTART, RESTART_CYCLES = 0.1, 3.0
 #: Largest share of a cycle for one more request to all servos.
 TORQUE_READ_SHARE = 0.2
-#: Unit of the bus watchdog [s], its largest value, and number of tries to set it.
+#: Bus watchdog: its unit [s], its largest register value, and the number of tries to set it.
 WATCHDOG_UNIT, MAX_WATCHDOG, WATCHDOG_TRIES = 0.02, 127, 4
 
 
