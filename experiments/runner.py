@@ -71,11 +71,11 @@ def run_jobs(
             # One thread each: the processes already share the cores.
             os.environ.setdefault("OMP_NUM_THREADS", "1")
             backend, _ = get_active_backend()
-            # Ray's backend returns a list only.
+            # The joblib backend of Ray cannot return a generator.
             streams = getattr(backend, "supports_return_generator", False)
             started = Parallel(n_jobs=processes, return_as="generator" if streams else "list")
             done = started(delayed(_run)(job) for job in work)
-    # A terminal gets one line that changes, a file one line every half minute.
+    # On a terminal one line is updated in place; into a file a line is printed every half minute.
     live = sys.stderr.isatty()
     begin = last = monotonic()
     for count, result in enumerate(done, 1):

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from pliant.sim.hand import Hand
 
 
-#: A pose in front of the arm, where known [rad].
+#: Pose of some arms with the tool in front of the arm (n,) [rad].
 POSES = {
     "so101": (0.0, -0.3, 0.3, 0.9, 0.0),
     "koch": (0.0, -0.4, 0.8, 0.5, 0.0),
     "vx300s": (0.0, -0.5, 0.6, 0.0, 0.5, 0.0),
 }
-#: The hand: distance along a soft axis [m], largest pull [N], push on a stiff axis.
+#: The hand: distance along a soft axis [m], largest pull there [N], push on a stiff axis [N].
 LED, PULLS, PUSHES = 0.10, 15.0, 3.0
 
 
@@ -50,7 +50,7 @@ def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tu
 
 
 def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
-    """Return events and their figures."""
+    """Return rows of the table: an event, and its figures as text."""
     it = steps.arm(name)
     task = " ".join(it.axes)
     soft = pliant.Settings.soft("x y", task=task)

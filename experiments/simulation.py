@@ -256,7 +256,7 @@ def scaled(table: pliant.Servos, friction: Array | float, damping: Array | float
     )
 
 
-#: 100 Hz, no delay, everything known.
+#: Ideal conditions: 100 Hz, no delay, all parameters known to the controller.
 NOMINAL = Conditions()
-#: Typical hardware: a tick each way.
+#: Conditions of typical hardware: one tick of delay of readings and one of commands.
 TICK_EACH_WAY = Conditions(delay=(1, 1))

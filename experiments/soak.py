@@ -173,7 +173,7 @@ def limit_of(servo: Servo) -> str:
 
 # --- Minutes of control over real bytes while 1 % of all transactions fail ---
 
-#: Share of transactions with a fault, all kinds alike.
+#: Share of transactions with a fault; all kinds of fault are equally likely.
 SHARE = 0.01
 #: The target's amplitude [m], axis by axis, and its periods [s].
 SWING, PERIODS = {"x": 0.04, "y": 0.06, "z": 0.04}, {"x": 3.1, "y": 4.3, "z": 3.7}
@@ -217,7 +217,7 @@ class Recorder(ServoBus):
         return sample
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
-        """Record, and write."""
+        """Record the command, then write it."""
         self.asked.append(np.array(limit, dtype=np.float64))
         super().write(goal, limit, velocity)
 
@@ -387,7 +387,7 @@ def judge(
 
 
 def shares(share: float = SHARE) -> dict[str, float]:
-    """Distribute a share of all transactions over all kinds of fault."""
+    """Return the share of transactions with each kind of fault, `share` in total."""
     return dict.fromkeys(KINDS, share / len(KINDS))
 
 

@@ -60,7 +60,7 @@ class Grip:
             model.actuator_gear[index, block] = tool[row % 3, :3]
 
     def hold(self, rows: list[int]) -> None:
-        """Hold these axes by springs, release the others."""
+        """Attach springs to these axes, and release the others."""
         model = self._place.mj_model
         held = np.isin(np.arange(6), rows)
         model.actuator_gainprm[self._ids, 0] = np.where(held, self.stiffness, 0.0)

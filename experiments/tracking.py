@@ -76,7 +76,7 @@ class TiltResult:
 
     Attributes:
         angle: Remaining angle at 6 s [rad].
-        position: Largest deviation of the position during the motion [m].
+        position: Largest deviation of the tool's position during the run [m].
         trace: The run.
     """
 
