@@ -64,7 +64,8 @@ def estimate_payload(
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
-        controller: Its `set_payload` is called with the result if a payload is found.
+        controller: If a payload is found, `set_payload` gets it, in place of the model's payload;
+            in any case the controller is reset at the final positions.
         poses: Number of poses to choose within `span`, or postures (K, n) [rad].
         span: Largest distance of chosen poses from the present one, per joint [rad].
         amplitude: Swing about each pose [rad], without the part that friction takes.
