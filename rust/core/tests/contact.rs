@@ -252,7 +252,7 @@ fn a_threshold_below_the_uncertainty_is_refused_with_the_number() {
     assert!(ContactEstimator::new(&ctl, crossed).unwrap_err().to_string().contains("at or above the touch"));
     let elsewhere =
         ContactOptions { axes: Some([true, false, false, false, false, false]), touch: [Some(30.0); 6], ..known() };
-    assert!(ContactEstimator::new(&ctl, elsewhere).unwrap_err().to_string().contains("not among the axes"));
+    assert!(ContactEstimator::new(&ctl, elsewhere).unwrap_err().to_string().contains("not among the estimated axes"));
 }
 
 #[test]
