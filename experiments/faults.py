@@ -105,7 +105,7 @@ def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
 def _for(
     seconds: float, begin: Callable[[ArmEmulator], object], end: Callable[[ArmEmulator], object]
 ) -> Callable[[Scene], Array | None]:
-    """Start something, and end it after so much emulated time."""
+    """Return an action that calls `begin` at once and `end` after `seconds` of emulated time."""
 
     def act(scene: Scene) -> Array | None:
         if scene.first:
@@ -119,6 +119,7 @@ def _for(
                     end(scene.bus)
                     physics.step = step  # type: ignore[method-assign]
 
+            # The control loop may be blocked by the fault, so its end is watched for in the physics.
             physics.step = stepping  # type: ignore[method-assign]
         return scene.target
 

@@ -263,7 +263,7 @@ class Arm:
             MESSAGES.flush()
 
     def _descend(self, rest: Array | None) -> None:
-        """Lower the arm by way of `rest` (n,) [rad]; a second Ctrl-C aborts this, torque on."""
+        """Lower the arm through `rest` (n,) [rad]; a second Ctrl-C aborts, with torque on."""
         if not self.enabled:
             return
         error, signals = sys.exception(), self._signals

@@ -206,7 +206,7 @@ def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> No
         ImportError: The extra log is not installed.
     """
     if path is not None:
-        import pliant.log  # noqa: F401 - fails here if the extra is not installed
+        import pliant.log  # noqa: F401 - raises early if the extra is missing
 
         check_written(path, "log", inputs)
         if path.suffix != ".mcap":

@@ -216,7 +216,7 @@ class Loop(StrictModel):
 
 
 class Life(StrictModel):
-    """What the arm does at the end of `with`.
+    """Ending of the arm: behaviour at the end of `with`.
 
     Attributes:
         rest_q: Pose to move to first (n,) [rad]; None: straight down.

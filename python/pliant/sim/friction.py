@@ -166,7 +166,7 @@ STS3215 = Friction(
 
 
 class Gears:
-    """Dry friction of n joints of a compiled model, set anew before every physics step."""
+    """Dry friction of n joints of a compiled model, updated before every physics step."""
 
     def __init__(
         self,
