@@ -119,7 +119,7 @@ def _for(
                     end(scene.bus)
                     physics.step = step  # type: ignore[method-assign]
 
-            # The control loop may be blocked by the fault, so its end is watched for in the physics.
+            # The fault may block the control loop, so the physics watches for its end.
             physics.step = stepping  # type: ignore[method-assign]
         return scene.target
 
