@@ -49,7 +49,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 peers soak wheel notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 peers soak wheel notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -126,6 +126,19 @@ test-py: setup ## Tests from Python; ARGS='-k door' picks
 test-full: setup ## All tests, the long forms of `make test`'s included
 	$(call say,pytest$(comma) long forms included)
 	@$(BIN)/python -m pytest $(RERUN) -m '' $(ARGS)
+
+# LeRobot's dynamixel-sdk is not the one of the other tests, so it gets an environment of its own.
+LEROBOT := build/lerobot
+test-lerobot: wheel ## The plugin with LeRobot itself (6 GB, Python >= 3.12); LEROBOT_CHECKOUT=a clone of it runs its own test too
+	$(call say,LeRobot in $(LEROBOT))
+	@test -x $(LEROBOT)/bin/python || ./tools/make_venv.sh $(LEROBOT) 3.12
+	@$(LEROBOT)/bin/python -m pip install --quiet 'lerobot[core-scripts,feetech,dynamixel,evaluation]==0.6.1' \
+	  'pytest>=8' "$$(ls $(WHEELS)/*.whl)[servo,sim]" --editable integrations/lerobot
+	@$(LEROBOT)/bin/python -m pip install --quiet --force-reinstall --no-deps $(WHEELS)/*.whl
+	$(call say,contract of the plugin with LeRobot)
+	@$(LEROBOT)/bin/python -m pytest -o addopts=--import-mode=importlib tests/lerobot_plugin $(ARGS)
+	$(call say,programs of LeRobot$(comma) stock arms$(comma) units)
+	@$(LEROBOT)/bin/python -m pytest integrations/lerobot/tests $(ARGS)
 
 lint: lint-rust lint-py stubs ## Formats, clippy, ruff, import contracts, mypy, stubs against the binary
 

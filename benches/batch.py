@@ -1,11 +1,11 @@
-"""Many arms in one call: configurations a second on one core and on all, and memory for a million.
+"""Rate and memory of batch calls, which compute many configurations, on one core and on all cores.
 
     python benches/batch.py                N = 10⁵; --count for others, --instructions baseline,
                                            --only kinematics,paper for some of the calls
 
-One process with one thread and one with as many as there are cores take turns, results into the
-caller's arrays. A core's rate is counted in its own time, so other programs do not matter; what the
-cores gain together needs an idle machine, or `nice -n -15` on a busy one.
+The calls of pliant are timed in two processes in turn: one with a single thread, and one with one
+thread per core. Results go into preallocated arrays. The rate of one core is measured in CPU time,
+so other programs hardly affect it. The rate of all cores needs an idle machine, or `nice -n -15`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROUNDS = 7
 
 
 def settings() -> dict[str, pliant.Settings]:
-    """Return settings by law: law `paper` with the numbers of `benches/peers.py`, and defaults."""
+    """Return settings by law: `paper` with the parameters of `contest.problem`, and `cap`."""
     endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     axes = {name: pliant.Axis(**endless) for name in ("x", "z", "roll", "pitch", "yaw")}
     axes["y"] = pliant.Axis(yields="both", adaptation=0.9, **endless)
@@ -43,7 +43,10 @@ def settings() -> dict[str, pliant.Settings]:
 
 
 def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
-    """Return the timed calls whose names contain one of `only`."""
+    """Return by name the timed calls, for `count` configurations each.
+
+    Only calls whose names contain one of the words `only` are returned.
+    """
     kp, torque = [150.0] * 4 + [60.0] * 3, [10.7] * 4 + [6.4] * 3
     servos = pliant.Servos(kp=kp, max_torque=torque, friction=0.1, stiffness_known=True)
     model = pliant.Model.from_urdf(URDF, servos=servos)
@@ -61,7 +64,7 @@ def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
         controller = pliant.Controller(model, wanted)
         name = f"step_batch, law {law}"
         found[name] = lambda c=controller: c.step_batch(q, targets, out=out)
-        # The state of a batch takes much memory: it is made only if a requested call uses it.
+        # Allocate the large controller state of a batch only if a requested call uses it.
         state = controller.batch_state(count if named(name + ", with a state", only) else 1)
         found[name + ", with a state"] = lambda c=controller, s=state: c.step_batch(
             q, targets, state=s, out=out
@@ -70,12 +73,16 @@ def calls(count: int, only: list[str]) -> dict[str, Callable[[], object]]:
 
 
 def named(name: str, only: list[str]) -> bool:
-    """Return True if a call is requested."""
+    """Return True if the name of a call contains one of the words `only`."""
     return any(word in name for word in only)
 
 
 def serve(count: int, only: list[str]) -> None:
-    """Answer each name on the input with wall seconds, thread seconds, and additional MB."""
+    """Run each call that is named on a line of the standard input.
+
+    For each, print a JSON list: wall time [s], CPU time [s] and growth of the largest resident
+    memory [MB].
+    """
     ready = calls(count, only)
     for name in sys.stdin:
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -87,7 +94,7 @@ def serve(count: int, only: list[str]) -> None:
 
 
 def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
-    """Start a process that runs `serve` with this number of threads."""
+    """Start and return a process that runs `serve` with this number of threads."""
     command = [sys.executable, __file__, "--count", str(count), "--only", ",".join(only), "--serve"]
     environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
     pipe = subprocess.PIPE
@@ -95,7 +102,11 @@ def started(count: int, only: list[str], threads: int) -> subprocess.Popen[str]:
 
 
 def ask(server: subprocess.Popen[str], name: str) -> tuple[float, float, float]:
-    """Return wall seconds, processor seconds and additional MB of one call."""
+    """Run a call in a process of `started`; return its times and memory.
+
+    Returns:
+        Wall time [s], CPU time [s] and growth of the largest resident memory [MB].
+    """
     assert server.stdin is not None
     assert server.stdout is not None
     print(name, file=server.stdin, flush=True)

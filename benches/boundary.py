@@ -1,9 +1,10 @@
-"""Times the calls of a control loop from Python, in turns with Pinocchio's kinematics.
+"""Time of pliant's calls from a Python loop, compared with a call of Pinocchio's kinematics.
 
     python benches/boundary.py
 
-Positions and targets change with every call; goal and limit are returned. Prints medians over
-turns, the time of the loop subtracted. Without Pinocchio (`pip install pin`) a warning says so.
+Positions and targets change with every call; goal and torque limit are read after a step. The
+program prints medians over rounds, minus the time of an empty loop. Pinocchio (`pip install pin`)
+is optional.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from contest import pliant_peer, problem
 
 import pliant
 
-#: Number of turns, and number of calls in each turn.
+#: Number of rounds, and approximate number of calls of each statement per round.
 ROUNDS, CALLS_A_TURN = 100, 1280
-#: Number of states of the path.
+#: Number of states on the path of `followed`.
 STATES = 1000
-#: Timed calls by name.
+#: Timed Python statements by name.
 CALLS = {
     "(the loop)": "for q, t in states: pass",
     "a call that does nothing": "for q, t in states: nothing(q, t); kept.goal; kept.torque_limit",
@@ -32,7 +33,8 @@ CALLS = {
     "pose and Jacobian, new arrays": "for q, t in states: kinematics(q)",
 }
 REFERENCE = "for q, t in states: jacobian(model, data, q, frame, axes); data.oMf[frame]"
-#: Servos of the arm.
+#: Servo parameters of the bench arm, per joint from base to tool: stiffness [N·m/rad], torque
+#: [N·m], friction [N·m] and damping [N·m·s/rad].
 SERVOS = {
     "kp": [150.0] * 4 + [60.0] * 3,
     "torque": [10.7] * 4 + [6.4] * 3,
@@ -59,7 +61,10 @@ def names() -> dict[str, Any]:
 
 
 def followed(model: pliant.Model) -> list[tuple[Any, Any]]:
-    """Return a path for the default law: each q (n,), and the tool (4, 4) two ticks ahead."""
+    """Return pairs of joint positions q (n,) and target pose (4, 4) along a closed path.
+
+    Each target is the tool's pose two ticks ahead, so that law `cap` follows as on a real arm.
+    """
     middle, reach = 0.5 * (model.lower + model.upper), 0.05 * (model.upper - model.lower)
     turns = 2.0 * np.pi * np.arange(STATES) / STATES
     path = [middle + reach * np.sin(turn + 0.9 * np.arange(model.n)) for turn in turns]
@@ -67,7 +72,10 @@ def followed(model: pliant.Model) -> list[tuple[Any, Any]]:
 
 
 def reference(ours: dict[str, Any]) -> dict[str, Any]:
-    """Return the same for Pinocchio, once its Jacobian equals ours."""
+    """Return Pinocchio's objects for the statement `REFERENCE`, by variable name.
+
+    Check first that Pinocchio's Jacobian equals that of `ours`, the result of `names`.
+    """
     import pinocchio
 
     model = pinocchio.buildModelFromXML(problem.URDF.read_text(encoding="utf-8"))
@@ -85,7 +93,7 @@ def reference(ours: dict[str, Any]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure in turns, print medians."""
+    """Time the statements in turn, and print their median times."""
     known, calls = names(), dict(CALLS)
     try:
         known |= reference(known)

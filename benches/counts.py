@@ -1,12 +1,12 @@
-"""Counts the instructions of every stage of the hot path and compares them with stored ones.
+"""Counts of CPU instructions in every stage of a control step, compared with stored counts.
 
-    make counts-check       part of `make test`: fails where a stage needs 5 % more than stored
-    make counts             stores the counts under the compiler's name
+    make counts-check       part of `make test`: fails if a stage needs 5 % more than stored
+    make counts             stores the counts for this compiler
 
-Callgrind counts inside one function, so counts repeat exactly under any load. They depend on the
-compiler, hence the key; without valgrind or a count for this compiler the check is skipped with a
-warning. Plain instructions and AVX2 are counted, each forced by PLIANT_INSTRUCTIONS; callgrind does
-not support AVX-512.
+Callgrind counts the instructions of one function, so the counts do not depend on the load of the
+machine. They depend on the compiler; without valgrind or stored counts for this compiler, the check
+is skipped with a warning. The baseline and AVX2 code paths are counted; callgrind does not support
+AVX-512.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "benches" / "counts.json"
-#: Largest accepted growth of a count over the stored one, as a share of it.
+#: Largest accepted growth of a count, as a share of the stored count.
 GROWTH = 0.05
 PATHS = ("baseline", "avx2")
-#: Instructions of one call, by code path (instruction set), then by stage.
+#: Number of instructions of one call, by code path (instruction set), then by stage of the step.
 Counts = dict[str, dict[str, float]]
 
 
@@ -35,7 +35,11 @@ class Skip(Exception):
 
 
 def main() -> int:
-    """Count instructions, and compare them with the stored counts or store them."""
+    """Count instructions, and compare them with the stored counts or, with --update, store them.
+
+    Returns:
+        Exit code: 1 if a count has grown too much.
+    """
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--update", action="store_true", help="store what is counted")
     parser.add_argument("--binary", type=Path, help="the built bench, in place of building it")
@@ -64,7 +68,7 @@ def main() -> int:
 
 
 def compiler() -> str:
-    """Return the key of the counts: the compiler and its target."""
+    """Return version and target of the Rust compiler, which is the key of the stored counts."""
     try:
         said = subprocess.run(["rustc", "-vV"], capture_output=True, text=True, check=True).stdout
     except OSError as error:
@@ -74,7 +78,7 @@ def compiler() -> str:
 
 
 def build() -> Path:
-    """Build the bench as the wheel is built; return its path."""
+    """Build the Rust bench `counts` in release mode, like the wheel; return its path."""
     command = ["cargo", "build", "--release", "-p", "pliant-core", "--bench", "counts"]
     command += ["--message-format=json", "--quiet", *(["--locked"] if os.environ.get("CI") else [])]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
@@ -86,16 +90,16 @@ def build() -> Path:
 
 
 def count_all(binary: Path) -> Counts:
-    """Count all stages on all paths; a path with unchanged counts is left out.
+    """Return the counts of all stages on all code paths.
 
-    Copies of a few bytes take other instructions with another alignment: half a percent is no
-    change.
+    A code path with the same counts as `baseline` is omitted: the processor or the build lacks it.
+    Differences below half a percent, due to the alignment of memory, count as equal.
     """
     said = subprocess.run([binary, "--stages"], capture_output=True, text=True, check=True).stdout
     stages = [line.rsplit(" ", 1) for line in said.splitlines()]
     counts: Counts = {}
     for path in PATHS:
-        # One valgrind per core: counts do not depend on what else runs.
+        # Run one valgrind per core at the same time: counts do not depend on other processes.
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             totals = pool.map(lambda stage, path=path: count(binary, stage[0], path), stages)
             found = {
@@ -111,7 +115,15 @@ def count_all(binary: Path) -> Counts:
 
 
 def count(binary: Path, stage: str, path: str) -> int:
-    """Return the number of instructions in function `counted` for one round over all states."""
+    """Run a stage once for each state under valgrind; return the number of instructions.
+
+    Only instructions inside the bench's function `counted` count.
+
+    Args:
+        binary: Path of the bench.
+        stage: Name of the stage.
+        path: Code path (instruction set).
+    """
     command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
     command += ["--toggle-collect=*counted*", str(binary), stage]
     environment = {**os.environ, "PLIANT_INSTRUCTIONS": path}
@@ -123,7 +135,7 @@ def count(binary: Path, stage: str, path: str) -> int:
 
 
 def regressions(counts: Counts, stored: Counts) -> list[str]:
-    """Return a sentence for every stage that has grown by more than `GROWTH`."""
+    """Return a sentence for every stage whose count exceeds the stored one by over `GROWTH`."""
     said = []
     for path, stages in counts.items():
         for stage, now in stages.items():
@@ -138,7 +150,7 @@ def regressions(counts: Counts, stored: Counts) -> list[str]:
 
 
 def table(counts: Counts, stored: Counts) -> str:
-    """Return a table of the counts and the stored counts."""
+    """Return a text table of the counts, with their changes from the stored counts."""
     lines = []
     for path, stages in counts.items():
         for stage, now in stages.items():

@@ -1,10 +1,10 @@
-"""Time of a step on this machine, and the loop rate that it allows.
+"""Time of a control step on this machine, and the loop rate that it allows.
 
     make bench                                          the built-in arm
-    make bench ARGS='--robot so101 --soft "x y"'        a ready arm or a configuration file
-    make bench ARGS='--urdf my_arm.urdf --law paper'    any URDF; its servos are guessed
+    make bench ARGS='--robot so101 --soft "x y"'        a built-in arm or a configuration file
+    make bench ARGS='--urdf my_arm.urdf --law paper'    any URDF, with estimated servos
 
-Empty calls are timed beside it and subtracted.
+The median time of calls that do nothing is subtracted.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from rich.table import Table
 import pliant
 from pliant import config
 from pliant.cli import program
-from pliant.cli._flags import Axes, File, Frame, OtherArm, OtherAxes, check_soft
+from pliant.cli._flags import Axes, File, Frame, OtherArm, OtherAxes
+from pliant.config._soft import check_axes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,13 +36,13 @@ if TYPE_CHECKING:
 
 Law = Literal["cap", "impedance", "paper"]
 
-#: Number of different states; consecutive calls use different ones.
+#: Number of different states (joint positions and target), which consecutive calls use in turn.
 STATES = 256
-#: Share of the control period available to the step; the bus needs the rest.
+#: Share of the control period that is available to the step; the servo bus needs the rest.
 SHARE = 0.1
-#: A warning is printed if the thread waited for a core for more than this share of the time.
+#: Largest share of the time for which the thread may wait for a core without a warning.
 BUSY = 0.002
-#: Bins of the histogram, as ratios of the median.
+#: Edges of the histogram's bins, as multiples of the median duration.
 EDGES = (0.0, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 5.0, 20.0, np.inf)
 BAR = 40
 
@@ -61,7 +62,7 @@ class Latency:
         return float(np.percentile(self.times, percent))
 
     def less(self, seconds: float) -> Latency:
-        """Return the durations less an overhead [s], at least zero."""
+        """Return the durations minus an overhead of `seconds` [s]; none of them is negative."""
         return Latency(np.maximum(self.times - seconds, 0.0))
 
 
@@ -75,16 +76,16 @@ def run(
     soft: OtherAxes = None,
     calls: int = 1_000_000,
 ) -> None:
-    """Time single steps on this machine, garbage collector on, beside empty calls.
+    """Time single steps on this machine, with the garbage collector on, and subtract empty calls.
 
     Args:
         urdf: URDF of an arm, in place of a configured one; its servos are then guessed.
-        tip: Frame of the tool in it; may be left out where the choice is clear.
+        tip: Frame of the tool in the URDF; may be left out where the choice is clear.
         robot: Name of a ready arm (arm7, so101, koch, vx300s, ...) or a configuration file; default
             arm7.
-        law: cap, impedance or paper; default: as the arm's configuration has it.
-        axes: Axes of the task, e.g. "xyz"; default: as the arm's configuration has it, and as many
-            as the arm has joints for with --urdf.
+        law: cap, impedance or paper; default: the law of the arm's configuration.
+        axes: Axes of the task, e.g. "xyz"; default: those of the arm's configuration; with --urdf,
+            as many as the arm has joints.
         soft: Axes that yield; "" for none. Default: y, or the first axis of a task without it.
         calls: Number of timed steps.
     """
@@ -116,7 +117,7 @@ def run(
     console = Console(soft_wrap=True, highlight=False)
     console.print(
         f"{model.name}: {model.n} joints, law {controller.settings.law}, instructions "
-        f"{getattr(controller, 'instructions', 'of any machine')}; "
+        f"{controller.simd_level}; "
         f"{_processor()}, CPython {platform.python_version()}"
     )
     console.print(_percentiles(found, empty.less(empty.at(50.0))))
@@ -134,7 +135,10 @@ def run(
 
 
 def path(model: pliant.Model) -> list[Array]:
-    """Return a closed path through the middle of the joint ranges; continuous joints take ± π."""
+    """Return joint positions (n,) [rad] along a closed path in the middle of the joint ranges.
+
+    The range of a joint without limits counts as ±π.
+    """
     low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
     high = np.where(np.isfinite(model.upper), model.upper, np.pi)
     turns = 2.0 * np.pi * np.arange(STATES) / STATES
@@ -143,7 +147,10 @@ def path(model: pliant.Model) -> list[Array]:
 
 
 def measure(call: Callable[[int], object], calls: int) -> Latency:
-    """Time calls one by one with garbage collection on; the argument is the state's index."""
+    """Time `calls` calls one by one, with garbage collection on.
+
+    The argument of a call is the index of a state, which changes with every call.
+    """
     times = np.empty(calls)
     now = time.perf_counter_ns
     for i in range(STATES):
@@ -162,7 +169,11 @@ def measure(call: Callable[[int], object], calls: int) -> Latency:
 
 
 def _guessed(model: pliant.Model) -> pliant.Servos:
-    """Guess the servos from the URDF's effort limits, as the simulator does."""
+    """Return servo parameters that are estimated from the effort limits of a model's joints.
+
+    Stiffness and friction have the same ratio to the effort as in the simulator. An unknown effort
+    counts as 1 N·m.
+    """
     effort = np.nan_to_num(model.effort_limit, nan=1.0, posinf=1.0)
     return pliant.Servos(kp=effort / 0.07, max_torque=effort, friction=0.02 * effort)
 
@@ -179,7 +190,7 @@ def _wanted(
     if soft is None:
         soft = "y" if "y" in task.names else task.names[0]
     elif soft:
-        check_soft(soft, task, 'another task: --axes "x y z yaw"')
+        check_axes(soft, task, "--soft", 'another task: --axes "x y z yaw"')
     if law == "paper":
         settings = pliant.Settings.paper(task=task)
     else:
@@ -188,7 +199,10 @@ def _wanted(
 
 
 def _waited() -> float:
-    """Return the time [s] for which this thread was ready without a core; 0 if not reported."""
+    """Return the total time [s] for which this thread was ready to run but had no core.
+
+    The value is 0 if the system does not report it.
+    """
     try:
         return 1e-9 * int(Path("/proc/thread-self/schedstat").read_text("ascii").split()[1])
     except OSError:
@@ -229,7 +243,7 @@ def _histogram(found: Latency) -> Table:
 
 
 def _round(rate: float) -> float:
-    """Round down to two significant digits."""
+    """Return a rate [Hz], rounded down to two significant digits."""
     scale = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
     return float(np.floor(rate / scale) * scale)
 
@@ -238,7 +252,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program.
 
     Args:
-        arguments: Without the name of the program; default those of the process.
+        arguments: Command-line arguments without the program's name; default: of this process.
 
     Returns:
         Exit code, as `pliant.cli.main`.

@@ -1,10 +1,10 @@
-"""Measure import time, start time of the command line, memory, and size of the wheel.
+"""Measure pliant's import time, start time of the command line, memory, and size of the wheel.
 
     python benches/lightness.py
 
-Each start is a separate process. The table has medians of processor time, which hardly depends on
-the machine's load, and of wall time. The time of the bare interpreter is subtracted from NumPy's,
-and that of NumPy from pliant's.
+Each import or start is timed in a new process. The table has medians of processor time, which
+hardly depends on the machine's load, and of wall time. The import time of NumPy excludes the start
+of Python, and the import time of pliant excludes that of NumPy.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STARTS = 15
-#: Program that prints its resident memory [MB] after running a controller of the built-in arm.
+#: Python program that runs the code `before` and prints its largest resident memory [MB].
 RUNNING = """
 import numpy as np
 {before}
@@ -37,18 +37,18 @@ for i in range(20_000):
 
 
 def now() -> tuple[float, float]:
-    """Return the processor time of child processes and the wall clock [s]."""
+    """Return the total processor time of ended child processes, and the wall clock [s]."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime, time.perf_counter()
 
 
 def medians(times: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return the medians of processor time and of wall time [s]."""
+    """Return the medians over pairs of processor time and wall time [s]."""
     return statistics.median(t[0] for t in times), statistics.median(t[1] for t in times)
 
 
 def starts(*arguments: str) -> tuple[float, float]:
-    """Return median processor and wall seconds of Python with these arguments."""
+    """Run Python `STARTS` times with these arguments; return median processor and wall time [s]."""
     out = []
     for _ in range(STARTS):
         start = now()
@@ -59,7 +59,7 @@ def starts(*arguments: str) -> tuple[float, float]:
 
 
 def imports(code: str) -> tuple[float, float]:
-    """Return median seconds of a statement in a fresh interpreter with NumPy."""
+    """Return median processor and wall time [s] of a statement that runs after NumPy's import."""
     timed = (
         "import numpy, time; p, t = time.process_time(), time.perf_counter(); "
         f"{code}; print(time.process_time() - p, time.perf_counter() - t)"
@@ -73,19 +73,19 @@ def imports(code: str) -> tuple[float, float]:
 
 
 def memory(before: str) -> float:
-    """Return the largest resident memory [MB] of a process that runs this."""
+    """Return the largest resident memory [MB] of a Python process that runs the code `before`."""
     code = RUNNING.format(before=before)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return float(done.stdout)
 
 
 def line(name: str, times: tuple[float, float]) -> None:
-    """Print times in milliseconds."""
+    """Print a row of the table: name, and processor and wall time `times` in milliseconds."""
     print(f"{name:30}{1e3 * times[0]:6.1f} ms {1e3 * times[1]:6.1f} ms")
 
 
 def main() -> None:
-    """Measure and print one line per figure."""
+    """Measure and print start times, memory and wheel size."""
     print(f"{'':30}processor    clock")
     bare = starts("-c", "pass")
     line("python", bare)

@@ -2,10 +2,10 @@
 
     make peers                      (or: python benches/peers.py --rounds 40 --plot out.png)
 
-Each peer runs in a separate process, in this environment if it has the library and otherwise in
-one made under build/peers. A peer is timed only if its results agree with a NumPy reference to
-1e-9. In every round each peer is timed once, in random order; ratios compare times of the same
-round. Missing peers are reported.
+Each implementation runs in a separate process: in this Python environment if it has the library,
+otherwise in one that is created under build/peers. An implementation is timed only if its results
+agree with a NumPy reference to 1e-9. In every round all implementations are timed, in random order;
+ratios compare times of the same round. Implementations that cannot be timed are reported.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from contest import table
 from contest.environments import BUILD, OURS, PEERS
-from contest.turns import Racer, race
+from contest.turns import TimedProcess, run_rounds
 
 
 def main() -> None:
-    """Start and verify the peers, time them, and print and plot the results."""
+    """Start the implementations and verify their results, time them, print and plot the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--only", default="", help="peers by part of their name, comma-separated")
@@ -32,27 +32,27 @@ def main() -> None:
     arguments = parser.parse_args()
     BUILD.mkdir(parents=True, exist_ok=True)
     wanted = [word.strip().lower() for word in arguments.only.split(",") if word.strip()]
-    racers: list[Racer] = []
+    processes: list[TimedProcess] = []
     for entry in (*OURS, *PEERS):
         ours = entry in OURS
         if not ours and wanted and not any(word in entry.name.lower() for word in wanted):
             continue
-        racer, reason = Racer.start(entry)
-        if racer is None:
+        timed, reason = TimedProcess.start(entry)
+        if timed is None:
             print(f"!! {entry.name} is MISSING: {reason}", file=sys.stderr)
-        elif ours and racer.version in {other.version for other in racers}:
-            racer.stop()  # this processor, or this build, lacks such a path
+        elif ours and timed.version in {other.version for other in processes}:
+            timed.stop()  # this processor, or this build, lacks such a path
         else:
-            print(f"   {racer.name}: {racer.version}, agrees to 1e-9", file=sys.stderr)
-            racers.append(racer)
-    if not racers or not racers[0].name.startswith("pliant"):
+            print(f"   {timed.name}: {timed.version}, agrees to 1e-9", file=sys.stderr)
+            processes.append(timed)
+    if not processes or not processes[0].name.startswith("pliant"):
         sys.exit("error: pliant itself is missing")
-    race(racers, arguments.rounds)
-    for racer in racers:
-        racer.stop()
-    found, note = table.rows(racers), table.where()
-    said = f"{note}\n{racers[0].version}\n\n{table.markdown(found)}\n"
-    said += f"\nCalls that do nothing, in the same blocks: p99.9 {table.floor(racers):.2f} µs.\n"
+    run_rounds(processes, arguments.rounds)
+    for timed in processes:
+        timed.stop()
+    found, note = table.rows(processes), table.where()
+    said = f"{note}\n{processes[0].version}\n\n{table.markdown(found)}\n"
+    said += f"\nCalls that do nothing, in the same blocks: p99.9 {table.floor(processes):.2f} µs.\n"
     print(f"\n{said}")
     (BUILD / "peers.md").write_text(said, encoding="utf-8")
     kept = {"where": note, "rows": [asdict(row) for row in found]}

@@ -1,13 +1,13 @@
-"""Tail latency of the step called from Python, and its cost in special poses.
+"""Tail latency of a control step that is called from Python, and its time in special poses.
 
     python benches/tail.py                 10⁷ steps in a row, then 10⁶ in turn; --steps, --turns
 
-First each law steps through ordinary poses without a pause. Then ordinary poses, singular ones,
-joints at their limits, targets that saturate every limit, a constant pose, and denormal numbers
-take turns in short blocks, so that a busy machine affects all of them alike. Calls are timed one by
-one, the garbage collector on. Rows of empty calls show the system's share, once without duration
-and once as long as a step of law `paper`: the longer a call, the more of them are interrupted.
-"Calm" are the blocks in which, by the scheduler's own counter, no other program had the core.
+First, each law runs through ordinary poses without a pause. Then cases alternate in short blocks,
+so that other programs affect all cases equally: ordinary poses, near singular poses, joints at
+their limits, saturated torque limits, a constant pose, and denormal numbers. Every call is timed,
+with the garbage collector on. Rows of empty calls, and of waits as long as a step, show the
+influence of the system. "Calm" blocks are those in which no other program used the core, according
+to the scheduler.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ import pliant
 Array = NDArray[np.float64]
 URDF = Path(__file__).resolve().with_name("arm7_bench.urdf")
 BLOCK, STATES = 64, 256
-#: A case counts as equal in cost up to this ratio of its time to that of ordinary poses.
+#: A case is marked in the table if its time exceeds that of ordinary poses by more than this ratio.
 SAME = 1.2
 
 
 @dataclass(frozen=True)
 class Case:
-    """States that a controller is stepped through.
+    """Sequence of states for which the steps of a controller are timed.
 
     Attributes:
-        name: Description.
+        name: Description in the table.
         states: Pairs of joint positions q (7,) [rad] and target pose (4, 4).
     """
 
@@ -47,7 +47,7 @@ class Case:
 
 
 def servos() -> pliant.Servos:
-    """Return the servos of the built-in seven-joint arm."""
+    """Return the servo parameters that the controllers assume for the seven-joint bench arm."""
     return pliant.Servos(
         kp=[150.0] * 4 + [60.0] * 3,
         max_torque=[10.7] * 4 + [6.4] * 3,
@@ -57,7 +57,7 @@ def servos() -> pliant.Servos:
 
 
 def cases(model: pliant.Model) -> list[Case]:
-    """Return the cases, the ordinary poses included."""
+    """Return all cases for an arm; the first one has ordinary poses."""
     turns = 2.0 * np.pi * np.arange(STATES)[:, None] / STATES + 0.9 * np.arange(model.n)
     middle, half = 0.5 * (model.lower + model.upper), 0.5 * (model.upper - model.lower)
     ordinary = middle + 0.4 * half * np.sin(turns)
@@ -84,7 +84,7 @@ def cases(model: pliant.Model) -> list[Case]:
 
 
 def stepper(case: Case, settings: pliant.Settings) -> Callable[[], Array]:
-    """Return a function that runs a block of steps and returns their times [ns]."""
+    """Return a function that runs the next `BLOCK` steps of a case and returns their times [ns]."""
     model = pliant.Model.from_urdf(URDF)
     controller = pliant.Controller(model, settings, servos())
     parts = itertools.cycle(range(0, STATES, BLOCK))
@@ -102,7 +102,7 @@ def stepper(case: Case, settings: pliant.Settings) -> Callable[[], Array]:
 
 
 def nothing() -> Array:
-    """Return times [ns] of empty calls."""
+    """Time `BLOCK` empty calls; return their times [ns]."""
     times, now = [], time.perf_counter_ns
     for _ in range(BLOCK):
         start = now()
@@ -111,7 +111,10 @@ def nothing() -> Array:
 
 
 def waiter(length: float) -> Callable[[], Array]:
-    """Return a function for the times [ns] of calls that only wait for `length` [ns]."""
+    """Return a function that times `BLOCK` calls and returns their times [ns].
+
+    Each of these calls only waits for about `length` [ns].
+    """
 
     def block(turns: int) -> Array:
         times, now, forget = [], time.perf_counter_ns, deque[None](maxlen=0).extend
@@ -127,7 +130,10 @@ def waiter(length: float) -> Callable[[], Array]:
 
 
 def waited() -> int:
-    """Return the time [ns] for which this thread was ready without a core; 0 if not reported."""
+    """Return the total time [ns] for which this thread was ready to run but had no core.
+
+    The value is 0 if the system does not report it.
+    """
     try:
         return int(Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()[1])
     except OSError:
@@ -135,13 +141,17 @@ def waited() -> int:
 
 
 def laws() -> dict[str, pliant.Settings]:
-    """Return the settings of the two laws by name, with soft axis y."""
+    """Return settings of laws `paper` and `cap` with soft axis y, by law."""
     paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)})
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
 
 def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
-    """Run `steps` calls without pause; return times [ns] of all, and of those in calm blocks."""
+    """Run a `block` again and again for `steps` calls in total, without a pause.
+
+    Returns:
+        Times [ns] of all calls, and of the calls in calm blocks.
+    """
     count = max(steps // BLOCK, 1)
     times, calm = np.empty((count, BLOCK), dtype=np.float32), np.empty(count, dtype=bool)
     for i in range(count):
@@ -152,7 +162,7 @@ def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
 
 
 def consecutive(model: pliant.Model, steps: int) -> None:
-    """Print the tail latency of consecutive steps and of empty calls."""
+    """Time consecutive steps of each law, empty calls and waits; print their tail latency."""
     case = cases(model)[0]
     blocks = {"(nothing)": nothing} | {
         f"law {law}": stepper(case, settings) for law, settings in laws().items()
@@ -175,7 +185,7 @@ def consecutive(model: pliant.Model, steps: int) -> None:
 
 
 def main() -> None:
-    """Measure consecutive steps, then the cases in alternating blocks; print a row for each."""
+    """Measure consecutive steps, then all cases in alternating blocks; print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--steps", type=int, default=10_000_000, help="in a row, of each law")
     parser.add_argument("--turns", type=int, default=1_000_000, help="of all cases and laws")
@@ -213,7 +223,7 @@ def main() -> None:
 
 
 def chosen(settings: pliant.Settings) -> str:
-    """Return the name of the instruction set that the controller uses."""
+    """Return the name of the instruction set that a controller with these settings uses."""
     controller = pliant.Controller(pliant.Model.from_urdf(URDF), settings, servos())
     return str(getattr(controller, "simd_level", "of any machine"))
 

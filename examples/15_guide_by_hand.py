@@ -16,7 +16,7 @@ model = pliant.robots.arm7()
 ways = {"hand_guiding": pliant.Settings.hand_guiding(), "all axes stiff": pliant.Settings.firm()}
 
 for name, settings in ways.items():
-    arm = pliant.sim.Plant(model, scene=[pliant.sim.STRONG])  # 0.15 m along y, from 2 to 5 s
+    arm = pliant.sim.Plant(model, scene=[pliant.sim.DRAG_80N])  # 0.15 m along y, from 2 to 5 s
     arm.reset(START)
     controller = pliant.Controller(model, settings)
     controller.reset(START)

@@ -14,7 +14,7 @@ import numpy as np
 import pliant
 import pliant.log
 import pliant.sim
-from pliant.log import felt, findings
+from pliant.log import findings, forces
 from pliant.log.report import report
 
 SECONDS = 5.0 if os.environ.get("PLIANT_SHORT") else 8.0
@@ -42,7 +42,7 @@ with pliant.Arm(plant.model, pliant.sim.SimDrive(plant)) as arm:
 
 log = pliant.log.read(folder / "run.mcap")
 # Repeat the controller beside a ContactEstimator: the log has no force.
-seen = felt.feel(log)
+seen = forces.estimate_forces(log)
 for k in range(3):
     force = float(np.abs(seen.force[:, k]).max())
     print(findings.sentence(log, seen, k), f"Felt: {force:.0f} N at most.")

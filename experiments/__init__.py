@@ -1,4 +1,4 @@
-"""The paper's experiments on the simulator, and the demonstration made of them.
+"""Simulated experiments of the paper and of the package, and the demo that reports them.
 
 This folder is not installed. Its modules run from the root of a clone (extra `experiments`), for
 example `python -m experiments.descent`.

@@ -1,4 +1,4 @@
-"""Arms of the cap campaign: built-in arms, and real robots whose URDF is available locally."""
+"""Arms of the experiments: built-in arms, and real robots whose URDF is available locally."""
 
 from __future__ import annotations
 
@@ -19,31 +19,34 @@ if TYPE_CHECKING:
 
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-#: Number of random poses. A pose is left out if its smallest singular value σ is below this share
-#: of the median σ.
+#: Number of random poses of an arm, and smallest accepted singular value of the Jacobian of a pose,
+#: as a share of the median over these poses.
 DRAWN, LEAST_SIGMA = 512, 0.65
-#: Caps as shares of the arm's median static capacity: for translations, and for rotations.
+#: Force caps of the campaign as shares of the arm's median static capacity (`Arm.capacity`): for
+#: translations, and for rotations.
 SHARES = ((0.15, 0.30, 0.60), (0.07, 0.14))
-#: Reach [m] of an arm for which 1 rad weighs as much as 1 m; the length scales with the reach.
+#: Reach [m] of an arm for which singular values weigh a rotation of 1 rad like a translation of
+#: 1 m. For another arm, 1 rad weighs like (its reach / `REACH_OF_ONE`) m.
 REACH_OF_ONE = 0.71
 
 
 def _robots() -> Path:
-    """Return the folder of real robots' descriptions.
+    """Return the folder with URDFs of real robots.
 
-    It is `PLIANT_ROBOTS` if set, else `shared/robots` beside a clone, else `robots`.
+    The folder is the environment variable `PLIANT_ROBOTS` if it is set; else `shared/robots` beside
+    a clone of this repository; else `robots` in the working directory.
     """
     if folder := os.environ.get("PLIANT_ROBOTS"):
         return Path(folder)
     root = Path(__file__).resolve().parents[1]
-    # `shared` is used only beside a clone, which has a pyproject.toml. A folder of this name beside
-    # an installed package is unrelated.
+    # Only a clone of the repository has a pyproject.toml. A folder `shared` beside an installed
+    # package would belong to another program, so it is not used.
     return (
         root.parent / "shared" / "robots" if (root / "pyproject.toml").is_file() else Path("robots")
     )
 
 
-#: Folder of real robots' descriptions.
+#: Folder with URDFs of real robots.
 ROBOTS = _robots()
 BESIDE = {
     "so101 (real)": ("so101/so101_new_calib.urdf", "base_link", "gripper_frame_link"),
@@ -57,11 +60,11 @@ BESIDE = {
 
 @dataclass(frozen=True)
 class Arm:
-    """A robot with its servos, controlled axes and poses.
+    """Robot with servos, task axes and random poses.
 
     Attributes:
         name: Name in tables.
-        model: The robot, servos attached.
+        model: The robot, with servo parameters.
     """
 
     name: str
@@ -69,7 +72,7 @@ class Arm:
 
     @property
     def servos(self) -> pliant.Servos:
-        """Servo parameters that the controller assumes; in the nominal case also the true ones."""
+        """Servo parameters that the controller assumes."""
         table = self.model.servos
         if table is None:
             raise pliant.ConfigError(f"{self.name} has no servos")
@@ -77,25 +80,25 @@ class Arm:
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """Controlled axes: x, y, z with five joints; x, z, pitch with four; otherwise all six."""
+        """Names of the task axes: x, y, z for a five-joint arm; x, z, pitch for four; else all."""
         few = {5: AXES[:3], 4: ("x", "z", "pitch")}
         return few.get(self.model.n, AXES)
 
     @cached_property
     def rows(self) -> list[int]:
-        """Rows of the Jacobian of these axes."""
+        """Indices of the rows of the Jacobian (6, n) that belong to the task axes."""
         return [AXES.index(name) for name in self.axes]
 
     @cached_property
     def drawn(self) -> Array:
-        """Random poses (512, n) [rad] inside the limits; a joint without limits takes ±π."""
+        """Random poses (512, n) [rad] within the joint limits, ±π for a joint without limits."""
         low, high = np.asarray(self.model.lower), np.asarray(self.model.upper)
         endless = ~(np.isfinite(low) & np.isfinite(high))
         low, high = np.where(endless, -np.pi, low), np.where(endless, np.pi, high)
         return np.random.default_rng(0).uniform(low, high, (DRAWN, self.model.n))
 
     def poses(self, count: int) -> Array:
-        """Return the first `count` drawn poses (count, n) [rad] that are not near-singular."""
+        """Return the first `count` of `drawn` that are not near a singularity (count, n) [rad]."""
         jacobians = self.model.jacobian_batch(self.drawn)[:, self.rows, :]
         length = self.model.reach / REACH_OF_ONE
         weight = np.array([1.0 / length if row < 3 else 1.0 for row in self.rows])
@@ -104,13 +107,16 @@ class Arm:
         return good[:count]
 
     def capacity(self, q: Array, row: int, sign: float, payload: float = 0.0) -> float:
-        """Return `capacity` of this arm [N or N·m]; 0 for an axis that no joint moves."""
+        """Return the largest push along an axis that the servos hold in pose q [N or N·m].
+
+        The value is that of the function `capacity`, but 0 if no joint moves the axis.
+        """
         size = capacity(self.model, self.servos, q, row, sign, payload=payload)
         return 0.0 if np.isinf(size) else size
 
     @cached_property
     def median_capacity(self) -> tuple[float, float]:
-        """Return the median capacity over poses and signs: translations [N], rotations [N·m]."""
+        """Medians of `capacity` over `drawn`, axes and signs: translations [N], rotations [N·m]."""
 
         def median(rows: list[int]) -> float:
             signs = (1.0, -1.0)
@@ -120,7 +126,10 @@ class Arm:
         return median([r for r in self.rows if r < 3]), median([r for r in self.rows if r > 2])
 
     def caps(self, row: int) -> tuple[float, ...]:
-        """Return the caps [N or N·m] of an axis, rounded; for `arm7` 5, 10, 20 N or 0.5, 1 N·m."""
+        """Return the caps that the campaign tests on an axis, rounded to one digit [N or N·m].
+
+        For `arm7` these are 5, 10 and 20 N for a translation, and 0.5 and 1 N·m for a rotation.
+        """
         kind = row // 3
         return tuple(float(f"{s * self.median_capacity[kind]:.0e}") for s in SHARES[kind])
 
@@ -134,11 +143,12 @@ def capacity(
     *,
     payload: float = 0.0,
 ) -> float:
-    """Return the largest push [N or N·m] along an axis that the torque limits hold at q (n,).
+    """Return the static capacity of an axis: the largest push that the servos hold [N or N·m].
 
-    It is ``min_i (usable_i + sign(a_i) g_i) / |a_i|`` with ``a = sign J_row`` and gravity torques
-    g. It is negative if the arm cannot hold its own weight, and infinite if no joint moves the
-    axis. `payload` [kg] is at the tool.
+    The capacity is ``min_i (usable_i + sign(a_i) g_i) / |a_i|`` over the joints i, with the usable
+    torque of each servo [N·m], ``a`` = `sign` times row `row` of the Jacobian, and the gravity
+    torques g [N·m] at q (n,) [rad] with a `payload` [kg] at the tool. It is negative if the arm
+    cannot hold its weight, and infinite if no joint moves the axis.
     """
     jacobian = model.jacobian(q)
     gravity = model.gravity(q) - payload * model.gravity_vector @ jacobian[:3]
@@ -154,7 +164,7 @@ def load(name: str) -> Arm:
 
     Raises:
         ConfigError: The name is unknown.
-        FileNotFoundError: Its description is not available.
+        FileNotFoundError: The URDF of the arm is not available.
     """
     if name in robots.names():
         return Arm(name, robots.load(name))
@@ -168,13 +178,16 @@ def load(name: str) -> Arm:
 
 
 def available() -> tuple[list[str], list[str]]:
-    """Return the names of the arms that can be loaded, and of those without a description."""
+    """Return two lists of names: arms that can be loaded, and arms whose URDF is missing."""
     there = [name for name, (file, _, _) in BESIDE.items() if (ROBOTS / file).exists()]
     return [*robots.names(), *there], [name for name in BESIDE if name not in there]
 
 
 def _table(name: str, bare: pliant.Model) -> pliant.Servos:
-    """Return servos of a real robot: those of a similar built-in arm, or guessed from efforts."""
+    """Return servo parameters for the model `bare` of a real robot, which has none.
+
+    They are those of a built-in arm of the same type, or estimates by the simulator.
+    """
     like = {"so101 (real)": "so101", "koch (real)": "koch"}.get(name)
     if like is not None:
         ours = load(like).servos

@@ -1,8 +1,9 @@
-"""Torque on and `lower` over real bytes from many poses, with an unknown load, over a table.
+"""`Arm.enable` and `Arm.lower` with emulated servos, with an unknown load, and over a table.
 
-``python -m experiments.bus_lower [poses] [family]`` prints highest speeds and forces, the sag of
-the arm as torque comes on, the duration of descents, and the force on the table pose by pose. With
-one pose it is the grasp pose.
+``python -m experiments.bus_lower [poses] [family]`` switches torque on in several poses of `arm7`
+and lowers the arm. It prints the sag of the arm as torque comes on, the largest speeds of the tool,
+the duration of the descents, and the force on the table. The first pose is the grasp pose; the
+others are random.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import tyro
 
 from experiments import program
 from experiments.emulated_arm import FAMILIES, configuration, stepped
-from experiments.faults import RATE, Watcher
+from experiments.faults import RATE, PeakRecorder
 from experiments.lifecycle import AFTER, LOAD, TABLE, pose_table, postures
 from pliant.sim import table
 from pliant.sim.postures import VERTICAL
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from experiments.poses import Array
 
 
-#: Rows of the table: name, unknown load at the tool [kg], True if there is a table under the arm.
+#: Rows of the printed table: name, unknown load at the tool [kg], True with a table under the arm.
 CASES = (
     ("no obstacle", 0.0, False),
     ("unknown load of 0.3 kg", LOAD, False),
@@ -37,13 +38,13 @@ class LowerResult:
     """Result of one torque-on and descent.
 
     Attributes:
-        sank: Sag of the tool when torque is switched on [m].
-        left: Remaining sag after `enable` [m].
-        lifted: Highest speed of the tool during `enable` [m/s].
-        speed: Highest speed of the tool during the descent [m/s].
-        force: Largest mean over a tick of the force on one point of the table [N].
-        resting: Weight on the table once torque is off [N].
-        seconds: Duration of the descent.
+        sank: Largest sag of the tool during `enable`, which switches torque on [m].
+        left: Sag of the tool at the end of `enable` [m].
+        lifted: Largest speed of the tool during `enable` [m/s].
+        speed: Largest speed of the tool during the descent [m/s].
+        force: Largest force on one point of the table, averaged over 10 ms [N].
+        resting: Sum of the forces on all points of the table, 1 s after torque off [N].
+        seconds: Duration of the descent [s].
     """
 
     sank: float
@@ -56,28 +57,25 @@ class LowerResult:
 
 
 def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False) -> LowerResult:
-    """Enable the arm in q (n,) [rad] and lower it.
+    """Enable the arm in a pose, lower it, and return the result.
 
     Args:
-        family: `sts`, `x` or `p1`.
-        q: Posture (n,) [rad].
+        family: Servo family: `sts`, `x` or `p1`.
+        q: Start pose (n,) [rad].
         load: Unknown mass at the tool [kg].
-        over_table: True: a table 0.10 m below the lower of tool and wrist.
-
-    Returns:
-        The result.
+        over_table: True adds a table 0.10 m below the tool or the wrist, whichever is lower.
     """
     plant = {"payload": (load, (0.0, 0.0, 0.0))} if load else {}
     with stepped(family, q=q, arm={"rate": RATE}, plant=plant) as (bus, arm):
         if over_table:
             low = min(bus.plant.tool[2, 3], bus.plant.wrist[2]) - TABLE
             bus.plant.set_hands(table(low))
-        on = Watcher(bus)
+        on = PeakRecorder(bus)
         on.begin()
         arm.enable()
         left = on.start - float(bus.plant.tool[2, 3])
         on.end()
-        down = Watcher(bus)
+        down = PeakRecorder(bus)
         down.begin()
         begun = bus.plant.time
         arm.lower()
@@ -96,13 +94,16 @@ def lower(family: str, q: Array, *, load: float = 0.0, over_table: bool = False)
 
 
 def fits(family: str, q: Array) -> bool:
-    """Return True if servos of a family can reach a pose (n,) [rad]."""
+    """Return True if pose q (n,) [rad] is within the position limits of a family's servos."""
     model = configuration(family).model()
     return bool(np.all((model.lower < q) & (q < model.upper)))
 
 
 def poses(family: str, count: int) -> list[Array]:
-    """Return the grasp pose and random ones (n,) [rad] that the servos of a family can reach."""
+    """Return the grasp pose and random poses (n,) [rad] within the servos' position limits.
+
+    At most `count` poses are returned.
+    """
     return [q for q in [VERTICAL, *postures(4 * count)] if fits(family, q)][:count]
 
 
@@ -110,11 +111,13 @@ def main(
     count: Annotated[int, tyro.conf.arg(name="poses"), tyro.conf.Positional] = 10,
     family: tyro.conf.Positional[str] = "p1",
 ) -> None:
-    """Print the tables: worst (median) over the poses, and the table pose by pose.
+    """Print a table with the worst value and the median over the poses in each cell.
+
+    A second table has the force on the table in each pose.
 
     Args:
         count: Number of poses.
-        family: Servos: sts, x or p1.
+        family: Servo family: sts, x or p1.
     """
     starts = poses(family, count)
     columns = (

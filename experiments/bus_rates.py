@@ -1,8 +1,8 @@
-"""Read and write rates of seven servos over real bytes, against the wire's arithmetic.
+"""Read and write rates of seven emulated servos: ``python -m experiments.bus_rates [cycles]``.
 
-``python -m experiments.bus_rates [cycles]`` prints cycles per second of each family with and
-without wire timing, their ratio to the wire alone, and the processor share of an arm under control
-at 100 Hz.
+A cycle is one read and one write of all servos. The program prints for each servo family the
+cycles per second with and without emulated transmission times, their ratio to the rate that the
+transmission times allow, and the processor share of the host that controls an arm at 100 Hz.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from pliant.emulator import Device, Emulator, EmulatorProcess, Timing
 from pliant.loop import Loop
 from pliant.servo import ServoBus, ServoSpec, wire_time
 
-#: Number of servos, baud rate [bit/s], and duration of the run under control [s].
+#: Number of servos, baud rate [bit/s], and duration of the run that controls the arm [s].
 SERVOS, BAUD, CONTROLLED = 7, 1_000_000, 10.0
-#: Representative servo of each family.
+#: Emulated servo model of each family.
 MODELS = {"sts": "STS3215-12V", "x": "XM540-W270", "p1": "EX-106+"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rate:
-    """Cycles of one read and one write of all servos.
+    """Durations of a cycle with one read and one write of all servos.
 
     Attributes:
-        wire: Time on the wire alone [s], servos' turnaround included.
-        median, late: Median and 99th percentile of a cycle's time [s].
+        wire: Transmission time of a cycle on the bus [s], including the servos' response delays.
+        median, late: Median and 99th percentile of the measured duration of a cycle [s].
     """
 
     wire: float
@@ -45,12 +45,12 @@ class Rate:
 
     @property
     def ratio(self) -> float:
-        """Measured rate over the rate that the wire alone would allow."""
+        """Ratio of the measured rate to the rate that the wire time allows."""
         return self.wire / self.median
 
 
 def wire(model: str) -> float:
-    """Time of a cycle on the wire [s]."""
+    """Return the time that a cycle of `SERVOS` servos of a model takes on the bus [s]."""
     family = ServoSpec(name="a", model=model, id=1, port="").row.family
     size = family.read[0].size
     if family.sync_read:
@@ -71,7 +71,11 @@ def wire(model: str) -> float:
 
 
 def measure(family: str, cycles: int, *, timed: bool) -> Rate:
-    """Read and write as fast as possible, the emulator in a process of its own."""
+    """Measure `cycles` cycles that run as fast as possible.
+
+    The emulator runs in a separate process. `timed` is True if the emulator takes as long as the
+    transmission on a real bus.
+    """
     model = MODELS[family]
     own: dict[str, Any] = {"operating_mode": 5} if family == "x" else {}
     devices = [Device(model, id, return_delay_time=0, **own) for id in range(1, SERVOS + 1)]
@@ -94,7 +98,10 @@ def measure(family: str, cycles: int, *, timed: bool) -> Rate:
 
 
 def share(family: str, seconds: float) -> float:
-    """Return the processor share of control of the arm at 100 Hz in the host's process."""
+    """Return the CPU time over the wall time of this process while it controls `arm7` at 100 Hz.
+
+    The arm has emulated servos of the family, and the loop runs for `seconds` [s].
+    """
     read = configuration(family)
     with EmulatorProcess(emulator, family) as bus:
         chain = ServoBus(factory.servo_specs(read, bus.ports), reply_timeout_min=0.05)
@@ -112,7 +119,7 @@ def share(family: str, seconds: float) -> float:
 
 
 def main(cycles: tyro.conf.Positional[int] = 1000) -> None:
-    """Print the table.
+    """Print the measured rates of all servo families as a table.
 
     Args:
         cycles: Number of cycles per measurement.

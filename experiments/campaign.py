@@ -1,14 +1,19 @@
-"""The cap campaign: every promised cap against the force on a hand.
+"""Comparison of force caps with the force on a hand: ``python -m experiments.campaign``.
 
-``python -m experiments.campaign`` measures every axis, sign and cap in random poses of every arm,
-with the other axes free and guided; on `arm7` also one disturbance at a time on a tenth of the
-poses. A cap that the torque limits cannot hold in a pose is rejected, by the formula of
-`Arm.capacity`. A cap counts as announced if the report states before the push that a joint meets
-its position limit on the path, and that the friction of the others exceeds the band. All others
-must be in band; the strict count of all runs is printed beside it.
+In random poses of every arm, a hand pushes the tool along every axis in both directions, for
+several caps of this axis. The other axes are once free and once guided by springs. On `arm7` the
+campaign also tests single disturbances, in a tenth of the poses. A push is refused, that is not
+run, if the servos cannot exert the cap in the pose (`Arm.capacity`). A force outside the band below
+is announced if `Controller.report` predicts, before the push, that a joint meets its position limit
+and that the friction of the other joints exceeds the band. Of all other forces, the share `GOALS`
+must be in the band.
 
-The promise is ``min(F, K_x h (1 - η)|e| / C_jj)``; it is kept within ``0.15 F + Σ_i |J⁺_ij| (τ_f,i
-+ d_i |q̇_i|)``, plus ``0.25 F`` where k_p is wrong and not identified.
+The expected ("promised") force for a cap F at deviation e of axis j is
+``min(F, (1 - η)|e| / C_jj)``, with target adaptation η and the compliance C_jj of the servos'
+position loops along the axis. A force is in the band if it differs from the expected one by at most
+``0.15 F + Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|)`` over the joints i, with dry friction τ_f, damping d (in
+motion only) and the pseudo-inverse J⁺ of the Jacobian; plus ``0.25 F`` if the true k_p differs from
+the assumed one.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ import numpy as np
 import pliant
 from experiments import controllers, goals, program
 from experiments.arms import AXES, ROBOTS, available, load
-from experiments.controllers import UNBLURRED
+from experiments.controllers import NO_RATE_LIMITS
 from experiments.program import write_results
 from experiments.runner import run_jobs
 from experiments.simulation import NOMINAL, Conditions, closed_loop
@@ -40,42 +45,45 @@ if TYPE_CHECKING:
     from experiments.arms import Arm
     from experiments.poses import Array
 
-    #: Arm and disturbance by name.
+    #: Name of an arm and name of a disturbance.
     Key = tuple[str, str]
-    #: Promises by arm and disturbance.
+    #: Results of all pushes, by the names of arm and disturbance.
     Found = Mapping[tuple[str, str], Sequence["Promise"]]
-    #: Promises by the label of their line in the picture.
+    #: Results of pushes, by the label of their line in the picture.
     Groups = Mapping[str, Sequence["Promise"]]
 
-#: The hand moves WAY times the distance at which the cap is reached, plus MORE [m], for rotations
-#: [rad].
-WAY, MORE = 1.25, (0.005, 0.03)
-#: Largest distance that the hand moves, since the results belong to one pose [m], rotations [rad].
-FARTHEST = (0.10, 0.40)
-#: Start and duration of the hand's motion, rest after it, and evaluated part of the end [s].
-START, RISE, REST, LOOK = 0.1, 0.7, 0.7, 0.15
-#: Speed of a hand that is evaluated in motion: translations [m/s], rotations [rad/s].
-MOVING = (0.05, 0.25)
+#: The hand moves by `DISTANCE_FACTOR` times the deviation at which the cap is reached, plus
+#: `EXTRA_DISTANCE`: translations [m], rotations [rad].
+DISTANCE_FACTOR, EXTRA_DISTANCE = 1.25, (0.005, 0.03)
+#: Largest distance of the hand, so that the arm stays near its pose: translations [m],
+#: rotations [rad].
+MAX_DISTANCE = (0.10, 0.40)
+#: Start and duration of the hand's motion, rest after the motion, and time at the end of the run
+#: over which the force is averaged [s].
+START, RISE, REST, EVALUATED = 0.1, 0.7, 0.7, 0.15
+#: Speed of a hand whose force is evaluated during its motion: translations [m/s],
+#: rotations [rad/s].
+MOVING_SPEED = (0.05, 0.25)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbance:
-    """One deviation from nominal conditions.
+    """Deviation from nominal conditions.
 
     Attributes:
         name: Name in tables.
         eta: Target adaptation of the soft axis.
-        moving: True if the hand is evaluated in motion.
-        short: Largest share of the report's `stop_distance` that the hand moves.
-        delay: Ticks each way, known.
-        count: Encoder count [rad], flickering by one, known.
+        moving: True if the force is evaluated while the hand moves; False: while it rests.
+        short: Largest distance of the hand, as a share of the distance at which the report of the
+            controller predicts that a joint meets its position limit.
+        delay: Read and write delay [ticks], known to the controller.
+        count: Encoder step [rad], with a flicker of one count, known to the controller.
         kp: True over assumed stiffness.
         identified: True if the controller knows the true stiffness.
-        captured: True if gravity was captured in this pose.
+        captured: True if `Controller.capture_gravity` was called in the pose.
         payload: Unknown mass at the tool [kg].
-        gears: Friction by speed and load in place of the table's.
-        gears_known: True if the controller knows it.
-        plant: More options of the plant.
+        gears: Friction that depends on speed and load; None: the friction of the servo table.
+        gears_known: True if the controller knows the friction `gears`.
     """
 
     name: str
@@ -97,7 +105,8 @@ class Disturbance:
         return self.kp != 1.0 and not self.identified
 
 
-#: The cap has to hold up to this share of the distance to a stop that the report announced.
+#: Share of the predicted distance to a joint stop by which the hand moves in cases named "short of
+#: stops", see `Disturbance.short`.
 SHORT = 0.9
 
 UNDISTURBED = Disturbance(name="nominal")
@@ -124,30 +133,38 @@ DISTURBANCES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Promise:
-    """One cap in one pose, and its result.
+    """Expected force for one cap in one pose, and the measured result.
 
     Attributes:
         pose: Index among the arm's poses.
-        axis: Name.
-        sign: Direction of the push.
-        cap: F [N or N·m].
+        axis: Name of the axis.
+        sign: Direction of the push, 1 or -1.
+        cap: Cap F [N or N·m].
         guided: True if springs held the other axes.
-        refused: True if the limits cannot hold the cap here; it was not run.
-        announced: True if the report predicted before the push that the promise fails: within the
-            band the tool moves farther than `stop_distance` of this axis and side, and the friction
-            of the remaining joints there, `stop_friction`, exceeds the band.
-        rubs: `stop_friction` of the report [N or N·m].
-        promise: min(F, K_x h (1 - η)|e| / C_jj) at the deviation reached [N or N·m].
+        refused: True if the servos cannot exert the cap in this pose; the push was not run, and the
+            attributes below have no value.
+        announced: True if the report of the controller predicted a force outside the band: the push
+            moves a joint to its stop, and the friction of the remaining joints exceeds the band.
+        rubs: Reported friction force of the remaining joints at the stop; 0 if not `announced`
+            [N or N·m].
+        promise: Expected force min(F, (1 - η)|e| / C_jj) at the deviation e [N or N·m].
         felt: Measured force on the hand [N or N·m].
-        friction: Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|), which the assumed joints may hide [N or N·m].
-        true_friction: The same with the true dry friction.
-        band: Largest difference that keeps the promise [N or N·m].
-        stop: Part of the push on mechanical stops, Σ_i J⁺_ij t_i [N or N·m]; 0 without contact.
-        left: Σ_i |J⁺_ij| τ_f,i over the joints that no position limit held [N or N·m].
-        locked: True if a joint's motion was held by its position limit.
-        room: Distance of the nearest joint to its stop at the end [rad].
-        drift: Largest distance of the stiff axes from the target over the run's end [m].
-        speed: Rms speed of the joints at the end [rad/s].
+        friction: Force on the hand by friction and damping, Σ_i |J⁺_ij| (τ_f,i + d_i |q̇_i|) over
+            the joints i, with the assumed dry friction τ_f; damping d counts only for a hand whose
+            force is evaluated in motion [N or N·m].
+        true_friction: The force `friction` with the true instead of the assumed dry friction
+            [N or N·m].
+        band: Largest allowed difference between measured and expected force [N or N·m].
+        stop: Force on the hand by the joint stops, Σ_i J⁺_ij t_i, with the torque t of each stop;
+            0 if no joint touches its stop [N or N·m].
+        left: Friction force Σ_i |J⁺_ij| τ_f,i of the joints that are not locked [N or N·m].
+        locked: True if the controller locked a joint at its position limit.
+        room: Smallest distance of a joint to its position limit at the end [rad].
+        drift: Largest distance of the tool from the target along the stiff translations, during the
+            evaluated time at the end [m].
+        speed: Rms speed of the joints during the evaluated time at the end [rad/s].
+
+    The module's docstring defines F, η, e, C_jj and J⁺.
     """
 
     pose: int
@@ -172,25 +189,28 @@ class Promise:
 
     @property
     def error(self) -> float:
-        """Felt minus promised, as a share of the cap."""
+        """Measured minus expected force, as a share of the cap."""
         return (self.felt - self.promise) / self.cap
 
     @property
     def kept(self) -> bool:
-        """True if the promise was kept."""
+        """True if the measured force is in the band."""
         return abs(self.felt - self.promise) <= self.band
 
     @property
     def kept_as_said(self) -> bool:
-        """True if it was kept with the friction that the report announced beyond the stop."""
+        """True if the measured force is in the band after `rubs` has replaced `friction` in it.
+
+        `rubs` replaces `friction` only if it is larger.
+        """
         return abs(self.felt - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
 
     @property
     def stopped(self) -> bool:
-        """True if it was provably missed because a joint was at its position limit.
+        """True if the measured force is outside the band only because of a joint stop.
 
-        A stop takes part of the push, and the remaining joints have another friction: with both
-        counted, the promise holds.
+        The measured force minus `stop` is then in the band, with the friction `left` of the joints
+        that still move.
         """
         if self.kept or not (self.locked or self.stop != 0.0):
             return False
@@ -199,10 +219,10 @@ class Promise:
 
 
 class Bench:
-    """Plant, hand and controller of an arm under one disturbance, reused for all its promises."""
+    """Simulated arm, hand and controllers under one disturbance; reused for all pushes."""
 
     def __init__(self, arm: Arm, disturbance: Disturbance = UNDISTURBED) -> None:
-        """Build plant and hand."""
+        """Build the simulated arm and the hand."""
         self.arm, self.disturbance = arm, disturbance
         self.scale = arm.median_capacity[0] / OF_CAPACITY
         self.grip = Grip(self.scale)
@@ -228,7 +248,11 @@ class Bench:
         self._captured: tuple[bytes, Array, Array] | None = None
 
     def promises(self, pose: int, q: Array) -> list[Promise]:
-        """Measure all promises in one pose: axis, sign, cap, free and guided."""
+        """Return the results in pose q (n,) [rad] for every axis, direction and cap.
+
+        Each push is made twice: with the other axes free, and with the other axes guided by
+        springs. `pose` is the index of the pose.
+        """
         return [
             self.keep(pose, q, axis, sign, cap, guided=guided)
             for axis, row in zip(self.arm.axes, self.arm.rows, strict=True)
@@ -240,7 +264,7 @@ class Bench:
     def keep(
         self, pose: int, q: Array, axis: str, sign: float, cap: float, *, guided: bool
     ) -> Promise:
-        """Let the hand displace one axis from its target; compare its force with the promise.
+        """Push the tool along one soft axis by the hand; return expected and measured force.
 
         Args:
             pose: Index of the pose.
@@ -270,10 +294,11 @@ class Bench:
         report = controller.report(q).axes[axis]
         stop = report.stop[int(sign > 0.0)]
         stop_distance = np.inf if stop is None else stop.distance
-        way, speed = self._way(q, row, cap)
+        way, speed = self._hand_motion(q, row, cap)
         if seen.short < np.inf:
             way = min(way, seen.short * stop_distance)
-        # The tool moves less than the hand, whose spring yields under the largest allowed force.
+        # The push reaches a stop only if the tool does. The tool moves less than the hand, by the
+        # stretch of the hand's spring at the largest force in the band.
         allowed, rubs = (0.40 if seen.wrong else 0.15) * cap, report.friction
         far = way - (cap + allowed + rubs) / grip.stiffness[row]
         announced = stop is not None and stop.distance < far and stop.friction > rubs + allowed
@@ -286,9 +311,9 @@ class Bench:
         def push(now: float, plant: Plant) -> None:
             grip.move(row, sign * speed if START <= now < last - 1e-9 else 0.0)
 
-        goal = target[:3, 3] if self._flat else target
+        goal = target[:3, 3] if self._has_no_rotation else target
         for now, _, _ in closed_loop(plant, controller, goal, end, on_tick=push):
-            if now >= end - LOOK:
+            if now >= end - EVALUATED:
                 error = pliant.functional.pose_error(plant.tool, target)
                 felt.append(sign * grip.force(row))
                 moved.append(abs(error[row]))
@@ -300,7 +325,7 @@ class Bench:
         c = float(jacobian[self.arm.rows.index(row)] ** 2 @ self.compliance)
         joint_speed = np.mean(speeds, axis=0)
         rubs = self.damping * joint_speed if seen.moving else 0.0 * joint_speed
-        dry = self._dry(plant.q)
+        dry = self._dry_friction(plant.q)
         friction = float(inverse @ (dry + rubs))
         moves = ~np.asarray(controller.diagnostics.locked)
         left = np.abs(np.linalg.pinv(jacobian[:, moves])[:, self.arm.rows.index(row)])
@@ -315,7 +340,7 @@ class Bench:
             friction=friction,
             true_friction=float(inverse @ (plant.friction + rubs)),
             band=(0.40 if seen.wrong else 0.15) * cap + friction,
-            stop=-sign * float(column @ self._stops()),
+            stop=-sign * float(column @ self._stop_torques()),
             left=float(left @ dry[moves]),
             locked=bool(np.any(controller.diagnostics.locked)),
             room=float(space.min()),
@@ -323,29 +348,35 @@ class Bench:
             speed=float(np.sqrt(np.mean(np.square(speeds)))),
         )
 
-    def _dry(self, q: Array) -> Array:
-        """Return the assumed dry friction (n,) [N·m] at rest under the arm's weight."""
+    def _dry_friction(self, q: Array) -> Array:
+        """Return the assumed dry friction (n,) [N·m] of joints at rest that carry the arm."""
         s, weight = self.servos, np.abs(self.arm.model.gravity(q))
         at_rest: Array = np.asarray(s.friction) + s.stribeck
         return at_rest + (np.asarray(s.load_friction) + s.load_stribeck) * weight
 
     @property
-    def _flat(self) -> bool:
+    def _has_no_rotation(self) -> bool:
         """Return True if the task has no rotations."""
         return not any(row > 2 for row in self.arm.rows)
 
-    def _way(self, q: Array, row: int, cap: float) -> tuple[float, float]:
-        """Return distance [m or rad] and speed [m/s or rad/s] of the hand along the axis."""
+    def _hand_motion(self, q: Array, row: int, cap: float) -> tuple[float, float]:
+        """Return distance [m or rad] and speed [m/s or rad/s] of the hand along an axis.
+
+        Args:
+            q: Pose (n,) [rad] of the push.
+            row: Index of the axis.
+            cap: Cap of the axis [N or N·m].
+        """
         kind = row // 3
         c = float(self.arm.model.jacobian(q)[row] ** 2 @ self.compliance)
-        alone = WAY * cap * c / (1.0 - self.disturbance.eta) + MORE[kind]
-        way = min(alone, FARTHEST[kind]) + cap / self.grip.stiffness[row]
-        return way, MOVING[kind] if self.disturbance.moving else way / RISE
+        alone = DISTANCE_FACTOR * cap * c / (1.0 - self.disturbance.eta) + EXTRA_DISTANCE[kind]
+        way = min(alone, MAX_DISTANCE[kind]) + cap / self.grip.stiffness[row]
+        return way, MOVING_SPEED[kind] if self.disturbance.moving else way / RISE
 
     def _settings(self, **more: Any) -> pliant.Settings:
         delay = sum(self.disturbance.delay) / self.plant.rate
         task = " ".join(self.arm.axes)
-        return pliant.Settings(task=task, delay=delay, **UNBLURRED).replace(**more)
+        return pliant.Settings(task=task, delay=delay, **NO_RATE_LIMITS).replace(**more)
 
     def _controller(self, axis: str, cap: float) -> pliant.Controller:
         key = (axis, cap)
@@ -356,9 +387,10 @@ class Bench:
         return self._controllers[key]
 
     def _capture(self, q: Array) -> tuple[Array, Array]:
-        """Hold q for 2 s by an integrating goal; return the arm's positions and the goals."""
+        """Hold q for 2 s with integral control; return final positions and goals (n,) [rad]."""
         if self._captured is None or self._captured[0] != q.tobytes():
-            # With feed-forward and integration it oscillated in 9 of 20 poses with k_p 25 % low.
+            # Switch the friction feed-forward off: together with integration, it made 9 of 20 poses
+            # oscillate with a true k_p of 0.75 times the assumed one.
             holding = self._settings(
                 tracking=pliant.Tracking(integrate=4.0),
                 compensation=pliant.Compensation(friction=0.0, damping=0.0),
@@ -369,15 +401,15 @@ class Bench:
             self.grip.hold([])
             target = self.arm.model.forward_kinematics(q)
             goal = q
-            if self._flat:
+            if self._has_no_rotation:
                 target = target[:3, 3]
             for _, _, command in closed_loop(self.plant, controller, target, 2.0):
                 goal = command.goal
             self._captured = (q.tobytes(), np.array(self.plant.read().q), np.array(goal))
         return self._captured[1:]
 
-    def _stops(self) -> Array:
-        """Return the torques (n,) [N·m] of mechanical stops on the joints."""
+    def _stop_torques(self) -> Array:
+        """Return the torques (n,) [N·m] that mechanical stops exert on the joints at present."""
         model, data, arm = self.plant.mj_model, self.plant.mj_data, self.arm.model
         out = np.zeros(arm.n)
         stops = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
@@ -391,33 +423,36 @@ class Bench:
         return out
 
 
-# --- Jobs of the cap campaign, pose by pose, in one process or several ---
+# --- Jobs of the campaign, in one process or several ---
 
-#: Number of poses of `arm7`, and of every other arm; each disturbance uses 1/TENTH of the former.
+#: Number of poses of `arm7`, number of poses of every other arm, and divisor that gives the number
+#: of poses for each disturbance.
 POSES, OTHER_POSES, TENTH = 200, 50, 10
-#: Names of the identified gears, by arm.
+#: Identified friction of the gears, by arm.
 REAL_GEARS = {"arm7": Friction.of([MX106] * 4 + [MX64] * 3), "so101": STS3215}
 
 
 @dataclass(frozen=True)
 class Job:
-    """One pose of one arm under one disturbance."""
+    """All pushes on one arm in one pose under one disturbance."""
 
     arm: str
     disturbance: Disturbance
     pose: int
 
     def run(self) -> list[Promise]:
-        """Measure all promises of the pose."""
+        """Run all pushes and return their results."""
         bench = _bench(self.arm, self.disturbance.name)
         return bench.promises(self.pose, bench.arm.poses(self.pose + 1)[self.pose])
 
 
 def gears(arm: str) -> tuple[Disturbance, Disturbance]:
-    """Return the identified friction by speed and load, unknown and known to the controller.
+    """Return two disturbances of an arm, whose gears have friction identified on real servos.
+
+    The controller does not know this friction in the first disturbance, and knows it in the second.
 
     Raises:
-        KeyError: The gears are not identified.
+        KeyError: `REAL_GEARS` does not have this arm.
     """
     unknown = replace(UNDISTURBED, name="gears as they are", gears=REAL_GEARS[arm])
     return unknown, replace(unknown, name="gears as they are, identified", gears_known=True)
@@ -425,7 +460,7 @@ def gears(arm: str) -> tuple[Disturbance, Disturbance]:
 
 @lru_cache(maxsize=2)
 def _bench(arm: str, disturbance: str) -> Bench:
-    """Return the bench of this process; jobs come arm by arm, disturbance by disturbance."""
+    """Return the `Bench` of an arm under a disturbance; consecutive jobs share it."""
     known = {one.name: one for one in (UNDISTURBED, *DISTURBANCES)}
     if disturbance not in known:
         known |= {one.name: one for one in gears(arm)}
@@ -438,10 +473,10 @@ def campaign_jobs(
     """Return all jobs of a campaign.
 
     Args:
-        arms: Names.
-        poses: Number for `arm7`; other arms have a quarter, each disturbance a tenth.
-        disturbed: True: `arm7` also runs under disturbances.
-        friction: True: identified gears are included, on a tenth of the poses.
+        arms: Names of the arms.
+        poses: Number of poses of `arm7`; other arms have a quarter, each disturbance a tenth.
+        disturbed: True includes the disturbances, on `arm7` only.
+        friction: True includes the disturbances of `gears`, on arms of `REAL_GEARS`.
     """
     out: list[Job] = []
     for name in arms:
@@ -456,54 +491,61 @@ def campaign_jobs(
     return out
 
 
-def run_campaign(work: Sequence[Job], processes: int = 1) -> Iterator[tuple[Key, list[Promise]]]:
+def run_campaign(
+    work: Sequence[Job], processes: int = 1, resume: Path | None = None
+) -> Iterator[tuple[Key, list[Promise]]]:
     """Run jobs, in parallel if joblib is installed.
 
     Args:
-        work: Jobs, arm by arm and disturbance by disturbance.
+        work: Jobs, in which those of the same arm and disturbance are consecutive.
         processes: Number of processes.
+        resume: Folder of saved results, see `run_jobs`.
 
     Yields:
-        Arm and disturbance with all their promises, as they complete.
+        Pairs: the names of arm and disturbance, and the list of results of their jobs.
     """
-    done = run_jobs(work, processes, "campaign")
+    done = run_jobs(work, processes, "campaign", resume)
     pairs = zip(work, done, strict=True)
     for key, group in groupby(pairs, key=lambda pair: (pair[0].arm, pair[0].disturbance.name)):
         yield key, [promise for _, promises in group for promise in promises]
 
 
-# --- Results of a cap campaign: figures per arm and disturbance, a table, a file and a picture ---
+# --- Statistics of the campaign: table, file and picture ---
 
-#: Distance from the stops above which a pose is clear [rad].
+#: A pose counts as clear of stops if every joint is at least this far from its stops [rad].
 CLEAR = 0.15
-#: Required shares of kept promises: without a disturbance, and with one.
+#: Required shares of forces in the band: without a disturbance, and with one.
 GOALS = (0.97, 0.95)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """Figures of one arm under one disturbance; errors are shares of the cap.
+    """Statistics of the pushes of one arm under one disturbance.
+
+    Shares are of the pushes that were run, if not stated otherwise. `Promise` defines the terms.
 
     Attributes:
-        arm, disturbance: Names.
+        arm, disturbance: Names of arm and disturbance.
         poses: Number of poses.
-        cases: Promises, rejected ones included.
-        refused: Share of the cases that the limits cannot hold.
-        kept: Share in band, every pose and axis.
-        kept_free, kept_guided: The same with the other axes free and held.
-        announced: Share for which the report predicted a position limit on the path of the push.
-        kept_rest: Share in band of all others: the decisive figure.
-        kept_announced: Share in band of the announced ones.
-        as_said: Share of these in band with the announced friction.
-        stopped: Share not in band, provably by a joint at its position limit.
-        kept_clear: Share in band with every joint clear of its stops at the end.
-        clear: Share of such cases.
-        kept_truly: Share within the band of the true friction.
-        median, p95: Median and 95th percentile of |felt - promised| over the cap.
-        median_free, p95_free: The same, other axes free.
-        drift: 95th percentile of the stiff axes' drift under the middle cap, other axes free [mm].
-        drift_kept: Share of these below 5 mm.
-        friction: Median of the hidden friction [N or N·m], over the cap.
+        cases: Number of pushes, including refused ones.
+        refused: Share of all pushes in which the servos cannot exert the cap.
+        kept: Share of pushes whose force is in the band.
+        kept_free, kept_guided: Share in the band of the pushes with the other axes free, and of
+            those with the other axes guided by springs.
+        announced: Share of pushes for which the report predicted a force outside the band.
+        kept_rest: Share in the band of the pushes that are not announced; must reach `GOALS`.
+        kept_announced: Share in the band of the announced pushes.
+        as_said: Share of the announced pushes with `Promise.kept_as_said`.
+        stopped: Share of pushes outside the band only because of a joint stop.
+        kept_clear: Share in the band of the pushes that are `clear`.
+        clear: Share of pushes at whose end every joint is at least `CLEAR` from its stops.
+        kept_truly: Share in a band that is computed with the true friction.
+        median, p95: Median and 95th percentile of |measured - expected| force over the cap.
+        median_free, p95_free: `median` and `p95` of the pushes with the other axes free.
+        drift: 95th percentile of `Promise.drift` over the pushes along x, y, z with the middle cap
+            and the other axes free [mm].
+        drift_kept: Share of the pushes counted in `drift` whose drift is below 5 mm.
+        friction: Median of the friction force over the cap.
     """
 
     arm: str
@@ -532,12 +574,12 @@ class Row:
 
     @property
     def met(self) -> bool:
-        """True if enough of the promises without an announcement were kept."""
+        """True if `kept_rest` reaches the share that `GOALS` requires."""
         return self.kept_rest >= GOALS[self.disturbance != "nominal"]
 
 
 def summary(arm: str, disturbance: str, found: Sequence[Promise]) -> Row:
-    """Compute the figures of one arm under one disturbance."""
+    """Return the statistics of the results `found` of one arm under one disturbance."""
     run = [one for one in found if not one.refused]
     caps = {axis: sorted({p.cap for p in found if p.axis == axis}) for axis in "xyz"}
     drifts = [
@@ -593,7 +635,7 @@ COLUMNS = (
 
 
 def text(rows: Sequence[Row]) -> str:
-    """Return the table, as Markdown."""
+    """Return the statistics as a Markdown table."""
     lines = []
     for r in rows:
         shares = (
@@ -618,7 +660,10 @@ def text(rows: Sequence[Row]) -> str:
 
 
 def save_results(folder: Path, rows: Sequence[Row], found: Found, about: Mapping[str, Any]) -> None:
-    """Write `results.json`: options, figures, and every promise that was not kept."""
+    """Write `results.json` into a folder: options, statistics, and every push outside the band.
+
+    `about` contains the options of the campaign.
+    """
     missed = [
         {"arm": arm, "disturbance": disturbance, **asdict(one)}
         for (arm, disturbance), promises in found.items()
@@ -629,7 +674,10 @@ def save_results(folder: Path, rows: Sequence[Row], found: Found, about: Mapping
 
 
 def draw(folder: Path, rows: Sequence[Row], found: Found) -> None:
-    """Draw `campaign.png`: distribution of the errors, by arm and by disturbance."""
+    """Draw `campaign.png`: distributions of the force errors, by arm and by disturbance.
+
+    The second panel has the disturbances of the first arm in `rows`.
+    """
     first = rows[0].arm if rows else ""
     panels = {
         "Nominal, by arm": {arm: p for (arm, name), p in found.items() if name == "nominal"},
@@ -640,27 +688,29 @@ def draw(folder: Path, rows: Sequence[Row], found: Found) -> None:
     draw_errors(panels, folder, "campaign")
 
 
-# --- Accuracy of promised caps: the distribution of felt minus promised, one line per group ---
+# --- Picture of the force errors ---
 
 
 def draw_errors(panels: Mapping[str, Groups], folder: Path, stem: str) -> None:
-    """Draw one panel beside the other, each of its groups a line; refused promises are left out.
+    """Draw distributions of force errors in panels side by side, with one line per group.
+
+    Refused pushes are ignored.
 
     Args:
-        panels: Groups by the panel's title.
+        panels: Groups of pushes, by the title of the panel.
         folder: Target folder.
-        stem: Name of the picture's files.
+        stem: File name of the picture, without extension.
     """
     lines = max(4, *(len(groups) for groups in panels.values()))
     with canvas(1, len(panels), size=(WIDE, 1.2 + 0.42 * lines)) as (figure, axes):
         for ax, (title, groups) in zip(axes[0], panels.items(), strict=True):
-            _strips(ax, groups)
+            _draw_quantiles(ax, groups)
             ax.set_title(title)
         save(figure, folder, stem)
 
 
-def _strips(ax: Any, groups: Groups) -> None:
-    """Draw per group the ranges of the middle 95 % and 50 % of errors, median and share in band."""
+def _draw_quantiles(ax: Any, groups: Groups) -> None:
+    """Draw one line per group: middle 95 % and 50 % of the errors, median, share in the band."""
     for place, promises in enumerate(reversed(list(groups.values()))):
         run = [p for p in promises if not p.refused]
         if not run:
@@ -692,10 +742,13 @@ def _strips(ax: Any, groups: Groups) -> None:
 
 
 def gears_text() -> str:
-    """Measure drag and door with the table's friction and with identified gears, unknown and known.
+    """Measure drag and door experiments of `arm7` with different friction of the gears.
+
+    The friction is that of the servo table, or the friction identified on real gears; the
+    controller does not know, knows or underestimates the latter.
 
     Returns:
-        A table in Markdown; forces in N, drift in mm, the door's opening in deg.
+        Markdown table with forces in N, drift in mm, and the door's opening in deg.
     """
     measures = {
         "15 N hand": goals.light(controllers.cap()),
@@ -721,16 +774,18 @@ def main(
     out: Path = Path("pliant-campaign"),
     friction: bool = False,
     disturbed: bool = True,
+    resume: Path | None = None,
 ) -> None:
-    """Measure every promised cap against the force on a hand.
+    """Compare every cap with the force on a hand.
 
     Args:
-        poses: Poses of arm7; other arms have a quarter of them, each disturbance a tenth.
-        arm: Arms by name; default all.
+        poses: Number of poses of arm7; other arms have a quarter, each disturbance a tenth.
+        arm: Names of the arms; default: all.
         jobs: Number of processes.
         out: Folder for results.json and the picture.
-        friction: True: Stribeck and load-dependent friction are included: caps, drag and door.
-        disturbed: True: arm7 also runs under disturbances.
+        friction: True includes Stribeck and load-dependent friction.
+        disturbed: True includes the disturbances on arm7.
+        resume: Folder in which results are kept; a second run continues there.
     """
     there, absent = available()
     for name in absent:
@@ -739,7 +794,7 @@ def main(
     work = campaign_jobs(arms, poses, disturbed=disturbed, friction=friction)
     found: dict[tuple[str, str], list[Promise]] = {}
     rows: list[Row] = []
-    for key, promises in run_campaign(work, jobs):
+    for key, promises in run_campaign(work, jobs, resume):
         found[key] = promises
         rows.append(summary(*key, promises))
         lines = text(rows).splitlines()

@@ -1,4 +1,4 @@
-"""The promised cap, measured: the push-back of an axis in random poses."""
+"""Accuracy of force caps: the force of a soft axis on a hand, in random poses of `arm7`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.arms import capacity
-from experiments.controllers import UNBLURRED
+from experiments.controllers import NO_RATE_LIMITS
 from experiments.poses import AXES, arm, servos
 from experiments.simulation import NOMINAL, run
 from pliant import Axis, Settings
@@ -25,23 +25,24 @@ if TYPE_CHECKING:
     from pliant.sim import Hand
 
 
-#: Caps: 15, 30, 60 % of the arm's median force capacity [N], 7, 14 % of its torque capacity [N·m].
+#: Tested caps of translations [N] and rotations [N·m]: 15, 30, 60 % and 7, 14 % of the median
+#: static capacity of `arm7` (`experiments.arms.capacity`).
 FORCES, TORQUES = (5.0, 10.0, 20.0), (0.5, 1.0)
-#: The hand moves WAY times the distance at which the cap is reached, plus MORE [m], for rotations
-#: [rad].
-WAY, MORE = 1.25, (0.005, 0.03)
-#: The force is averaged from SETTLED, when the hand holds still, to END [s].
+#: The hand moves by `DISTANCE_FACTOR` times the deviation at which the cap is reached, plus
+#: `EXTRA_DISTANCE`: translations [m], rotations [rad].
+DISTANCE_FACTOR, EXTRA_DISTANCE = 1.25, (0.005, 0.03)
+#: Start and end of the time in which the force is averaged; the hand is then at rest [s].
 SETTLED, END = 2.5, 3.0
-#: Poses with a smallest singular value below this share of the median are left out.
+#: Smallest accepted singular value of the Jacobian of a pose, as a share of the median over random
+#: poses.
 LEAST_SIGMA = 0.65
-#: A pose is clear if all joints are farther than this from their stops [rad]. Otherwise a stop may
-#: take part of the push.
+#: A pose counts as clear of stops if every joint is at least this far from its stops [rad].
 CLEAR = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Push to measure: pose, axis, direction and cap."""
+    """One push: pose q (7,) [rad], axis, direction (1 or -1) and cap of the axis [N or N·m]."""
 
     q: Array
     axis: str
@@ -50,21 +51,23 @@ class Case:
 
     @property
     def clear(self) -> bool:
-        """True if every joint is clear of its stops."""
+        """True if every joint is at least `CLEAR` from its position limits."""
         room = np.minimum(self.q - arm().lower, np.asarray(arm().upper) - self.q)
         return bool(room.min() >= CLEAR)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CapResult:
-    """One axis pushed in one pose: the promise and the force on the hand [N or N·m].
+    """Expected and measured force of a push on one axis in one pose.
 
     Attributes:
         axis, sign: Axis and direction of the push.
-        cap: Cap of the axis.
-        promise: min(F, K_x h (1 - η)|e| / C_jj) at the measured deviation.
-        measured: Force on the hand.
-        friction: Σ_i |J⁺_ij| τ_f,i, the part that the joints' friction may hide.
+        cap: Cap F of the axis [N or N·m].
+        promise: Expected force min(F, |e| / C_jj) at the measured deviation e of the axis j, with
+            the compliance C_jj of the servos' position loops along the axis [N or N·m].
+        measured: Mean force on the resting hand [N or N·m].
+        friction: Force by the joints' dry friction τ_f, Σ_i |J⁺_ij| τ_f,i over the joints i, with
+            the pseudo-inverse J⁺ of the Jacobian [N or N·m].
     """
 
     axis: str
@@ -76,7 +79,7 @@ class CapResult:
 
     @property
     def kept(self) -> bool:
-        """True if the force is within 15 % of the cap and the friction of its promise."""
+        """True if measured and expected force differ by at most 15 % of the cap + `friction`."""
         return abs(self.measured - self.promise) <= 0.15 * self.cap + self.friction
 
 
@@ -90,16 +93,16 @@ def evaluate(
     sign: float,
     cap: float,
 ) -> CapResult:
-    """Compare the force on the hand from 2.5 to 3 s of a push with the promise of a cap.
+    """Return expected and measured force of a recorded push, without target adaptation.
 
     Args:
-        trace: The push.
+        trace: Record of the push, whose hand rests from `SETTLED` to `END`.
         model: The arm.
-        table: Its servos.
-        rows: Task axes.
-        row: Row of the pushed axis.
-        sign: Direction.
-        cap: Setting [N or N·m].
+        table: Servo parameters of the arm.
+        rows: Jacobian rows of the task axes.
+        row: Jacobian row of the pushed axis.
+        sign: Direction of the push, 1 or -1.
+        cap: Cap of the axis [N or N·m].
     """
     still = trace.between(SETTLED, END)
     felt = (trace.force if row < 3 else trace.moment)[still, row % 3]
@@ -121,14 +124,17 @@ def _sigma(q: Array) -> float:
 
 
 def _compliance(q: Array, axis: int) -> float:
-    """Return C_jj, the compliance of an axis by its servos at q (7,) [m/N or rad/(N·m)]."""
+    """Return the compliance C_jj of the position loops along an axis at q [m/N or rad/(N·m)]."""
     row = arm().jacobian(q)[axis]
     return float(row**2 @ (1.0 / np.asarray(servos().kp)))
 
 
 @cache
 def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
-    """Return random poses (7,) [rad], away from singular ones, by a margin from the stops."""
+    """Return up to `count` random poses (7,) [rad] that are not near a singularity.
+
+    Every joint is at least `margin` [rad] from its stops.
+    """
     model, rng = arm(), np.random.default_rng(seed)
     low, high = np.asarray(model.lower) + margin, np.asarray(model.upper) - margin
     sample = rng.uniform(low, high, (512, model.n))
@@ -138,15 +144,18 @@ def poses(count: int, margin: float = 0.0, seed: int = 0) -> tuple[Array, ...]:
 
 
 def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
-    """Yield promises for `count` poses: every axis and sign, a random cap that the servos can hold.
+    """Yield pushes along every axis, in both directions, in `count` random poses.
+
+    The cap of each push is random, from `FORCES` or `TORQUES`. A push whose cap the servos cannot
+    exert in its pose is omitted.
 
     Args:
         count: Number of poses.
-        margin: Distance of every joint from its stops [rad].
+        margin: Smallest distance of every joint from its stops [rad].
         seed: Random seed.
 
     Yields:
-        One case for each axis and sign.
+        At most one case for each pose, axis and direction.
     """
     rng = np.random.default_rng(seed + 1)
     for q in poses(count, margin, seed):
@@ -158,19 +167,21 @@ def cases(count: int, margin: float = 0.0, seed: int = 0) -> Iterator[Case]:
 
 
 def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) -> CapResult:
-    """Drag one axis away from its target, hold it still, and compare the force with the promise.
+    """Drag the tool along one soft axis by a hand, hold it, and return the forces on the hand.
 
     Args:
-        case: Pose, axis, side and cap.
-        guided: True: springs hold the other axes.
-        conditions: Loop, bus and assumptions.
+        case: Pose, axis, direction and cap.
+        guided: True: springs hold the other axes; False: the hand leaves them free.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
 
     Returns:
-        The promise and the force.
+        Expected and measured force.
     """
     index = AXES.index(case.axis)
     course = ForceProfile(start=0.5, rise=1.0, end=np.inf)
-    way = case.sign * (WAY * case.cap * _compliance(case.q, index) + MORE[index // 3])
+    way = case.sign * (
+        DISTANCE_FACTOR * case.cap * _compliance(case.q, index) + EXTRA_DISTANCE[index // 3]
+    )
     hand: Hand
     if index < 3:
         hand = Drag(
@@ -182,7 +193,7 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     if guided:
         scene.append(SpringConstraint(axes=" ".join(name for name in AXES if name != case.axis)))
     soft = Axis(soft=case.cap, firm=case.cap)
-    settings = Settings(axes={case.axis: soft}, **UNBLURRED)
+    settings = Settings(axes={case.axis: soft}, **NO_RATE_LIMITS)
     target = arm().forward_kinematics(case.q)
     trace = run(conditions.build(*scene), conditions.controller(settings), target, END, q=case.q)
     return evaluate(trace, arm(), servos(), rows=range(6), row=index, sign=case.sign, cap=case.cap)

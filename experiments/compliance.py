@@ -1,4 +1,4 @@
-"""Force of an axis by its deviation: profiles of yielding axes, limits of stiff ones."""
+"""Force of an axis as a function of its deviation, for soft axes and limited stiff axes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pliant.sim import Plant
 
 
-#: Strong hand that moves 0.15 m in 6 s, slowly enough to measure static force against deviation.
+#: Hand that moves 0.15 m in 6 s, slowly enough to measure the static force.
 STEADY = Drag(
     axis="y",
     distance=0.15,
@@ -29,10 +29,11 @@ STEADY = Drag(
     at="tool",
     course=ForceProfile(start=1.0, rise=6.0, end=7.0),
 )
-#: Distance of the wall from the tool; target behind the wall, and displaced sideways [m].
+#: Run `block`: distance of the wall from the tool, final distance of the target behind the surface
+#: of the wall, and final sideways distance of the target from the tool's start [m].
 GAP, BEHIND, ASIDE = 0.03, 0.07, 0.10
-#: Time at which the wall is removed from the scene [s].
-GONE = 6.0
+#: Time at which the wall is removed [s].
+WALL_END = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,9 +41,10 @@ class ForceCurve:
     """Force against deviation of one axis.
 
     Attributes:
-        deviation: Distance of the axis from its target, tick by tick (N,) [m].
-        force: Force on the hand along it (N,) [N].
-        trace: The run.
+        deviation: Displacement of the tool from its constant target along the axis, at each tick
+            (N,) [m].
+        force: Force on the hand along the axis at each tick (N,) [N].
+        trace: Recorded run.
     """
 
     deviation: Array
@@ -51,11 +53,11 @@ class ForceCurve:
 
 
 def answer(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> ForceCurve:
-    """Drag the tool along y by 0.15 m at 0.025 m/s.
+    """Drag the tool along y by 0.15 m at 0.025 m/s; return force and deviation of the axis y.
 
     Args:
-        law: The settings.
-        conditions: Loop, bus and beliefs.
+        law: Settings of the controller.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     trace = run(
         conditions.build(STEADY), conditions.controller(law), tool(VERTICAL), 7.0, q=VERTICAL
@@ -65,7 +67,10 @@ def answer(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> ForceCu
 
 
 def stiffness(axis: str, q: Array = VERTICAL) -> float:
-    """Return the servos' stiffness along an axis, 1/C_jj with C = J K_p⁻¹ Jᵀ [N/m or N·m/rad]."""
+    """Return the stiffness of the position loops along an axis at q (7,) [N/m or N·m/rad].
+
+    It is 1/C_jj for axis j, with C = J K_p⁻¹ Jᵀ, the Jacobian J and the servos' stiffnesses K_p.
+    """
     row = arm().jacobian(q)[AXES.index(axis)]
     return float(1.0 / (row / np.asarray(servos().kp) @ row))
 
@@ -75,13 +80,14 @@ class BlockResult:
     """Result of a target behind a wall and to the side, before and after the wall is removed.
 
     Attributes:
-        force: Mean force on the wall in its last second [N].
-        peak: Largest force on it [N].
-        aside: Sideways motion of the tool in that second [m].
-        fastest: Largest speed of the tool after the wall is removed [m/s].
+        force: Mean force on the wall in the last second before its removal [N].
+        peak: Largest force on the wall [N].
+        aside: Mean sideways displacement of the tool in the last second before the removal [m].
+        fastest: Largest speed of the tool after the removal [m/s].
         left: Distance of the tool from its target at the end [m].
-        limited: Share of the ticks at the wall in which the controller reported the limit.
-        trace: The run.
+        limited: Share of the ticks in the last 2 s before the removal at which the diagnostics of
+            the controller report `deviation_limited` for an axis.
+        trace: Recorded run.
     """
 
     force: float
@@ -94,11 +100,11 @@ class BlockResult:
 
 
 def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> BlockResult:
-    """Move the target along x and y at once, with a wall across x until 6 s.
+    """Move the target along x and y at the same time, with a wall across x until 6 s.
 
     Args:
-        law: The settings.
-        conditions: Loop, bus and assumptions.
+        law: Settings of the controller.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     plant = conditions.build(Wall(distance=GAP, stiffness=2e4, damping=50.0))
     controller = conditions.controller(law)
@@ -111,13 +117,13 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> BlockRes
         return displaced(displaced(start, "x", share * (GAP + BEHIND)), "y", share * ASIDE)
 
     def take_away(time: float, plant: Plant) -> None:
-        if abs(time - GONE) < 0.5 * plant.period:
+        if abs(time - WALL_END) < 0.5 * plant.period:
             plant.set_hands([])
-        if GONE - 2.0 < time < GONE:
+        if WALL_END - 2.0 < time < WALL_END:
             flags.append(bool(controller.diagnostics.deviation_limited.any()))
 
     trace = run(plant, controller, target, 9.0, q=VERTICAL, on_tick=take_away)
-    last, free = trace.between(GONE - 1.0, GONE), trace.t > GONE
+    last, free = trace.between(WALL_END - 1.0, WALL_END), trace.t > WALL_END
     speed = np.linalg.norm(np.diff(trace.position[free], axis=0), axis=1) * conditions.rate
     return BlockResult(
         force=float(-trace.force[last, 0].mean()),
@@ -132,13 +138,13 @@ def block(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> BlockRes
 
 @dataclass(frozen=True, kw_only=True)
 class JumpResult:
-    """Result of a target that jumped by 0.10 m in x and in y without obstacle.
+    """Result of a step of the target by 0.10 m in x and in y, without an obstacle.
 
     Attributes:
-        after: Time from the jump until the tool stays within 3 mm of it [s].
-        left: Distance at the end [m].
+        after: Time from the step until the tool stays within 3 mm of the target [s].
+        left: Distance from the target at the end [m].
         speed: Rms speed of the joints in the last second [rad/s].
-        trace: The run.
+        trace: Recorded run.
     """
 
     after: float
@@ -148,11 +154,11 @@ class JumpResult:
 
 
 def jump(law: pliant.Settings, *, conditions: Conditions = NOMINAL) -> JumpResult:
-    """Let the target jump by 0.10 m in x and in y at 1 s; the run ends at 5 s.
+    """Step the target by 0.10 m in x and in y at 1 s; the run ends at 5 s.
 
     Args:
-        law: The settings.
-        conditions: Loop, bus and beliefs.
+        law: Settings of the controller.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     start = tool(VERTICAL)
     there = displaced(displaced(start, "x", 0.10), "y", 0.10)

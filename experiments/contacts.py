@@ -1,9 +1,9 @@
 """Contact detection without force sensors: latency, missed contacts, false alarms.
 
-``python -m experiments.contacts`` lets a hand of random stiffness and speed meet the tool 1000
-times in random poses, and lets the arm move freely for one hour, both at 100 Hz, with flickering
-encoder counts and friction assumed wrong by up to 30 %. Other cases (everything known, k_p off,
-identified gears, servos that report their load, a small arm) get a quarter of that.
+``python -m experiments.contacts`` simulates 1000 contacts of `arm7` with a hand of random stiffness
+and speed in random poses, and one hour of motion without contact, at 100 Hz. Encoder counts
+flicker, and the assumed friction is wrong by up to 30 %. Other cases (no errors, wrong k_p,
+identified gears, servos that report their load, a small arm) get a quarter of the runs.
 """
 
 from __future__ import annotations
@@ -37,33 +37,34 @@ if TYPE_CHECKING:
 
 
 RATE = 100.0
-#: Start and duration of a hand's contact [s].
-COMES, STAYS = 0.7, 0.8
-#: Random contacts: stiffness [N/m], speed [m/s] and largest force [N] of the hand, speed of the arm
-#: [m/s]; the first two are drawn by their logarithms.
+#: Start and duration of a contact [s].
+CONTACT_START, CONTACT_DURATION = 0.7, 0.8
+#: Ranges of random contacts: stiffness [N/m] and speed [m/s] of the hand (log-uniform), largest
+#: force of the hand as a share of 0.45 times the arm's median static capacity
+#: (`Arm.median_capacity`), speed of the arm's target [m/s].
 STIFFNESS, SPEED, FORCE, MOTION = (200.0, 20e3), (0.02, 0.25), (0.15, 0.9), (0.0, 0.15)
-#: Free motion: largest distance of the joints from a middle pose [rad], time from point to point
-#: [s].
-WANDER, LEG = 0.45, (1.2, 3.0)
-#: Share of legs after which the arm rests for half a second.
-RESTS = 0.3
+#: Motion without contact: largest distance of each joint from a middle pose [rad], and range of the
+#: duration of a motion from point to point [s].
+MOTION_RANGE, SEGMENT_TIME = 0.45, (1.2, 3.0)
+#: Share of the motions from point to point that are replaced by a rest of half a second.
+REST_SHARE = 0.3
 
 
 @dataclass(frozen=True)
 class Case:
-    """Errors of the controller's assumptions, and the part of them that the estimator knows.
+    """Errors of the controller's assumptions, and options of the estimator.
 
     Attributes:
         name: Name in tables.
         arm: Name of the arm.
-        encoder: True if readings have counts that flicker.
-        friction: Share by which assumed friction and damping are off, at random by joint.
-        kp: Share by which assumed k_p is off, at random by joint.
-        gears: True if friction depends on speed and load.
-        identified: True if the controller knows the gears' friction by speed and load.
-        sensed: True if servos report their load, 10 % off at most and with 1 % of noise.
-        delay: Known delay of readings and commands [ticks].
-        told: Further options of `pliant.ContactEstimator`.
+        encoder: True if encoder counts flicker.
+        friction: Largest relative error of assumed friction and damping, random per joint.
+        kp: Largest relative error of assumed k_p, random per joint.
+        gears: True if the true friction depends on speed and load, as identified on real gears.
+        identified: True if the controller assumes the friction of `gears`.
+        sensed: True if servos report their load, with errors up to 10 % and 1 % noise.
+        delay: Delay of readings and commands, known to the controller [ticks].
+        told: Further options of `pliant.ContactEstimator`, which replace those of `options`.
     """
 
     name: str
@@ -78,20 +79,20 @@ class Case:
     told: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self) -> dict[str, Any]:
-        """Return the options of the estimator: known errors, in shares."""
+        """Return the options of `pliant.ContactEstimator`, with the case's largest errors."""
         known = {"kp_error": max(self.kp, 0.02), "gravity_error": 0.02, "load_error": 0.1}
         return {"friction_error": max(self.friction, 0.05), **known, **self.told}
 
 
 @dataclass(frozen=True)
 class Record:
-    """One run, one row per reading.
+    """Record of one run, with one row per reading.
 
     Attributes:
-        felt: Estimated force (N, 3) [N] and torque (N, 3) [N·m], base axes: (N, 6).
-        bound: Its uncertainty (N, 6).
-        truth: True force in the period before the reading (N, 6).
-        evidence: Largest residual of a joint over its bound (N,).
+        felt: Estimated force [N] and torque [N·m] on the tool in base axes (N, 6).
+        bound: Uncertainty of `felt` (N, 6).
+        truth: True force and torque on the tool in the period before the reading (N, 6).
+        evidence: Largest ratio of a joint's torque residual to its uncertainty (N,).
     """
 
     felt: Array
@@ -101,32 +102,33 @@ class Record:
 
 
 class Bump:
-    """A hand that meets the tool at its present position and continues behind a spring.
+    """Hand that meets the tool at its present position and moves on, with a spring in between.
 
-    ``f = clip(stiffness (speed (t - t0) - shift since t0), 0, limit)`` along a direction: it pushes
-    and never pulls.
+    At time t, the force along the direction of motion is
+    ``clip(stiffness (speed (t - t0) - shift), 0, limit)``, with the displacement `shift` of the
+    tool along this direction since the start t0 of the contact. The hand never pulls.
     """
 
     at = "tool"
 
     def __init__(self, direction: Array, stiffness: float, speed: float, limit: float) -> None:
-        """Direction (3,) in base axes, stiffness [N/m], speed [m/s], largest force [N]."""
+        """Set direction (3,) in base axes, stiffness [N/m], speed [m/s], largest force [N]."""
         self.direction, self.stiffness, self.speed, self.limit = direction, stiffness, speed, limit
         self._met: Array | None = None
 
     def force(self, ground_truth: GroundTruth, t: float) -> tuple[Array, Array, Array]:
-        """The push at the tool."""
+        """Return force, torque and point of application, as `pliant.sim.Hand` defines them."""
         place, none = ground_truth.frame("tool").position, np.zeros(3)
-        if not COMES <= t < COMES + STAYS:
+        if not CONTACT_START <= t < CONTACT_START + CONTACT_DURATION:
             return none, none, place
         if self._met is None:
             self._met = place.copy()
-        deep = self.speed * (t - COMES) - float(self.direction @ (place - self._met))
+        deep = self.speed * (t - CONTACT_START) - float(self.direction @ (place - self._met))
         return min(max(self.stiffness * deep, 0.0), self.limit) * self.direction, none, place
 
 
 class Bench:
-    """Runs of one arm in one case; the run's number is the random seed."""
+    """Simulated runs of one arm in one `Case`; the number of a run is its random seed."""
 
     def __init__(self, case: Case) -> None:
         self.case = case
@@ -134,7 +136,10 @@ class Bench:
 
     @cached_property
     def poses(self) -> Array:
-        """Return poses (N, n) [rad], none near a singular one or a stop."""
+        """Return random poses (N, n) [rad] away from singularities and joint stops.
+
+        In all of them the servos hold an additional load at the tool.
+        """
         low, high = np.asarray(self.arm.model.lower), np.asarray(self.arm.model.upper)
         room = 0.5 if self.arm.model.n > 5 else 0.3
         found = self.arm.poses(len(self.arm.drawn))
@@ -144,7 +149,7 @@ class Bench:
         return poses
 
     def contact(self, number: int) -> Record:
-        """Run one random contact."""
+        """Run one random contact and return its record."""
         rng = np.random.default_rng((number, 1))
         q = self.poses[number % len(self.poses)]
         direction, way = _direction(rng), _direction(rng)
@@ -159,10 +164,15 @@ class Bench:
             return moved
 
         plant, controller, contact = self._make(rng, (hand,))
-        return self._run(plant, controller, contact, q, target, seconds=COMES + STAYS, rng=rng)
+        return self._run(
+            plant, controller, contact, q, target, seconds=CONTACT_START + CONTACT_DURATION, rng=rng
+        )
 
     def free(self, number: int, seconds: float) -> Record:
-        """Run free motion from point to point, smooth, with rests."""
+        """Run smooth motion without contact for `seconds` [s]; return its record.
+
+        The motion goes from one random joint position to the next, with rests.
+        """
         rng = np.random.default_rng((number, 2))
         q = self.poses[number % len(self.poses)]
         path = _Path(rng, q, np.asarray(self.arm.model.lower), np.asarray(self.arm.model.upper))
@@ -178,7 +188,7 @@ class Bench:
     def _make(
         self, rng: np.random.Generator, hands: tuple[Bump, ...]
     ) -> tuple[Plant, pliant.Controller, pliant.ContactEstimator]:
-        """Make plant, controller and estimator of one run."""
+        """Make the simulated arm with its hands, the controller and the estimator of one run."""
         case, true = self.case, self.arm.servos
         n = self.arm.model.n
 
@@ -187,7 +197,8 @@ class Bench:
 
         count = COUNT_12_BIT if case.encoder else 0.0
         table = REAL_GEARS[case.arm].assumed(true) if case.identified else true
-        # Drawn in this order: friction, damping, k_p.
+        # Keep the order of the random numbers (friction, damping, k_p): another order changes all
+        # documented results.
         assumed = scaled(table, off(case.friction), off(case.friction)).replace(
             kp=off(case.kp) * np.asarray(table.kp), encoder_step=count
         )
@@ -217,7 +228,7 @@ class Bench:
         seconds: float,
         rng: np.random.Generator,
     ) -> Record:
-        """Close the loop and record the estimate."""
+        """Run the control loop from pose q for `seconds`; return the estimates at every tick."""
         plant.reset(q)
         controller.reset(q)
         count = round(seconds * RATE)
@@ -242,7 +253,10 @@ class Bench:
 
 
 class _Path:
-    """Joint motion from point to point with minimum jerk, with random rests."""
+    """Minimum-jerk joint motion between random points around a pose, with random rests.
+
+    Calls must have increasing times [s]; each returns the joint positions (n,) [rad].
+    """
 
     def __init__(self, rng: np.random.Generator, middle: Array, low: Array, high: Array) -> None:
         self._rng, self._middle = rng, middle
@@ -252,10 +266,10 @@ class _Path:
     def __call__(self, t: float) -> Array:
         if t >= self._end:
             self._begin, self._from = self._end, self._to
-            wish = self._middle + self._rng.uniform(-WANDER, WANDER, self._middle.size)
+            wish = self._middle + self._rng.uniform(-MOTION_RANGE, MOTION_RANGE, self._middle.size)
             self._to = np.clip(wish, self._low, self._high)
-            self._end += self._rng.uniform(*LEG)
-            if self._rng.random() < RESTS:
+            self._end += self._rng.uniform(*SEGMENT_TIME)
+            if self._rng.random() < REST_SHARE:
                 self._to, self._end = self._from, self._begin + 0.5
         s = (t - self._begin) / (self._end - self._begin)
         smooth = s * s * s * (10.0 + s * (6.0 * s - 15.0))
@@ -264,51 +278,55 @@ class _Path:
 
 
 def _direction(rng: np.random.Generator) -> Array:
-    """Return a random direction (3,)."""
+    """Return a random unit vector (3,), with all directions equally likely."""
     vector = rng.standard_normal(3)
     unit: Array = vector / np.linalg.norm(vector)
     return unit
 
 
 def _log(rng: np.random.Generator, span: tuple[float, float]) -> float:
-    """Return a random number whose logarithm is uniform."""
+    """Return a log-uniform random number in the range `span`."""
     return float(np.exp(rng.uniform(*np.log(span))))
 
 
 # --- Detection of recorded contacts by thresholds: detections, false alarms, latency ---
 
-#: Consecutive readings beyond a threshold that make a contact: the last is 20 ms after the first.
+#: A contact is detected after this number of consecutive readings above a threshold.
 READINGS = 3
-#: A contact is strong if its true force exceeds this share of the median static capacity, for this
-#: number of readings.
-STRONG_FORCE, STRONG = 0.15, 10
+#: A contact counts as strong if a component of the true force exceeds this share of the arm's
+#: median static capacity during at least `STRONG_READINGS` readings.
+STRONG_FORCE, STRONG_READINGS = 0.15, 10
 #: Number of readings skipped at the start of a run, while the estimate settles.
 START = 30
-#: First reading that can include the hand.
-FIRST = round(COMES * RATE) + 1
-#: Thresholds as shares of the arm's median static capacity.
+#: Index of the first reading during the contact.
+FIRST = round(CONTACT_START * RATE) + 1
+#: Thresholds of the rules `force`, as shares of the arm's median static capacity, see `Rule`.
 SHARES = (0.03, 0.05, 0.075, 0.10, 0.125, 0.15, 0.20, 0.25, 0.30, 0.40)
 
 
-#: Sizes of rules `guarded` (share of the uncertainty) and `evidence` (share of the joints' bounds).
+#: Thresholds of the rules `guarded` and `evidence`, as ratios, see `Rule`.
 GUARDS, EVIDENCE = (0.4, 0.5, 0.6, 0.8, 1.0), (0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5)
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule for detecting contacts.
+    """Rule that detects contacts by a threshold.
 
     Attributes:
-        kind: `force`: |F| on x, y or z above `size` [N]; `guarded`: above `size` times its
-            uncertainty; `evidence`: some joint above `size` times its bound.
-        size: See `kind`.
+        kind: Compared quantity. `force`: a component of the estimated force exceeds `size` [N].
+            `guarded`: a component exceeds `size` times its uncertainty. `evidence`: for some
+            joint, the ratio of torque residual to uncertainty exceeds `size`.
+        size: Threshold [N] or ratio.
     """
 
     kind: Literal["force", "guarded", "evidence"]
     size: float
 
     def beyond(self, record: Record) -> NDArray[np.bool_]:
-        """Return where the rule holds: (N, 3), or (N, 1) for `evidence`."""
+        """Return a mask that is True for readings above the threshold.
+
+        Its columns are the components of the force (N, 3); the rule `evidence` has one (N, 1).
+        """
         out: NDArray[np.bool_]
         if self.kind == "evidence":
             out = (record.evidence > self.size)[:, None]
@@ -324,21 +342,22 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Seen:
+class RuleResult:
     """Result of one rule in one case.
 
     Attributes:
         case: Name of the case.
         rule: The rule.
-        alarms: False alarms in free motion, and the duration in hours.
-        hours: See `alarms`.
-        strong: Contacts whose true force exceeded `STRONG_FORCE` of the capacity for 0.1 s.
-        missed: Share of these that were not detected.
+        alarms: Number of false alarms in motion without contact.
+        hours: Duration of the motion without contact [h].
+        strong: Number of strong contacts, as `STRONG_FORCE` defines them.
+        missed: Share of strong contacts that were not detected.
         seen: Share of all contacts that were detected.
-        late: Median and 95th percentile of the time [s] from the true force being that strong to
-            the event; an earlier event counts as 0.
-        after: The same from the first touch.
-        force: Median of the true force at the event [N].
+        late: Median and 95th percentile of the time from the first strong true force of a strong
+            contact to its detection [s]; an earlier detection counts as 0.
+        after: Median and 95th percentile of the time from the first touch to the detection [s].
+        force: Median over the contacts of the largest component of the true force at the detection
+            [N].
     """
 
     case: str
@@ -354,20 +373,29 @@ class Seen:
 
 
 def events(beyond: NDArray[np.bool_]) -> list[int]:
-    """Return readings at which a row of booleans (N,) has been true for long enough."""
+    """Return the indices of the readings at which a mask (N,) causes a detection.
+
+    Each stretch of at least `READINGS` true readings causes one, at its reading number `READINGS`.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate(([0], beyond.astype(np.int8), [0]))))
     stretches = zip(edges[::2], edges[1::2], strict=True)
     return [int(a) + READINGS - 1 for a, b in stretches if b - a >= READINGS]
 
 
 def first(felt: NDArray[np.bool_]) -> int | None:
-    """Return the reading (N, 3) that first detects the hand, None if never."""
+    """Return the index of the reading at which a column of a mask (N, k) detects the contact.
+
+    The first detection counts. None means that no column detects the contact.
+    """
     found = [e for column in felt[FIRST:].T for e in events(column)]
     return FIRST + min(found) if found else None
 
 
 def least_silent(free: Sequence[Record], columns: slice) -> float:
-    """Return the smallest threshold without alarm in free motion, on these columns [N or N·m]."""
+    """Return the smallest threshold that causes no false alarm in runs without contact [N or N·m].
+
+    `columns` selects the components of the estimated force and torque.
+    """
     most = 0.0
     for record in free:
         force = np.abs(record.felt[START:, columns])
@@ -376,17 +404,25 @@ def least_silent(free: Sequence[Record], columns: slice) -> float:
     return most
 
 
-def look(
+def evaluate(
     case: str, rule: Rule, strength: float, free: Sequence[Record], contacts: Sequence[Record]
-) -> Seen:
-    """Evaluate one rule; `strength` [N] defines a strong contact."""
+) -> RuleResult:
+    """Return the result of one rule.
+
+    Args:
+        case: Name of the case.
+        rule: The rule.
+        strength: True force above which a contact counts as strong [N].
+        free: Runs without contact.
+        contacts: Runs with one contact each.
+    """
     late: list[float] = []
     after: list[float] = []
     force: list[float] = []
     strong = missed = seen = 0
     for record in contacts:
         true = np.abs(record.truth[:, :3])
-        is_strong = bool(((true > strength).sum(axis=0) >= STRONG).any())
+        is_strong = bool(((true > strength).sum(axis=0) >= STRONG_READINGS).any())
         found = first(rule.beyond(record))
         strong += is_strong
         missed += is_strong and found is None
@@ -397,7 +433,7 @@ def look(
             if is_strong:
                 passed = int(np.flatnonzero((true > strength).any(axis=1))[0])
                 late.append(max(found - passed, 0) / RATE)
-    return Seen(
+    return RuleResult(
         case=case,
         rule=rule,
         alarms=sum(len(events(c)) for record in free for c in rule.beyond(record).T),
@@ -411,8 +447,13 @@ def look(
     )
 
 
-def honesty(free: Sequence[Record], contacts: Sequence[Record]) -> dict[str, float]:
-    """Return errors [N], bounds [N], and the share of readings whose error exceeds its bound."""
+def estimate_errors(free: Sequence[Record], contacts: Sequence[Record]) -> dict[str, float]:
+    """Return the errors of the estimated force, without and during contacts.
+
+    Returns:
+        Rms error [N], median uncertainty [N] and share of errors above the uncertainty, over all
+        components and readings.
+    """
     out = {}
     for name, records in (("free", free), ("contact", contacts)):
         error = np.concatenate([(r.felt - r.truth)[START:, :3] for r in records])
@@ -430,8 +471,8 @@ def _quantiles(values: Sequence[float]) -> tuple[float, float]:
     return float(middle), float(high)
 
 
-def text(rows: Sequence[Seen]) -> str:
-    """Return the table of rules, as Markdown."""
+def text(rows: Sequence[RuleResult]) -> str:
+    """Return the results as a Markdown table."""
     columns = (
         *("case", "event", "false alarms", "in [h]", "seen %", "strong contacts", "missed %"),
         *("after strong [ms]: median", "95th", "after the touch: median", "95th"),
@@ -446,8 +487,8 @@ def text(rows: Sequence[Seen]) -> str:
     return program.markdown(columns, lines)
 
 
-def draw(folder: Path, rows: Sequence[Seen]) -> None:
-    """Draw `contacts.png`: false alarms against detected contacts, by case and rule."""
+def draw(folder: Path, rows: Sequence[RuleResult]) -> None:
+    """Draw `contacts.png`: rate of false alarms against detected contacts, by case and rule."""
     from pliant._report import style
 
     cases = list(dict.fromkeys(row.case for row in rows))
@@ -468,7 +509,8 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
                     (row for row in rows if row.case == case and row.rule.kind == kind),
                     key=lambda row: row.rule.size,
                 )
-                # The axis is logarithmic: zero alarms are drawn as half an alarm in the same time.
+                # The axis is logarithmic, so zero alarms are drawn as half an alarm in the same
+                # time.
                 rate = [max(row.alarms, 0.5) / row.hours for row in mine]
                 seen = [100.0 * row.seen for row in mine]
                 ax.plot(rate, seen, "o-", color=colour, markersize=3, linewidth=1.2, label=label)
@@ -483,7 +525,7 @@ def draw(folder: Path, rows: Sequence[Seen]) -> None:
 
 # --- The program ---
 
-#: The case of the documented numbers; the other cases follow.
+#: Case whose numbers docs/contact.md reports.
 MAIN = Case("encoder, friction ±30 %")
 OTHERS = (
     Case("a tick each way", delay=(1, 1)),
@@ -496,20 +538,23 @@ OTHERS = (
     Case("gears as they are, identified ±30 %", gears=True, identified=True),
     Case("so101", arm="so101"),
 )
-#: Length of a free run [s].
+#: Duration of a run without contact [s].
 PIECE = 60.0
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run."""
+    """One simulated run of a case, with a contact if `seconds` is None, else without.
+
+    `number` is the random seed of the run, and `seconds` its duration.
+    """
 
     case: Case
     number: int
     seconds: float | None = None
 
     def run(self) -> Record:
-        """Run it and return its record."""
+        """Run the simulation and return its record."""
         bench = Bench(self.case)
         if self.seconds is None:
             return bench.contact(self.number)
@@ -518,18 +563,19 @@ class Job:
 
 def measure(
     case: Case, contacts: int, minutes: int, processes: int = 1, piece: float = PIECE
-) -> tuple[list[Seen], dict[str, float]]:
-    """Run one case and evaluate every threshold.
+) -> tuple[list[RuleResult], dict[str, float]]:
+    """Run one case and evaluate every rule.
 
     Args:
         case: The case.
         contacts: Number of random contacts.
-        minutes: Duration of free motion.
+        minutes: Total duration of motion without contact [min].
         processes: Number of processes.
-        piece: Length of one free run [s].
+        piece: Duration of one run without contact [s].
 
     Returns:
-        A row per rule; errors, bounds and the thresholds without alarms.
+        List with the result of each rule; and a map with errors and uncertainties of the estimated
+        force, and the smallest thresholds without a false alarm.
     """
     pieces = round(60.0 * minutes / piece)
     free = list(run_jobs([Job(case, i, piece) for i in range(pieces)], processes, case.name))
@@ -541,8 +587,8 @@ def measure(
     rules += [Rule("guarded", share) for share in GUARDS]
     rules += [Rule("evidence", share) for share in EVIDENCE]
     strength = STRONG_FORCE * capacity
-    rows = [look(case.name, rule, strength, free, met) for rule in rules]
-    facts = honesty(free, met)
+    rows = [evaluate(case.name, rule, strength, free, met) for rule in rules]
+    facts = estimate_errors(free, met)
     facts["strong [N]"], facts["silent [N]"] = strength, silent
     facts["silent [N·m]"] = least_silent(free, slice(3, 6))
     return rows, facts
@@ -556,16 +602,16 @@ def main(
     jobs: int = 2,
     out: Path = Path("pliant-contacts"),
 ) -> None:
-    """Measure thresholds on an estimated force.
+    """Measure the detection of contacts by thresholds.
 
     Args:
-        contacts: Random contacts of the main case.
-        minutes: Free motion of the main case.
-        others: Share of both for each other case; 0: leave them out.
+        contacts: Number of random contacts of the main case.
+        minutes: Duration of motion without contact in the main case, in minutes.
+        others: Share of these contacts and minutes for each further case; 0 omits these cases.
         jobs: Number of processes.
         out: Folder for results.json and the picture.
     """
-    rows: list[Seen] = []
+    rows: list[RuleResult] = []
     facts: dict[str, dict[str, float]] = {}
     plan: Iterable[tuple[Case, float]] = [(MAIN, 1.0), *((case, others) for case in OTHERS)]
     for case, share in plan:

@@ -1,18 +1,19 @@
-"""The controllers of the experiments, by name, as settings.
+"""Controllers of the experiments: functions that return settings, and baseline controllers.
 
-All of them have no tool speed limit and no bound of the stiffening rate, so that the results show
-the laws alone.
+The settings have no tool speed limit and no limit on the rate at which torque limits rise, so that
+the results depend on the control laws only. A step limit is the largest velocity that a law
+commands along an axis.
 
-| name | what it is |
+| name | control law |
 |---|---|
 | `paper` | the paper: torque budgets, no gravity model, step limits |
-| `limits_only` | the same without step limits: the literal reading |
-| `rec` | `paper` with gravity in goals and limits and tighter soft steps: the J⁺ form |
-| `task` | `rec` with each axis' budget acting on the goal as well |
-| `rows_free` | `rec` with soft rows outside the inverse kinematics |
+| `limits_only` | `paper` without step limits, as the paper's equations state |
+| `rec` | `paper` with gravity torques in goals and limits, and smaller step limits of soft axes |
+| `task` | `rec`, in which the torque budget of an axis also bounds the step of its goal |
+| `rows_free` | `rec` with the soft axes excluded from the inverse kinematics |
 | `cap` | the default law |
-| `cap_tracking` | `cap` whose soft rotations have a little more torque for tracking |
-| `impedance` | springs on the stiff axes, the soft ones free, force caps as `cap` |
+| `cap_tracking` | `cap` whose soft rotations have more torque for tracking |
+| `impedance` | springs on the stiff axes, no spring on the soft ones, force caps as in `cap` |
 | `all_stiff` | `rec` without a soft axis, limits at the servo maximum |
 """
 
@@ -37,24 +38,27 @@ if TYPE_CHECKING:
 
     Steps = tuple[float, float]
 
-NONE = float("inf")
-#: No tool speed limit, no stiffening rate.
-UNBLURRED: Mapping[str, Any] = {
-    "max_tool_speed": (NONE, NONE),
+NO_LIMIT = float("inf")
+#: Settings without tool speed limit and without limit on the rate at which torque limits rise.
+NO_RATE_LIMITS: Mapping[str, Any] = {
+    "max_tool_speed": (NO_LIMIT, NO_LIMIT),
     "torque_limits": TorqueLimits(stiffening_time=0.0),
 }
-#: Damping of the J⁺ forms: λ₀, σ₀, λ_max.
+#: Singularity damping λ of the pseudo-inverse in law `paper`: (λ₀, σ₀, λ_max). λ is λ₀, and grows
+#: by λ_max if the smallest singular value of the Jacobian is below σ₀; see docs/derivations.md,
+#: "Damping comes from the arm".
 JACOBIAN_DAMPING = (0.02, 0.15, 0.2)
-#: Soft rotation force at small deviations that still tracks [N·m].
+#: Cap of a soft rotation at small deviations that suffices for tracking [N·m].
 TRACKING_TORQUE = 0.84
-#: Steps of stiff and soft axes: [m/s], [rad/s].
+#: Step limits of stiff axes and of soft axes, as velocities of translations [m/s] and rotations
+#: [rad/s].
 STIFF_STEPS: Steps = (0.4, 2.0)
 SOFT_STEPS: Steps = (0.05, 0.25)
 SOFT_STEPS_WITHOUT_GRAVITY: Steps = (0.1, 0.5)
-NO_STEPS: Steps = (NONE, NONE)
-#: Steps near the edge of the workspace.
+NO_STEPS: Steps = (NO_LIMIT, NO_LIMIT)
+#: Step limits near the edge of the workspace: translations [m/s], rotations [rad/s].
 EDGE_STEPS: Steps = (0.1, 0.5)
-#: A budget [N·m] above any servo's torque: its limit is then its maximum.
+#: Torque budget above the torque of all servos, so that their limits are at the maximum [N·m].
 UNLIMITED = 1e3
 
 
@@ -68,19 +72,22 @@ def paper(
     soft_steps: Steps = SOFT_STEPS_WITHOUT_GRAVITY,
     **more: Any,
 ) -> Settings:
-    """The paper's law with one budget for every axis, 0.5 N·m on soft ones at small deviations.
+    """Return settings of law `paper` with one torque budget for all axes.
+
+    The budget of soft axes at small deviations is at most 0.5 N·m.
 
     Args:
-        torque: Budget T of each axis [N·m].
-        soft: Axes that yield, by name; "" for none.
-        eta: Target adaptation of these.
-        gravity: True if goals and limits contain gravity.
-        steps: Step limits of stiff axes [m/s, rad/s].
-        soft_steps: The same of soft axes.
+        torque: Budget of each axis [N·m].
+        soft: Names of the soft axes; "" for none.
+        eta: Target adaptation of the soft axes.
+        gravity: True if goals and limits contain gravity torques.
+        steps: Largest velocity of stiff axes: translations [m/s], rotations [rad/s].
+        soft_steps: Step limit of soft axes: translations [m/s], rotations [rad/s].
         **more: Further settings.
 
     Returns:
-        Settings with damping 0.02 growing to 0.2 below σ = 0.15, without slew or lead clamp.
+        Settings without limits on the rate of the goals and on the lead, that is goal minus
+        position of a joint.
     """
     axes = {}
     for index, name in enumerate(AXES):
@@ -99,60 +106,67 @@ def paper(
         law="paper",
         axes=axes,
         gravity=gravity,
-        max_tool_speed=(NONE, NONE),
-        tracking=Tracking(damping=JACOBIAN_DAMPING, goal_slew=NONE),
+        max_tool_speed=(NO_LIMIT, NO_LIMIT),
+        tracking=Tracking(damping=JACOBIAN_DAMPING, goal_slew=NO_LIMIT),
         null_space=NullSpace(max_torque=2.0),
         torque_limits=TorqueLimits(floor=np.zeros(7), stiffening_time=0.0),
-        paper_options=PaperOptions(gravity_scale=1.0, direction_band=0.0, lead_limit=NONE),
+        paper_options=PaperOptions(gravity_scale=1.0, direction_band=0.0, lead_limit=NO_LIMIT),
     )
     return settings.replace(**more)
 
 
 def limits_only(torque: float = 6.0, *, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
-    """Return the literal reading: budgets [N·m] in the limits, unbounded goals."""
+    """Return `paper` without step limits: the budget `torque` [N·m] bounds only torque limits."""
     return paper(torque, soft=soft, eta=eta, steps=NO_STEPS, soft_steps=NO_STEPS, **more)
 
 
 def rec(torque: float = 8.0, *, soft: str = "y", eta: float = 0.999, **more: Any) -> Settings:
-    """Return `paper` with gravity in goals and limits and soft steps of 0.05 m/s, 0.25 rad/s."""
+    """Return `paper` with gravity torques in goals and limits, and smaller steps of soft axes.
+
+    The step limit of soft axes is 0.05 m/s or 0.25 rad/s; `torque` is the budget of each axis
+    [N·m].
+    """
     options = {"gravity": True, "soft_steps": SOFT_STEPS, **more}
     return paper(torque, soft=soft, eta=eta, **options)
 
 
 def task(torque: float = 8.0, *, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
-    """Return `rec` with A τˣ enforced axis by axis on the goal too."""
+    """Return `rec`, in which the torque budget [N·m] of an axis also bounds the step of its goal.
+
+    The budgets τˣ of the axes, distributed by the activation matrix A, are the joint torques A τˣ.
+    """
     settings = rec(torque, soft=soft, eta=eta, **more)
     return settings.replace(paper_options=PaperOptions(budget_on_goal=True))
 
 
 def rows_free(torque: float = 8.0, *, soft: str = "y", eta: float = 0.999, **more: Any) -> Settings:
-    """Return `rec` with soft rows outside the inverse kinematics of the stiff ones."""
+    """Return `rec` with the soft axes excluded from the inverse kinematics of the stiff axes."""
     settings = rec(torque, soft=soft, eta=eta, **more)
     return settings.replace(paper_options=PaperOptions(follow="free"))
 
 
 def all_stiff(**more: Any) -> Settings:
-    """Return task-space control with full torque in every axis."""
+    """Return `rec` without a soft axis and with full torque in every axis."""
     return rec(UNLIMITED, soft="", **more)
 
 
 def cap(
     *, soft: str = "y", eta: float = 0.999, axis: Mapping[str, Any] | None = None, **more: Any
 ) -> Settings:
-    """The default law with its default strengths, `soft` axes yielding.
+    """Return settings of law `cap` with its default caps and the given soft axes.
 
     Args:
-        soft: Axes that yield, by name; "" for none.
-        eta: Target adaptation of these.
+        soft: Names of the soft axes; "" for none.
+        eta: Target adaptation of the soft axes.
         axis: Further attributes of the soft axes.
         **more: Further settings.
 
     Returns:
-        The default settings without tool speed limit and stiffening rate.
+        Default settings, changed by `NO_RATE_LIMITS`.
     """
     yielding = Axis(**{"yields": "both", "adaptation": eta, **(axis or {})})
     axes = {soft: yielding} if soft else {}
-    return Settings(axes=axes, **UNBLURRED).replace(**more)
+    return Settings(axes=axes, **NO_RATE_LIMITS).replace(**more)
 
 
 def impedance(
@@ -163,17 +177,17 @@ def impedance(
     damping: Steps = (0.0, 0.0),
     **more: Any,
 ) -> Settings:
-    """Springs and dampers: law `impedance` with its default stiffness, `soft` axes free.
+    """Return settings of law `impedance`; soft axes have no spring.
 
     Args:
-        soft: Axes that yield, by name; "" for none.
-        eta: Target adaptation of these; without effect on axes that have no spring.
-        stiffness: Springs of the other axes [N/m, N·m/rad]; None for the arm's.
-        damping: Dampers of these [N·s/m, N·m·s/rad].
+        soft: Names of the soft axes; "" for none.
+        eta: Target adaptation of the soft axes; without effect, because they have no spring.
+        stiffness: Stiffness of the other axes [N/m, N·m/rad]; None: the default of the arm.
+        damping: Damping of the other axes [N·s/m, N·m·s/rad].
         **more: Further settings.
 
     Returns:
-        The default settings without tool speed limit and stiffening rate.
+        Default settings, changed by `NO_RATE_LIMITS`.
     """
     axes: dict[str, Axis] = {}
     for index, name in enumerate(AXES):
@@ -182,54 +196,56 @@ def impedance(
         else:
             spring = None if stiffness is None else stiffness[index // 3]
             axes[name] = Axis(stiffness=spring, damping=damping[index // 3])
-    return Settings(law="impedance", axes=axes, **UNBLURRED).replace(**more)
+    return Settings(law="impedance", axes=axes, **NO_RATE_LIMITS).replace(**more)
 
 
 def cap_tracking(*, soft: str = "y", eta: float = 0.0, **more: Any) -> Settings:
-    """Return `cap` for a soft axis that follows its target though friction is known to 30 % only.
+    """Return `cap` for a soft axis that tracks a target although the assumed friction is wrong.
 
-    The uncompensated friction must not exceed the force of a soft rotation.
+    With a friction error of 30 %, a soft rotation needs a cap above the friction that is not
+    compensated: `TRACKING_TORQUE`.
     """
     axis = {"soft": TRACKING_TORQUE} if soft in AXES[3:] else None
     return cap(soft=soft, eta=eta, axis=axis, **more)
 
 
 def cap_at_edge(**more: Any) -> Settings:
-    """Return `cap` without a soft axis, with small steps for the edge of the workspace."""
+    """Return `cap` without a soft axis, with low velocities for the edge of the workspace."""
     axes = {"xyz": Axis(max_velocity=EDGE_STEPS[0]), "rpy": Axis(max_velocity=EDGE_STEPS[1])}
     return cap(soft="", axes=axes, **more)
 
 
 def rec_at_edge(torque: float = 8.0, **more: Any) -> Settings:
-    """Return `rec` without a soft axis, with small steps for the edge of the workspace."""
+    """Return `rec` without a soft axis, with low velocities for the edge of the workspace."""
     return rec(torque, soft="", steps=EDGE_STEPS, **more)
 
 
-# --- Baselines: made for a model and a control period, they step like `pliant.Controller` ---
+# --- Baseline controllers, with the same `reset` and `step` as `pliant.Controller` ---
 
-#: Largest stable stiffness, translations [N/m] and rotations [N·m/rad]: with position servos at
-#: 100 Hz, and with torque sources at 1 kHz.
+#: Stiffness of `Impedance`, the largest that is stable, for translations [N/m] and rotations
+#: [N·m/rad]: with control at 100 Hz, and with control at 1 kHz.
 STIFFNESS, TORQUE_STIFFNESS = (800.0, 20.0), (1600.0, 40.0)
-#: Distance of the goal from q [rad] for a torque source, whose torque limit is the torque command.
-FAR = 1.0
-#: Shares of friction and damping that are fed forward, and the speed of full friction [rad/s], as
-#: in the default law; filter of the velocity [s].
+#: Lead (goal minus position) that saturates a position servo [rad]. The servo then exerts its
+#: torque limit, which thus acts as a torque command.
+SATURATING_LEAD = 1.0
+#: Feed-forward as in the default law: shares of friction and of damping, and speed at which the
+#: friction term saturates [rad/s]; and time constant of the velocity filter [s].
 FRICTION_SHARE, DAMPING_SHARE, FRICTION_SPEED, FILTER = 0.9, 0.8, 0.05, 0.02
 
 
 @dataclass(frozen=True)
 class Goals:
-    """Goals (n,) [rad] and torque limits (n,) [N·m]."""
+    """Command of a baseline controller: goals (n,) [rad] and torque limits (n,) [N·m]."""
 
     goal: Array
     torque_limit: Array
 
 
 class Joints:
-    """Resistance of gears: dry friction and damping at a filtered velocity."""
+    """Estimates the friction and damping torques of the gears at a filtered joint velocity."""
 
     def __init__(self, model: pliant.Model, period: float) -> None:
-        """Take the servo table of a model and a control period [s]."""
+        """Read friction and damping from the model's servos; `period` is the control period [s]."""
         table = servos(model)
         self._friction = np.asarray(table.friction)
         self._damping = np.asarray(table.damping)
@@ -240,22 +256,25 @@ class Joints:
         self._before, self.velocity = q.copy(), np.zeros(q.size)
 
     def see(self, q: Array) -> None:
-        """Process a reading (n,) [rad]."""
+        """Update the filtered velocity from positions q (n,) [rad]."""
         raw = (q - self._before) / self._period
         self.velocity += self._period / (FILTER + self._period) * (raw - self.velocity)
         self._before = q.copy()
 
     def resistance(self, friction: float, damping: float) -> Array:
-        """Return the torque (n,) [N·m] of shares of friction and damping at this velocity."""
+        """Return the torque (n,) [N·m] that friction and damping need at the filtered velocity.
+
+        The arguments are the shares of dry friction and of damping that are included.
+        """
         dry = self._friction * np.tanh(self.velocity / FRICTION_SPEED)
         return friction * dry + damping * self._damping * self.velocity
 
 
 class JointPosition:
-    """Position control by inverse kinematics, at full or a fraction of the servo torque."""
+    """Joint position control by inverse kinematics, with constant torque limits."""
 
     def __init__(self, model: pliant.Model, period: float, *, fraction: float = 1.0) -> None:
-        """Take the arm; `fraction` of the servos' torque is the limit of every joint."""
+        """Set the torque limits to a `fraction` of the usable torques; `period` is not used."""
         self._model = model
         self._limit = fraction * np.asarray(servos(model).max_torque)
 
@@ -270,10 +289,12 @@ class JointPosition:
 
 
 class Impedance:
-    """A Cartesian spring ``τ = Jᵀ K e + g + N k (q_rest - q)``, optionally friction compensated.
+    """Cartesian impedance control with torque commands τ = Jᵀ K e + g + k N (q_rest - q).
 
-    As a torque source it is an arm with torque-controlled joints: the goal is far ahead on the
-    right side, so that the limit is the torque.
+    J is the Jacobian, K the stiffness of the axes, e the deviation of the tool from its target, g
+    the gravity torques, and N the null-space projector. k is a tenth of the servos' stiffness, and
+    q_rest the start pose. The goal of each servo is far ahead of its position in the direction of
+    the torque, so that the servo exerts its torque limit |τ|.
     """
 
     def __init__(
@@ -286,16 +307,16 @@ class Impedance:
         spring: float = 0.0,
         compensated: bool = False,
     ) -> None:
-        """Take the arm.
+        """Set the stiffness of the axes and the feed-forward of friction.
 
         Args:
             model: The arm, with its servos.
             period: Control period [s].
-            soft: Axes with a `spring` of their own [N/m, N·m/rad].
-            stiffness: Of the others [N/m, N·m/rad].
-            spring: Of the soft axes.
-            compensated: True: feed forward friction and damping of the servo table, in the same
-                shares as the default law.
+            soft: Names of the soft axes.
+            stiffness: Stiffness of the stiff axes [N/m, N·m/rad].
+            spring: Stiffness of the soft axes [N/m, N·m/rad].
+            compensated: True feeds friction and damping of the servo table forward, with the shares
+                of the default law.
         """
         free = [name in soft.split() for name in AXES]
         self._spring = np.where(free, spring, np.repeat(stiffness, 3))
@@ -305,13 +326,13 @@ class Impedance:
         self._joints = Joints(model, period) if compensated else None
 
     def reset(self, q: Array) -> None:
-        """Start in q (n,) [rad], the posture of the null space."""
+        """Start in q (n,) [rad], which is also the null-space posture."""
         self._rest = q.copy()
         if self._joints is not None:
             self._joints.reset(q)
 
     def step(self, q: Array, target: Array) -> Goals:
-        """Turn the pose error into torques."""
+        """Return goals and torque limits at positions q (n,) [rad] for the target pose (4, 4)."""
         pose, jacobian = self._model.kinematics(q)
         force = self._spring * np.asarray(pliant.functional.pose_error(pose, target))
         inverse = np.linalg.pinv(jacobian)
@@ -321,16 +342,18 @@ class Impedance:
         if self._joints is not None:
             self._joints.see(q)
             torque = torque + self._joints.resistance(FRICTION_SHARE, DAMPING_SHARE)
-        return Goals(q + np.copysign(FAR, torque), np.minimum(np.abs(torque), self._torque))
+        return Goals(
+            q + np.copysign(SATURATING_LEAD, torque), np.minimum(np.abs(torque), self._torque)
+        )
 
 
 def stiff_joints() -> FromModel:
-    """Return position control of the joints at full torque."""
+    """Return the factory of joint position control at full torque."""
     return JointPosition
 
 
 def uniform_limit(fraction: float) -> FromModel:
-    """Return position control of the joints, every limit at a fraction of the torque."""
+    """Return the factory of joint position control with limits at a `fraction` of the torque."""
     return partial(JointPosition, fraction=fraction)
 
 
@@ -341,13 +364,16 @@ def torque_impedance(
     spring: float = 0.0,
     compensated: bool = False,
 ) -> FromModel:
-    """Return impedance control with ideal torque sources, for a control rate of 1 kHz."""
+    """Return the factory of `Impedance` with a stiffness for torque control at 1 kHz.
+
+    The arguments are those of `Impedance`.
+    """
     return partial(
         Impedance, soft=soft, stiffness=stiffness, spring=spring, compensated=compensated
     )
 
 
-# --- Admittance control driven by motor current: an alternative method on position servos ---
+# --- Admittance control from motor currents, a baseline for position servos ---
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,8 +382,8 @@ class Current:
 
     Attributes:
         noise: Standard deviation of a reading, as a share of the largest torque.
-        count: One count of the register, as a share of the largest torque.
-        filter: Time constant of the filter against the noise [s].
+        count: One count of the current register, as a share of the largest torque.
+        filter: Time constant of the noise filter [s].
     """
 
     noise: float = 0.01
@@ -366,15 +392,15 @@ class Current:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Virtual:
-    """Virtual mass, damper and spring that turn the estimated force into a motion.
+class VirtualBody:
+    """Virtual mass, damper and spring of an admittance controller.
 
     Attributes:
-        mass: [kg]
-        damper: [N·s/m]
-        spring: Toward the target [N/m].
-        dead_zone: Force below which the estimate counts as zero [N].
-        most_speed: Bound of the target's speed, as in the default law [m/s].
+        mass: Virtual mass [kg].
+        damper: Virtual damping [N·s/m].
+        spring: Stiffness of the spring from the body to the target [N/m].
+        dead_zone: Estimated external force below which the body is not moved [N].
+        most_speed: Largest speed of the body [m/s].
     """
 
     mass: float = 1.0
@@ -385,12 +411,11 @@ class Virtual:
 
 
 class Admittance:
-    """One soft translation; the other axes are stiff position control at full torque.
+    """Admittance control of one soft translation, with stiff position control of all axes.
 
-    The external wrench is estimated from the motors' currents, and a virtual mass and damper turn
-    it into a motion of the target, which stiff position servos follow. The current does not show
-    friction: at rest the motor torque may be anywhere within the friction band around the load. The
-    estimate therefore needs a dead zone, which is the force to start a motion.
+    The external force is estimated from motor currents. It moves a virtual body, and stiff position
+    servos follow the body. At rest, dry friction hides part of the external force from the motor
+    current; the estimate therefore has a dead zone, which is the force needed to start a motion.
     """
 
     def __init__(
@@ -400,10 +425,13 @@ class Admittance:
         *,
         soft: str = "y",
         current: Current,
-        virtual: Virtual,
+        virtual: VirtualBody,
         seed: int = 0,
     ) -> None:
-        """Take the arm, its current sensors and the virtual body; `soft` is x, y or z."""
+        """Store arm, error model of the current sensors, and virtual body.
+
+        `soft` is the soft axis x, y or z; `seed` belongs to the noise of the sensors.
+        """
         self._model, self._period, self._axis = model, period, AXES.index(soft)
         self._current, self._virtual = current, virtual
         table = servos(model)
@@ -419,7 +447,7 @@ class Admittance:
         self._offset = self._speed = 0.0
 
     def listen(self, torque: Array) -> None:
-        """Read the motors' torques (n,) [N·m] through their current sensors."""
+        """Update the filtered motor torques: true `torque` (n,) [N·m] with sensor errors added."""
         size, sensor = self._limit, self._current
         seen = torque + sensor.noise * size * self._chance.standard_normal(size.size)
         seen = np.round(seen / (sensor.count * size)) * sensor.count * size
@@ -428,7 +456,7 @@ class Admittance:
         )
 
     def step(self, q: Array, target: Array) -> Goals:
-        """Move the virtual body by the estimated force; follow it."""
+        """Move the virtual body by the estimated external force; return goals that follow it."""
         self._joints.see(q)
         _, jacobian = self._model.kinematics(q)
         gravity = self._model.gravity(q)
@@ -437,7 +465,7 @@ class Admittance:
         body = self._virtual
         felt = np.sign(force) * max(abs(force) - body.dead_zone, 0.0)
         pull = felt - body.damper * self._speed - body.spring * self._offset
-        # Semi-implicit Euler: stable with a stiff damper at a low control rate.
+        # The damper is integrated implicitly, which is stable at a low control rate too.
         self._speed += pull * self._period / (body.mass + body.damper * self._period)
         self._speed = float(np.clip(self._speed, -body.most_speed, body.most_speed))
         self._offset += self._speed * self._period
@@ -448,13 +476,13 @@ class Admittance:
 
 
 def by_current(*, spring: float = 0.0, soft: str = "y", noise: float = Current.noise) -> FromModel:
-    """Make an admittance controller driven by motor current.
+    """Return the factory of `Admittance`, which estimates forces from motor currents.
 
     Args:
-        spring: Toward the target [N/m].
-        soft: The soft translation.
+        spring: Stiffness of the spring from the virtual body to the target [N/m].
+        soft: Name of the soft translation.
         noise: Standard deviation of the current, as a share of the largest torque.
     """
     return partial(
-        Admittance, soft=soft, current=Current(noise=noise), virtual=Virtual(spring=spring)
+        Admittance, soft=soft, current=Current(noise=noise), virtual=VirtualBody(spring=spring)
     )

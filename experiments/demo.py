@@ -1,4 +1,4 @@
-"""`make demo`: the experiments, with plots and a report."""
+"""Command line of the demo, `make demo`: runs the experiments and writes a report with plots."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from experiments.demonstration import Demonstration, Subject
     from experiments.report import Chapter, Check
 
-#: Maximum number of processes; with more, the longest run would still determine the duration.
+#: Maximum number of processes. More would not shorten the demo, which cannot be shorter than its
+#: longest run.
 MOST_JOBS = 16
 
 
@@ -45,14 +46,14 @@ def run(
     """Run the experiments and write a report.
 
     Args:
-        out: Folder of the report, the pictures and the numbers.
+        out: Folder for the report, the pictures and the numbers.
         only: Numbers of the experiments, separated by commas; all by default.
-        quick: Do everything once, in a few seconds, with few runs.
+        quick: Make only a few runs, in a few seconds.
         robot: Built-in arm. Arms other than arm7 get experiments that suit any arm.
-        urdf: Your own arm instead.
-        base: First frame of its chain; may be left out if there is only one choice.
-        tip: Last frame of its chain; may be left out if there is only one choice.
-        jobs: Processes.
+        urdf: URDF of another arm, instead of a built-in arm.
+        base: First frame of the chain in the URDF; optional if there is only one choice.
+        tip: Last frame of the chain in the URDF; optional if there is only one choice.
+        jobs: Number of processes.
     """
     if not 1 <= jobs <= MOST_JOBS:
         raise ConfigError(f"--jobs must be within 1 and {MOST_JOBS}, got {jobs}")
@@ -85,7 +86,7 @@ def run(
 
 
 def numbers(text: str) -> tuple[int, ...]:
-    """Parse `1,3`.
+    """Return the numbers in a text such as `1,3`.
 
     Raises:
         ConfigError: The text is not a list of numbers.
@@ -97,7 +98,11 @@ def numbers(text: str) -> tuple[int, ...]:
 
 
 def _load() -> ModuleType:
-    """Import modules of the extras; if missing, name the installation command in one line."""
+    """Import `experiments.demonstration`.
+
+    Raises:
+        PliantError: MuJoCo or Matplotlib is missing; the message has the install command.
+    """
     try:
         for needed in ("mujoco", "matplotlib"):
             import_module(needed)
@@ -122,7 +127,10 @@ def _subject(robot: str, urdf: Path | None, base: str | None, tip: str | None) -
 
 
 def missed(chapter: Chapter) -> list[str]:
-    """List our own bands that this run did not keep, a line each, with the number and the cause."""
+    """Return a line of text for each statement of our study that failed in a chapter.
+
+    The line has the number of the chapter, the failed tests, and the known reason.
+    """
     from experiments.report import Verdict
 
     lines = []
@@ -141,7 +149,7 @@ def missed(chapter: Chapter) -> list[str]:
 
 
 def _band(test: Check) -> str:
-    """Describe the interval of a test in words."""
+    """Return the interval of a test as text."""
     if math.isinf(test.low):
         return f"up to {test.high:.3g}"
     if math.isinf(test.high):
@@ -150,7 +158,7 @@ def _band(test: Check) -> str:
 
 
 def _close(console: Console, done: Demonstration) -> None:
-    """Print the results, the path of the report last."""
+    """Print a summary of the demonstration, with the path of the report at the end."""
     from experiments.report import Verdict
 
     paper = any(chapter.statements("paper") for chapter in done.chapters)
@@ -177,7 +185,7 @@ def _close(console: Console, done: Demonstration) -> None:
     console.print(
         f"\n{len(done.pictures)} figures, every number in {done.results.name}, {done.seconds:.0f} s"
     )
-    # Printed without rich, which would wrap the path: a terminal cannot open a wrapped path.
+    # Print the path without rich, which would wrap it: a terminal cannot open a wrapped path.
     print(done.report.resolve())
 
 
@@ -185,7 +193,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program.
 
     Args:
-        arguments: Without the name of the program; default those of the process.
+        arguments: Command-line arguments without the program's name; default: of this process.
 
     Returns:
         Exit code, as `pliant.cli.main`.

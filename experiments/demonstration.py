@@ -1,7 +1,8 @@
-"""The whole demonstration: run, measure, judge, draw, report."""
+"""Demonstration: runs the experiments of a robot, draws the figures and writes the report."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
@@ -21,30 +22,30 @@ if TYPE_CHECKING:
 
 
 class Experiment(Protocol):
-    """A chapter: a module, or an object that knows its robot."""
+    """Interface of a chapter of the report; modules and objects implement it."""
 
     @property
     def NUMBER(self) -> int:
-        """Number, as for `--only`."""
+        """Number of the chapter, for the option `--only`."""
 
     @property
     def TITLE(self) -> str:
-        """Headline."""
+        """Headline of the chapter."""
 
     def jobs(self, options: Options) -> list[Job]:
-        """Return its runs."""
+        """Return the jobs that make the simulated runs of the chapter."""
 
     def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
-        """Compute its numbers from the outcomes."""
+        """Return the numbers of the chapter, from the results of its jobs by key."""
 
     def chapter(self, numbers: Numbers) -> Chapter:
-        """Judge the numbers."""
+        """Return the chapter: its texts, and its statements with verdicts from the numbers."""
 
     def draw(self, outcomes: Mapping[str, Any], options: Options) -> None:
-        """Draw its figures."""
+        """Draw the figures of the chapter from the results of its jobs by key."""
 
 
-#: The chapters about the paper's arm, by number.
+#: Chapters about the seven-joint arm of the paper, by number.
 EXPERIMENTS: Mapping[int, Experiment] = {
     module.NUMBER: module for module in (activation, static, tracking, doors, comparison, caps)
 }
@@ -55,11 +56,11 @@ class Demonstration:
     """Results of a demonstration.
 
     Attributes:
-        chapters: Judged chapters.
+        chapters: Chapters of the report.
         report: Path of the HTML report.
         results: Path of `results.json`.
-        pictures: Paths of the PNGs.
-        seconds: Duration.
+        pictures: Paths of the PNG files.
+        seconds: Duration of the runs [s].
     """
 
     chapters: tuple[Chapter, ...]
@@ -71,13 +72,13 @@ class Demonstration:
 
 @dataclass(frozen=True)
 class Subject:
-    """The robot of a demonstration, and its experiments.
+    """Robot of a demonstration, with its experiments.
 
     Attributes:
-        name: Of the robot.
-        experiments: By number.
-        about: One sentence for the head of the report.
-        notes: Facts that a reader must know about the robot, e.g. that servos were guessed.
+        name: Name of the robot.
+        experiments: Chapters by number.
+        about: Sentence for the head of the report.
+        notes: Notes for the reader, for example that servo parameters are estimates.
     """
 
     name: str
@@ -86,7 +87,7 @@ class Subject:
     notes: tuple[str, ...] = field(default=())
 
 
-#: The arm of the paper.
+#: The seven-joint arm of the paper, with the chapters `EXPERIMENTS`.
 ARM7 = Subject(
     "arm7",
     EXPERIMENTS,
@@ -112,13 +113,13 @@ def run(
         out: Folder of the report; created if it does not exist.
         subject: Robot and experiments.
         only: Numbers of the experiments; empty for all.
-        quick: True: the fewest runs that exercise everything once.
-        jobs: Processes.
-        on_total: Called with the number of steps before the first.
-        on_step: Called with the name of each completed step.
+        quick: True makes only a few runs, which execute all code once.
+        jobs: Number of processes.
+        on_total: Callback with the number of steps, before the first step.
+        on_step: Callback with the name of each completed step.
 
     Returns:
-        Paths of all results.
+        Chapters, paths of the written files, and duration.
 
     Raises:
         ConfigError: An experiment number does not exist.
@@ -144,6 +145,10 @@ def run(
     ]
     run_by_key(drawing, jobs, progress=on_step)
     chapters = tuple(module.chapter(module.measure(own[n])) for n, module in chosen.items())
+    for chapter in chapters:
+        # Fail here if a measured number is not finite. `results.json` may only have infinite
+        # bounds, which it contains as null.
+        json.dumps(chapter.numbers, allow_nan=False)
     facts = provenance.collect()
     results = _write_results(out, subject, chapters, facts, quick=quick)
     seconds = perf_counter() - begin
@@ -161,7 +166,7 @@ def run(
 
 
 def choose(experiments: Mapping[int, Experiment], only: Sequence[int]) -> dict[int, Experiment]:
-    """Select experiments by number, in their own order.
+    """Return the experiments with these numbers, in ascending order; all if `only` is empty.
 
     Raises:
         ConfigError: A number does not exist; the message lists the known ones.
@@ -181,7 +186,11 @@ def _write_results(
     *,
     quick: bool,
 ) -> Path:
-    """Write all numbers and verdicts as JSON; equal runs give equal files."""
+    """Write all numbers and verdicts to `results.json`; equal runs give equal files.
+
+    Returns:
+        Path of the file.
+    """
     content = {
         "robot": subject.name,
         "quick": quick,

@@ -1,9 +1,9 @@
-"""Descents with wrong assumptions about servos, load, friction, encoder and delay.
+"""Torque on and `lower` with wrong assumptions about servos, load, friction, encoder and delay.
 
-``python -m experiments.descent [--arm so101] [--poses 50] [--jobs 2] [--bytes]`` prints, per arm,
-the worst of torque on and of `lower` over random poses, each with its own mix of errors, in free
-air and over a table, the worst poses, and the ready pose. With `--bytes` the servos are
-emulated ones on a serial port, in emulated time.
+``python -m experiments.descent [--arm so101] [--poses 50] [--jobs 2] [--bytes]`` prints a table of
+the worst values per arm, over random poses with random errors of the assumptions, in free air and
+over a table, and for the ready pose. With `--bytes` the arm has emulated servos on a serial port,
+in emulated time.
 """
 
 from __future__ import annotations
@@ -38,32 +38,33 @@ if TYPE_CHECKING:
     from pliant.emulator.servo import Servo
 
 
-#: Arms of the table.
+#: Names of the arms in the printed table.
 ARMS = ("arm7", "so101", "koch", "vx300s")
-#: True over assumed stiffness of a joint, and true over assumed friction.
+#: Ranges of true over assumed stiffness of a joint, and of true over assumed friction.
 STIFFNESS, FRICTION = (0.5, 2.5), (0.5, 2.0)
-#: Unknown loads at the tool [kg], encoder steps [deg] and delays of a cycle [ticks].
+#: Largest unknown load at the tool [kg], encoder steps [deg], and delays of a cycle [ticks].
 LOAD, STEPS, DELAYS = 0.5, (0.09, 0.3), (0, 1, 2, 3)
-#: Table below the lower of tool and wrist [m].
+#: Distance of the table below the lower of tool and wrist [m].
 TABLE = 0.10
-#: Share of the usable torque that holding the arm and its load may take.
-HOLDS = 0.85
-#: Ready pose of each arm (n,) [rad]; the last row of the table uses it.
+#: Largest share of the usable torque that a random pose may need for arm and load.
+MAX_LOAD_SHARE = 0.85
+#: Ready pose of each arm (n,) [rad].
 READY = {"arm7": tuple(VERTICAL), **POSES}
-#: Time before the descent, and after torque off [s].
+#: Time between torque on and descent, and observation time after torque off [s].
 BEFORE, AFTER = 0.3, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Truth:
-    """True parameters of an arm that assumes its servo table and no load.
+class TrueParameters:
+    """True parameters of an arm whose controller assumes its servo table and no load.
 
     Attributes:
-        stiffness, friction: True over assumed (n,).
-        load: At the tool [kg].
-        step: Of the encoders [rad].
-        delay: Ticks from sampling to read, and from write to the servo; on bytes the wire has its
-            own.
+        stiffness: True over assumed stiffness (n,).
+        friction: True over assumed friction.
+        load: Load at the tool [kg].
+        step: Encoder step [rad].
+        delay: Delays from sampling to read, and from write to the servo [ticks]; not used with
+            emulated servos.
     """
 
     stiffness: tuple[float, ...]
@@ -74,24 +75,25 @@ class Truth:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """Result of torque on and one descent.
+class DescentResult:
+    """Result of torque on, one descent, and torque on again.
 
     Attributes:
         apart: Largest ratio between true and assumed stiffness of a joint.
-        strain: Largest share of its servo's true torque that a joint needed for weight and load
-            during the descent; above 1 the servos cannot hold the arm.
-        moved: Largest displacement of the tool while the arm was taken over from a program that
-            held it; on bytes from a hand [m].
-        jerk: Highest speed of the tool while the arm was taken over [m/s].
-        woken, stir: The same, where torque came on at the end of the descent [m], [m/s].
-        rise: Rise of the tool above its start during the descent [m].
-        speed: Highest speed of the tool during the descent [m/s].
-        after: Highest speed within the second after torque was off [m/s].
-        force: Largest mean over a tick of the force on one point of the table [N].
-        resting: Force on the table a second after torque was off [N].
-        seconds: Duration of the descent.
-        height: Drop of the tool [m].
+        strain: Largest torque for weight and load during the descent, as a share of the servo's
+            true torque; above 1 the servos cannot hold the arm.
+        moved: Largest displacement of the tool while torque comes on before the descent [m].
+        jerk: Largest speed of the tool while torque comes on before the descent [m/s].
+        woken: Largest displacement of the tool while torque comes on after the descent [m].
+        stir: Largest speed of the tool while torque comes on after the descent [m/s].
+        rise: Largest rise of the tool above its start during the descent [m].
+        speed: Largest speed of the tool during the descent [m/s].
+        after: Largest speed of the tool within a second after torque off [m/s].
+        force: Largest force on one point of the table before torque off, averaged over a control
+            period [N].
+        resting: Force on the table a second after torque off [N].
+        seconds: Duration of the descent [s].
+        height: Drop of the tool during the descent [m].
     """
 
     apart: float
@@ -108,17 +110,22 @@ class Outcome:
     seconds: float
     height: float
 
+    @property
+    def pressed(self) -> float:
+        """Force on the table beyond the weight that rests there afterwards [N]."""
+        return max(self.force - self.resting, 0.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One arm, one pose, one set of true parameters.
+    """One run: an arm in a pose with true parameters.
 
     Attributes:
-        arm: Its name.
-        number: Of pose and parameters; -1 and less for the ready pose.
-        over_table: True if there is a table under it.
-        on_bytes: True if its servos are emulated ones on a serial port.
-        q: Pose (n,) [rad].
+        arm: Name of the arm.
+        number: Number of pose and parameters; negative for the ready pose.
+        over_table: True if there is a table under the arm.
+        on_bytes: True if the servos are emulated on a serial port.
+        q: Start pose (n,) [rad].
         truth: True parameters of the arm.
     """
 
@@ -127,25 +134,25 @@ class Job:
     over_table: bool
     on_bytes: bool = False
     q: tuple[float, ...] = field(repr=False)
-    truth: Truth
+    truth: TrueParameters
 
-    def run(self) -> Outcome:
-        """Enable the arm, wait, lower it, and record."""
-        with (_over_bytes if self.on_bytes else _simulated)(self) as (arm, watch):
-            plant, clock = watch.plant, arm.clock
-            moved, jerk = self._enable(arm, watch)
-            watch.begin()
+    def run(self) -> DescentResult:
+        """Enable the arm, lower it, enable it again, and return the recorded result."""
+        with (_over_bytes if self.on_bytes else _simulated)(self) as (arm, recorder):
+            plant, clock = recorder.plant, arm.clock
+            moved, jerk = self._enable(arm, recorder)
+            recorder.begin()
             begin = clock.now()
             arm.lower()
-            seconds, down, strain = clock.now() - begin, watch.seen, watch.strain
-            height = watch.start[2] - float(plant.tool[2, 3])
-            watch.begin()
+            seconds, down, strain = clock.now() - begin, recorder.seen, recorder.strain
+            height = recorder.start[2] - float(plant.tool[2, 3])
+            recorder.begin()
             clock.wait_until(clock.now() + AFTER)
-            after = watch.seen.speed
+            after = recorder.seen.speed
             resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
-            woken, stir = self._enable(arm, watch)
-            ratio = np.log(watch.stiffness() / np.asarray(arm.servos.kp))
-        return Outcome(
+            woken, stir = self._enable(arm, recorder)
+            ratio = np.log(recorder.stiffness() / np.asarray(arm.servos.kp))
+        return DescentResult(
             apart=float(np.exp(np.abs(ratio).max())),
             strain=strain,
             moved=moved,
@@ -155,24 +162,24 @@ class Job:
             rise=down.rise,
             speed=down.speed,
             after=after,
-            force=down.force,
+            force=float(down.force),
             resting=resting,
             seconds=seconds,
-            height=height,
+            height=float(height),
         )
 
     @staticmethod
-    def _enable(arm: Arm, watch: Watch) -> tuple[float, float]:
-        """Switch torque on; return distance [m] and speed [m/s] of the tool."""
-        watch.begin()
+    def _enable(arm: Arm, recorder: PeakRecorder) -> tuple[float, float]:
+        """Switch torque on; return largest displacement [m] and speed [m/s] of the tool."""
+        recorder.begin()
         arm.enable()
         arm.clock.wait_until(arm.clock.now() + BEFORE)
-        return watch.seen.moved, watch.seen.speed
+        return recorder.seen.moved, recorder.seen.speed
 
 
 @dataclass
-class Seen:
-    """Largest values since `Watch.begin`: see `Outcome`."""
+class Peaks:
+    """Largest values since `PeakRecorder.begin`, as in `DescentResult`."""
 
     moved: float = 0.0
     rise: float = -np.inf
@@ -180,17 +187,18 @@ class Seen:
     force: float = 0.0
 
 
-class Watch:
-    """Records the true state of an arm each time its physics has advanced.
+class PeakRecorder:
+    """Records peaks of the true state of an arm; called after physics steps.
 
     Attributes:
-        plant: The true state.
-        seen, strain: Largest values since `begin`.
+        plant: Simulation with the true state.
+        seen: Largest values since `begin`.
+        strain: Largest torque share since `begin`, as in `DescentResult`.
         start: Position of the tool at `begin` (3,) [m].
     """
 
     def __init__(self, job: Job, plant: Plant) -> None:
-        """Put the table under the arm, if there is one."""
+        """Store the simulation, and place the table under the arm if the job has one."""
         self.plant, self._load = plant, job.truth.load
         if job.over_table:
             plant.set_hands(table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE))
@@ -198,12 +206,12 @@ class Watch:
 
     def begin(self) -> None:
         """Restart the record."""
-        self.seen, self.strain = Seen(), 0.0
+        self.seen, self.strain = Peaks(), 0.0
         self.start = self.plant.tool[:3, 3].copy()
         self._steps, self._force = 0, np.zeros((len(self.plant.hands), 3))
 
-    def look(self, steps: int) -> None:
-        """Record the state; `steps` physics steps have passed since the last record."""
+    def record(self, steps: int) -> None:
+        """Record the state, `steps` physics steps after the last call."""
         plant, seen = self.plant, self.seen
         tool = plant.tool[:3, 3]
         seen.moved = max(seen.moved, float(np.linalg.norm(tool - self.start)))
@@ -217,19 +225,22 @@ class Watch:
         mean = np.linalg.norm(self._force / self._steps, axis=1)
         seen.force = max(seen.force, *mean) if mean.size else 0.0
         self._steps, self._force = 0, np.zeros_like(self._force)
-        needed = np.abs(_needed(plant.model, plant.q, self._load))
+        needed = np.abs(_holding_torque(plant.model, plant.q, self._load))
         self.strain = max(self.strain, float((needed / plant.gains.torque).max()))
 
     def stiffness(self) -> Array:
-        """True stiffness of the joints (n,) [N·m/rad]."""
+        """Return the true stiffness of the joints (n,) [N·m/rad]."""
         model = self.plant.mj_model
         gains = [model.actuator(name).gainprm[0] for name in self.plant.model.joint_names]
         return np.array(gains)
 
 
 @contextmanager
-def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
-    """Return the arm of a job on the simulator, held by a program that knew its parameters."""
+def _simulated(job: Job) -> Iterator[tuple[Arm, PeakRecorder]]:
+    """Return the arm of a job on the simulator, and its recorder.
+
+    Goals and limits as of an earlier program hold the arm, with the leads for the true parameters.
+    """
     model, truth = robot(job.arm), job.truth
     assert model.servos is not None
     plant = Plant(
@@ -241,22 +252,25 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, Watch]]:
         payload=_payload(truth),
     )
     plant.reset(job.q)
-    watch = Watch(job, plant)
+    recorder = PeakRecorder(job, plant)
     drive = SimDrive(plant, servos=model.servos.replace(stiffness_known=False))
     arm = Arm(
         model, drive, grippers=factory.gripper_configs(configuration(job.arm)), handle_signals=False
     )
-    lead = _needed(model, np.asarray(job.q), truth.load) / plant.gains.kp
+    lead = _holding_torque(model, np.asarray(job.q), truth.load) / plant.gains.kp
     goal = np.concatenate((job.q + lead, drive.read().position[model.n :]))
     drive.write(goal, np.asarray(drive.servos.max_torque))
     drive.clock.wait_until(plant.time + BEFORE)
-    drive.clock.on_tick = lambda: watch.look(plant.steps)
-    yield arm, watch
+    drive.clock.on_tick = lambda: recorder.record(plant.steps)
+    yield arm, recorder
 
 
 @contextmanager
-def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
-    """Return the arm of a job on emulated servos, held by a hand until they have torque."""
+def _over_bytes(job: Job) -> Iterator[tuple[Arm, PeakRecorder]]:
+    """Return the arm of a job on emulated servos, and its recorder.
+
+    The emulator holds the arm until all servos have torque.
+    """
     own, truth = configuration(job.arm), job.truth
     model = own.model()
     bus = make_emulator(
@@ -266,15 +280,15 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
         timing=Timing(wire=True),
         plant={"friction_scale": truth.friction, "payload": _payload(truth)},
     )
-    watch, step = Watch(job, bus.plant), bus.world.physics.step
+    recorder, step = PeakRecorder(job, bus.plant), bus.world.physics.step
     names = [joint for joint, servo in own.servo.items() for _ in range(1 + bool(servo.secondary))]
     scales = dict(zip(model.joint_names, truth.stiffness, strict=True))
     for servo, joint in zip(bus.world.servos, names, strict=False):
-        _differ(servo, scales.get(joint, 1.0), truth.step)
+        _set_true_behaviour(servo, scales.get(joint, 1.0), truth.step)
 
     def watched(count: int) -> None:
         step(count)
-        watch.look(count)
+        recorder.record(count)
 
     bus.world.physics.step = watched  # type: ignore[method-assign]
     with bus:
@@ -285,14 +299,14 @@ def _over_bytes(job: Job) -> Iterator[tuple[Arm, Watch]]:
         )
         arm = Arm(model, drive, grippers=factory.gripper_configs(own), handle_signals=False)
         try:
-            yield arm, watch
+            yield arm, recorder
         finally:
             arm.disable_torque()
             arm.close()
 
 
-def _differ(servo: Servo, stiffness: float, step: float) -> None:
-    """Give an emulated servo a stiffness unlike its registers, and coarser counts [rad]."""
+def _set_true_behaviour(servo: Servo, stiffness: float, step: float) -> None:
+    """Scale the stiffness of an emulated servo, and round its position to `step` [rad]."""
     drive, refresh = servo.drive, servo.refresh
     counts = max(round(step / servo.model.count), 1)
 
@@ -307,11 +321,11 @@ def _differ(servo: Servo, stiffness: float, step: float) -> None:
     servo.drive, servo.refresh = stiffer, coarser  # type: ignore[method-assign]
 
 
-def _payload(truth: Truth) -> tuple[float, tuple[float, ...]] | None:
+def _payload(truth: TrueParameters) -> tuple[float, tuple[float, ...]] | None:
     return (truth.load, (0.0, 0.0, 0.0)) if truth.load else None
 
 
-def _needed(model: Model, q: Array, mass: float) -> Array:
+def _holding_torque(model: Model, q: Array, mass: float) -> Array:
     """Return the torques (n,) [N·m] for weight and a load [kg] at the tool at q (n,) [rad]."""
     needed: Array = model.gravity(q) - mass * model.gravity_vector @ model.jacobian(q)[:3]
     return needed
@@ -319,12 +333,12 @@ def _needed(model: Model, q: Array, mass: float) -> Array:
 
 @cache
 def robot(name: str) -> Model:
-    """Return a built-in arm, or a real robot's description found beside the project."""
+    """Return the model of a built-in arm, or of a real robot whose URDF is available."""
     return load(name).model
 
 
 def configuration(name: str) -> Config:
-    """Return the ready file of an arm, without its table."""
+    """Return the built-in configuration of an arm, without its table."""
     urdf = ROBOTS / BESIDE[name][0] if name in BESIDE else None
     return config.load(name, backend="emulator", urdf=urdf, table=False)
 
@@ -334,10 +348,12 @@ def is_here(name: str) -> bool:
     return name not in BESIDE or (ROBOTS / BESIDE[name][0]).is_file()
 
 
-def truths(model: Model, count: int, *, seed: int = 0) -> list[tuple[Array, Truth]]:
-    """Return random poses (n,) [rad] that the true servos can hold, each with its true parameters.
+def random_parameters(
+    model: Model, count: int, *, seed: int = 0
+) -> list[tuple[Array, TrueParameters]]:
+    """Return random poses (n,) [rad] that the servos can hold, each with true parameters.
 
-    The first ones have all servos too stiff, too soft, and both in turn.
+    The first parameters have extreme stiffness: all servos too stiff, all too soft, alternating.
     """
     assert model.servos is not None
     n, usable = model.n, np.asarray(model.servos.max_torque)
@@ -351,12 +367,12 @@ def truths(model: Model, count: int, *, seed: int = 0) -> list[tuple[Array, Trut
         np.where(np.arange(n) % 2, *STIFFNESS[::-1]),
         np.ones(n),
     ]
-    found: list[tuple[Array, Truth]] = []
+    found: list[tuple[Array, TrueParameters]] = []
     while len(found) < count:
         k = len(found)
         drawn = np.exp(rng.uniform(np.log(STIFFNESS[0]), np.log(STIFFNESS[1]), n))
         stiffness = drawn if k >= len(corners) else corners[k]
-        truth = Truth(
+        truth = TrueParameters(
             stiffness=tuple(stiffness.tolist()),
             friction=float(np.exp(rng.uniform(np.log(FRICTION[0]), np.log(FRICTION[1])))),
             load=float(rng.uniform(0.0, LOAD)) if k % 5 else LOAD * (k % 2),
@@ -365,18 +381,20 @@ def truths(model: Model, count: int, *, seed: int = 0) -> list[tuple[Array, Trut
         )
         for _ in range(200):
             q = rng.uniform(low, high)
-            if np.all(np.abs(_needed(model, q, truth.load)) < HOLDS * usable):
+            if np.all(np.abs(_holding_torque(model, q, truth.load)) < MAX_LOAD_SHARE * usable):
                 found.append((q, truth))
                 break
     return found
 
 
 def descents(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[Job]:
-    """Return the runs of one arm: every pose in free air, then over a table; then the ready pose.
+    """Return the runs of one arm: every pose in free air and over a table, and the ready pose.
 
-    The ready pose has the first parameters, without a load.
+    The ready pose is combined with the first true parameters, without a load.
     """
-    drawn = truths(configuration(name).model() if on_bytes else robot(name), count, seed=seed)
+    drawn = random_parameters(
+        configuration(name).model() if on_bytes else robot(name), count, seed=seed
+    )
     runs = [
         Job(arm=name, number=k, over_table=over, on_bytes=on_bytes, q=tuple(q), truth=truth)
         for over in (False, True)
@@ -389,11 +407,11 @@ def descents(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) ->
     return runs + ready
 
 
-def rows(name: str, work: Sequence[Job], seen: Sequence[Outcome]) -> list[str]:
-    """Return lines of the table: worst (median), and in brackets the number of the worst pose."""
+def rows(name: str, work: Sequence[Job], seen: Sequence[DescentResult]) -> list[str]:
+    """Return lines of the table, with worst value, median, and number of the worst pose."""
     lines = []
     pairs = list(zip(work, seen, strict=True))
-    # Runs in which the true servos were too weak to hold the arm are left out.
+    # Runs in which the servos cannot hold the arm have a row of their own.
     strong = [(job, one) for job, one in pairs if one.strain < 1.0]
     cases = {
         "free": [(job, one) for job, one in strong if job.number >= 0 and not job.over_table],
@@ -411,6 +429,7 @@ def rows(name: str, work: Sequence[Job], seen: Sequence[Outcome]) -> list[str]:
         ("after", 1.0, 2),
         ("force", 1.0, 1),
         ("resting", 1.0, 1),
+        ("pressed", 1.0, 1),
         ("seconds", 1.0, 0),
     ]
     for case, runs in cases.items():
@@ -439,8 +458,9 @@ COLUMNS = (
     "lowered: rises [mm]",
     "speed [m/s]",
     "after torque off [m/s]",
-    "force on the table [N]",
-    "of which rests [N]",
+    "force on the table before torque off [N]",
+    "rests after torque off [N]",
+    "force beyond that [N]",
     "takes [s]",
 )
 
@@ -454,15 +474,15 @@ def main(
     each: bool = False,
     over_bytes: Annotated[bool, tyro.conf.arg(name="bytes")] = False,
 ) -> None:
-    """Lower arms that differ from their assumptions.
+    """Lower arms whose true parameters differ from the assumed ones.
 
     Args:
-        arm: Arms by name; default all of the table.
-        poses: Random poses of each.
+        arm: Names of the arms; default: all.
+        poses: Number of random poses per arm.
         seed: Random seed of poses and true parameters.
         jobs: Number of processes.
-        each: Also print every run.
-        over_bytes: Emulated servos on a serial port, in emulated time.
+        each: True prints every run too.
+        over_bytes: True uses emulated servos on a serial port, in emulated time.
     """
     print(program.head(COLUMNS), flush=True)
     for name in arm or ARMS:
@@ -470,7 +490,7 @@ def main(
             print(f"{name}: no description beside the project, skipped")
             continue
         work = descents(name, poses, seed=seed, on_bytes=over_bytes)
-        seen: list[Outcome] = []
+        seen: list[DescentResult] = []
         for job, one in zip(work, run_jobs(work, jobs, f"descent of {name}"), strict=True):
             seen.append(one)
             if each:

@@ -1,4 +1,4 @@
-"""Hands that drag, push or tap, the loss of the host, and walls."""
+"""Experiments with external forces: hands that drag, push or tap, host loss, and walls."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from experiments.poses import AXES, arm, pull, servos, tool
 from experiments.simulation import NOMINAL, Trace, run
 from pliant.sim import Wall
 from pliant.sim.ground_truth import WRIST
-from pliant.sim.hand import STRONG, Drag, ForceProfile, Push, Twist, tap
+from pliant.sim.hand import DRAG_80N, Drag, ForceProfile, Push, Twist, tap
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
@@ -26,28 +26,32 @@ if TYPE_CHECKING:
 
     Law = pliant.Settings | FromModel
 
-#: Hand of at most 15 N that moves 0.08 m in 4 s: slow, so that dry friction dominates.
+#: Hand of at most 15 N that moves 0.08 m in 4 s, so slowly that dry friction dominates.
 SLOW = Drag(distance=0.08, course=ForceProfile(start=2.0, rise=4.0, end=6.5))
 
 
 @dataclass(frozen=True, kw_only=True)
 class DragResult:
-    """Result of a hand that drags one axis from 2 to 5 s and then lets go.
+    """Result of a hand that drags one axis from 2 to 5 s and then releases the arm.
 
     Attributes:
-        moved: Largest change of the dragged axis since the hand came, while it pulls [m or rad].
-        before: Largest change of that axis in the 2 s before the hand comes [m or rad].
-        force: Largest mean over a tick of the hand's force or torque [N or N·m].
+        moved: Largest change of the dragged axis while the hand pulls [m or rad].
+        before: Largest distance of the dragged axis from its start in the 2 s before the hand pulls
+            [m or rad].
+        force: Largest force or torque of the hand, averaged over a control period [N or N·m].
         peak: Largest force or torque of the hand in any physics step [N or N·m].
-        held: Mean force while the hand holds still, along the axis; positive: toward + [N or N·m].
-        position: Largest deviation of the other positions while the hand pulls [m].
-        drift: The same, relative to their values when the hand came [m].
-        rotation: Largest deviation of the other rotations [rad].
-        back: Distance of the axis from its start 1 s after the release, unsigned [m or rad].
-        end: Distance of the axis from its start at the end of the run [m or rad].
-        stays: Distance between the axis' farthest position and its final one [m or rad].
+        held: Mean force or torque of the resting hand along the axis, signed [N or N·m].
+        position: Largest distance of another position from its value at the start of the run, while
+            the hand pulls [m].
+        drift: Largest distance of another position from its value at the start of the pull, while
+            the hand pulls [m].
+        rotation: Largest distance of another rotation from its value at the start of the run, while
+            the hand pulls [rad].
+        back: Distance of the dragged axis from its start 1 s after the release [m or rad].
+        end: Distance of the dragged axis from its start at the end of the run [m or rad].
+        stays: Difference between `moved` and `end` [m or rad].
         fastest: Largest speed of a joint after the release [rad/s].
-        trace: The run.
+        trace: Recorded run.
     """
 
     moved: float
@@ -67,20 +71,20 @@ class DragResult:
 
 def drag(
     law: Law,
-    hand: Drag | Twist = STRONG,
+    hand: Drag | Twist = DRAG_80N,
     *,
     q: Array = VERTICAL,
     duration: float = 9.0,
     conditions: Conditions = NOMINAL,
 ) -> DragResult:
-    """Let a hand drag the arm away from a constant target and let go.
+    """Drag the arm away from a constant target, release it, and return the result.
 
     Args:
-        law: Settings of a controller, or a baseline.
-        hand: The hand; its axis is a name.
-        q: Start (7,) [rad]; the target is the tool's pose there.
-        duration: Length of the run [s].
-        conditions: Loop, bus and assumptions.
+        law: Settings of a controller, or factory of a baseline controller.
+        hand: The hand, whose axis must be given by name.
+        q: Start pose (7,) [rad]; the target is the tool's pose there.
+        duration: Duration of the run [s].
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     plant = conditions.build(hand)
     controller = conditions.controller(law)
@@ -110,12 +114,15 @@ def drag(
 
 
 def opposite(hand: Drag) -> Drag:
-    """Return the same hand, pulling the other way."""
+    """Return a hand that pulls in the opposite direction."""
     return replace(hand, distance=-hand.distance)
 
 
 def _grip(time: float, plant: Plant) -> None:
-    """Let the hand measure its distance from the arm's position when it comes."""
+    """Make the present pose the zero of the hand's displacement when the hand begins to pull.
+
+    It is a callback of `run` with the time [s] and the simulated arm.
+    """
     if abs(time - metrics.PULLING[0]) < 0.5 * plant.period:
         plant.ground_truth.remember()
 
@@ -125,11 +132,11 @@ class PushResult:
     """Result of a constant push.
 
     Attributes:
-        moved: Largest change along the push [m].
-        position: Largest deviation of the other positions [m].
-        rotation: Largest deviation of the rotations [rad].
-        back: Distance along the push 1 s after it ended [m].
-        trace: The run.
+        moved: Largest displacement of the tool along the push [m].
+        position: Largest displacement of the tool along another base axis during the push [m].
+        rotation: Largest rotation of the tool about a base axis during the push [rad].
+        back: Distance of the tool from its start along the push, 1 s after the push ended [m].
+        trace: Recorded run.
     """
 
     moved: float
@@ -142,14 +149,14 @@ class PushResult:
 def push(
     law: Law, force: float, *, axis: str = "y", at: str = WRIST, conditions: Conditions = NOMINAL
 ) -> PushResult:
-    """Push with a constant force [N] along a base axis: up in 2 to 3 s, gone at 5 s.
+    """Push along a base axis with a force that rises from 2 to 3 s and ends at 5 s.
 
     Args:
-        law: Settings of a controller, or a baseline.
-        force: The force, with its sign [N].
-        axis: Base axis.
-        at: Frame that is pushed, `wrist` or `tool`.
-        conditions: Loop, bus and assumptions.
+        law: Settings of a controller, or factory of a baseline controller.
+        force: Signed force [N].
+        axis: Base axis of the push: `x`, `y` or `z`.
+        at: Pushed frame, `wrist` or `tool`.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     index = AXES.index(axis)
     hand = Push(force_vector=tuple(force * np.eye(3)[index]), at=at)
@@ -164,10 +171,10 @@ def push(
 
 
 def push_stiff(law: Law, axis: str, size: float, *, conditions: Conditions = NOMINAL) -> float:
-    """Push the tool along or about an axis with a constant `size` [N or N·m].
+    """Push the tool along or about a base axis with a constant force or torque [N or N·m].
 
     Returns:
-        Deviation of that axis [m or rad]: mean of 3 to 3.9 s, in the direction of the push.
+        Mean displacement of the tool from 3 to 3.9 s, in the direction of the push [m or rad].
     """
     index = AXES.index(axis)
     vector = tuple(size * np.eye(3)[index % 3])
@@ -182,10 +189,10 @@ def push_stiff(law: Law, axis: str, size: float, *, conditions: Conditions = NOM
 
 
 def tapped(law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = NOMINAL) -> float:
-    """Tap the tool along a base axis at 1 s.
+    """Push the tool shortly along a base axis at 1 s, with a force [N].
 
     Returns:
-        Rms speed of the joints from 4 to 6 s [rad/s], which stays large if the loop oscillates.
+        Rms speed of the joints from 4 to 6 s [rad/s]; a large value means oscillation.
     """
     hand = tap(tuple(force * np.eye(3)[AXES.index(axis)]))
     trace = run(conditions.build(hand), conditions.controller(law), tool(VERTICAL), 6.0, q=VERTICAL)
@@ -197,11 +204,11 @@ class IdleResult:
     """Motion of an untouched arm.
 
     Attributes:
-        error: Distance of the tool from its target at the end [m].
-        angle: Angle of the tool from its target at the end [rad].
+        error: Distance of the tool from its target position at the end [m].
+        angle: Angle between the tool and its target orientation at the end [rad].
         speed: Rms speed of the joints in the last 2 s [rad/s].
-        walk: Change of the position in the last 2 s [m].
-        trace: The run.
+        walk: Change of the tool's position in the last 2 s [m].
+        trace: Recorded run.
     """
 
     error: float
@@ -214,7 +221,7 @@ class IdleResult:
 def idle(
     law: Law, duration: float = 4.0, *, q: Array = VERTICAL, conditions: Conditions = NOMINAL
 ) -> IdleResult:
-    """Hold still for `duration` seconds, at least 3."""
+    """Hold a constant target for `duration` [s], at least 3, and return the motion of the arm."""
     trace = run(conditions.build(), conditions.controller(law), tool(q), duration, q=q)
     late = trace.between(duration - 2.0, duration)
     return IdleResult(
@@ -226,10 +233,10 @@ def idle(
     )
 
 
-# --- Host loss: the servos keep their last goals and limits, and a hand comes ---
+# --- Host loss: the servos keep their last goals and limits, and a hand moves the arm ---
 
-#: Time at which the bus falls silent, and duration of the hand's motion [s].
-DEATH, RISE = 1.9, 7.5
+#: Time of the host loss, and duration of the hand's motion after it [s].
+HOST_LOSS_TIME, RISE = 1.9, 7.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,10 +244,11 @@ class HostLossResult:
     """Force on a hand that moved an arm after a host loss.
 
     Attributes:
-        force: Largest force against the hand, mean over a tick [N].
-        formula: min over the joints of (L + τ_f + s g)/|a|, a = Jᵀd, at the pose of that force [N].
-        moved: Motion of the tool between the host loss and the hand, or without a hand at all [m].
-        trace: The run.
+        force: Largest force on the hand, averaged over a control period [N].
+        formula: Static estimate by `static_force` in the pose of the largest force [N].
+        moved: Largest displacement of the tool along a base axis after the host loss, before the
+            hand moves it [m].
+        trace: Recorded run.
     """
 
     force: float
@@ -250,15 +258,15 @@ class HostLossResult:
 
 
 def static_force(q: Array, limit: Array, direction: Array) -> float:
-    """Return the push at the tool under which the first joint gives way.
+    """Return the smallest push at the tool that moves a joint against its torque limit [N].
+
+    The push is the minimum over the joints of (L + τ_f + sign(a) g)/|a|, with torque limit L, dry
+    friction τ_f and gravity torque g of a joint [N·m], and its lever a in Jᵀd [m].
 
     Args:
-        q: Posture (n,) [rad].
-        limit: Torque limits (n,) [N·m].
-        direction: Of the push, a unit vector (3,) in base axes.
-
-    Returns:
-        The force [N].
+        q: Joint positions (n,) [rad].
+        limit: Torque limits L (n,) [N·m].
+        direction: Direction d of the push, a unit vector (3,) in base axes.
     """
     model = arm()
     _, jacobian = model.kinematics(q)
@@ -269,29 +277,31 @@ def static_force(q: Array, limit: Array, direction: Array) -> float:
     return float((room[felt] / np.abs(lever[felt])).min())
 
 
-def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) -> HostLossResult:
-    """Silence the bus at 1.9 s, then let a strong hand move the tool by 0.15 m within 7.5 s.
+def lose_host(
+    law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL
+) -> HostLossResult:
+    """Stop the host at 1.9 s, then move the tool with a hand by 0.15 m within 7.5 s.
 
     Args:
-        law: Settings of a controller, or a baseline.
-        push: Sign and axis of the hand, None for no hand.
-        conditions: Loop, bus and assumptions.
+        law: Settings of a controller, or factory of a baseline controller.
+        push: Direction of the hand's motion as sign and base axis; None: no hand.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
-    silent = conditions.with_plant(bus_outage=(DEATH, np.inf))
+    silent = conditions.with_plant(bus_outage=(HOST_LOSS_TIME, np.inf))
     hands = []
     direction = np.zeros(3)
     if push is not None:
         direction[AXES.index(push[1:])] = -1.0 if push[0] == "-" else 1.0
         course = ForceProfile(start=2.0, rise=RISE, end=np.inf)
-        hands.append(replace(STRONG, axis=tuple(direction), course=course))
+        hands.append(replace(DRAG_80N, axis=tuple(direction), course=course))
     trace = run(
         silent.build(*hands), silent.controller(law), tool(VERTICAL), 2.0 + RISE, q=VERTICAL
     )
     felt = trace.force @ direction
     worst = int(np.argmax(felt))
-    death = trace.at(DEATH)
+    death = trace.at(HOST_LOSS_TIME)
     limit = trace.limit[death]
-    alone = trace.between(DEATH, 2.0 if push is not None else np.inf)
+    alone = trace.between(HOST_LOSS_TIME, 2.0 if push is not None else np.inf)
     return HostLossResult(
         force=float(felt[worst]),
         formula=static_force(trace.q[worst], limit, direction) if push is not None else np.inf,
@@ -300,27 +310,30 @@ def die(law: Law, push: str | None = "+y", *, conditions: Conditions = NOMINAL) 
     )
 
 
-# --- Motion into a wall: impact, and remaining force ---
+# --- Motion into a wall: force at the impact and at rest ---
 
-#: Directions into the wall: the axis that is soft, and the sign.
+#: Directions of motion into the wall by name: soft axis, and sign of the motion.
 DIRECTIONS = {"+x": ("x", 1.0), "+y": ("y", 1.0), "-z": ("z", -1.0)}
 STIFFNESSES = (2e3, 2e4)
 SPEEDS = (0.05, 0.10, 0.25)
-#: Distance of the wall, and of the target behind its surface [m].
+#: Distance of the wall from the tool, and final distance of the target behind the wall's surface
+#: [m].
 GAP, BEHIND = 0.05, 0.10
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImpactResult:
-    """Forces on the wall.
+    """Forces on a wall into which the arm moves.
 
     Attributes:
-        peak: Largest force of any physics step [N].
-        later: Largest mean over a tick from 0.3 s after the first touch on [N].
-        final: Mean force of the last half second [N].
-        allowed: cap + v √(k m), of a mass m that meets a spring k at speed v [N].
-        mass: Effective mass m of the arm along the wall's normal, rotors included [kg].
-        trace: The run.
+        peak: Largest force in any physics step [N].
+        later: Largest force from 0.3 s after the first contact on, averaged over a control period
+            [N].
+        final: Mean force in the last half second [N].
+        allowed: Bound cap + v √(k m) of `peak` [N]: the cap of the soft axis [N], plus the impact
+            force of the mass m at the target's speed v on a wall of stiffness k.
+        mass: Effective mass m of the arm along the wall's normal, including rotors [kg].
+        trace: Recorded run.
     """
 
     peak: float
@@ -332,7 +345,11 @@ class ImpactResult:
 
 
 def effective_mass(plant: Plant, axis: int) -> float:
-    """Return the effective mass [kg] along a base axis: 1 / (n J M⁻¹ Jᵀ nᵀ), with rotors."""
+    """Return the effective mass of the arm at the tool along a base axis, with rotors [kg].
+
+    It is 1 / (j M⁻¹ jᵀ), with the row j of the tool's Jacobian for the axis and the joint-space
+    inertia matrix M.
+    """
     model, data = plant.mj_model, plant.mj_data
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
@@ -352,15 +369,15 @@ def bump(
     cap: float = 15.0,
     conditions: Conditions = NOMINAL,
 ) -> ImpactResult:
-    """Run into a wall 0.05 m away with a target that continues for another 0.10 m.
+    """Move the target to 0.10 m behind a wall, 0.05 m away from the tool; return the forces.
 
     Args:
-        law: Makes the settings from the soft axis, `soft`, and `eta`.
-        direction: One of `DIRECTIONS`.
-        speed: Of the target [m/s].
-        stiffness: Of the wall [N/m].
-        cap: Force that the law promises at a large deviation [N].
-        conditions: Loop, bus and assumptions.
+        law: Function that returns settings for the arguments `soft` (soft axis) and `eta`.
+        direction: Key of `DIRECTIONS`.
+        speed: Speed of the target [m/s].
+        stiffness: Stiffness of the wall [N/m].
+        cap: Cap of the soft axis at a large deviation [N].
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     axis, sign = DIRECTIONS[direction]
     index = "xyz".index(axis)

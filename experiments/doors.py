@@ -1,4 +1,4 @@
-"""Opening doors: a leaf on a hinge, gripped rigidly or by a handle that turns."""
+"""Experiments with hinged doors, held rigidly or by a handle that turns in the grip."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A door, the arm's start, and the motion that opens it.
+    """Door, start pose of the arm, and motion that opens the door.
 
     Attributes:
-        leaf: Makes the door; takes its attributes.
-        start: Posture at the closed door (7,) [rad].
-        soft: Axes that give way so that the handle finds its own path.
-        distance: Distance by which the target is pulled back, or the base moves [m].
-        base: True if the base moves instead of the target.
+        leaf: Function that returns the door, as a fixture of the simulator.
+        start: Joint positions with the hand at the handle of the closed door (7,) [rad].
+        soft: Names of the soft axes, along which the handle determines the tool's path.
+        distance: Distance by which the target, or the base, moves to open the door [m].
+        base: True if the base of the arm moves instead of the target.
     """
 
     leaf: Callable[..., Door]
@@ -58,10 +58,11 @@ class OpenResult:
     """Result of opening a door.
 
     Attributes:
-        angle: Widest opening [deg].
+        angle: Largest opening [deg].
         force: Largest force at the handle in any physics step [N].
-        torque: Largest torque there [N·m]; 0 for a handle that turns in the grip.
-        trace: The run.
+        torque: Largest torque at the handle in any physics step [N·m]; 0 for a handle that turns in
+            the grip.
+        trace: Recorded run.
     """
 
     angle: float
@@ -77,13 +78,13 @@ def open_door(
     *,
     conditions: Conditions = NOMINAL,
 ) -> OpenResult:
-    """Pull a door open for 9.5 s.
+    """Pull a door open for 9.5 s and return the result.
 
     Args:
-        law: Makes the settings from the scene's soft axes, `soft`, and a group `null_space`.
-        scene: Name of one of `SCENES`.
-        grip: `rigid` or `turning`.
-        conditions: Loop, bus and assumptions.
+        law: Function that returns settings for the arguments `soft` (soft axes) and `null_space`.
+        scene: Key of `SCENES`.
+        grip: `rigid`, or `turning` for a handle that turns in the grip.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     setup = SCENES[scene]
     drive = leaves.Drive(distance=setup.distance) if setup.base else None
@@ -100,27 +101,31 @@ def open_door(
     )
 
 
-# --- Opening and closing a door by resistance: ends are detected from positions alone ---
+# --- Opening and closing a door until it resists; resistance is detected from joint positions ---
 
-#: End stop of the leaf [deg].
+#: Opening at which the leaf meets its end stop [deg].
 STOP = 45.0
-#: The end of a motion is detected if the force exceeds THRESHOLD [N] for PERSISTENCE [s].
+#: A motion ends when the estimated force against it has exceeded `THRESHOLD` [N] for `PERSISTENCE`
+#: [s].
 THRESHOLD, PERSISTENCE = 15.0, 0.2
-#: Speed of the target [m/s], rest between opening and closing [s], start of the first motion [s].
+#: Speed of the target [m/s], rest between opening and closing [s], start of the opening [s].
 SPEED, REST, BEGIN = 0.05, 1.0, 1.0
-#: Longest duration of a motion [s].
+#: Time that a run allows for opening, and for closing [s].
 LONGEST = 8.0
 
 
 class ByResistance:
-    """Controller that moves its target: it pulls until it detects resistance, rests, then pushes.
+    """Controller that opens and closes a door, each until resistance is detected.
+
+    It moves its target along -x until then, rests, and moves it back along +x. Resistance is a
+    force that is estimated from joint positions.
 
     Attributes:
-        ends: Times at which an end was detected [s].
+        ends: Times at which resistance was detected [s].
     """
 
     def __init__(self, inner: pliant.Controller, period: float) -> None:
-        """Wrap a controller; `period` in s."""
+        """Wrap a controller with this control period [s]."""
         self._inner, self._contact, self._period = inner, pliant.ContactEstimator(inner), period
         self.ends: list[float] = []
 
@@ -133,11 +138,11 @@ class ByResistance:
 
     @property
     def compliance(self) -> Array:
-        """Compliance of the inner controller."""
+        """Compliance of each task axis, from the diagnostics of the wrapped controller."""
         return self._inner.diagnostics.compliance
 
     def step(self, q: Array, target: Array) -> Commanded:
-        """Run one tick; `target` is the pose (4, 4) at the closed door."""
+        """Return the command of one tick; `target` is the pose (4, 4) at the closed door."""
         force = float(self._contact.update(q).force_base[0])
         if self._resting > 0.0:
             self._resting -= self._period
@@ -155,12 +160,13 @@ class ByResistance:
 
 @dataclass(frozen=True, kw_only=True)
 class OpenCloseResult:
-    """Detected ends, and forces.
+    """Result of opening and closing a door until it resists.
 
     Attributes:
-        ends: Opening of the leaf when each end was detected [deg]; fewer than two: one missed.
-        force: Largest force at the handle [N].
-        trace: The run.
+        ends: Opening of the leaf at each detected resistance, at most two [deg]: to opening, then
+            to closing.
+        force: Largest force at the handle in any physics step [N].
+        trace: Recorded run.
     """
 
     ends: tuple[float, ...]
@@ -178,10 +184,10 @@ def open_and_close(
     """Open a door with a stop at 45 deg until it resists, rest 1 s, close it until it resists.
 
     Args:
-        law: Makes the settings from the scene's soft axes, `soft`, and a group `null_space`.
-        scene: Name of one of `doors.SCENES` whose base stands still.
-        grip: `rigid` or `turning`.
-        conditions: Loop, bus and assumptions.
+        law: Function that returns settings for the arguments `soft` (soft axes) and `null_space`.
+        scene: Key of `SCENES`, without a moving base.
+        grip: `rigid`, or `turning` for a handle that turns in the grip.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     setup = SCENES[scene]
     leaf = setup.leaf(grip=grip, stop=float(np.deg2rad(STOP)))

@@ -1,4 +1,4 @@
-"""`arm7` on emulated servos of each family: the whole stack down to bytes, for soaks and faults."""
+"""`arm7` on emulated servos of each family, for the soak and fault experiments."""
 
 from __future__ import annotations
 
@@ -22,22 +22,23 @@ if TYPE_CHECKING:
     from pliant.emulator import ArmEmulator
 
 
-#: Minimum reply timeout by the wall clock [s]. If a busy computer delays a reply by more than this,
-#: the reply counts as lost.
+#: Minimum time that the driver waits for a reply, by the wall clock [s]. The emulator's reply is
+#: lost if a busy computer delays it longer.
 PATIENCE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class Family:
-    """Seven servos for `arm7`.
+    """Seven servos of one family for `arm7`.
 
     Attributes:
-        title: Description.
+        title: Description in tables.
         models: Servo models in the order of the joints.
-        volts: Supply [V].
-        gravity: [m/s²]; less where the servos are too weak for the arm.
-        zeros: Count at joint angle 0 where that is not the middle, by joint.
-        limits: Position limits that fit the servos' travel.
+        volts: Supply voltage [V].
+        gravity: Gravitational acceleration [m/s²]; reduced if the servos are too weak for the arm.
+        zeros: Encoder count at joint angle 0, by joint; by default the middle of the range.
+        limits: Line of the configuration file that keeps joints within the servos' travel; "" if
+            no joint needs it.
     """
 
     title: str
@@ -58,7 +59,7 @@ JOINTS = (
     "wrist_roll",
 )
 FAMILIES: dict[str, Family] = {
-    # 2.9 N·m do not carry this arm under full gravity.
+    # Reduced gravity: the servos' stall torque of 2.9 N·m does not carry the arm at 9.81 m/s².
     "sts": Family(title="7 STS3215-12V", models=("STS3215-12V",) * 7, volts=12.0, gravity=3.0),
     "x": Family(
         title="4 XM540-W270, 2 XM430-W350, 1 XL430-W250",
@@ -76,7 +77,7 @@ FAMILIES: dict[str, Family] = {
 
 
 def configuration(family: str, q: Array = VERTICAL) -> Config:
-    """Return the configuration of the arm on servos of a family, in q (n,) [rad]."""
+    """Return the configuration of `arm7` with servos of a family and rest pose q (n,) [rad]."""
     kind = FAMILIES[family]
     lines = [
         '[robot]\nbuiltin = "arm7"',
@@ -92,7 +93,10 @@ def configuration(family: str, q: Array = VERTICAL) -> Config:
 
 
 def emulator(family: str, *, q: Array = VERTICAL, **options: Any) -> ArmEmulator:
-    """Return the servos of a family with the arm behind them, wire timing on, not yet started."""
+    """Return the emulator of `arm7` with servos of a family in pose q (n,) [rad], not yet started.
+
+    By default it takes as long as transmission on a real bus; `options` are those of the emulator.
+    """
     return make_emulator(configuration(family, q), q=q, **{"timing": Timing(wire=True), **options})
 
 
@@ -106,15 +110,17 @@ def stepped(
     patience: float = PATIENCE,
     **options: Any,
 ) -> Iterator[tuple[ArmEmulator, Arm]]:
-    """Yield the emulator and its arm in emulated time, which advances only during waits.
+    """Return a context that yields an emulator and a `pliant.Arm` that is connected to it.
+
+    Both run in emulated time, which advances as fast as the computer allows.
 
     Args:
-        family: `sts`, `x` or `p1`.
+        family: Servo family: `sts`, `x` or `p1`.
         arm: Options of `pliant.Arm`.
         chain: Driver class of the servos.
         q: Initial pose of the arm (n,) [rad].
         patience: Minimum reply timeout, by the wall clock [s].
-        **options: Of `emulator`.
+        **options: Options of `emulator`.
     """
     read = configuration(family, q)
     with emulator(family, q=q, clock="steps", **options) as bus:

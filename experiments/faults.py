@@ -1,7 +1,7 @@
-"""Effects of faults on a real bus: the table of docs/faults.md.
+"""Effects of faults of servos, bus and program on an arm: ``python -m experiments.faults``.
 
-``python -m experiments.faults [part of a title]`` prints it. Everything runs over real bytes to
-emulated servos with the simulated arm behind them, in emulated time.
+The program prints the table of docs/faults.md. The arm has emulated servos on a serial port, and
+runs in emulated time. With an argument, only the faults whose title contains it are run.
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ if TYPE_CHECKING:
 
 #: Id of the elbow's servo, in the middle of the arm.
 ELBOW = 4
-#: Repetitions of a permanent fault.
+#: Number of repetitions that makes an injected fault permanent.
 ALWAYS = 10**9
 
 
-class HostDiedError(Exception):
-    """Stands for a killed host process: it ends control without any clean-up."""
+class HostLossError(Exception):
+    """Simulates a killed host process: ends the control loop without lowering the arm."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Objects that a fault may act on.
+    """Argument of a fault's action: objects that the action may change, and the present time.
 
     Attributes:
         bus: The emulator.
         arm: The arm.
         tick: The present tick.
-        target: Pose (4, 4) to hold.
-        since: Time since the fault began [s].
-        first: True in its first tick.
+        target: Target pose (4, 4) without a fault.
+        since: Time since the start of the fault [s].
+        first: True in the first tick of the fault.
     """
 
     bus: ArmEmulator
@@ -70,17 +70,18 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class FaultCase:
-    """A fault that occurs while the arm holds its pose.
+    """Fault that occurs while the arm holds its pose.
 
     Attributes:
-        title: Description.
-        act: Called at every tick from the fault on. It returns the target, or None if it has
-            already written a command.
-        family: Affected servos.
-        state: `runs`: servos have power and torque, and a host; `host loss`: no host; `no torque`:
-            a servo has lost power or torque.
-        after: Called when control has ended, before time advances.
-        watchdog: Of the arm [s].
+        title: Description in the table.
+        act: Function that is called in every tick from the start of the fault. It returns the
+            target pose (4, 4), or None if it has already written a command.
+        family: Servo family of the emulated arm: `p1`, `x` or `sts`.
+        state: `runs`: host and servos work; `host loss`: no host; `no torque`: a servo has lost
+            power or torque.
+        after: Function that is called after the control loop has ended; the arm is then enabled
+            again and lowered. None: nothing is called.
+        watchdog: Timeout of the servos' bus watchdog [s]; 0: no watchdog.
     """
 
     title: str
@@ -102,7 +103,7 @@ def _once(do: Callable[[Scene], object]) -> Callable[[Scene], Array | None]:
     return act
 
 
-def _for(
+def _for_duration(
     seconds: float, begin: Callable[[ArmEmulator], object], end: Callable[[ArmEmulator], object]
 ) -> Callable[[Scene], Array | None]:
     """Return an action that calls `begin` at once and `end` after `seconds` of emulated time."""
@@ -119,22 +120,22 @@ def _for(
                     end(scene.bus)
                     physics.step = step  # type: ignore[method-assign]
 
-            # The fault may block the control loop, so the physics watches for its end.
+            # The physics step ends the fault: the control loop cannot if the fault blocks it.
             physics.step = stepping  # type: ignore[method-assign]
         return scene.target
 
     return act
 
 
-def _die(scene: Scene) -> Array:
-    raise HostDiedError
+def _kill_host(scene: Scene) -> Array:
+    raise HostLossError
 
 
-def _interrupt(scene: Scene) -> Array:
+def _press_ctrl_c(scene: Scene) -> Array:
     raise KeyboardInterrupt
 
 
-def _stall(scene: Scene) -> Array:
+def _stall_program(scene: Scene) -> Array:
     if scene.first:
         scene.arm.clock.wait_until(scene.arm.clock.now() + 1.0)
     return scene.target
@@ -149,8 +150,8 @@ def _nan_command(scene: Scene) -> None:
     scene.tick.write(SimpleNamespace(goal=nothing, torque_limit=nothing))
 
 
-def _jump(axis: str, way: float) -> Callable[[Scene], Array | None]:
-    """Move the target `way` [m] along an axis for a second."""
+def _jump_target(axis: str, way: float) -> Callable[[Scene], Array | None]:
+    """Return an action that displaces the target by `way` [m] along an axis during one second."""
 
     def act(scene: Scene) -> Array | None:
         return displaced(scene.target, axis, way) if scene.since < 1.0 else scene.target
@@ -158,11 +159,11 @@ def _jump(axis: str, way: float) -> Callable[[Scene], Array | None]:
     return act
 
 
-def _off(scene: Scene) -> None:
+def _switch_torque_off(scene: Scene) -> None:
     scene.bus.servo(ELBOW).put("torque_enable", 0)
 
 
-def _far(scene: Scene) -> None:
+def _write_far_goal(scene: Scene) -> None:
     scene.bus.servo(ELBOW).put("goal_position", 100)
 
 
@@ -174,7 +175,7 @@ FAULT_CASES: tuple[FaultCase, ...] = (
     ),
     FaultCase(
         title="20 % of all transactions fail for 1 s, in all ways",
-        act=_for(
+        act=_for_duration(
             1.0,
             lambda bus: bus.faults.by_chance(**dict.fromkeys(KINDS, 0.2 / len(KINDS))),
             lambda bus: bus.faults.by_chance(),
@@ -182,7 +183,7 @@ FAULT_CASES: tuple[FaultCase, ...] = (
     ),
     FaultCase(
         title="replies one request late for 1 s",
-        act=_for(
+        act=_for_duration(
             1.0, lambda bus: bus.faults.by_chance(late=1.0), lambda bus: bus.faults.by_chance()
         ),
     ),
@@ -196,11 +197,11 @@ FAULT_CASES: tuple[FaultCase, ...] = (
     ),
     FaultCase(
         title="the line is shorted for 0.3 s",
-        act=_for(0.3, lambda bus: bus.short(), lambda bus: bus.short(False)),
+        act=_for_duration(0.3, lambda bus: bus.short(), lambda bus: bus.short(False)),
     ),
     FaultCase(
         title="the line is shorted for 1 s",
-        act=_for(1.0, lambda bus: bus.short(), lambda bus: bus.short(False)),
+        act=_for_duration(1.0, lambda bus: bus.short(), lambda bus: bus.short(False)),
     ),
     FaultCase(
         title="the line is shorted for good", act=_once(lambda s: s.bus.short()), state="host loss"
@@ -214,15 +215,17 @@ FAULT_CASES: tuple[FaultCase, ...] = (
         state="host loss",
         after=lambda bus: bus.put_back(),
     ),
-    FaultCase(title="SIGKILL", act=_die, state="host loss"),
-    FaultCase(title="SIGKILL, X series", act=_die, state="host loss", family="x"),
-    FaultCase(title="SIGKILL, Bus Watchdog", act=_die, state="host loss", family="x", watchdog=0.2),
-    FaultCase(title="the program stalls for 1 s", act=_stall),
-    FaultCase(title="an exception, Ctrl-C, SIGTERM", act=_interrupt),
+    FaultCase(title="SIGKILL", act=_kill_host, state="host loss"),
+    FaultCase(title="SIGKILL, X series", act=_kill_host, state="host loss", family="x"),
+    FaultCase(
+        title="SIGKILL, Bus Watchdog", act=_kill_host, state="host loss", family="x", watchdog=0.2
+    ),
+    FaultCase(title="the program stalls for 1 s", act=_stall_program),
+    FaultCase(title="an exception, Ctrl-C, SIGTERM", act=_press_ctrl_c),
     FaultCase(title="a policy returns NaN for a target", act=_nan_target),
     FaultCase(title="a policy returns NaN for goals", act=_nan_command),
     *(
-        FaultCase(title=f"the target jumps by 1 m for 1 s, {where}", act=_jump(axis, way))
+        FaultCase(title=f"the target jumps by 1 m for 1 s, {where}", act=_jump_target(axis, way))
         for where, axis, way in (
             ("forward (x)", "x", 1.0),
             ("back", "x", -1.0),
@@ -238,7 +241,7 @@ FAULT_CASES: tuple[FaultCase, ...] = (
     ),
     FaultCase(
         title="another program writes a far goal to the elbow, once",
-        act=_once(_far),
+        act=_once(_write_far_goal),
     ),
     FaultCase(
         title="overload of the elbow, EX-106+",
@@ -268,7 +271,9 @@ FAULT_CASES: tuple[FaultCase, ...] = (
         act=_once(lambda s: s.bus.supply(17.0)),
         family="x",
     ),
-    FaultCase(title="the elbow's torque goes off", act=_once(_off), state="no torque"),
+    FaultCase(
+        title="the elbow's torque goes off", act=_once(_switch_torque_off), state="no torque"
+    ),
     FaultCase(
         title="the elbow reboots", act=_once(lambda s: s.bus.reboot(ELBOW)), state="no torque"
     ),
@@ -285,43 +290,44 @@ FAULT_CASES: tuple[FaultCase, ...] = (
 )
 
 
-# --- Effects of faults on a real bus: the table of docs/faults.md ---
+# --- Measurement of the effects ---
 
-#: Time of the fault after torque on, further runtime of the program, and observation time of an arm
-#: without a host [s].
-WHEN, END, WATCHED = 1.2, 3.0, 4.0
-#: The hand: delay [s], distance along y, the soft axis [m], duration [s].
-TAKING, WAY, RISE = 0.2, 0.10, 2.0
-#: Duration of a fall [s].
+#: Time from the start of the emulation to the fault [s], duration of the control loop minus `WHEN`
+#: [s], and time for which the arm is observed after a host loss [s].
+WHEN, END, OBSERVATION = 1.2, 3.0, 4.0
+#: Hand that pulls the tool along the soft axis y: delay after the fault [s], distance [m] and
+#: duration [s] of the pull.
+HAND_DELAY, HAND_DISTANCE, RISE = 0.2, 0.10, 2.0
+#: Observation time of an arm that has lost torque [s].
 FALL = 1.5
-#: Allowance for a moving arm on top of the force after a host loss [N].
-MOVING = 3.0
+#: Allowance for damping and inertia of the moving arm, added to the static bound on the force after
+#: a host loss [N].
+MOTION_ALLOWANCE = 3.0
 #: Averaging time of forces, as in docs/lifecycle.md [s].
 TICK = 0.01
-#: Allowed excess over the cap, as in all judgements of caps.
+#: Allowed excess of a force over the cap, as a share of the cap.
 BAND = 0.15
-#: Loops of the arm's own, enabling and lowering [Hz].
+#: Rate of the loops in which `Arm.enable` and `Arm.lower` control the arm [Hz].
 RATE = 50.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class FaultResult:
     """Result of a fault.
 
     Attributes:
-        ending: `goes on`, `is lowered`, `keeps its last order` or `falls`.
-        reason: The error that ended the loop, if any.
-        speed: Highest speed of the tool from the fault until control ends, while an arm without a
-            host is observed, and for at least 1.5 s where torque is lost [m/s].
-        joint: Highest speed of a joint in the same time [rad/s].
-        drop: Drop of the tool in the same time [m].
-        lowered: Highest speed of the tool during the descent [m/s].
-        force: Mean over a tick, 10 ms, of the force on the hand where it is farthest above
-            `allowed`, or least below it [N]; 0 without a hand.
-        allowed: Its bound at that time. While the host runs: the axis' cap plus 15 %, and the
-            resistance of its joints at their speed, by dry friction, damping, and goals half a
-            period old. Without a host: `host_loss_force` at its end + 3 N [N].
-        torque: True if all torque was off in the end.
+        ending: Final state in the table: `goes on`, `is lowered`, `keeps its last order` or
+            `falls, ...`.
+        reason: Error that ended the loop; empty if none did.
+        speed: Largest speed of the tool from the fault to the end of the loop, including the
+            observation after a host loss or a loss of torque [m/s].
+        joint: Largest speed of a joint, in the time of `speed` [rad/s].
+        drop: Drop of the tool below its height at the fault, in the time of `speed` [m].
+        lowered: Largest speed of the tool during the descent by `Arm.lower` [m/s].
+        force: Force on the hand, averaged over 10 ms, when it exceeds its bound most [N]; 0 without
+            a hand.
+        allowed: Bound on the force at the time of `force` [N], see `Allowed`.
+        torque: True if a servo still has torque at the end.
     """
 
     ending: str
@@ -337,26 +343,38 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class Allowed:
-    """Bound of the force on a hand along y.
+    """Bound on the force on a hand that pulls the tool along y.
 
     Attributes:
-        still: From joints at rest [N].
-        drag: Additional force per speed of each joint (n,) [N·s/rad].
+        still: Bound with all joints at rest [N].
+        drag: Increase of the bound by the speed of each joint (n,) [N·s/rad].
     """
 
     still: float = 0.0
     drag: Array | float = 0.0
 
     def at(self, dq: Array) -> float:
-        """Return the bound for joints that turn with dq (n,) [rad/s]."""
+        """Return the bound at joint velocities dq (n,) [rad/s]."""
         return self.still + float(np.sum(self.drag * np.abs(dq)))
 
 
-class Watcher:
-    """Observes the true state at every physics step of an emulator, from the fault on."""
+class PeakRecorder:
+    """Records the largest speeds and forces over the physics steps of an emulator from `begin` on.
+
+    Attributes:
+        start, lowest: Height of the tool at `begin`, and its smallest height until `end` [m].
+        speeds: Largest speed of the tool until `end` (key False) and after it (key True) [m/s].
+        joint: Largest speed of a joint until `end` [rad/s].
+        force: Largest force of a hand, averaged over `TICK` [N].
+        allowed: Present bound on the force of a hand.
+        worst: Force and bound at the largest excess of the force over its bound [N].
+    """
 
     def __init__(self, bus: ArmEmulator, least: float = 0.0) -> None:
-        """Insert itself between the world and its physics; observe for at least `least` seconds."""
+        """Replace the emulator's physics step by `step`.
+
+        The time from `begin` to `end` counts as at least `least` [s].
+        """
         self.bus, self.begun, self.ended = bus, np.inf, np.inf
         self._least = least
         self.speeds: dict[bool, float] = {False: 0.0, True: 0.0}
@@ -369,16 +387,19 @@ class Watcher:
         bus.world.physics.step = self.step  # type: ignore[method-assign]
 
     def begin(self) -> None:
-        """Start to observe, at the time of the fault."""
+        """Start the record at the present time, for example the time of a fault."""
         self.begun = self.bus.plant.time
         self.start = self.lowest = float(self.bus.plant.tool[2, 3])
 
     def end(self) -> None:
-        """Note that control has ended."""
+        """Record the present time as the end of the control loop, before the descent."""
         self.ended = max(self.bus.plant.time, self.begun + self._least)
 
-    def _felt(self, count: int) -> tuple[float, float]:
-        """Return the largest force of a hand and its bound, both means over the last tick [N]."""
+    def _force_and_bound(self, count: int) -> tuple[float, float]:
+        """Return the largest force of a hand and the bound on it [N], averaged over `TICK`.
+
+        The last physics step of the average had `count` steps.
+        """
         plant = self.bus.plant
         forces = np.array([felt.force for felt in plant.hands]).reshape(-1, 3)
         if self._tick and self._tick[0][1].shape != forces.shape:
@@ -395,7 +416,7 @@ class Watcher:
         return float(max(sizes)), float(share @ [a for _, _, a in self._tick])
 
     def step(self, count: int) -> None:
-        """Advance the physics by `count` steps; record the tool's speed and the hand's force."""
+        """Advance the physics by `count` steps; update the recorded peaks."""
         self._step(count)
         plant = self.bus.plant
         if plant.time <= self.begun:
@@ -403,7 +424,7 @@ class Watcher:
         speed = float(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]))
         late = plant.time > self.ended
         self.speeds[late] = max(self.speeds[late], speed)
-        force, allowed = self._felt(count)
+        force, allowed = self._force_and_bound(count)
         self.force = max(self.force, force)
         if force > 0.0 and force - allowed > self.worst[0] - self.worst[1]:
             self.worst = (force, allowed)
@@ -414,41 +435,50 @@ class Watcher:
 
 def run_fault(
     case: FaultCase, *, held: bool = False, when: float = WHEN, patience: float = PATIENCE
-) -> Outcome:
-    """Let `arm7` hold its grasp pose, y soft, at 100 Hz over real bytes, and apply a fault.
+) -> FaultResult:
+    """Apply a fault to `arm7`, which holds its pose with soft y at 100 Hz; return the result.
 
     Args:
         case: The fault.
-        held: True: a hand pulls the tool 0.10 m along y from then on; the arm is then not lowered.
-        when: Time of the fault after torque on [s].
-        patience: Minimum reply timeout, by the wall clock [s]; where no reply is lost, a long one
+        held: True: after the fault, a hand pulls the tool 0.10 m along y, and the arm is not
+            lowered.
+        when: Time from the start of the emulation to the fault [s].
+        patience: Minimum time that the driver waits for a reply, by the wall clock [s]; a long one
             makes the result independent of the computer's load.
     """
     options: dict[str, Any] = {"rate": RATE, "watchdog": case.watchdog}
     with stepped(case.family, arm=options, patience=patience) as (bus, arm):
-        watcher = Watcher(bus, FALL if case.state == "no torque" else 0.0)
-        reason, torque = _run(case, bus, arm, watcher, held=held, when=when)
-    speed, lowered = watcher.speeds[False], watcher.speeds[True]
+        recorder = PeakRecorder(bus, FALL if case.state == "no torque" else 0.0)
+        reason, torque = _run_loop(case, bus, arm, recorder, held=held, when=when)
+    speed, lowered = recorder.speeds[False], recorder.speeds[True]
     ending = "goes on" if not reason else "keeps its last order" if torque else "is lowered"
     if case.state == "no torque" and reason:
         ending = "falls, the rest " + ending.removeprefix("keeps its last order, ")
-    return Outcome(
+    return FaultResult(
         ending=ending,
         reason=reason,
         speed=speed,
-        joint=watcher.joint,
-        drop=max(watcher.start - watcher.lowest, 0.0),
+        joint=recorder.joint,
+        drop=max(recorder.start - recorder.lowest, 0.0),
         lowered=lowered,
-        force=watcher.worst[0],
-        allowed=watcher.worst[1] if watcher.worst[0] > 0.0 else watcher.allowed.still,
+        force=recorder.worst[0],
+        allowed=recorder.worst[1] if recorder.worst[0] > 0.0 else recorder.allowed.still,
         torque=torque,
     )
 
 
-def _run(
-    case: FaultCase, bus: ArmEmulator, arm: Arm, watcher: Watcher, *, held: bool, when: float
+def _run_loop(
+    case: FaultCase, bus: ArmEmulator, arm: Arm, recorder: PeakRecorder, *, held: bool, when: float
 ) -> tuple[str, bool]:
-    """Run the control loop; return the reason of its end, and True if torque is still on."""
+    """Run the control loop with the fault, then lower the arm.
+
+    The arm is not lowered after a killed host or with a hand (`held`), except if the program is
+    started again.
+
+    Returns:
+        Text of the error that ended the loop, empty if none did; and True if a servo has torque at
+        the end.
+    """
     arm.enable()
     settings = pliant.Settings.soft("y")
     controller = pliant.Controller(arm.model, settings, arm.servos)
@@ -458,63 +488,64 @@ def _run(
         for tick in Loop(arm, controller, rate=settings.rate, duration=when + END):
             wanted: Array | None = target
             if bus.plant.time >= when:
-                first = watcher.begun == np.inf
+                first = recorder.begun == np.inf
                 if first or case.state != "host loss":
-                    watcher.allowed = _allowed(controller, case, bus.plant)
+                    recorder.allowed = _allowed(controller, case, bus.plant)
                 if first:
-                    watcher.begin()
+                    recorder.begin()
                     if held:
-                        bus.plant.set_hands([Grasp(when + TAKING)])
-                since = bus.plant.time - watcher.begun
+                        bus.plant.set_hands([Grasp(when + HAND_DELAY)])
+                since = bus.plant.time - recorder.begun
                 wanted = case.act(Scene(bus, arm, tick, target, since, first))
             if wanted is not None:
                 tick.write(controller.step(tick.q, wanted, dt=tick.dt))
-    except HostDiedError:
+    except HostLossError:
         reason = "killed"
     except (pliant.PliantError, KeyboardInterrupt) as error:
         reason = str(error) or type(error).__name__
     if reason == "killed" or case.state == "host loss":
-        bus.advance(WATCHED)
+        bus.advance(OBSERVATION)
     if case.after is not None:
         case.after(bus)
         arm.drive.close()
         arm._supervisor.owner, arm._opened = None, False
         arm.enable()
-        watcher.end()
+        recorder.end()
         arm.lower()
     elif reason != "killed" and not held:
-        watcher.end()
+        recorder.end()
         try:
             arm.lower()
         except pliant.PliantError as error:
             reason = f"{reason}; {error}"
     torque = any(servo.get("torque_enable") for servo in bus.servos)
-    # The force of the arm on a hand as its torque goes off is caused by this experiment.
-    watcher.begun = np.inf
+    # Stop the record before torque is switched off: the fall of the arm that follows is not an
+    # effect of the fault.
+    recorder.begun = np.inf
     with suppress(pliant.PliantError):
         arm.disable_torque()
     return reason, torque
 
 
 class Grasp:
-    """A hand that takes hold of the tool at its present position, and pulls it along y.
+    """Hand that grasps the tool where it is at a given time, and pulls it along y from there.
 
-    A hand placed beside a moving tool would pull it back to its earlier position.
+    A `Drag` alone would measure its distance from the tool's position at the reset of the plant.
     """
 
     at = TOOL
 
     def __init__(self, since: float) -> None:
-        """Make a hand that takes hold of the tool at `since` [s]."""
+        """Set the time of the grasp [s]."""
         self._since = since
         self._hand: Drag | None = None
 
     def force(self, ground_truth: GroundTruth, t: float) -> tuple[Array, Array, Array]:
-        """Return the hand's force, torque and point of application; see `pliant.sim.Hand`."""
+        """Return force, torque and point of application, as `pliant.sim.Hand` defines them."""
         if self._hand is None and t >= self._since:
             self._hand = Drag(
                 axis="y",
-                distance=WAY,
+                distance=HAND_DISTANCE,
                 stiffness=3000.0,
                 damping=30.0,
                 limit=300.0,
@@ -528,17 +559,18 @@ class Grasp:
 
 
 def _allowed(controller: pliant.Controller, case: FaultCase, plant: Plant) -> Allowed:
-    """Return the bound of the force on a hand along y from now on.
+    """Return the bound on the force on a hand along y in the present state.
 
-    The cap is that of the present deviation. Dry friction of turning joints adds `Σ_i |J⁺_iy|
-    τ_f,i`, as in the report but with the true gears: the emulator's have twice the friction of the
-    servos' tables. `Σ_i |J⁺_iy| (d_i + k_p,i T/2) |dq_i|` is their drag: damping, and goals that
-    are half a period T old on average. Feed-forward compensates much of the first two.
+    While the host runs, the bound is 1.15 times the cap at the present deviation, plus
+    `Σ_i |J⁺_iy| (τ_f,i + (d_i + k_p,i T/2) |dq_i|)` over the joints i, with the pseudo-inverse J⁺
+    of the Jacobian, true dry friction τ_f and damping d, servo stiffness k_p and joint velocity dq.
+    The term with k_p T/2 exists because a goal is half a control period T old on average. After a
+    host loss, the bound is `AxisReport.host_loss_force` plus `MOTION_ALLOWANCE`.
     """
     report = controller.report()
     y = list(report.axes).index("y")
     if case.state == "host loss":
-        return Allowed(still=max(report.axes["y"].host_loss_force) + MOVING)
+        return Allowed(still=max(report.axes["y"].host_loss_force) + MOTION_ALLOWANCE)
     lever = np.abs(
         np.linalg.pinv(controller.model.jacobian(controller.diagnostics.q_predicted))[:, y]
     )
@@ -552,7 +584,10 @@ def _allowed(controller: pliant.Controller, case: FaultCase, plant: Plant) -> Al
 
 
 def _gears(plant: Plant) -> tuple[Array, Array]:
-    """Return true dry friction [N·m] and damping [N·m·s/rad] of joints and servos (n,)."""
+    """Return the true dry friction (n,) [N·m] and the true damping (n,) [N·m·s/rad] of the joints.
+
+    The damping is the sum of the joint's viscous damping and the servo's velocity gain.
+    """
     joints = plant.model.joint_names
     dofs = [plant.mj_model.joint(name).dofadr[0] for name in joints]
     servos = np.array([-plant.mj_model.actuator(name).biasprm[2] for name in joints])
@@ -560,7 +595,7 @@ def _gears(plant: Plant) -> tuple[Array, Array]:
 
 
 def table(only: str = "") -> str:
-    """Return the table, as Markdown, of faults whose title contains `only`."""
+    """Run the faults whose title contains `only`; return a Markdown table of their effects."""
     columns = (
         "what happens",
         "the arm",
@@ -579,8 +614,8 @@ def table(only: str = "") -> str:
     return program.markdown(columns, rows)
 
 
-def row(case: FaultCase, alone: Outcome, held: Outcome) -> tuple[str, ...]:
-    """Return one row."""
+def row(case: FaultCase, alone: FaultResult, held: FaultResult) -> tuple[str, ...]:
+    """Return the cells of a row: speeds and drop without a hand, force and bound with a hand."""
     drop, lowered = f"{1e3 * alone.drop:.1f}", f"{alone.lowered:.2f}"
     feels, allowed = f"{held.force:.1f}", f"{held.allowed:.1f}"
     speeds = f"{alone.speed:.2f}", f"{alone.joint:.2f}"
@@ -588,10 +623,10 @@ def row(case: FaultCase, alone: Outcome, held: Outcome) -> tuple[str, ...]:
 
 
 def main(title: tyro.conf.Positional[str] = "") -> None:
-    """Print the table.
+    """Print the table of fault effects.
 
     Args:
-        title: Faults whose title contains this.
+        title: Text that selects the faults whose title contains it.
     """
     print(table(title))
 

@@ -1,8 +1,11 @@
-"""Gravity capture measured: ``python -m experiments.gravity_capture``.
+"""Accuracy of gravity capture: ``python -m experiments.gravity_capture``.
 
-Random poses of every arm, k_p of the servos half to twice the assumed one, encoder of 0.088°, y
-yields: the share of poses in which the check finds that the tool stays, the share of the others in
-which less feed-forward helps, and the motion in the 8 s after it.
+In random poses of every arm with soft y, `capture_gravity` measures the gravity offset and checks
+that the arm stays at rest. The true k_p is half to twice the assumed one, and the encoder step is
+0.088°. Of all poses, the program prints the share in which the arm stays, the share in which
+`capture_gravity` proposes other settings with which it stays, and the share with neither. Of the
+poses with either, it prints the share in which the tool moves by less than 5 mm in the 8 s after
+the capture.
 """
 
 from __future__ import annotations
@@ -23,18 +26,20 @@ ARMS = ("arm7", "so101", "koch")
 SCALES = (0.5, 0.8, 1.0, 1.25, 2.0)
 COUNT = float(np.deg2rad(0.088))
 KINDS = ("stays", "remedied")
-#: Observation time after the call's own check [s].
+#: Time for which the arm is observed after `capture_gravity` and its check have ended [s].
 AFTER = 8.0
 
 
 @dataclass(frozen=True)
 class CaptureResult:
-    """Result of one capture.
+    """Result of one gravity capture.
 
     Attributes:
-        stays: True if the check finds that the arm stays.
-        remedied: True if it stays only with the proposed settings.
-        later: Displacement of the tool in the 8 s after it, with the proposed settings [m].
+        stays: True if the arm stayed at rest in the check of `capture_gravity`.
+        remedied: True if the check failed and `capture_gravity` found settings with which the arm
+            stayed.
+        later: Largest displacement of the tool in the 8 s after the capture, with these settings if
+            there are any [m].
     """
 
     stays: bool
@@ -45,13 +50,13 @@ class CaptureResult:
 def try_capture(
     name: str, pose: int, kp_scale: float, *, eta: float = 0.999, creep: float = 1.0
 ) -> CaptureResult:
-    """Capture in one random pose of an arm, y yielding, and observe.
+    """Capture gravity in one random pose of an arm with soft y, and observe the arm for 8 s.
 
     Args:
-        name: Arm.
-        pose: Index among its random poses.
-        kp_scale: True over assumed stiffness.
-        eta: Of the axis that yields.
+        name: Name of the arm.
+        pose: Index among the arm's random poses.
+        kp_scale: True over assumed stiffness k_p of the servos.
+        eta: Target adaptation of the soft axis.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
     """
     arm = load(name)
@@ -79,12 +84,12 @@ def main(
     creep: float = 1.0,
     jobs: int = 2,
 ) -> None:
-    """Capture in random poses.
+    """Capture gravity in random poses, and print in how many the arm then stays.
 
     Args:
-        arm: Arms by name; default all built-in ones.
-        poses: Random poses of each.
-        eta: Of the axis that yields.
+        arm: Names of the arms; default: the built-in arms.
+        poses: Number of random poses per arm.
+        eta: Target adaptation of the soft axis.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
         jobs: Number of processes.
     """

@@ -1,8 +1,9 @@
-"""Hand guiding measured: ``python -m experiments.hand_guiding``.
+"""Accuracy of hand guiding: ``python -m experiments.hand_guiding``.
 
-Random poses of every arm, k_p of the servos half, one and two times the assumed one, encoder of
-0.088° and dead band of 0.06°: drift of an untouched arm in 10 s, force to guide it, and motion
-after the hand has let go.
+In random poses of every arm, `pliant.HandGuiding` makes the arm weightless. The program measures
+the drift of the untouched arm in 10 s, the force that guides the arm by hand, and the motion after
+the release. The true k_p is half, one and two times the assumed one; the servos have an encoder
+step of 0.088° and a dead band of 0.06°.
 """
 
 from __future__ import annotations
@@ -22,26 +23,27 @@ if TYPE_CHECKING:
     from experiments.poses import Array
 
 
-#: Creep speed of joints held by friction, relative to MuJoCo's default. With the default of 1,
-#: joints creep by several mrad/s, which would dominate the drift of a small arm.
+#: Creep speed of simulated joints that friction holds, relative to MuJoCo's default. With 1, these
+#: joints would creep at several mrad/s, which would dominate the drift of a small arm.
 CREEP = 0.1
 COUNT, DEADBAND = float(np.deg2rad(0.088)), float(np.deg2rad(0.06))
-#: Times at which the hand comes, reaches the end of its path, lets go, and the run ends [s].
-COMES, THERE, GONE, END = 22.0, 24.0, 25.0, 35.0
-#: Distance by which it moves the tool of each arm along y [m].
-WAYS = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
+#: Start and end of the hand's motion, release, and end of the run [s].
+HAND_START, HAND_END, RELEASE, END = 22.0, 24.0, 25.0, 35.0
+#: Distance by which the hand moves the tool of each arm along y [m].
+DISTANCES = {"arm7": 0.12, "so101": 0.05, "koch": 0.05}
 
 
 @dataclass(frozen=True)
 class GuidingResult:
-    """Result of one arm; lengths in m, forces in N.
+    """Result of one run.
 
     Attributes:
-        idle: Largest displacement of the tool in the 10 s after the first swing, untouched.
-        force: Median force of the hand while it moves the tool.
-        led: Distance that the hand moved the tool.
-        sag: Largest displacement of the tool in the 10 s after the hand let go.
-        later: Same as `sag`, without the first second after the release.
+        idle: Largest displacement of the untouched tool in 10 s [m].
+        force: Median force of the hand while it moves the tool, without the first 0.5 s [N].
+        led: Largest displacement of the tool by the hand [m].
+        sag: Largest displacement of the tool from its position at the release, within 10 s [m].
+        later: Largest displacement of the tool from its position 1 s after the release, within the
+            9 s that follow [m].
     """
 
     idle: float
@@ -57,16 +59,16 @@ def guide(
     """Run an arm under hand guiding: untouched for 10 s, then moved along y and released.
 
     Args:
-        name: Arm.
-        pose: Index among its random poses.
-        kp_scale: True over assumed stiffness.
-        known: True if the table claims that k_p is known.
+        name: Name of the arm.
+        pose: Index among the arm's random poses.
+        kp_scale: True over assumed stiffness k_p of the servos.
+        known: True if the servo table states that k_p is known.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
     """
     arm = load(name)
     q = arm.poses(pose + 1)[pose]
-    way = WAYS.get(name, 0.05)
-    course = ForceProfile(start=COMES, rise=THERE - COMES, end=GONE)
+    way = DISTANCES.get(name, 0.05)
+    course = ForceProfile(start=HAND_START, rise=HAND_END - HAND_START, end=RELEASE)
     hand = Drag(axis="y", distance=way, stiffness=2000.0, limit=60.0, at="tool", course=course)
     table = arm.servos.replace(encoder_step=COUNT, stiffness_known=known)
     plant = Plant(
@@ -98,26 +100,26 @@ def guide(
             np.linalg.norm(place[window] - place[np.searchsorted(time, origin)], axis=1).max()
         )
 
-    leading = (time > COMES + 0.5) & (time <= THERE)
+    leading = (time > HAND_START + 0.5) & (time <= HAND_END)
     return GuidingResult(
         idle=farthest(ready, 10.0, ready),
         force=float(np.median(forces[leading])),
-        led=farthest(COMES, GONE - COMES, COMES),
-        sag=farthest(GONE, 10.0, GONE),
-        later=farthest(GONE + 1.0, 9.0, GONE + 1.0),
+        led=farthest(HAND_START, RELEASE - HAND_START, HAND_START),
+        sag=farthest(RELEASE, 10.0, RELEASE),
+        later=farthest(RELEASE + 1.0, 9.0, RELEASE + 1.0),
     )
 
 
 def main(*, arm: program.Arms = (), poses: int = 20, jobs: int = 2, creep: float = CREEP) -> None:
-    """Measure hand guiding; figures are median / 95th percentile / worst over the poses.
+    """Measure hand guiding; print median / 95th percentile / largest value over the poses.
 
     Args:
-        arm: Arms by name; default all built-in ones.
-        poses: Random poses of each.
+        arm: Names of the arms; default: the built-in arms.
+        poses: Number of random poses per arm.
         jobs: Number of processes.
         creep: Creep speed of joints held by friction, relative to MuJoCo's default.
     """
-    cases = [(name, kp) for name in arm or tuple(WAYS) for kp in (0.5, 1.0, 2.0)]
+    cases = [(name, kp) for name in arm or tuple(DISTANCES) for kp in (0.5, 1.0, 2.0)]
     work = [
         Job(f"{name} {kp} {pose}", guide, (name, pose, kp), {"creep": creep})
         for name, kp in cases
@@ -146,7 +148,7 @@ def main(*, arm: program.Arms = (), poses: int = 20, jobs: int = 2, creep: float
 
 
 def _spread(values: Array) -> str:
-    """Return median, 95th percentile and worst."""
+    """Return median, 95th percentile and largest value as text."""
     return " / ".join(f"{x:.1f}" for x in np.percentile(values, (50, 95, 100)))
 
 

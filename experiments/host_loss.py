@@ -1,9 +1,10 @@
-"""Force on a hand after a host loss in mid-motion, against the report.
+"""Force on a hand after a host loss, against its prediction: ``python -m experiments.host_loss``.
 
-``python -m experiments.host_loss`` lets every arm follow a moving target in random poses, half of
-them while a hand leans on the yielding axis, freezes goals and limits, and then drags the tool
-along every axis of the task, both ways, by 0.15 m or 0.4 rad. The largest force on the hand is
-compared with ``report().host_loss_force`` of the last step.
+In random poses an arm follows a moving target; in half of the poses a hand pushes the soft axis.
+Then the host is lost: the servos keep their last goals and torque limits. A hand drags the tool
+along every task axis in both directions, by 0.15 m or 0.4 rad, or until it reaches its largest
+force. The largest force on the hand is compared with `AxisReport.host_loss_force` that
+`Controller.report` returned for the last step.
 """
 
 from __future__ import annotations
@@ -28,35 +29,38 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-#: Distance of the hand as in the report, translations [m] and rotations [rad], and duration [s].
-TRAVEL, TAKES = (0.15, 0.4), 6.0
-#: The motion: speed of the target [m/s], duration before the host loss [s].
-SPEED, WORK = 0.1, (0.6, 1.2)
-#: Displacement by a hand that leans on the soft axis before the host loss [m], and time between the
-#: host loss and the hand's drag [s].
-LEAN, ALONE = 0.04, 0.5
-#: Largest force [N] and torque [N·m] of the hand on `arm7`; they scale with other arms' capacity.
+#: Distance of the drag, which `host_loss_force` assumes too: translations [m], rotations [rad]; and
+#: duration of the drag [s].
+DRAG_DISTANCE, DRAG_TIME = (0.15, 0.4), 6.0
+#: Speed of the target [m/s], and range of the random duration of its motion before the host loss
+#: [s].
+SPEED, MOTION_TIME = 0.1, (0.6, 1.2)
+#: Displacement by the hand that pushes the soft axis before the host loss [m], and time between the
+#: host loss and the drag [s].
+PUSH_DISTANCE, WAIT_AFTER_LOSS = 0.04, 0.5
+#: Largest force [N] and torque [N·m] of the hand on `arm7`. For another arm, both are multiplied by
+#: the ratio of its median static capacity (`Arm.median_capacity`) to that of `arm7`.
 HAND = (80.0, 6.0)
 #: Number of poses of `arm7`, and of every other arm.
-POSES, OTHERS = 24, 8
-#: Allowed excess of the felt force over the reported one: translations [N], rotations [N·m].
-BEYOND = (3.0, 0.3)
+POSES, OTHER_POSES = 24, 8
+#: Allowed excess of the measured over the reported force: translations [N], rotations [N·m].
+ALLOWED_EXCESS = (3.0, 0.3)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HostLossPush:
-    """One push after a host loss.
+    """Result of one drag after a host loss.
 
     Attributes:
-        arm: By name.
+        arm: Name of the arm.
         pose: Index among the arm's poses.
-        axis: Name.
-        sign: Direction of the push.
-        leaned: True if a hand leaned on the arm at the host loss.
-        said: `report().host_loss_force` of the last step [N or N·m].
+        axis: Name of the dragged axis.
+        sign: Direction of the drag, 1 or -1.
+        leaned: True if a hand pushed the arm along the soft axis before the host loss.
+        said: `AxisReport.host_loss_force`, as reported after the last step [N or N·m].
         felt: Largest measured force on the hand [N or N·m].
-        at: Distance of the hand at that force [m or rad].
-        hand: Largest force of the hand [N or N·m].
+        at: Distance by which the tool had moved at the largest force [m or rad].
+        hand: Force at which the hand ends the drag [N or N·m].
     """
 
     arm: str
@@ -71,30 +75,33 @@ class HostLossPush:
 
     @property
     def walled(self) -> bool:
-        """True if the hand could not move the arm, and the report predicted that."""
+        """True if both measured and reported force reach the force `hand`, which ends the drag."""
         return self.felt >= self.hand and self.said >= self.hand
 
     @property
     def ratio(self) -> float:
-        """Felt over reported."""
+        """Ratio of measured to reported force."""
         return self.felt / self.said
 
     @property
     def above(self) -> float:
-        """Felt minus reported [N or N·m]."""
+        """Measured minus reported force [N or N·m]."""
         return self.felt - self.said
 
     @property
     def allowed(self) -> bool:
-        """True if the felt force exceeds the reported one by at most the allowance `BEYOND`."""
-        return self.above <= BEYOND[AXES.index(self.axis) // 3]
+        """True if the measured force exceeds the reported one by at most `ALLOWED_EXCESS`."""
+        return self.above <= ALLOWED_EXCESS[AXES.index(self.axis) // 3]
 
 
 class Bench:
-    """Plant, hand and controller of an arm that loses its host; reused for all its poses."""
+    """Simulated arm, hand and controller; reused for all poses of the arm."""
 
     def __init__(self, arm: Arm, settings: pliant.Settings | None = None) -> None:
-        """Build plant, hand and controller; by default y yields (x on an arm without y)."""
+        """Build simulated arm, hand and controller.
+
+        The default settings make y soft, or x on an arm whose task has no y.
+        """
         self.arm = arm
         scale = arm.median_capacity[0] / OF_CAPACITY
         self.grip = Grip(scale)
@@ -108,16 +115,22 @@ class Bench:
         self.controller = pliant.Controller(arm.model, self.settings, arm.servos)
 
     def pushes(self, pose: int) -> list[HostLossPush]:
-        """Push along every axis of the task, both ways."""
+        """Return the results of drags along every task axis, in both directions."""
         return [self.push(pose, axis, sign) for axis in self.arm.axes for sign in (1.0, -1.0)]
 
     def push(self, pose: int, axis: str, sign: float) -> HostLossPush:
-        """Follow the target, freeze goals and limits, and drag the tool along one axis."""
+        """Follow a moving target, stop the host, drag the tool along one axis; return the result.
+
+        Args:
+            pose: Index of the pose; before a host loss in an odd one, a hand pushes the soft axis.
+            axis: Name of the dragged axis.
+            sign: Direction of the drag, 1 or -1.
+        """
         leans = bool(pose % 2)
         report = self._work(pose, leans=leans)
         row, kind = AXES.index(axis), AXES.index(axis) // 3
         side = int(sign > 0.0)
-        felt, at = self.drag(row, sign * TRAVEL[kind])
+        felt, at = self.drag(row, sign * DRAG_DISTANCE[kind])
         return HostLossPush(
             arm=self.arm.name,
             pose=pose,
@@ -131,9 +144,16 @@ class Bench:
         )
 
     def _work(self, pose: int, *, leans: bool) -> pliant.feasibility.PoseReport:
-        """Follow a moving target until the host loss; return the report of the last step."""
+        """Follow a moving target until the host loss; return the report after the last step.
+
+        With `leans`, a hand pushes the soft axis meanwhile.
+        """
         rng = np.random.default_rng((pose, 7))
-        way, death, lean = rng.standard_normal(3), rng.uniform(*WORK), rng.choice((-LEAN, LEAN))
+        way, death, lean = (
+            rng.standard_normal(3),
+            rng.uniform(*MOTION_TIME),
+            rng.choice((-PUSH_DISTANCE, PUSH_DISTANCE)),
+        )
         q = self.arm.poses(pose + 1)[pose]
         plant, controller, grip = self.plant, self.controller, self.grip
         plant.reset(q)
@@ -152,23 +172,31 @@ class Bench:
         return controller.report()
 
     def drag(self, row: int, way: float) -> tuple[float, float]:
-        """Drag the arm along one axis; return the largest force and its distance."""
+        """Drag the tool along one axis, with constant goals and torque limits of the servos.
+
+        Args:
+            row: Index of the axis among x, y, z, roll, pitch, yaw.
+            way: Signed distance [m or rad].
+
+        Returns:
+            Largest force of the hand [N or N·m], and the distance by which the tool had moved when
+            the force was largest [m or rad].
+        """
         plant, grip = self.plant, self.grip
         grip.hold([])
-        plant.advance(round(ALONE / plant.dt))
+        plant.advance(round(WAIT_AFTER_LOSS / plant.dt))
         grip.place(plant)
         grip.hold([row])
         most, at, gone, start = -np.inf, 0.0, 0.0, plant.tool
         while abs(gone) < abs(way) and most < self.hand[row // 3]:
-            # The hand's spring takes part of the distance: it moves on until the tool has covered
-            # it.
-            grip.move(row, way / TAKES)
+            # The hand's spring stretches, so the hand moves on until the tool has covered `way`.
+            grip.move(row, way / DRAG_TIME)
             plant.advance()
             gone = float(pliant.functional.pose_error(start, plant.tool)[row])
             force = float(np.sign(way)) * grip.force(row)
             if force > most:
                 most, at = force, abs(gone)
-            if plant.time > 4.0 * TAKES:
+            if plant.time > 4.0 * DRAG_TIME:
                 break
         return most, at
 
@@ -180,18 +208,18 @@ def _bench(arm: str) -> Bench:
 
 @dataclass(frozen=True)
 class Job:
-    """One pose of one arm."""
+    """All drags of one arm in one pose."""
 
     arm: str
     pose: int
 
     def run(self) -> list[HostLossPush]:
-        """Run all pushes."""
+        """Run all drags and return their results."""
         return _bench(self.arm).pushes(self.pose)
 
 
 def text(found: Sequence[HostLossPush]) -> str:
-    """Return figures per arm, translations and rotations apart, as Markdown."""
+    """Return a Markdown table per arm, with separate rows for translations and rotations."""
     columns = ("arm", "pushes", "walled", "felt/said: 5th %", "median", "95th %", "most")
     rows = []
     for arm in dict.fromkeys(one.arm for one in found):
@@ -217,15 +245,15 @@ def main(
     """Drag arms after a host loss.
 
     Args:
-        poses: Poses of arm7; other arms have a third.
-        arm: Arms by name; default those that ship with the package.
+        poses: Number of poses of arm7; other arms have a third.
+        arm: Names of the arms; default: the built-in arms.
         jobs: Number of processes.
-        out: Folder of results.json with every push; default no file.
+        out: Folder for results.json with every drag; default: no file.
     """
     work = [
         Job(name, pose)
         for name in arm or robots.names()
-        for pose in range(poses if name == "arm7" else -(-poses * OTHERS // POSES))
+        for pose in range(poses if name == "arm7" else -(-poses * OTHER_POSES // POSES))
     ]
     found = [push for one in run_jobs(work, jobs, "host loss") for push in one]
     print(text(found))

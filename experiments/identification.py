@@ -1,7 +1,8 @@
 """Accuracy of identification: ``python -m experiments.identification``.
 
-Every built-in arm identifies itself under one disturbance at a time and under several at once; then
-drag and door of `arm7` with a wrong servo table, with the identified one, and with the true one.
+The servos of every built-in arm are identified in simulations whose servos differ from the table in
+one or several properties. Then drag and door experiments of `arm7` run with a controller that
+assumes a wrong, the identified and the true servo table.
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ if TYPE_CHECKING:
     from experiments.poses import Array
 
 
-#: Start of each arm (n,) [rad], and a payload that it lifts with ease [kg].
+#: Start pose of each arm (n,) [rad].
 STARTS = {
     "arm7": np.asarray(VERTICAL),
     "so101": np.array([0.2, -0.3, 0.3, 0.9, 0.0]),
     "koch": np.array([0.2, -0.3, 0.3, 0.9, 0.0]),
 }
+#: Payload that each arm can lift [kg].
 LIFTS = {"arm7": 0.3, "so101": 0.3, "koch": 0.05}
 CENTRE = (0.02, 0.01, 0.05)  # [m]
 COUNT, DEADBAND = np.deg2rad(0.088), np.deg2rad(0.06)
@@ -39,7 +41,8 @@ GEARS = {
     "so101": STS3215,
     "koch": STS3215,
 }
-#: Options of the plant by case; `lift` is a share of the arm's payload in `STARTS`.
+#: Options of the simulated arm by name of the case. `lift` is the payload as a share of `LIFTS`,
+#: and `gears` selects the friction `GEARS`; the other options are those of `pliant.sim.Plant`.
 CASES: dict[str, dict[str, Any]] = {
     "as the table": {},
     "k_p × 0.8": {"kp_scale": 0.8},
@@ -65,21 +68,24 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """Result of one identification against the true values; (n,) per joint.
+class IdentificationErrors:
+    """Errors of one identification by `identify.identify_servos`.
 
     Attributes:
-        arm, case: Names.
-        kp, friction, damping: Identified over true. Damping is everything that grows with speed.
-        kp_bars: Errors of k_p as multiples of their estimated standard deviations.
-        loaded: Joints whose gravity exceeds three times their friction at the start.
-        delay: Identified minus true [s].
-        mass, mass_bars: Identified minus true mass [kg], and as a multiple of its estimated
-            standard deviation.
-        centre: Distance of the payload's centre from the true one [m]; NaN without a payload.
-        spread: Residuals over what friction and encoder explain.
-        seconds: Duration on the arm [s].
-        found: The complete result.
+        arm, case: Names of arm and case.
+        kp, friction, damping: Identified over true values of each joint (n,); damping includes
+            back-EMF.
+        kp_bars: Error of k_p over its estimated standard deviation, of each joint (n,).
+        loaded: True for joints whose gravity torque in the start pose exceeds three times their
+            friction (n,).
+        delay: Identified minus true delay [s].
+        mass, mass_bars: Identified minus true mass of the payload [kg], and this error over its
+            estimated standard deviation.
+        centre: Distance of the identified from the true centre of mass of the payload [m]; NaN if
+            there is no payload or none was found.
+        spread: Residuals of the fit over the residuals that friction and encoder explain.
+        seconds: Simulated duration of the identification [s].
+        found: Complete result of the identification.
     """
 
     arm: str
@@ -99,7 +105,10 @@ class Outcome:
 
 
 def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
-    """Return an arm that differs from its table according to the case, with coarse encoders."""
+    """Return a simulated arm in its start pose, with the options of a case and a real encoder step.
+
+    `rate` is the control rate [Hz].
+    """
     options = dict(CASES[case])
     lift, gears = options.pop("lift", 0.0), options.pop("gears", False)
     if lift:
@@ -111,13 +120,15 @@ def plant(arm: str, case: str, rate: float = 100.0) -> Plant:
     return out
 
 
-def identify_arm(arm: str, case: str, span: float = 0.4, rate: float = 100.0) -> Outcome:
-    """Let an arm identify itself, and compare with the true values.
+def identify_arm(
+    arm: str, case: str, span: float = 0.4, rate: float = 100.0
+) -> IdentificationErrors:
+    """Identify the servos of a simulated arm, and return the errors of the result.
 
     Args:
-        arm: Name in `STARTS`.
-        case: Name in `CASES`.
-        span: Largest distance of poses from the start [rad].
+        arm: Key of `STARTS`.
+        case: Key of `CASES`.
+        span: Largest distance of each joint from the start pose during the identification [rad].
         rate: Control rate [Hz].
     """
     body = plant(arm, case, rate)
@@ -134,7 +145,7 @@ def identify_arm(arm: str, case: str, span: float = 0.4, rate: float = 100.0) ->
     damping = (servos.damping + servos.kv + emf) / (gains.damping + gains.kv)
     load = found.payload
     centre = np.linalg.norm(load.com - CENTRE) if lift and load.found else np.nan
-    return Outcome(
+    return IdentificationErrors(
         arm=arm,
         case=case,
         kp=servos.kp / gains.kp,
@@ -153,7 +164,7 @@ def identify_arm(arm: str, case: str, span: float = 0.4, rate: float = 100.0) ->
 
 
 def believed(model: pliant.Model) -> pliant.Servos:
-    """Return the initial table of an identification: that of the arm, with k_p unknown."""
+    """Return the initial servo table of an identification, in which k_p is not known."""
     if model.servos is None:
         raise pliant.ConfigError(f"{model.name} has no servos")
     return model.servos.replace(encoder_step=COUNT, stiffness_known=False)
@@ -161,32 +172,38 @@ def believed(model: pliant.Model) -> pliant.Servos:
 
 @dataclass(frozen=True, kw_only=True)
 class AssumedTable(Conditions):
-    """Conditions in which the controller assumes an identified or a wrong table.
+    """Conditions of a run in which the controller assumes the given servo table and delay.
 
     Attributes:
-        table: Servo parameters that it assumes.
-        known_delay: Delay that it assumes [s].
+        table: Assumed servo parameters.
+        known_delay: Assumed sum of the delays of readings and of commands [s].
     """
 
     table: pliant.Servos
     known_delay: float = 0.0
 
     def servos(self) -> pliant.Servos:
-        """The table."""
+        """Return the assumed servo parameters."""
         return self.table
 
     def controller(self, law: Any) -> Any:
-        """Make a controller with these assumptions."""
+        """Return a controller of `arm7` with the settings `law` and these assumptions."""
         settings = law.replace(rate=self.rate, delay=self.known_delay, accept_high_adaptation=True)
         return pliant.Controller(robots.arm7(), settings, self.table)
 
 
-#: Errors of the table of `arm7` in the rows before and after.
+#: True over assumed servo parameters of `arm7` in the experiments before and after identification.
 WRONG: dict[str, Any] = {"kp_scale": 1.25, "friction_scale": 1.4, "damping_scale": 1.3}
 
 
 def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
-    """Measure drag and door, η 0.999, a tick each way: wrong table, identified, known exactly."""
+    """Measure drag and door with a wrong, the identified and the true servo table.
+
+    `span` is that of `identify_arm`.
+
+    Returns:
+        For each table, its name and the measured numbers by name.
+    """
     delay, options = (1, 1), {**WRONG, "encoder_step": COUNT}
     body = Plant(robots.arm7(), delay=delay, **options)
     body.reset(STARTS["arm7"])
@@ -222,8 +239,8 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     return out
 
 
-def line(one: Outcome) -> list[str]:
-    """Return one line of the table."""
+def line(one: IdentificationErrors) -> list[str]:
+    """Return the errors of one identification as the cells of a table row, see `COLUMNS`."""
 
     def percent(values: Array) -> str:
         off = 100.0 * np.abs(values - 1.0)
@@ -264,13 +281,13 @@ COLUMNS = (
 def main(
     *, arm: program.Arms = (), span: float = 0.4, jobs: int = 2, before_and_after: bool = True
 ) -> None:
-    """Identify simulated arms; errors against the true values are median / worst over joints.
+    """Identify the servos of simulated arms; print errors as median / worst over the joints.
 
     Args:
-        arm: Arms by name; default all built-in ones.
-        span: Largest distance of poses from the start [rad].
+        arm: Names of the arms; default: the built-in arms.
+        span: Largest distance of each joint from the start pose during the identification [rad].
         jobs: Number of processes.
-        before_and_after: Also measure drag and door before and after.
+        before_and_after: True also runs drag and door before and after the identification.
     """
     work = [
         Job(f"{name} {case}", identify_arm, (name, case, span))

@@ -1,8 +1,8 @@
-"""Arms near their stops after a push: rest, oscillation or drift.
+"""Rest, oscillation or drift of arms near a joint limit after a push.
 
-``python -m experiments.joint_limit_rest`` puts one joint of random poses within 0.06 rad of its
-position limit, moves a soft axis 5 cm away, holds it there, lets go, and observes the joints for
-one second from 2.5 s and from 8 s after that.
+``python -m experiments.joint_limit_rest`` starts in random poses with one joint within 0.06 rad of
+its position limit. A hand moves the tool along a soft axis by 5 cm, holds it and releases it. The
+program then observes the joints during one second twice: 2.5 s and 8 s after the release.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import pliant
 from experiments import program
 from experiments.arms import AXES, LEAST_SIGMA, load
-from experiments.controllers import UNBLURRED
+from experiments.controllers import NO_RATE_LIMITS
 from experiments.runner import run_jobs
 from experiments.simulation import closed_loop
 from experiments.spring_hand import OF_CAPACITY, Grip
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from experiments.poses import Array
 
 
-#: Largest distance of the joint from its limit [rad].
+#: Largest distance of one joint from its position limit in the start pose [rad].
 ROOM = 0.06
-#: The hand: start [s], duration of its motion [s], its speed [m/s], time of release [s].
-COMES, GOES, SPEED, LEAVES = 0.1, 0.5, 0.1, 3.0
-#: Starts of the two observations after the release, and the duration of each [s].
-LOOKS, FOR = (2.5, 8.0), 1.0
-#: Poses of each arm.
+#: Hand: start [s], duration [s] and speed [m/s] of its motion, time of the release [s].
+HAND_START, HAND_DURATION, SPEED, RELEASE = 0.1, 0.5, 0.1, 3.0
+#: Starts of the two observations after the release, and duration of each [s].
+OBSERVATION_STARTS, OBSERVATION_TIME = (2.5, 8.0), 1.0
+#: Number of poses per arm.
 POSES = 20
-#: Ticks of delay each way, and η.
+#: Cases: delay of readings, equal to that of commands [ticks], and target adaptation η.
 CASES = ((0, 0.0), (1, 0.0), (0, 0.9))
 
 
@@ -47,13 +47,14 @@ class Rest:
     """Result of one push.
 
     Attributes:
-        arm: By name.
-        ticks: Delay of readings, and of commands [ticks].
+        arm: Name of the arm.
+        ticks: Delay of readings and of commands [ticks].
         eta: Target adaptation of the soft axis.
         pose: Index among the arm's poses.
-        room: Distance of the nearest joint to its limit at release [rad].
-        moves: Largest motion of a joint in a second, from 2.5 s and from 8 s on [rad].
-        turns: Number of reversals of a joint that moves 5 mrad in these seconds.
+        room: Smallest distance of a joint to its limit at the release [rad].
+        moves: Largest range of motion of a joint, in each of the two observations [rad].
+        turns: Largest number of reversals of a joint that moves at least 5 mrad, in each of the two
+            observations.
     """
 
     arm: str
@@ -66,7 +67,11 @@ class Rest:
 
 
 def beside(arm: Arm, pose: int) -> Array:
-    """Return a random regular pose (n,) [rad] that can be held, with a joint at its stop."""
+    """Return a random pose (n,) [rad] in which one joint is within `ROOM` of its position limit.
+
+    The servos can hold the arm in the pose, and the pose is not near a singularity. `pose` is the
+    random seed.
+    """
     rng = np.random.default_rng((pose, 11))
     lower, upper = np.asarray(arm.model.lower), np.asarray(arm.model.upper)
     good = arm.poses(len(arm.drawn))
@@ -89,7 +94,7 @@ def _plant(name: str, ticks: int) -> tuple[Plant, Grip]:
 
 @dataclass(frozen=True)
 class Job:
-    """One push of one arm."""
+    """One push of one arm: pose index, delay each way [ticks], and target adaptation η."""
 
     arm: str
     pose: int
@@ -97,7 +102,7 @@ class Job:
     eta: float = 0.0
 
     def run(self) -> Rest:
-        """Push, let go, and observe."""
+        """Push the arm, release it, and return the observed motion."""
         arm, (plant, grip) = load(self.arm), _plant(self.arm, self.ticks)
         rng = np.random.default_rng((self.pose, 12))
         row = int(rng.choice([row for row in arm.rows if row < 3]))
@@ -106,7 +111,7 @@ class Job:
             task=" ".join(arm.axes),
             axes={AXES[row]: pliant.Axis(soft=cap, firm=cap, adaptation=self.eta)},
             delay=2 * self.ticks / plant.rate,
-            **UNBLURRED,
+            **NO_RATE_LIMITS,
         )
         controller = pliant.Controller(arm.model, settings, arm.servos)
         q = beside(arm, self.pose)
@@ -117,18 +122,18 @@ class Job:
         target = plant.tool if any(row > 2 for row in arm.rows) else plant.tool[:3, 3]
 
         def push(now: float, plant: Plant) -> None:
-            grip.move(row, sign * SPEED if COMES <= now < COMES + GOES else 0.0)
-            if now >= LEAVES:
+            grip.move(row, sign * SPEED if HAND_START <= now < HAND_START + HAND_DURATION else 0.0)
+            if now >= RELEASE:
                 grip.hold([])
 
-        end = LEAVES + LOOKS[-1] + FOR
+        end = RELEASE + OBSERVATION_STARTS[-1] + OBSERVATION_TIME
         loop = closed_loop(plant, controller, target, end, on_tick=push)
         angles = np.array([plant.q for _ in loop])
-        held = angles[round(LEAVES * plant.rate) - 1]
+        held = angles[round(RELEASE * plant.rate) - 1]
         room = np.minimum(held - arm.model.lower, np.asarray(arm.model.upper) - held).min()
         windows = [
-            angles[round((LEAVES + look) * plant.rate) :][: round(FOR * plant.rate)]
-            for look in LOOKS
+            angles[round((RELEASE + look) * plant.rate) :][: round(OBSERVATION_TIME * plant.rate)]
+            for look in OBSERVATION_STARTS
         ]
         first, last = (float(np.ptp(window, axis=0).max()) for window in windows)
         return Rest(
@@ -143,13 +148,16 @@ class Job:
 
 
 def _turns(angles: Array) -> int:
-    """Count reversals of joints that move at least 5 mrad in a window (N, n) [rad]."""
+    """Return the largest number of reversals of a joint, from joint positions (N, n) [rad].
+
+    Joints that move by less than 5 mrad do not count.
+    """
     going = np.diff(angles[:, np.ptp(angles, axis=0) > 5e-3], axis=0)
     return int((np.diff(np.sign(going), axis=0) != 0).sum(axis=0).max(initial=0))
 
 
 def text(found: Sequence[Rest]) -> str:
-    """Return figures per arm and case, as Markdown."""
+    """Return a Markdown table with a row for each arm and case."""
     columns = (
         *("arm", "ticks each way", "η", "pushes", "at a stop meanwhile"),
         *("2.5 s after, in 1 s: median", "most [mrad]", "turns"),
@@ -160,7 +168,7 @@ def text(found: Sequence[Rest]) -> str:
         mine = [one for one in found if (one.arm, one.ticks, one.eta) == key]
         cells = [key[0], str(key[1]), f"{key[2]:g}", str(len(mine))]
         cells += [str(sum(one.room < ROOM for one in mine))]
-        for i in range(len(LOOKS)):
+        for i in range(len(OBSERVATION_STARTS)):
             moves = [1e3 * one.moves[i] for one in mine]
             cells += [f"{np.median(moves):.1f}", f"{max(moves):.1f}"]
             cells += [str(max(one.turns[i] for one in mine))]
@@ -169,11 +177,11 @@ def text(found: Sequence[Rest]) -> str:
 
 
 def main(*, poses: int = POSES, arm: program.Arms = (), jobs: int = 2) -> None:
-    """Push arms near their stops, let go, and observe whether they come to rest.
+    """Push arms near joint limits, release them, and observe if they come to rest.
 
     Args:
-        poses: Of each arm.
-        arm: Arms by name; default those that ship with the package.
+        poses: Number of poses per arm.
+        arm: Names of the arms; default: the built-in arms.
         jobs: Number of processes.
     """
     work = [

@@ -1,8 +1,9 @@
-"""Cost of a page and a log to the loop: lateness with each off and on, in one run.
+"""Effect of the web page of `pliant.view` and of a log file on the lateness of the control loop.
 
-``python -m experiments.lateness [--seconds 10] [--rounds 3]`` controls an SO-101 over emulated
-bytes at 100 Hz, in turns: bare, with the page (its process, thirty snapshots a second, and a client
-that reads all that the page sends), with the log, with both. It prints the table.
+``python -m experiments.lateness [--seconds 10] [--rounds 3]`` controls an SO-101 with emulated
+servos at 100 Hz: without page and log, with the page (its process, and a client that reads all its
+messages), with the log, and with both, in turn. It prints a table of the delays with which the
+ticks of the loop begin.
 """
 
 from __future__ import annotations
@@ -33,20 +34,21 @@ if TYPE_CHECKING:
 
 #: Control rate [Hz].
 RATE = 100.0
-#: Timeout long enough that a busy machine does not end a run [s].
+#: `comm_timeout` of the arm [s], so long that a busy computer does not end a run.
 PATIENCE = 30.0
 
 
 @dataclass
 class Way:
-    """One combination of page and log.
+    """Combination of web page and log, with the lateness measured over all runs with it.
 
     Attributes:
-        page, log: True if it is on.
-        late: Lateness of all its ticks.
-        missed: Ticks skipped.
-        sent: Snapshots that the page took.
-        seconds: Duration [s].
+        page: True if the web page shows the arm.
+        log: True if a log is written.
+        late: Histogram of the lateness of all ticks.
+        missed: Number of deadlines that the loop missed.
+        sent: Number of snapshots sent to the page.
+        seconds: Total duration of the runs [s].
     """
 
     page: bool
@@ -58,7 +60,7 @@ class Way:
 
     @property
     def name(self) -> str:
-        """Its description."""
+        """Name of the combination in the table."""
         return {
             (False, False): "bare",
             (True, False): "page",
@@ -68,31 +70,44 @@ class Way:
 
 
 class Timed:
-    """Link that counts snapshots and requests a stop after `ticks`; its page is optional."""
+    """Link between a session and an optional web page, for a run of limited duration.
+
+    It counts the snapshots, and sends the session a stop request after `ticks` ticks.
+    """
 
     def __init__(self, link: Link | None, ticks: int) -> None:
-        """Start the time."""
+        """Store the link of the page (None: no page) and the number of ticks of the run."""
         self._link, self._left, self.sent = link, ticks, 0
 
     def messages(self) -> list[Message]:
-        """Return messages of the page, and the stop."""
+        """Return the page's messages since the last tick; after the last tick, also a stop request.
+
+        The session calls this once per tick.
+        """
         self._left -= 1
         heard = [] if self._link is None else self._link.messages()
         return [*heard, Stop()] if self._left == 0 else heard
 
     def due(self) -> bool:
-        """Return True if a snapshot is due; never without a page."""
+        """Return True if a snapshot is due; always False without a page."""
         return self._link is not None and self._link.due()
 
     def send(self, word: Any) -> None:
-        """Send to the page."""
+        """Send a message to the page, if there is one, and count it."""
         if self._link is not None:
             self.sent += 1
             self._link.send(word)
 
 
 def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
-    """Control the arm in one combination, and count."""
+    """Control the arm for `seconds` with a combination, and add the lateness to its record.
+
+    Args:
+        way: Combination of page and log.
+        link: Link of the page; None without a page.
+        seconds: Duration of the run [s].
+        folder: Folder of the log.
+    """
     source = Configured(
         config.load("so101", backend="emulator"),
         on_exit="leave_enabled",
@@ -112,7 +127,7 @@ def run(way: Way, link: Link | None, seconds: float, folder: Path) -> None:
 
 @contextlib.contextmanager
 def reading(link: Link) -> Iterator[None]:
-    """Return a process that reads all that the page sends, as a browser does, without drawing."""
+    """Return a context in which a client process reads all messages of the page of a link."""
     command = [sys.executable, "-m", "experiments.lateness", "--client", link.address]
     with subprocess.Popen(command) as process:
         try:
@@ -122,11 +137,12 @@ def reading(link: Link) -> Iterator[None]:
 
 
 def take_all(address: str) -> None:
-    """Run the client."""
+    """Read all messages of the page at this address, until the page closes the connection."""
     import viser
     from websockets.sync.client import connect
 
-    # A real client runs on another machine, so it must not take the loop's processor here.
+    # Run the client at the lowest priority. A real one runs on another machine and does not slow
+    # the control loop down.
     os.nice(19)
     parts = urlsplit(address)
     with connect(
@@ -140,12 +156,12 @@ def take_all(address: str) -> None:
 
 
 def main(*, seconds: float = 10.0, rounds: int = 3, client: str = "") -> None:
-    """Print the table.
+    """Print the lateness of all combinations.
 
     Args:
-        seconds: Duration of a run.
-        rounds: Runs of each combination.
-        client: Address of a page; the program is then its client.
+        seconds: Duration of a run, in seconds.
+        rounds: Number of runs of each combination.
+        client: Address of a page; the program then only runs the client.
     """
     if client:
         take_all(client)

@@ -1,6 +1,6 @@
-"""Descents, and reactions of an arm to faults: the tables of docs/lifecycle.md.
+"""Descents and reactions to faults of the simulated arm: the tables of docs/lifecycle.md.
 
-``python -m experiments.lifecycle [poses]`` prints them.
+``python -m experiments.lifecycle [poses]`` prints both tables.
 """
 
 from __future__ import annotations
@@ -32,37 +32,38 @@ if TYPE_CHECKING:
 
     Act = Callable[[Tick, "FaultyDrive", Arm, float], Array | None]
 
-#: Time of the fault, its default duration, and the end of the program [s].
+#: Time of the fault in the control loop, duration of a temporary fault, and duration of the loop
+#: [s].
 WHEN, LONG, END = 1.0, 1.0, 4.0
-#: The lost joint, in the middle of the arm.
+#: Joint that fails, in the middle of the arm.
 LOST = "elbow_pitch"
 
 
 class FaultyDrive(SimDrive):
-    """A simulated arm whose bus or servos fail for a while.
+    """Drive of a simulated arm with faults of bus and servos.
 
     Attributes:
-        silent: Joints that do not answer, by name.
-        powerless: Joints without power: they neither answer nor exert torque.
-        deaf: True if writes are lost.
+        silent: Names of the joints that do not answer.
+        powerless: Names of the joints without power, which neither answer nor exert torque.
+        deaf: True if all writes are lost.
     """
 
     def __init__(self, plant: Plant, servos: Servos | None = None) -> None:
-        """Start without a fault; `servos` is the table that the arm assumes."""
+        """Start without a fault; the arm assumes `servos`, by default the plant's servo table."""
         super().__init__(plant, servos=servos)
         self.silent: set[str] = set()
         self.powerless: set[str] = set()
         self.deaf = False
 
     def read(self) -> JointReadings:
-        """Return readings of the joints that answer."""
+        """Return the readings; joints that do not answer have NaN and `ok` False."""
         sample = super().read()
         lost = np.isin(self.names, [*self.silent, *self.powerless])
         position = np.where(lost, np.nan, sample.position)
         return JointReadings(position, sample.ok & ~lost, sample.time)
 
     def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
-        """Send orders to the joints that receive them."""
+        """Write goals and limits, unless all writes are lost; joints without power get limit 0."""
         if not self.deaf:
             limit = np.where(np.isin(self.names, list(self.powerless)), 0.0, limit)
             super().write(goal, limit, velocity)
@@ -70,13 +71,14 @@ class FaultyDrive(SimDrive):
 
 @dataclass(frozen=True, kw_only=True)
 class FaultCase:
-    """A fault one second into a loop.
+    """Fault that occurs one second after the start of the loop.
 
     Attributes:
-        title: Description.
-        act: Called at every tick from then on with tick, drive, arm and the time since [s]; returns
-            a target (4, 4), or None to write no command.
-        loop: More arguments of the loop.
+        title: Description in the table.
+        act: Function that is called in every tick from the fault on. Its arguments are tick, drive,
+            arm and the time since the fault [s]. It returns the target pose (4, 4), or None if no
+            command is to be written.
+        loop: Further arguments of `pliant.Loop`.
     """
 
     title: str
@@ -90,12 +92,13 @@ class FaultResult:
 
     Attributes:
         outcome: `goes on` or `is lowered`.
-        reason: The error that ended the loop.
-        speed: Highest speed of the tool from the fault to the end of the loop [m/s].
-        descent: Highest speed of the tool during the descent [m/s].
-        drop: Drop of the tool before it went on or was lowered [m].
-        force: Largest mean over a tick of the force on a hand that holds the tool in place [N].
-        along: The same along each axis of the base, x, y, z [N].
+        reason: Error that ended the loop; empty if none did.
+        speed: Largest speed of the tool from the fault to the end of the loop [m/s].
+        descent: Largest speed of the tool during the descent [m/s].
+        drop: Drop of the tool below its height at the fault, until the end of the loop [m].
+        force: Largest force on a hand that holds the tool in place, averaged over a control period
+            [N].
+        along: Largest force on the hand along each base axis x, y, z [N].
     """
 
     outcome: str
@@ -108,14 +111,14 @@ class FaultResult:
 
 
 def run_fault(case: FaultCase, *, held: bool = False) -> FaultResult:
-    """Let `arm7` hold its grasp pose, y soft, at 100 Hz with a tick each way, and apply a fault.
+    """Apply a fault to `arm7`, which holds its grasp pose with soft y at 100 Hz; then lower it.
 
     Args:
         case: The fault.
-        held: True: a hand (3000 N/m) holds the tool in place from then on.
+        held: True: from the fault on, a hand holds the tool in place by springs of 3000 N/m.
 
     Returns:
-        The result until the arm was down.
+        The result, including the descent.
     """
     model = arm()
     hand = SpringConstraint(
@@ -169,7 +172,7 @@ GRASP: Array = tool(VERTICAL)
 
 
 def _stall(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Block the loop for one second in one tick."""
+    """Block the loop for one second in the first tick of the fault; return the grasp pose."""
     if since < 0.005:
         robot.clock.wait_until(robot.clock.now() + LONG)
     return GRASP
@@ -181,7 +184,10 @@ def _nan(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
 
 
 def _nan_caught(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array | None:
-    """Skip the tick, as a program does that detects a NaN target itself."""
+    """Skip the ticks during the fault, like a program that detects a NaN target itself.
+
+    Return None in a skipped tick, and the grasp pose after the fault.
+    """
     if since < LONG:
         tick.skip()
         return None
@@ -189,17 +195,17 @@ def _nan_caught(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Arr
 
 
 def _nothing(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array | None:
-    """Write no command for the duration of the fault."""
+    """Return None, so that no command is written, during the fault; then the grasp pose."""
     return None if since < LONG else GRASP
 
 
 def _jump(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Move the target by one metre for a second."""
+    """Return a target 1 m in front of the grasp pose for one second, then the grasp pose."""
     return displaced(GRASP, "x", 1.0) if since < LONG else GRASP
 
 
 def _silence(seconds: float, *, deaf: bool = False) -> Act:
-    """Return an action that silences all joints for `seconds`; `deaf`: they lose writes, too."""
+    """Return an action after which no joint answers for `seconds`; with `deaf`, writes are lost."""
 
     def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
         if since < 0.005:
@@ -220,7 +226,10 @@ def _silence(seconds: float, *, deaf: bool = False) -> Act:
 
 
 def _lost(*, powerless: bool) -> Act:
-    """Return an action after which one joint no longer answers."""
+    """Return an action after which the joint `LOST` no longer answers.
+
+    With `powerless`, it exerts no torque either.
+    """
 
     def act(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
         (drive.powerless if powerless else drive.silent).add(LOST)
@@ -230,7 +239,7 @@ def _lost(*, powerless: bool) -> Act:
 
 
 def _interrupt(tick: Tick, drive: FaultyDrive, robot: Arm, since: float) -> Array:
-    """Raise KeyboardInterrupt, as Ctrl-C does."""
+    """Raise KeyboardInterrupt in the program's loop, as Ctrl-C does."""
     raise KeyboardInterrupt
 
 
@@ -252,12 +261,13 @@ FAULT_CASES: tuple[FaultCase, ...] = (
 )
 
 
-# --- Descents, and reactions of an arm to faults: the tables of docs/lifecycle.md ---
+# --- Descents ---
 
-#: Unknown load [kg], and the table below the lower of tool and wrist [m].
+#: Load at the tool that the arm does not know [kg], and distance of the table below the tool or the
+#: wrist, whichever is lower [m].
 LOAD, TABLE = 0.3, 0.10
-#: Share of the usable torque that holding arm and load may take in a random pose.
-HOLDS = 0.9
+#: Largest share of a servo's usable torque that the weight of arm and load may need in a pose.
+MAX_LOAD_SHARE = 0.9
 #: Observation time after torque off [s].
 AFTER = 1.0
 
@@ -267,12 +277,12 @@ class LowerResult:
     """Result of one descent.
 
     Attributes:
-        speed: Highest speed of the tool until torque was off [m/s].
-        rise: Rise of the tool above its start until then [m].
-        after: Highest speed within the second after [m/s].
-        force: Largest mean over a tick of the force on one point of the table [N].
-        resting: Force on the table a second after torque was off: the weight that rests there [N].
-        seconds: Duration.
+        speed: Largest speed of the tool during the descent [m/s].
+        rise: Largest rise of the tool above its start during the descent [m].
+        after: Largest speed of the tool within a second after torque off [m/s].
+        force: Largest force on one point of the table, averaged over a control period [N].
+        resting: Sum of the forces on all points of the table, 1 s after torque off [N].
+        seconds: Duration of the descent [s].
     """
 
     speed: float
@@ -295,21 +305,18 @@ def lower(
     stiffness_known: bool = True,
     blind: bool = False,
 ) -> LowerResult:
-    """Enable an arm in q (n,) [rad], hold it for half a second, and lower it.
+    """Enable a simulated arm, lower it, and return the result.
 
     Args:
-        q: Posture (n,) [rad].
+        q: Start pose (n,) [rad].
         load: Unknown mass at the tool [kg].
-        over_table: True: a table 0.10 m below the lower of tool and wrist.
-        ticks: Delay of readings, and of writes, at 100 Hz.
-        rest: First target (n,) [rad].
-        robot: A built-in arm.
+        over_table: True adds a table 0.10 m below the tool or the wrist, whichever is lower.
+        ticks: Delay of readings, equal to that of writes [control periods of 10 ms].
+        rest: Rest pose (n,) [rad] into which the arm is lowered; None: no rest pose is set.
+        robot: Name of a built-in arm.
         kp_scale: True over assumed stiffness of the servos.
-        stiffness_known: True if the arm assumes that it is known within 10 %.
-        blind: True: no more positions arrive.
-
-    Returns:
-        The result.
+        stiffness_known: True if the arm assumes that its k_p is known within 10 %.
+        blind: True: no position readings arrive during the descent.
     """
     model = robots.load(robot)
     plant = Plant(
@@ -355,7 +362,14 @@ def lower(
 
 
 def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LOAD) -> list[Array]:
-    """Return random postures (n,) [rad] in which the arm can hold itself and a load."""
+    """Return `count` random poses (n,) [rad] in which the servos can hold the arm and a load.
+
+    Args:
+        count: Number of poses.
+        seed: Random seed.
+        robot: Name of a built-in arm.
+        load: Mass at the tool [kg].
+    """
     model, heavy = robots.load(robot), robots.load(robot, payload=(load, (0.0, 0.0, 0.0)))
     assert model.servos is not None
     usable = np.asarray(model.servos.max_torque)
@@ -365,12 +379,12 @@ def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LO
     found: list[Array] = []
     while len(found) < count:
         q = rng.uniform(low, high)
-        if np.all(np.abs(heavy.gravity(q)) < HOLDS * usable):
+        if np.all(np.abs(heavy.gravity(q)) < MAX_LOAD_SHARE * usable):
             found.append(q)
     return found
 
 
-#: The rows of the first table: name, arguments of `lower`.
+#: Rows of the table of descents: name of the case, and arguments of `lower`.
 CASES: tuple[tuple[str, dict[str, object]], ...] = (
     ("no obstacle", {}),
     ("unknown load of 0.3 kg", {"load": LOAD}),
@@ -386,19 +400,23 @@ CASES: tuple[tuple[str, dict[str, object]], ...] = (
 
 
 class Pressed(Protocol):
-    """Result of a descent over a table."""
+    """Interface of the result of a descent of the arm onto a table."""
 
     @property
     def force(self) -> float:
-        """Largest mean over a tick of the force on one point of the table [N]."""
+        """Largest force on one point of the table, averaged over 10 ms [N]."""
 
     @property
     def resting(self) -> float:
-        """Weight on the table once torque is off [N]."""
+        """Sum of the forces on all points of the table, 1 s after torque off [N]."""
 
 
 def lower_table(poses: Iterable[Array]) -> str:
-    """Return the first table, as Markdown: worst (median); and over a table pose by pose."""
+    """Lower the arm in every case of `CASES` and every pose (n,) [rad]; return a Markdown table.
+
+    Its cells have the worst value and the median over the poses. A second table has the forces on
+    the table in each pose.
+    """
     poses, rows, pose_by_pose = list(poses), [], ""
     for name, options in CASES:
         runs = [lower(q, **options) for q in poses]  # type: ignore[arg-type]
@@ -427,7 +445,7 @@ def lower_table(poses: Iterable[Array]) -> str:
 
 
 def pose_table(runs: Sequence[Pressed]) -> str:
-    """Return force on the table and final weight on it, a column for each pose."""
+    """Return a Markdown table of the forces on the table, with a column for each pose."""
     rows = [
         ("force", *(f"{run.force:.1f}" for run in runs)),
         ("rests", *(f"{run.resting:.1f}" for run in runs)),
@@ -436,7 +454,7 @@ def pose_table(runs: Sequence[Pressed]) -> str:
 
 
 def fault_table() -> str:
-    """Return the second table, as Markdown: every fault alone, and with a hand at the tool."""
+    """Run every fault, without and with a hand that holds the tool; return a Markdown table."""
     rows = []
     for case in FAULT_CASES:
         alone, held = run_fault(case), run_fault(case, held=True)
@@ -454,10 +472,10 @@ def fault_table() -> str:
 
 
 def main(poses: tyro.conf.Positional[int] = 10) -> None:
-    """Print both tables.
+    """Print the tables of descents and of faults.
 
     Args:
-        poses: Random poses.
+        poses: Number of random poses, besides the grasp pose.
     """
     print(lower_table([VERTICAL, *postures(poses)]), flush=True)
     print()

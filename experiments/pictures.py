@@ -1,4 +1,4 @@
-"""Pictures of the simulated arm, rendered without a display and cut out of their background."""
+"""Pictures of the simulated arm, rendered without a display, on a transparent background."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ if TYPE_CHECKING:
 
     Pixels = NDArray[np.uint8]
 
-#: Exceptions raised where no off-screen drawing is possible.
+#: Exceptions that MuJoCo raises if off-screen rendering is not possible.
 CANNOT_DRAW = (mujoco.FatalError, OSError, RuntimeError)
-#: Supersampling factor; it makes the edges of the cut-out smooth.
+#: Pictures are rendered this many times larger and then reduced, for smooth edges.
 FINER = 3
 BONE, JOINT, HAND = (0.80, 0.82, 0.85, 1.0), (0.20, 0.24, 0.30, 1.0), (0.90, 0.38, 0.0, 1.0)
 LEAF = (0.62, 0.72, 0.80, 0.80)
 
 
 class Studio:
-    """Draws a plant in postures that need no simulation: light, a camera, and visible joints.
+    """Renders pictures of a simulated arm at given joint positions, without simulating motion.
 
     Args:
-        plant: The arm, reset, with its fixtures.
+        plant: The simulated arm with its fixtures, after a reset.
         size: Width and height of a picture [pixel].
         look_at: Look-at point of the camera, base axes [m].
-        distance: Of the camera from there [m].
-        azimuth, elevation: Of the camera [deg].
-        handle: True: draw a bar in the hand, along z of the tool.
-        trail: Points (k, 3) of a thin line through the scene, base axes [m].
+        distance: Distance of the camera from the look-at point [m].
+        azimuth, elevation: Viewing angles of the camera [deg].
+        handle: True draws a bar in the hand, along z of the tool.
+        trail: Points (k, 3) of a line through the scene, base axes [m].
 
     Raises:
-        RuntimeError: MuJoCo was loaded without a drawing backend.
-        mujoco.FatalError: Its drawing backend does not work here.
+        RuntimeError: MuJoCo was loaded without a rendering backend.
+        mujoco.FatalError: The rendering backend does not work on this machine.
     """
 
     def __init__(
@@ -84,22 +84,22 @@ class Studio:
         )
 
     def __enter__(self) -> Studio:
-        """Open."""
+        """Return this object; the constructor has opened the drawing context."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Free the drawing context, which would otherwise warn at the end of the process."""
+        """Free the drawing context; without this, it prints a warning when the process ends."""
         self._renderer.close()
 
     def picture(
         self, q: Array, joints: dict[str, float] | None = None, moved: Array | None = None
     ) -> Pixels:
-        """Draw a posture.
+        """Render the arm at given joint positions.
 
         Args:
             q: Joint positions of the chain (n,) [rad].
-            joints: Positions of other joints by name, e.g. of a door's hinge [rad].
-            moved: Displacement of everything that is not the arm (3,) [m].
+            joints: Positions of other joints by name, for example of a door's hinge [rad].
+            moved: Displacement of the fixtures (3,) [m].
 
         Returns:
             Pixels (height, width, 4) with a transparent background.
@@ -125,7 +125,15 @@ class Studio:
 
 
 def _shrink(colours: Array, solid: Array) -> Pixels:
-    """Average blocks of pixels; the background affects only the transparency."""
+    """Return a picture at its final size, with averages over blocks of `FINER`² pixels.
+
+    Args:
+        colours: Rendered picture (height, width, 3), 0 to 255.
+        solid: 1 for pixels of an object, 0 for the background (height, width).
+
+    Returns:
+        Pixels (height, width, 4); the share of the background in a block becomes transparency.
+    """
     height, width = solid.shape[0] // FINER, solid.shape[1] // FINER
     blocks = (height, FINER, width, FINER)
     cover = solid.reshape(blocks).mean(axis=(1, 3))
@@ -137,7 +145,13 @@ def _shrink(colours: Array, solid: Array) -> Pixels:
 
 
 def furnish(spec: Any, plant: Plant, *, handle: bool) -> None:
-    """Add light, an off-screen buffer that is large enough, and visible joints and hand."""
+    """Add light, a large off-screen buffer, visible joints and fingers to a MuJoCo model.
+
+    Args:
+        spec: Specification of the model.
+        plant: The simulated arm.
+        handle: True adds a bar in the hand.
+    """
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 4096, 4096
     spec.visual.headlight.ambient = (0.45, 0.45, 0.45)
     spec.visual.headlight.diffuse = (0.35, 0.35, 0.35)
@@ -167,7 +181,10 @@ def furnish(spec: Any, plant: Plant, *, handle: bool) -> None:
 
 
 def _add_hand(tip: Any, usual: float, ink: dict[str, Any], *, handle: bool) -> None:
-    """Add two fingers in the tool's frame and, if requested, a bar between them."""
+    """Add a palm and two fingers at the tool's frame `tip` and, with `handle`, a bar between them.
+
+    `usual` is the radius of the links, which scales the hand [m]; `ink` has attributes of geoms.
+    """
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, np.asarray(tip.quat))
     axes = turn.reshape(3, 3)

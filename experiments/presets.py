@@ -1,7 +1,7 @@
-"""Figures of each preset in its scene, and of the same task with all axes stiff.
+"""Results of each preset of `Settings` in a simulated task, compared with all axes stiff.
 
-``python -m experiments.presets`` prints the table of docs/presets.md in a minute; with a path it
-also draws force against deviation of the three profiles.
+``python -m experiments.presets`` prints the table of docs/presets.md. With a path as argument, it
+also draws the force against the deviation of a soft axis, for each `Axis.profile`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 
     Profile = Literal["hardening", "constant", "softening"]
 
-#: Soft and firm of the profiles that are drawn [N].
+#: Caps `soft` and `firm` of the drawn profiles [N].
 SOFT, FIRM = 4.0, 15.0
-#: No delay and everything known; a tick each way; the same, friction assumed 30 % wrong.
+#: Conditions by name: ideal; a delay of one tick for readings and for commands; this delay with
+#: friction errors of 30 %.
 UNDER: dict[str, Conditions] = {
     "nominal": NOMINAL,
     "tick each way": TICK_EACH_WAY,
@@ -39,11 +40,11 @@ UNDER: dict[str, Conditions] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One preset in one scene.
+    """Row of the table: the results of one preset, or of all axes stiff, in a task.
 
     Attributes:
-        name: Of the preset, or "all axes stiff".
-        figures: Measured figures, as text with units.
+        name: Name of the preset, or "all axes stiff".
+        figures: Results as text with units.
     """
 
     name: str
@@ -93,7 +94,7 @@ def _guide(law: Law, conditions: Conditions) -> str:
     )
 
 
-#: Presets and their measurements.
+#: Settings of each preset, and function that simulates its task and returns the results as text.
 SCENES: dict[str, tuple[Settings, Callable[[Law, Conditions], str]]] = {
     "drawer()": (Settings.drawer(), _drawer),
     "wipe(press=5.0)": (Settings.wipe(press=5.0), _wipe),
@@ -104,7 +105,7 @@ SCENES: dict[str, tuple[Settings, Callable[[Law, Conditions], str]]] = {
 
 
 def table(conditions: Conditions = NOMINAL) -> list[Line]:
-    """Run every scene with its preset and with all axes stiff."""
+    """Simulate every task, with its preset and with all axes stiff; return two rows per task."""
     lines = []
     for name, (settings, scene) in SCENES.items():
         lines.append(Line(name=name, figures=scene(settings, conditions)))
@@ -113,7 +114,10 @@ def table(conditions: Conditions = NOMINAL) -> list[Line]:
 
 
 def draw(path: Path) -> None:
-    """Draw force against deviation of the profiles, as felt and as promised (needs matplotlib)."""
+    """Draw measured and expected force against deviation of y for each profile into a file.
+
+    This function needs Matplotlib.
+    """
     from pliant._report import style
 
     places = np.linspace(0.0, 0.15, 301)
@@ -140,10 +144,10 @@ def draw(path: Path) -> None:
 
 
 def main(picture: tyro.conf.Positional[Path | None] = None) -> None:
-    """Print the tables.
+    """Print the results of all presets under all conditions.
 
     Args:
-        picture: File for force against deviation of the profiles; default no picture.
+        picture: File for the picture of force against deviation; default: no picture.
     """
     for name, conditions in UNDER.items():
         print(f"\n{name}")

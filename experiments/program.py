@@ -14,38 +14,40 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
-#: Option that names an arm, once for each.
+#: Type of a command-line option that names an arm and can be repeated.
 Arms = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 
 
 def start(main: Callable[..., None]) -> None:
-    """Run the program of a module that Python runs as `__main__`, with options from `sys.argv`.
+    """Run the `main` function of a module that Python runs as `__main__`.
+
+    The parameters of `main` become command-line options, and its docstring their help. The module
+    is imported again by its full name, because other processes import the jobs by this name.
 
     Args:
-        main: Its function; parameters and docstring become options and their help. It is looked up
-            in the module under its own name, because other processes import the jobs by that.
+        main: Function `main` of the module.
     """
     module = import_module(main.__globals__["__spec__"].name)
     tyro.cli(getattr(module, main.__name__))
 
 
 def row(cells: Iterable[object]) -> str:
-    """Return one row of a table in Markdown."""
+    """Return a row of a Markdown table with these cells."""
     return f"| {' | '.join(str(cell) for cell in cells)} |"
 
 
 def head(columns: Sequence[str]) -> str:
-    """Return headings and rule of a table in Markdown."""
+    """Return heading and separator line of a Markdown table with these columns."""
     return f"{row(columns)}\n{'|---' * len(columns)}|"
 
 
 def markdown(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table in Markdown."""
+    """Return a Markdown table with these headings and rows of cells."""
     return "\n".join([head(columns), *(row(cells) for cells in rows)])
 
 
 def worst(values: Iterable[float], digits: int, scale: float = 1.0) -> str:
-    """Return the largest value and, in brackets, the median."""
+    """Return the largest value and, in brackets, the median as text; `scale` multiplies both."""
     scaled = scale * np.array(list(values))
     return f"{scaled.max():.{digits}f} ({np.median(scaled):.{digits}f})"
 
@@ -55,10 +57,10 @@ def write_results(folder: Path, content: Mapping[str, Any]) -> Path:
 
     Args:
         folder: Target folder.
-        content: Numbers, texts, sequences and maps of them; NaN and infinity become null.
+        content: Numbers, texts, sequences and maps; NaN and infinity are written as null.
 
     Returns:
-        The file.
+        Path of the file.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "results.json"
@@ -68,7 +70,7 @@ def write_results(folder: Path, content: Mapping[str, Any]) -> Path:
 
 
 def _plain(value: Any) -> Any:
-    """Return the value in JSON's types, which have neither NaN nor infinity."""
+    """Return the value converted to JSON types, with None for NaN and infinity."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

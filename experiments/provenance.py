@@ -1,4 +1,4 @@
-"""Provenance of numbers: versions, commit, machine."""
+"""Provenance of measured numbers: versions, commit and machine."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from pathlib import Path
 
 from pliant._core import __version__
 
-#: Packages whose versions affect numbers or pictures.
+#: Packages whose versions affect the numbers or pictures.
 PACKAGES = ("numpy", "mujoco", "matplotlib")
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Facts needed to reproduce the numbers.
+    """Data needed to reproduce the numbers.
 
     Attributes:
-        versions: By package, Python among them.
-        commit: Commit of the working copy, None for an installed wheel.
-        machine: Processor and system.
+        versions: Version of each package and of Python.
+        commit: Commit of the working copy; None for an installed wheel.
+        machine: Processor and operating system.
     """
 
     versions: dict[str, str]
@@ -30,7 +30,7 @@ class Facts:
 
 
 def collect() -> Facts:
-    """Collect the facts."""
+    """Return versions, commit and machine of this run."""
     versions = {"pliant": __version__, "Python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -42,9 +42,13 @@ def collect() -> Facts:
 
 
 def commit(folder: Path) -> str | None:
-    """Return the short hash of the commit, with `+` for uncommitted changes; None without one."""
+    """Return the short hash of the commit of this repository; None if `folder` is not inside it.
+
+    A `+` at the end means uncommitted changes.
+    """
     top = _git(folder, "rev-parse", "--show-toplevel")
-    # An installed copy may be inside another repository: only this project's tree counts.
+    # An installed copy of the package may lie in the repository of another project, whose commit
+    # must not be returned.
     if top is None or not (Path(top) / "python" / "pliant").is_dir():
         return None
     head = _git(folder, "rev-parse", "--short=10", "HEAD")
@@ -54,7 +58,7 @@ def commit(folder: Path) -> str | None:
 
 
 def _git(folder: Path, *args: str) -> str | None:
-    """Return the output of a git command, None without git or a repository."""
+    """Return the output of a git command in a folder; None if the command fails."""
     try:
         done = subprocess.run(
             ["git", "-C", str(folder), *args],

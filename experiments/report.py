@@ -1,4 +1,4 @@
-"""The report of the demo: numbers, statements judged by them, figures and tables, as a page."""
+"""HTML report of the demo: measured numbers, statements judged by them, figures and tables."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from pliant._report.page import Table
 
 
-#: Numbers, texts, lists of them and further maps by name, so that `results.json` is readable.
+#: Measurements by name, as written to `results.json`: numbers, texts, lists and nested maps.
 Numbers = Mapping[str, Any]
 
-#: Source of a statement: the paper, or the study before the package, whose bands are our tests.
+#: Source of a statement: the paper, or our own study of the package.
 Source = Literal["paper", "study"]
 
 
 class Verdict(StrEnum):
-    """Verdict on a statement by the numbers of this run."""
+    """Verdict on a statement: it agrees with the numbers of a run, or not (with a known reason)."""
 
     AGREES = "agrees"
     DIFFERS = "differs because"
@@ -38,13 +38,13 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One number and the interval in which a statement holds.
+    """Test of a measured number: the interval in which a statement holds.
 
     Attributes:
         name: Name of the number.
-        value: The number of this run; a non-finite number passes no test.
-        low, high: The interval, bounds included.
-        unit: Of all three.
+        value: Measured number; a non-finite number fails the test.
+        low, high: Bounds of the interval, inclusive.
+        unit: Unit of value and bounds.
     """
 
     name: str
@@ -61,14 +61,14 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """A claim and the result of this run.
+    """Claim about the results, with the numbers of a run that confirm or contradict it.
 
     Attributes:
         claim: The claim in our words.
-        outcome: A sentence made from the numbers of this run.
-        tests: The numbers that decide; all must pass.
+        outcome: Sentence with the numbers of the run.
+        tests: Tests of the numbers; the claim is confirmed if all pass.
         source: Source of the claim.
-        because: Known reason for a failure; shown only when it fails.
+        because: Known reason why a test may fail; shown only if one fails. "" if unknown.
     """
 
     claim: str
@@ -79,26 +79,27 @@ class Statement:
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict, decided by the numbers alone."""
+        """Verdict from the tests; if one fails, it depends on whether the reason is known."""
         if self.tests and all(test.passed for test in self.tests):
             return Verdict.AGREES
         return Verdict.DIFFERS if self.because else Verdict.DISAGREES
 
 
-#: A statement of the study, whose bands are our tests.
+#: Constructor of a statement whose source is our study.
 band = partial(Statement, source="study")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """A picture with its explanation.
+    """Picture of the report with its texts and statements.
 
     Attributes:
-        file: Stem of the picture's file.
+        file: File name of the picture, without extension.
         title: Headline.
-        done: What was done.
-        paper: The paper's statement about it, in our words; may be empty.
-        caption: How to read the picture.
+        done: Description of the experiment.
+        caption: Explanation of the picture.
+        paper: What the paper says about the experiment, in our words; may be empty.
+        statements: Statements that the experiment confirms or contradicts.
     """
 
     file: str
@@ -111,15 +112,15 @@ class Figure:
 
 @dataclass(frozen=True, kw_only=True)
 class Chapter:
-    """One experiment in the report.
+    """Chapter of the report: one experiment.
 
     Attributes:
-        number: As in `--only`.
+        number: Number for the option `--only`.
         title: Headline.
-        lead: Its subject, in two sentences.
-        figures, tables: In the order of the report.
+        lead: Introduction of one to three sentences.
+        figures, tables: Figures and tables, in the order of the report.
         numbers: All measurements, for `results.json`.
-        headline: The numbers for the closing table of the terminal: name and value.
+        headline: Name and value of the most important numbers, for the summary.
     """
 
     number: int
@@ -131,12 +132,12 @@ class Chapter:
     headline: tuple[tuple[str, str], ...] = field(default=())
 
     def statements(self, source: Source | None = None) -> list[Statement]:
-        """Return all statements, or those of one source."""
+        """Return the statements of all figures, or only those of one source."""
         found = [s for figure in self.figures for s in figure.statements]
         return [s for s in found if source is None or s.source == source]
 
     def count(self, verdict: Verdict, source: Source | None = None) -> int:
-        """Return the number of statements with this verdict."""
+        """Return the number of statements with a verdict, of all sources or of one."""
         return sum(s.verdict is verdict for s in self.statements(source))
 
 
@@ -149,7 +150,10 @@ def near(
     plus: float = 0.0,
     unit: str = "",
 ) -> Check:
-    """Return a test that a number lies within ``rel |reference| + plus`` of a reference."""
+    """Return a test that a number differs from a reference by at most rel·|reference| + plus.
+
+    `name` and `unit` are those of `Check`.
+    """
     width = rel * abs(reference) + plus
     return Check(name=name, value=value, low=reference - width, high=reference + width, unit=unit)
 
@@ -170,14 +174,15 @@ def between(name: str, value: float, low: float, high: float, unit: str = "") ->
 
 
 def mm(length: float) -> str:
-    """Return a length [m] in millimetres, with a suitable number of digits."""
+    """Return a length [m] as text in millimetres, with a suitable number of digits."""
     size = abs(1e3 * length)
     digits = 0 if size >= 9.95 else 1 if size >= 0.095 else 2
     return f"{1e3 * length:.{digits}f} mm"
 
 
-# --- The page ---
+# --- HTML page ---
 
+#: CSS class of each verdict.
 CHIPS = {Verdict.AGREES: "agrees", Verdict.DIFFERS: "differs", Verdict.DISAGREES: "disagrees"}
 
 
@@ -191,19 +196,19 @@ def write(
     seconds: float,
     quick: bool = False,
 ) -> Path:
-    """Write the report.
+    """Write the report as one HTML file.
 
     Args:
-        path: Of the HTML file.
+        path: Path of the HTML file.
         subject: The robot.
-        chapters: Judged experiments.
-        facts: Versions and commit.
-        figures: Folder with an SVG or a PNG per figure.
-        seconds: Duration of the runs.
-        quick: True if runs were left out.
+        chapters: Chapters of the report.
+        facts: Versions, commit and machine.
+        figures: Folder with an SVG or a PNG file per figure.
+        seconds: Duration of the runs [s].
+        quick: True if only a part of the runs was made.
 
     Returns:
-        The path.
+        Path of the HTML file.
     """
     return page.write(
         path,
@@ -241,7 +246,7 @@ def _footer(facts: Facts, seconds: float) -> str:
 
 
 def _sources(chapters: Sequence[Chapter]) -> str:
-    """Name the sources of the statements."""
+    """Return a sentence about the sources of the statements."""
     if not _of_paper(chapters):
         return (
             "They are what we ask of the package on any arm; the paper knows none of these robots."
@@ -253,12 +258,12 @@ def _sources(chapters: Sequence[Chapter]) -> str:
 
 
 def _of_paper(chapters: Sequence[Chapter]) -> bool:
-    """Return True if any statement is the paper's."""
+    """Return True if any statement is from the paper."""
     return any(chapter.statements("paper") for chapter in chapters)
 
 
 def _summary(chapters: Sequence[Chapter]) -> str:
-    """Count the verdicts of the statements per experiment, and list the key numbers."""
+    """Return an HTML table with the verdict counts and key numbers of each chapter."""
     verdicts = tuple(Verdict) if _of_paper(chapters) else ()
     rows = []
     for chapter in chapters:

@@ -1,8 +1,9 @@
-"""Independent jobs in one process or several, by joblib: results in order, and a progress line."""
+"""Execution of independent jobs in one or several processes, with a progress line."""
 
 from __future__ import annotations
 
 import os
+import pickle
 import sys
 from collections.abc import Callable, Mapping
 from ctypes.util import find_library
@@ -14,25 +15,26 @@ from pliant._extras import missing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
 R_co = TypeVar("R_co", covariant=True)
 
 
 class Runnable(Protocol[R_co]):
-    """An independent, picklable job."""
+    """Interface of a job that is independent of others and can be sent to another process."""
 
     def run(self) -> R_co:
-        """Run the job."""
+        """Run the job and return its result."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One independent call: a run of the simulation, a drawing.
+    """Job that calls a function.
 
     Attributes:
-        key: Its name among the outcomes.
-        call: A function of a module, so that another process can import it.
-        args, kwargs: Its arguments; they must be picklable.
+        key: Name of the job's result.
+        call: Function at module level, so that another process can import it.
+        args, kwargs: Picklable arguments of the function.
     """
 
     key: str
@@ -41,41 +43,32 @@ class Job:
     kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     def run(self) -> Any:
-        """Run the call in this process."""
+        """Call the function in this process and return its result."""
         return self.call(*self.args, **self.kwargs)
 
 
 def run_jobs(
-    work: Sequence[Runnable[R_co]], processes: int, what: str | None = None
+    work: Sequence[Runnable[R_co]],
+    processes: int,
+    what: str | None = None,
+    resume: Path | None = None,
 ) -> Iterator[R_co]:
-    """Run jobs, in parallel if joblib is installed.
+    """Run jobs, in parallel if joblib is installed, by its active backend (loky, Dask, Ray).
 
-    joblib's processes are spawned, not forked: MuJoCo's and EGL's threads do not survive a fork.
+    The processes are spawned, because threads of MuJoCo and EGL do not survive a fork.
 
     Args:
         work: The jobs.
         processes: Number of processes.
-        what: Name of the experiment, for the progress line on standard error; None: no line.
+        what: Name of the experiment for the progress line on standard error; None: no line.
+        resume: Folder with the results of jobs that were run before, one file per hash of a job;
+            new results are added. Delete it after a change of the code. None: run all jobs.
 
     Yields:
-        The results in the order of the jobs, as they complete.
+        The results in the order of the jobs.
     """
-    done: Iterable[R_co] = (job.run() for job in work)
-    if processes > 1:
-        try:
-            from joblib import Parallel, delayed
-            from joblib.parallel import get_active_backend
-        except ImportError:
-            print(f"{what or 'jobs'}: one process only; {missing('more', 'experiments')}")
-        else:
-            # One thread each: the processes already share the cores.
-            os.environ.setdefault("OMP_NUM_THREADS", "1")
-            backend, _ = get_active_backend()
-            # The joblib backend of Ray cannot return a generator.
-            streams = getattr(backend, "supports_return_generator", False)
-            started = Parallel(n_jobs=processes, return_as="generator" if streams else "list")
-            done = started(delayed(_run)(job) for job in work)
-    # On a terminal one line is updated in place; into a file a line is printed every half minute.
+    done = _resumed(work, processes, resume) if resume is not None else _start(work, processes)
+    # In a terminal, update one progress line every second; in a file, add a line every half minute.
     live = sys.stderr.isatty()
     begin = last = monotonic()
     for count, result in enumerate(done, 1):
@@ -89,6 +82,47 @@ def run_jobs(
             )
 
 
+def _start(work: Sequence[Runnable[R_co]], processes: int) -> Iterable[R_co]:
+    """Return the results of jobs in their order, as they arrive if the backend can do that."""
+    if processes == 1 or not work:
+        return (job.run() for job in work)
+    try:
+        from joblib import Parallel, delayed
+        from joblib.parallel import get_active_backend
+    except ImportError:
+        print(f"jobs: one process only; {missing('more', 'experiments')}")
+        return (job.run() for job in work)
+    # One thread per process, because the processes already use all cores.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    backend, _ = get_active_backend()
+    # Ray's backend cannot return a generator.
+    streams = getattr(backend, "supports_return_generator", False)
+    started = Parallel(n_jobs=processes, return_as="generator" if streams else "list")
+    results: Iterable[R_co] = started(delayed(_run)(job) for job in work)
+    return results
+
+
+def _resumed(work: Sequence[Runnable[R_co]], processes: int, folder: Path) -> Iterator[R_co]:
+    """Return saved results, and run and save the jobs that have none."""
+    from joblib import hash as hash_of
+
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f"{hash_of((type(job).__qualname__, job))}.pkl" for job in work]
+    is_saved = [file.is_file() for file in files]
+    absent = [job for job, saved in zip(work, is_saved, strict=True) if not saved]
+    run = iter(_start(absent, processes))
+    for file, saved in zip(files, is_saved, strict=True):
+        if saved:
+            yield pickle.loads(file.read_bytes())
+            continue
+        result = next(run)
+        # Written under another name first: a file that is there is whole.
+        part = file.with_suffix(".part")
+        part.write_bytes(pickle.dumps(result))
+        part.replace(file)
+        yield result
+
+
 def _run(job: Runnable[R_co]) -> R_co:
     return job.run()
 
@@ -99,17 +133,17 @@ def run_by_key(
     what: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Run jobs and return their outcomes by key, in the order of the jobs.
+    """Run jobs and return their results by key, in the order of the jobs.
 
     Args:
-        jobs: With unique keys.
+        jobs: Jobs with unique keys.
         processes: Number of processes.
-        what: As for `run_jobs`.
-        progress: Called with the key of each completed job, in order.
+        what: Name for the progress line, see `run_jobs`.
+        progress: Callback with the key of each completed job, in order.
 
     Raises:
-        ValueError: Two jobs have one key.
-        Exception: The first error of a job.
+        ValueError: Two jobs have the same key.
+        Exception: The error of the first job that failed.
     """
     keys = [job.key for job in jobs]
     if len(set(keys)) != len(keys):
@@ -124,10 +158,10 @@ def run_by_key(
 
 
 def draw_off_screen() -> None:
-    """Let MuJoCo draw without a display, here and in later processes; call before it is loaded.
+    """Select EGL for rendering without a display, in this process and its children.
 
-    Without EGL MuJoCo would not load with it selected: then nothing is drawn, and the report states
-    it in place of the pictures.
+    Call this function before MuJoCo is loaded. EGL is selected only if it is available, because
+    MuJoCo would otherwise fail to load; without EGL the report has no rendered pictures.
     """
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "disable")

@@ -1,7 +1,7 @@
-"""Forces, deviations and times of an arm on one screen, from the simulator.
+"""Data sheet of a simulated arm: forces, deviations and times under the default law.
 
-``python -m experiments.sheet so101`` holds the arm in one pose, moves it by hand along a soft axis,
-pushes a stiff one, steps its target, and prints the results as a table.
+``python -m experiments.sheet so101`` simulates an arm that holds a pose, is dragged along a soft
+axis, is pushed along a stiff axis, and follows a step of its target. It prints a table.
 """
 
 from __future__ import annotations
@@ -21,18 +21,23 @@ if TYPE_CHECKING:
     from pliant.sim.hand import Hand
 
 
-#: Pose of some arms with the tool in front of the arm (n,) [rad].
+#: Pose of each arm, with the tool in front of the arm (n,) [rad].
 POSES = {
     "so101": (0.0, -0.3, 0.3, 0.9, 0.0),
     "koch": (0.0, -0.4, 0.8, 0.5, 0.0),
     "vx300s": (0.0, -0.5, 0.6, 0.0, 0.5, 0.0),
 }
-#: The hand: distance along a soft axis [m], largest pull there [N], push on a stiff axis [N].
-LED, PULLS, PUSHES = 0.10, 15.0, 3.0
+#: Distance [m] and largest force [N] of a hand that drags the tool along a soft axis, and force of
+#: a push along a stiff axis [N].
+DRAG_DISTANCE, DRAG_FORCE, PUSH_FORCE = 0.10, 15.0, 3.0
 
 
 def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tuple[Array, Array]:
-    """Hold a pose; return tool positions (t, 3) [m] and the force of a hand (t, 3) [N]."""
+    """Hold the pose of `POSES` against a hand for `seconds` [s].
+
+    Returns:
+        Positions of the tool (N, 3) [m] and forces of the hand (N, 3) [N] at every tick.
+    """
     model = steps.arm(name).model
     controller = pliant.Controller(model, settings)
     plant = Plant(
@@ -50,19 +55,23 @@ def held(name: str, settings: pliant.Settings, hand: Hand, seconds: float) -> tu
 
 
 def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
-    """Return rows of the table: an event, and its figures as text."""
+    """Simulate the arm; return the rows of the table: event, and its results as text.
+
+    `count` is the number of target steps at each speed limit.
+    """
     it = steps.arm(name)
     task = " ".join(it.axes)
     soft = pliant.Settings.soft("x y", task=task)
     out = []
-    # A hand comes at 2 s, has moved the axis at 3.5 s and lets go at 5 s.
-    path, force = held(name, soft, Drag(axis="y", distance=LED, limit=PULLS), 8.0)
+    # The hand pulls from 2 s, reaches its distance at 3.5 s, and releases the arm at 5 s. Indices
+    # below are ticks of 10 ms.
+    path, force = held(name, soft, Drag(axis="y", distance=DRAG_DISTANCE, limit=DRAG_FORCE), 8.0)
     moved = path - path[190]
     leading = slice(350, 490)
     felt = np.linalg.norm(force[leading], axis=1)
     out.append(
         (
-            f'`soft("x y")`: a hand leads the tool {1e3 * LED:.0f} mm along y',
+            f'`soft("x y")`: a hand leads the tool {1e3 * DRAG_DISTANCE:.0f} mm along y',
             f"{felt.mean():.1f} N where it stays, {np.linalg.norm(force, axis=1).max():.1f} N on "
             f"the way; z drifts {1e3 * np.abs(moved[200:490, 2]).max():.0f} mm",
         )
@@ -74,12 +83,12 @@ def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
     out.append(("… and lets go", f"back at up to {back:.2f} m/s; {left:.0f} mm are left after 3 s"))
     firm = pliant.Settings.firm(task=task)
     for axis in range(3):
-        push = np.eye(3)[axis] * PUSHES * (-1.0 if axis == 2 else 1.0)
+        push = np.eye(3)[axis] * PUSH_FORCE * (-1.0 if axis == 2 else 1.0)
         path, _ = held(name, firm, Push(force_vector=tuple(push)), 5.0)
         given = 1e3 * np.abs((path - path[190])[200:490, axis]).max()
         out.append(
             (
-                f"all axes stiff: a push of {PUSHES:.0f} N along {'−' if axis == 2 else '+'}"
+                f"all axes stiff: a push of {PUSH_FORCE:.0f} N along {'−' if axis == 2 else '+'}"
                 f"{'xyz'[axis]}",
                 f"gives way by {given:.0f} mm",
             )
@@ -108,11 +117,11 @@ def rows(name: str, count: int = 6) -> list[tuple[str, str]]:
 
 
 def main(robot: tyro.conf.Positional[str] = "so101", steps_each: int = 6) -> None:
-    """Print the table.
+    """Print the data sheet.
 
     Args:
-        robot: so101, koch, or vx300s where its URDF lies beside this checkout.
-        steps_each: Steps of each speed.
+        robot: so101, koch, or vx300s if its URDF is available.
+        steps_each: Number of target steps at each speed.
     """
     if robot not in POSES:
         raise SystemExit(f"no pose for {robot!r}; there are {', '.join(POSES)}")

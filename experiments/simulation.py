@@ -1,4 +1,4 @@
-"""One closed loop: plant, controller, target, conditions, and a record of the true state."""
+"""Simulated control loop of the experiments: conditions, runs, and a record of the true state."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from pliant.sim import Fixture, Hand, Plant
     from pliant.sim.friction import Friction
 
-    #: Pose (4, 4) of the target at a time [s].
+    #: Function of the time [s] that returns the target pose (4, 4).
     Target = Callable[[float], Array]
 
 
 class Commanded(Protocol):
-    """Output of a controller for the servos."""
+    """Interface of the command that a controller returns for the servos."""
 
     @property
     def goal(self) -> Array:
@@ -37,33 +37,35 @@ class Commanded(Protocol):
 
 
 class Controlling(Protocol):
-    """Interface of a controller in the loop: `pliant.Controller`, or a baseline.
+    """Interface of a controller in the loop: `pliant.Controller` or a baseline.
 
-    A baseline with a method `listen` receives before each step the motor torques of the last period
-    (n,) [N·m].
+    If a baseline has a method `listen`, the loop calls it before each step with the motor torques
+    of the last period (n,) [N·m].
     """
 
     def reset(self, q: Array) -> object:
-        """Start at rest in q."""
+        """Start at rest in q (n,) [rad]."""
 
     def step(self, q: Array, target: Array) -> Commanded:
-        """Run one tick."""
+        """Return the command for positions q (n,) [rad] and the target pose (4, 4)."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """True states, one row per tick, at the end of the tick.
+    """Record of the true state, with one row per tick, at the end of the tick.
 
     Attributes:
         t: Time (N,) [s].
         q, dq: Joint positions and velocities (N, n) [rad, rad/s].
-        goal, limit, torque: Commands and true torque of the servos (N, n) [rad, N·m].
+        goal, limit, torque: Commanded goal [rad], commanded torque limit [N·m] and true torque
+            [N·m] of the servos (N, n).
         position: Position of the tool (N, 3) [m].
         error: Target minus actual pose (N, 6) [m, rad], base axes.
         moved: Change of the pose since the start (N, 6) [m, rad], base axes.
-        compliance: c of each task axis (N, k); NaN for controllers without.
-        force, moment: Means over the tick of the first hand's force and torque (N, 3) [N, N·m].
-        grip: Peak force and torque in the door's grip so far (N, 2); zeros without a door.
+        compliance: Compliance c of each of k task axes (N, k), 1 at a small and 0 at a large
+            deviation; NaN for controllers without compliance.
+        force, moment: Force and torque of the first hand, averaged over the tick (N, 3) [N, N·m].
+        grip: Largest force and torque in the door's grip so far (N, 2) [N, N·m]; 0 without a door.
         leaf: Opening of the door (N,) [rad].
     """
 
@@ -83,7 +85,7 @@ class Trace:
     leaf: Array
 
     def between(self, start: float, end: float) -> NDArray[np.bool_]:
-        """Return the mask (N,) of the ticks in (start, end] s."""
+        """Return a mask (N,) that is True for ticks that end after `start`, up to `end` [s]."""
         return (self.t > start + 1e-9) & (self.t <= end + 1e-9)
 
     def at(self, time: float) -> int:
@@ -99,14 +101,19 @@ def closed_loop(
     *,
     on_tick: Callable[[float, Plant], None] | None = None,
 ) -> Iterator[tuple[float, Array, Commanded]]:
-    """Close the loop from the present state; yield time, target and command after each tick.
+    """Run the control loop from the present state of plant and controller.
+
+    The loop does not reset plant or controller.
 
     Args:
         plant: The simulated arm, with its hands and fixtures.
-        controller: The controller; it receives only what the plant's bus reports.
-        target: Pose (4, 4) of the tool, a function of time, or an array that the caller changes.
-        duration: Length [s].
-        on_tick: Called before each tick with the time and the plant.
+        controller: The controller, which gets the readings of the simulated bus.
+        target: Target pose (4, 4): a function of time, or an array that the caller may change.
+        duration: Duration [s].
+        on_tick: Callback before each tick with the time [s] and the plant.
+
+    Yields:
+        Start time [s], target and command of each tick, after the tick.
     """
     listen = getattr(controller, "listen", None)
     for tick in range(round(duration * plant.rate)):
@@ -131,18 +138,18 @@ def run(
     q: Array,
     on_tick: Callable[[float, Plant], None] | None = None,
 ) -> Trace:
-    """Reset plant and controller to q at rest and close the loop for `duration` seconds.
+    """Reset plant and controller to a pose at rest and run the control loop.
 
     Args:
         plant: The simulated arm, with its hands and fixtures.
-        controller: The controller; it receives only what the plant's bus reports.
-        target: Pose (4, 4) of the tool, or a function of time.
-        duration: Length [s].
-        q: Start (n,) [rad].
-        on_tick: Called before each tick with the time and the plant, e.g. to change a setting.
+        controller: The controller, which gets the readings of the simulated bus.
+        target: Target pose (4, 4), or a function of time.
+        duration: Duration [s].
+        q: Start pose (n,) [rad].
+        on_tick: Callback before each tick with the time [s] and the plant.
 
     Returns:
-        The record of the run.
+        Record of the run.
     """
     plant.reset(q)
     controller.reset(q)
@@ -152,7 +159,7 @@ def run(
     for _, wanted, command in closed_loop(plant, controller, target, duration, on_tick=on_tick):
         tool = plant.tool
         felt = plant.hands[0] if plant.hands else None
-        # Baselines have no diagnostics.
+        # Baseline controllers have no diagnostics; their compliance is recorded as NaN.
         known = getattr(controller, "diagnostics", None)
         rows.append(
             (
@@ -175,31 +182,30 @@ def run(
     return Trace(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-# --- Conditions: loop, bus, servos, and the controller's assumptions ---
+# --- Conditions of a run: control rate, delays, true servos, assumptions of the controller ---
 
 
 @runtime_checkable
 class FromModel(Protocol):
-    """A baseline controller, made for the arm when a run begins."""
+    """Interface of a factory that makes a baseline controller at the start of a run."""
 
     def __call__(self, model: pliant.Model, period: float) -> Controlling:
-        """Make one for a control period [s]."""
+        """Return a controller for a model and a control period [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Loop, bus, servos and assumptions; by default 100 Hz, no delay, everything known.
+    """Conditions of a run; by default 100 Hz, no delay, and correct assumptions of the controller.
 
     Attributes:
         rate: Control rate [Hz].
-        delay: Ticks from sampling to read() and from write() to the servo; known to the controller.
-        believed: Assumed over true friction and damping.
-        encoder_step: Encoder count [rad], known to the controller.
-        gears: Friction by speed and load in place of the table's.
-        gears_known: True if the controller knows it.
-        encoder_flicker: Counts by which readings toggle at random.
-        plant: More options of `pliant.sim.Plant`, which override the above and are unknown to the
-            controller.
+        delay: Delays of readings and of commands [ticks], known to the controller.
+        believed: Ratio of assumed to true friction and damping.
+        encoder_step: Angle of an encoder count [rad], known to the controller; 0: exact readings.
+        gears: True friction that depends on speed and load; None: that of the servo table.
+        gears_known: True if the controller knows the friction `gears`.
+        encoder_flicker: Random error of the readings [counts].
+        plant: Further options of `pliant.sim.Plant`, unknown to the controller.
     """
 
     rate: float = 100.0
@@ -212,11 +218,11 @@ class Conditions:
     plant: Mapping[str, Any] = field(default_factory=dict)
 
     def with_plant(self, **options: Any) -> Conditions:
-        """Return the same conditions with more options of the plant."""
+        """Return a copy of the conditions with further options of `pliant.sim.Plant`."""
         return replace(self, plant={**self.plant, **options})
 
     def build(self, *scene: Hand | Fixture) -> Plant:
-        """Build the simulated arm with its hands and fixtures."""
+        """Return `arm7`, simulated under these conditions, with hands and fixtures."""
         options: dict[str, Any] = {
             "rate": self.rate,
             "delay": self.delay,
@@ -237,7 +243,10 @@ class Conditions:
         )
 
     def controller(self, law: pliant.Settings | FromModel) -> Controlling:
-        """Make the controller of one run: from settings, or a baseline."""
+        """Return a controller of `arm7` for one run.
+
+        `law` are settings, or the factory of a baseline controller.
+        """
         if isinstance(law, pliant.Settings):
             delay = sum(self.delay) / self.rate
             settings = law.replace(rate=self.rate, delay=delay)
@@ -246,7 +255,10 @@ class Conditions:
 
 
 def scaled(table: pliant.Servos, friction: Array | float, damping: Array | float) -> pliant.Servos:
-    """Return a servo table with scaled friction and damping."""
+    """Return a servo table whose friction and damping are multiplied by these factors.
+
+    A factor is a number, or an array with a number per joint (n,).
+    """
     return table.replace(
         friction=friction * np.asarray(table.friction),
         load_friction=friction * np.asarray(table.load_friction),
@@ -258,5 +270,5 @@ def scaled(table: pliant.Servos, friction: Array | float, damping: Array | float
 
 #: Ideal conditions: 100 Hz, no delay, all parameters known to the controller.
 NOMINAL = Conditions()
-#: Conditions of typical hardware: one tick of delay of readings and one of commands.
+#: Conditions of typical hardware: a delay of one tick for readings and for commands.
 TICK_EACH_WAY = Conditions(delay=(1, 1))

@@ -1,8 +1,8 @@
-"""Minutes of control over real bytes while 1 % of all transactions fail.
+"""Soak test: control of an emulated arm for minutes while 1 % of all transactions fail.
 
 ``python -m experiments.soak [--family sts|x|p1] [--minutes 10] [--rate 100]`` runs in real time,
-with servos, wire timing and the simulated arm in a process of their own; ``--stepped`` in emulated
-time, as fast as the computer allows.
+with the emulator in a separate process. With ``--stepped`` it runs in emulated time, as fast as the
+computer allows.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pliant.emulator import ArmEmulator, Servo, Transaction, Write
 
 
-#: Register that bounds each limit register.
+#: Names of the EEPROM register that bounds each torque limit register; they depend on the family.
 CEILING = {
     "torque_limit": ("max_torque", "max_torque_limit"),
     "goal_current": ("current_limit",),
@@ -50,15 +50,17 @@ CEILING = {
 
 
 class Audit:
-    """Checks every transaction of an emulated arm: `emulator.log.watch = Audit(emulator)`.
+    """Callback for every bus transaction of an emulated arm: checks the rules for a host.
+
+    The rules forbid, for example, torque on before a goal. The emulator calls it as `log.watch`.
 
     Args:
         bus: The emulator.
-        machine: True: times are the machine's instead of the emulator's.
+        machine: True records times by the system clock instead of the emulated time.
 
     Attributes:
-        broken: Number of violations of each rule, by its name.
-        faults: Number of faults of each kind.
+        broken: Number of violations of each rule by name.
+        faults: Number of injected faults of each kind.
         transactions: Number of transactions.
     """
 
@@ -74,7 +76,7 @@ class Audit:
         self.transactions = 0
 
     def __call__(self, seen: Transaction) -> None:
-        """Process one transaction."""
+        """Check and count one transaction; record true positions and sent torque limits."""
         self.transactions += 1
         for fault in seen.faults:
             self.faults[fault.partition(" ")[0]] += 1
@@ -87,7 +89,7 @@ class Audit:
             self._written(write)
 
     def report(self) -> dict[str, dict[str, int]]:
-        """Return violations, faults and transactions so far."""
+        """Return the numbers of violations, faults and transactions so far."""
         broken = Counter(self.broken)
         broken["goal without torque on after it"] += len(self._pending)
         return {
@@ -97,19 +99,33 @@ class Audit:
         }
 
     def truth(self) -> Array:
-        """Return the true joint angles at every read: rows (time [s], q (n,) [rad])."""
+        """Return the true joint positions at every read transaction, as an array (N, 1 + n).
+
+        A row has the time [s] and the joint positions [rad].
+        """
         return np.array(self._truth).reshape(-1, 1 + self._bus.plant.n)
 
     def limits(self) -> dict[int, list[float]]:
-        """Return the torque [N·m] of every limit in a sync write, by id, lost ones included."""
+        """Return the torque limits [N·m] of all sync writes in order, by servo id.
+
+        Limits in packets that servos did not receive are included.
+        """
         return {id: [self.torque(id, v) for v in sent] for id, sent in self._limits.items()}
 
     def units(self) -> dict[int, float]:
-        """Return the torque of one count of each servo's limit register [N·m], by id."""
+        """Return the torque of one count of the limit register [N·m], by servo id."""
         return {id: self.torque(id, 1) for id in self._servos}
 
     def torque(self, id: int, register: int) -> float:
-        """Return the torque at standstill of a limit register [N·m], by the emulator's tables."""
+        """Return the torque limit at standstill [N·m] for a value of the limit register.
+
+        Args:
+            id: Id of the servo.
+            register: Value of the register that limits the servo's torque.
+
+        Returns:
+            Torque limit from the emulator's data of the servo, independent of the driver's.
+        """
         servo = self._servos[id]
         if "goal_current" in servo.table:
             return register * servo.model.unit * servo.model.motor.torque_per_amp
@@ -117,7 +133,7 @@ class Audit:
         return servo.stall * register / full
 
     def _sent(self, request: bytes) -> None:
-        """Read limits and ceilings from a sync write, also if servos did not receive it."""
+        """Record the torque limits in a sync write, whether or not servos received it."""
         for frame in Framer().feed(request):
             wide = 2 if frame.protocol == 2 else 1
             start = int.from_bytes(frame.params[:wide], "little")
@@ -139,7 +155,11 @@ class Audit:
         self.broken["limit above the ceiling"] += value > ceiling or value < 0
 
     def _written(self, write: Write) -> None:
-        """Check the order: limit, goal, torque; no EEPROM; no goal while torque is off."""
+        """Check a write that a servo received, and count violations of the rules.
+
+        Before torque on, a limit and then a goal must be written. A goal while torque is off must
+        be followed by torque on. EEPROM must not be written, and no write may be refused.
+        """
         self.broken["EEPROM written"] += write.eeprom
         self.broken["write refused"] += bool(write.error)
         values = write.values
@@ -167,35 +187,37 @@ class Audit:
 
 
 def limit_of(servo: Servo) -> str:
-    """Return the register that limits the torque of a servo."""
+    """Return the name of the register that limits the torque of a servo."""
     return next(n for n in ("torque_limit", "goal_current", "goal_pwm") if n in servo.table)
 
 
-# --- Minutes of control over real bytes while 1 % of all transactions fail ---
+# --- Run and evaluation of the soak test ---
 
 #: Share of transactions with a fault; all kinds of fault are equally likely.
 SHARE = 0.01
-#: The target's amplitude [m], axis by axis, and its periods [s].
+#: Amplitude [m] and period [s] of the target's motion along each axis.
 SWING, PERIODS = {"x": 0.04, "y": 0.06, "z": 0.04}, {"x": 3.1, "y": 4.3, "z": 3.7}
-#: Allowed difference between the emulator's and the driver's stall torques.
-TABLES = 0.001
-#: Distance from the true position that is not staleness [counts]: half a count of rounding, and
-#: half of one between the two tables' scales of an EX-106+, 250.92° and 251°.
+#: Allowed relative difference between a torque limit by the emulator's and by the driver's data.
+STALL_TOLERANCE = 0.001
+#: Allowed distance of a reading from the true position [encoder counts]: half a count of rounding,
+#: half a count because emulator and driver assume ranges of 251° and 250.92° for the EX-106+, and a
+#: margin.
 ROUNDING = 1.2
-#: Largest age of positions that commands are computed from: the loop's own bound [s].
-OLD = 0.1
-#: In real time, on a busy machine: minimum reply timeout, and timeouts for positions and a silent
-#: host [s].
+#: Largest age of the positions from which a command is computed [s], as `Loop` allows.
+MAX_AGE = 0.1
+#: Timeouts that are long enough for a busy computer [s]: minimum time that the driver waits for a
+#: reply, `comm_timeout` of the arm, and bus watchdog of the servos.
 PATIENCE, COMM_TIMEOUT, WATCHDOG = 0.05, 20.0, 2.0
 
 
 class Recorder(ServoBus):
-    """A driver that records its readings and commands.
+    """Servo bus that records its readings and commands.
 
     Attributes:
-        readings: Positions returned as valid: (joint, angle, from, to) [rad, s].
-        asked: Requested limits (n,) [N·m], in order.
-        ceilings: Largest limits (n,) [N·m], read from the servos at open.
+        readings: Positions that the bus returned as valid, as tuples of joint index, angle [rad],
+            and start and end time of the reading [s].
+        asked: Torque limits (n,) [N·m] of all commands, in order.
+        ceilings: Largest torque limits (n,) [N·m] that the servos accept, stored by `enable`.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -206,7 +228,7 @@ class Recorder(ServoBus):
         self.ceilings = np.zeros(self.n)
 
     def read(self) -> JointReadings:
-        """Read, and record."""
+        """Read all joints and record the valid positions."""
         sample = super().read()
         now = time.perf_counter() if self.clock is None else self.clock.now()
         times = np.broadcast_to(sample.time, self.n)
@@ -217,12 +239,12 @@ class Recorder(ServoBus):
         return sample
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
-        """Record the command, then write it."""
+        """Record the torque limits of a command, then write it."""
         self.asked.append(np.array(limit, dtype=np.float64))
         super().write(goal, limit, velocity)
 
     def enable(self, goal: ArrayLike, limit: ArrayLike) -> None:
-        """Record, and enable."""
+        """Record the torque limits, then switch torque on."""
         self.asked.append(np.array(limit, dtype=np.float64))
         self.ceilings = np.array(self.servos.max_torque)
         super().enable(goal, limit)
@@ -230,28 +252,32 @@ class Recorder(ServoBus):
 
 @dataclass(frozen=True, kw_only=True)
 class SoakResult:
-    """Result of a soak.
+    """Result of a soak test.
 
     Attributes:
-        family: The servos.
-        seconds: Time under control.
-        ended: The error that ended it early, else empty.
+        family: Servo family.
+        seconds: Duration of the control loop [s].
+        ended: Error that ended the loop early; empty if none did.
         loop: Counters of the loop.
-        bus: Counters of driver and arm.
-        struck: Number of faults of each kind.
-        broken: Rules broken, by name; empty is good.
-        late: Positions returned as valid that were not true at any time between request and reply:
-            the reply belonged to an earlier request.
-        stale: Those that were not true within 0.1 s before the reply either.
-        furthest: Largest distance from the true position of that time [counts].
-        telling: Share of the positions that would be detected as stale if they were three cycles
-            old: the sensitivity of the comparison.
-        positions: Number of compared positions.
-        limits: Number of limits compared with the requested ones.
-        off: Largest distance of a limit on the wire from the requested one [counts].
-        above: Limits above the requested ones.
-        lateness: Of ticks, as text.
-        lag: Time the emulator dropped because the computer was too slow [s].
+        bus: Counters of bus and arm.
+        struck: Number of injected faults of each kind.
+        broken: Number of violations of each rule of `Audit` by name; empty if there are none.
+        late: Number of valid readings that differ by more than `ROUNDING` from all true positions
+            between request and reply: replies to an earlier request.
+        stale: Number of `late` readings that also differ from all true positions in the `MAX_AGE`
+            before the reply.
+        furthest: Largest distance of a reading from the true positions between request and reply,
+            or in the `MAX_AGE` before the reply for a `late` reading [counts].
+        telling: Share of the readings that would count as `late` if they were three cycles old. It
+            shows how sensitive the comparison is.
+        positions: Number of compared readings.
+        limits: Number of torque limits compared with the requested ones.
+        off: Largest difference between a sent and the requested torque limit, beyond
+            `STALL_TOLERANCE` [register counts].
+        above: Number of sent torque limits above the requested ones.
+        lateness: Delays of the starts of the loop's ticks, as text.
+        lag: Time that the emulator dropped because the computer was too slow [s].
+        load: Load averages of the computer at the end, as `os.getloadavg`.
     """
 
     family: str
@@ -275,26 +301,31 @@ class SoakResult:
 
     @property
     def missed(self) -> float:
-        """Share of the loop's deadlines that it skipped [%]."""
+        """Share of the deadlines that the loop skipped [%]."""
         ticks, missed = self.loop["ticks"], self.loop["missed"]
         return 100.0 * missed / max(ticks + missed, 1)
 
     @property
     def good(self) -> bool:
-        """True if the run was complete, no rule was broken, and limits and positions matched."""
+        """True if the run ended without error, and no rule, position or torque limit was wrong.
+
+        Positions may be those of the `MAX_AGE` before the reply, and sent torque limits lower than
+        requested by one count.
+        """
         return not (self.ended or self.broken or self.stale or self.above) and self.off <= 1.0
 
 
 def stale(readings: list[tuple[int, float, float, float]], truth: Array, count: Array) -> Array:
-    """Return the distance of positions from the true ones between their request and their reply.
+    """Return the distance of each reading from the true positions between request and reply.
 
     Args:
-        readings: As `Recorder.readings`.
-        truth: As `Audit.truth`.
-        count: Size of a count of each joint [rad].
+        readings: Readings, as in `Recorder.readings`.
+        truth: True positions, from `Audit.truth`.
+        count: Angle of an encoder count of each joint [rad].
 
     Returns:
-        Distance of each [counts], 0 inside the true range.
+        Distance of each reading from the range of the true positions [counts]; infinite for a
+        reading without a true position in its time.
     """
     times = truth[:, 0]
     out = np.zeros(len(readings))
@@ -310,7 +341,11 @@ def stale(readings: list[tuple[int, float, float, float]], truth: Array, count: 
 
 
 def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
-    """Follow a moving target, y soft; return the loop and the error that ended it."""
+    """Enable the arm, follow a moving target with soft y for `seconds`, and switch torque off.
+
+    Returns:
+        The control loop, and the text of the error that ended it ("" if none did).
+    """
     settings = pliant.Settings.soft("y").replace(rate=rate)
     ended = ""
     arm.enable()
@@ -337,7 +372,15 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
 def judge(
     family: str, arm: Arm, driven: tuple[Loop, str], ask: Callable[[str], Any], lag: float
 ) -> SoakResult:
-    """Compare the host's record with the emulator's."""
+    """Return the result of a run, from the records of the host and of the emulator.
+
+    Args:
+        family: Servo family.
+        arm: The arm, whose drive is a `Recorder`.
+        driven: Result of `drive`.
+        ask: Function that calls the method of the emulator's `Audit` with this name.
+        lag: Time that the emulator dropped because the computer was too slow [s].
+    """
     (loop, ended), chain = driven, arm.drive
     assert isinstance(chain, Recorder)
     report, truth = ask("report"), ask("truth")
@@ -345,7 +388,7 @@ def judge(
         [2.0 * np.pi / spec.row.counts_per_turn / spec.gear_ratio for spec in chain.specs]
     )
     away = stale(chain.readings, truth, count)
-    earlier = [(i, q, min(begin, end - OLD), end) for i, q, begin, end in chain.readings]
+    earlier = [(i, q, min(begin, end - MAX_AGE), end) for i, q, begin, end in chain.readings]
     within = np.where(away > ROUNDING, stale(earlier, truth, count), away)
     later = 3.0 * loop.period
     shifted = [(i, q, begin + later, end + later) for i, q, begin, end in chain.readings]
@@ -356,7 +399,7 @@ def judge(
         counts = [len(sent[id]) for id in ids]
         raise AssertionError(f"{len(asked)} limits were asked for, on the wire were {counts}")
     wire = np.array([sent[id] for id in ids]).T
-    room = TABLES * asked
+    room = STALL_TOLERANCE * asked
     step = np.array([unit[id] for id in ids])
     off = np.maximum(np.abs(asked - wire) - room, 0.0) / step
     return SoakResult(
@@ -387,12 +430,12 @@ def judge(
 
 
 def shares(share: float = SHARE) -> dict[str, float]:
-    """Return the share of transactions with each kind of fault, `share` in total."""
+    """Return for each kind of fault the share of transactions with it; their sum is `share`."""
     return dict.fromkeys(KINDS, share / len(KINDS))
 
 
 def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> SoakResult:
-    """Soak in emulated time, everything in this process."""
+    """Run the soak test in emulated time, with the emulator in this process."""
     faults = Faults(seed=seed)
     options = {"rate": rate, "comm_timeout": COMM_TIMEOUT}
     with stepped(family, chain=Recorder, arm=options, faults=faults, log=10) as (bus, arm):
@@ -405,14 +448,14 @@ def soak_stepped(family: str, seconds: float, *, rate: float = 100.0, seed: int 
 
 
 def audited(family: str, seed: int) -> ArmEmulator:
-    """Return the emulator of a soak in real time."""
+    """Return the emulator of a soak test in real time, whose log calls an `Audit`."""
     bus = emulator(family, faults=Faults(seed=seed), log=10)
     bus.log.watch = Audit(bus, machine=True)
     return bus
 
 
 def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> SoakResult:
-    """Soak in real time, servos and arm in a process of their own."""
+    """Run the soak test in real time, with the emulator in a separate process."""
     read = configuration(family)
     with EmulatorProcess(audited, family, seed) as bus:
         chain = Recorder(
@@ -437,7 +480,7 @@ def soak(family: str, seconds: float, *, rate: float = 100.0, seed: int = 1) -> 
 
 
 def table(runs: list[SoakResult]) -> str:
-    """Return the counters as a table in Markdown, one column per run."""
+    """Return the counters as a Markdown table with one column per run."""
     rows: dict[str, list[str]] = {}
 
     def row(name: str, values: list[Any]) -> None:
@@ -477,14 +520,14 @@ def main(
     seed: int = 1,
     stepped: bool = False,
 ) -> None:
-    """Run, print the counters, and fail if a rule was broken.
+    """Run the soak test and print the counters; exit with an error if a run was not `good`.
 
     Args:
-        family: Servos; default one after the other.
-        minutes: Duration.
+        family: Servo family; default: all, one after the other.
+        minutes: Duration in minutes.
         rate: Control rate [Hz].
         seed: Random seed of the faults.
-        stepped: In the emulator's time.
+        stepped: True runs in emulated time.
     """
     run = soak_stepped if stepped else soak
     families = [family] if family else list(FAMILIES)

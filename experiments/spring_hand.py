@@ -1,4 +1,4 @@
-"""The hand of the cap campaign: MuJoCo's own springs, so that a control period is one call."""
+"""Simulated hand of `experiments.campaign`, made of MuJoCo actuators for a fast simulation."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ if TYPE_CHECKING:
     from pliant.sim._model_builder import Build
 
 
-#: Springs of hand and guide on `arm7` [N/m, N·m/rad], their damping, and the capacity of `arm7`
-#: [N], with which they scale on other arms.
+#: Stiffness [N/m, N·m/rad] and damping [N·s/m, N·m·s/rad] of the springs for `arm7`, and median
+#: static capacity of `arm7` [N] (`Arm.median_capacity`). For other arms, the springs scale with it.
 STIFFNESS, DAMPING, OF_CAPACITY = (3000.0, 60.0), (30.0, 0.5), 33.6
 
 
 class Grip:
-    """Springs between the tool and a place in the base, one per base axis; a scene's fixture.
+    """Fixture with springs between the tool and a rest pose, one spring per base axis.
 
-    The rest length of each is the integral of its control, so that a hand moves evenly.
+    Each spring is an actuator of MuJoCo. Its control signal is the speed of its rest position, so
+    that the hand moves without steps between control periods.
     """
 
     passive = True
 
     def __init__(self, scale: float) -> None:
-        """Make a hand for an arm `scale` times as strong as `arm7`."""
+        """Scale the springs for an arm with `scale` times the median capacity of `arm7`."""
         self.stiffness = np.repeat(np.array(STIFFNESS) * scale, 3)
         self.damping = np.repeat(np.array(DAMPING) * scale, 3)
 
     def add(self, build_spec: Build) -> None:
-        """Add one actuator for each axis, all released."""
-        # Arbitrary position and rotation: MuJoCo would turn coincident ones into constants.
+        """Add one actuator per base axis to the model; none of them exerts a force yet."""
+        # Give the site an arbitrary pose. MuJoCo would compile a site at its body's pose into a
+        # constant, which `place` could not change.
         build_spec.spec.worldbody.add_site(name="grip", pos=(1, 2, 3), quat=(0.5, 0.5, 0.5, 0.5))
         for row, name in enumerate(AXES):
             act = build_spec.spec.add_actuator(name=f"grip:{name}", target=build_spec.model.tip)
@@ -45,7 +47,7 @@ class Grip:
             act.gear = np.eye(6)[row]
 
     def place(self, plant: Plant) -> None:
-        """Take the tool's present pose as the rest pose of all springs."""
+        """Set the rest pose of all springs to the tool's present pose."""
         model, tool = plant.mj_model, plant.tool
         site = model.site("grip").id
         model.site_pos[site] = tool[:3, 3]
@@ -53,14 +55,15 @@ class Grip:
         self._ids = np.array([model.actuator(f"grip:{name}").id for name in AXES])
         plant.mj_data.act[model.actuator_actadr[self._ids]] = 0.0
         self._place = plant
-        # Gears are in the axes of the rest pose; the hand's are the base's.
+        # MuJoCo interprets the gear of an actuator in the axes of the rest pose. Rotate the gears
+        # so that each spring acts along a base axis.
         for row, index in enumerate(self._ids):
             block = slice(3 * (row // 3), 3 * (row // 3) + 3)
             model.actuator_gear[index] = 0.0
             model.actuator_gear[index, block] = tool[row % 3, :3]
 
     def hold(self, rows: list[int]) -> None:
-        """Attach springs to these axes, and release the others."""
+        """Attach the springs of the axes with these indices, and release the other springs."""
         model = self._place.mj_model
         held = np.isin(np.arange(6), rows)
         model.actuator_gainprm[self._ids, 0] = np.where(held, self.stiffness, 0.0)
@@ -68,14 +71,14 @@ class Grip:
         model.actuator_biasprm[self._ids, 2] = np.where(held, -self.damping, 0.0)
 
     def move(self, row: int, speed: float) -> None:
-        """Move the rest pose of one axis at a speed [m/s or rad/s]."""
+        """Move the rest position of one axis with a speed [m/s or rad/s]."""
         self._place.mj_data.ctrl[self._ids[row]] = speed
 
     def force(self, row: int) -> float:
-        """Return the hand's force along an axis [N or N·m]."""
+        """Return the present force or torque of the hand along an axis [N or N·m]."""
         return float(self._place.mj_data.actuator_force[self._ids[row]])
 
     def before(self, plant: Plant) -> None:
-        """Do nothing: MuJoCo computes the springs."""
+        """Do nothing: MuJoCo computes the forces of the springs."""
 
     during = after = before

@@ -1,9 +1,9 @@
-"""Steps of 10 cm: tool speed and overshoot.
+"""Target steps of 10 cm: speed and overshoot of the tool.
 
-``python -m experiments.steps --robot so101`` moves the target of an arm with stiff axes by 10 cm,
-from seeded poses in several directions, under every law and at two speeds. It prints the largest
-tool speed (mean over 50 ms), the largest overshoot along the step and the distance left after 4 s.
-The controller assumes the servos of the table; the plant has those, or others.
+``python -m experiments.steps --robot so101`` steps the target of an arm with stiff axes by 10 cm,
+from random poses in several directions, with every law and two limits of the tool speed. It prints
+the largest tool speed (averaged over 50 ms), the largest overshoot along the step and the distance
+to the target after 4 s. With `--disturbed`, the true servos differ from the assumed ones.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ LAWS: tuple[Law, ...] = ("cap", "impedance", "paper")
 SPEEDS = (0.1, 0.25)  # [m/s]
 WAY = 0.1  # [m]
 RATE = 100.0  # [Hz]
-#: Rest before the step, time after it, and the window of the mean speed [s].
+#: Time before the step, time after the step, and averaging time of the tool speed [s].
 BEFORE, AFTER, WINDOW = 0.5, 4.0, 0.05
-#: Requirements on poses of a path: distance of every joint to its limits [rad], share of the usable
-#: torque for gravity, share of the median smallest singular value, height [m].
+#: Requirements on all poses of a step's path: smallest distance of a joint to its limits [rad],
+#: largest share of a servo's usable torque for gravity, smallest singular value of the Jacobian as
+#: a share of its median over random poses, smallest height of the tool [m].
 ROOM, LOAD, SIGMA, HEIGHT = 0.3, 0.6, 0.65, 0.03
-#: Allowed tool speed ``FACTOR v + MORE`` [m/s] and overshoot [m].
+#: Allowed tool speed ``FACTOR v + MORE`` at the speed limit v [m/s], and allowed overshoot [m].
 FACTOR, MORE, OVERSHOOT = 1.2, 0.02, 0.005
-#: Plants that differ from the controller's assumptions: name, stiffness, friction, ticks of delay.
+#: Simulated arms that differ from the nominal one: name, true over assumed stiffness k_p, true over
+#: assumed friction, and delay of readings and of commands [ticks], known to the controller.
 DISTURBED = (
     ("friction x 0.7", 1.0, 0.7, 0),
     ("friction x 1.3", 1.0, 1.3, 0),
@@ -53,7 +55,7 @@ DISTURBED = (
 
 @cache
 def arm(name: str) -> Arm:
-    """Return a built-in arm, or that of a ready file with an available URDF, by name.
+    """Return an arm by name: a built-in arm, or a built-in configuration with an available URDF.
 
     Raises:
         ConfigError: The name is unknown.
@@ -74,11 +76,11 @@ def arm(name: str) -> Arm:
 
 @dataclass(frozen=True)
 class Step:
-    """A start pose and a direction.
+    """Target step: start pose and displacement.
 
     Attributes:
-        q: Start (n,) [rad].
-        way: Displacement of the tool (3,) [m].
+        q: Start pose (n,) [rad].
+        way: Displacement of the target (3,) [m].
     """
 
     q: tuple[float, ...]
@@ -86,14 +88,15 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class StepResult:
     """Result of one step.
 
     Attributes:
-        fastest: Largest mean speed of the tool over 50 ms [m/s].
-        overshoot: Largest distance beyond the target along the step [m]; negative: short of it.
+        fastest: Largest speed of the tool, averaged over 50 ms [m/s].
+        overshoot: Largest distance of the tool beyond the target in the direction of the step [m];
+            negative if the tool does not reach the target.
         left: Distance to the target at the end [m].
-        seconds: From the step until the tool stays within 10 mm of its target; infinite: never.
+        seconds: Time until the tool stays within 10 mm of its target [s]; infinite if it does not.
     """
 
     fastest: float
@@ -102,12 +105,15 @@ class Outcome:
     seconds: float
 
     def kept(self, speed: float) -> bool:
-        """Return True if speed and overshoot are within the bounds for a set `speed` [m/s]."""
+        """Return True if speed and overshoot are within the bounds for a speed limit [m/s].
+
+        `FACTOR`, `MORE` and `OVERSHOOT` define the bounds.
+        """
         return self.fastest <= FACTOR * speed + MORE and self.overshoot <= OVERSHOOT
 
 
 def steps(name: str, count: int, seed: int = 1) -> list[Step]:
-    """Return seeded steps whose whole path is far from joint limits and singular poses."""
+    """Return `count` random steps of the target of an arm, all poses of which are `_passable`."""
     it = arm(name)
     model, chance = it.model, np.random.default_rng(seed)
     found: list[Step] = []
@@ -133,7 +139,14 @@ def _sigma(it: Arm, q: Array) -> float:
 
 
 def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
-    """Return True if the arm can follow this path, by small steps of inverse kinematics."""
+    """Return True if all poses on a straight path meet the requirements `ROOM` to `HEIGHT`.
+
+    Args:
+        it: The arm.
+        q: Start pose (n,) [rad].
+        way: Displacement of the tool (3,) [m].
+        least: Smallest allowed singular value.
+    """
     model, q = it.model, q.copy()
     start = np.array(model.forward_kinematics(q))
     usable = np.asarray(it.servos.max_torque)
@@ -157,14 +170,21 @@ def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
 
 
 def settings(name: str, law: Law, speed: float) -> pliant.Settings:
-    """Return settings with all axes stiff, the tool no faster than `speed` [m/s]."""
+    """Return settings of a law for an arm, with all axes stiff and a tool speed limit [m/s]."""
     return pliant.Settings.firm(task=" ".join(arm(name).axes), law=law, max_tool_speed=speed)
 
 
 def run(
     name: str, step: Step, settings: pliant.Settings, plant: Mapping[str, Any] | None = None
-) -> Outcome:
-    """Run one step on a plant with these options of `pliant.sim.Plant`."""
+) -> StepResult:
+    """Simulate one step of the target, and return the result.
+
+    Args:
+        name: Name of the arm.
+        step: The step.
+        settings: Settings of the controller.
+        plant: Further options of `pliant.sim.Plant`.
+    """
     model = arm(name).model
     options = {"encoder_step": np.asarray(arm(name).servos.encoder_step), **(plant or {})}
     controller = pliant.Controller(model, settings)
@@ -184,7 +204,7 @@ def run(
     away = path - target[:3, 3]
     far = np.flatnonzero(np.linalg.norm(away, axis=1) > 0.01)
     still = far[-1] + 1 if far.size else 0
-    return Outcome(
+    return StepResult(
         fastest=float(speeds.max()),
         overshoot=float((away @ way).max() / np.linalg.norm(way)),
         left=float(np.linalg.norm(away[-1])),
@@ -194,7 +214,10 @@ def run(
 
 @dataclass(frozen=True)
 class Job:
-    """All steps of one row of the table."""
+    """All steps of one row of the table: arm, law, speed limit [m/s], number of steps, and case.
+
+    The case is one of `DISTURBED`, or the nominal one.
+    """
 
     robot: str
     law: Law
@@ -202,8 +225,8 @@ class Job:
     count: int
     case: tuple[str, float, float, int] = ("as assumed", 1.0, 1.0, 0)
 
-    def run(self) -> list[Outcome]:
-        """Run them."""
+    def run(self) -> list[StepResult]:
+        """Run all steps and return their results."""
         _, stiffness, friction, ticks = self.case
         plant = {"kp_scale": stiffness, "friction_scale": friction, "delay": (ticks, ticks)}
         of = settings(self.robot, self.law, self.speed)
@@ -211,13 +234,13 @@ class Job:
 
 
 def rows(robot: str, count: int, *, disturbed: bool = False) -> list[Job]:
-    """Return the rows of the table of a robot."""
+    """Return the jobs of a robot, one for each row of the table."""
     cases = DISTURBED if disturbed else (("as assumed", 1.0, 1.0, 0),)
     return [Job(robot, law, v, count, case) for case in cases for law in LAWS for v in SPEEDS]
 
 
-def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[Outcome]]) -> str:
-    """Return Markdown: worst and, in brackets, median of each row."""
+def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[StepResult]]) -> str:
+    """Return a Markdown table with worst value and median of each row."""
     columns = ("arm", "plant", "law", "set [m/s]", "fastest [m/s]", "allowed", "overshoot [mm]")
     rows = []
     for job, found in zip(jobs, outcomes, strict=True):
@@ -240,13 +263,13 @@ def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[Outcome]]) -> str:
 
 
 def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: int = 1) -> None:
-    """Print the table.
+    """Print speed and overshoot of target steps.
 
     Args:
-        robot: A built-in arm, or vx300s where its URDF lies beside this checkout.
-        poses: Steps of each row.
-        disturbed: Use plants that differ from the controller's assumptions.
-        jobs: Processes.
+        robot: A built-in arm, or vx300s if its URDF is available.
+        poses: Number of steps per row.
+        disturbed: True uses servos that differ from the assumed ones.
+        jobs: Number of processes.
     """
     todo = rows(robot, poses, disturbed=disturbed)
     print(table(todo, list(run_jobs(todo, jobs, "steps"))))

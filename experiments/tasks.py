@@ -1,4 +1,4 @@
-"""The presets in their simulated scenes: drawer, surface, hand-over, plug."""
+"""Simulated tasks for the presets of `Settings`: drawer, wiping, hand-over, plug insertion."""
 
 from __future__ import annotations
 
@@ -20,33 +20,34 @@ if TYPE_CHECKING:
     from pliant.sim import Plant
 
 
-#: Distance of the target when pulling a drawer of 0.25 m, and when pushing it beyond its closed
-#: position [m].
-DRAWN, BACK = 0.28, 0.03
-#: Speed of the drawer's target [m/s]; time of its reversal [s].
-DRAWER_SPEED, TURNS = 0.05, 8.0
-#: Half-lengths of the figure of eight that the pad wipes, x and y [m]; its period in y [s].
+#: Distance by which the target moves to pull the drawer open, which opens by 0.25 m; and distance
+#: of the target beyond the closed position when the drawer is pushed shut [m].
+PULL_DISTANCE, PUSH_EXCESS = 0.28, 0.03
+#: Speed of the drawer's target [m/s], and time at which its direction reverses [s].
+DRAWER_SPEED, REVERSAL_TIME = 0.05, 8.0
+#: Amplitudes in x and y of the figure of eight that the pad wipes [m], and time for the figure [s].
 STROKE, STROKE_TIME = (0.04, 0.10), 8.0
-#: Time until the pad is lowered and wiping begins [s].
-DOWN = 3.0
-#: Path of a plug's target from 20 mm above the mouth, 10 mm deeper than the hole [m]; speed [m/s].
+#: Time at which wiping begins [s]; before it, the pad is lowered onto the surface.
+WIPE_START = 3.0
+#: Distance [m] and speed [m/s] of the plug's target, from 20 mm above the hole to 10 mm below its
+#: floor.
 INSERTION, INSERTION_SPEED = 0.06, 0.02
-#: Depth of the tip below the mouth that counts as inside [m].
+#: The plug counts as inserted if its tip has been deeper in the hole than this [m].
 INSIDE = 0.028
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawerResult:
-    """Result of a drawer.
+    """Result of pulling a drawer.
 
     Attributes:
         way: Largest opening [m].
         left: Opening at the end [m].
-        force: Largest force in the grip, with the impact at the end stop [N].
+        force: Largest force in the grip, including the impact at the end stop [N].
         held: Force in the grip at the end [N].
-        across: Largest part of it across the slide [N].
+        across: Largest force in the grip across the slide [N].
         torque: Largest torque in the grip [N·m].
-        trace: The run.
+        trace: Recorded run.
     """
 
     way: float
@@ -61,24 +62,30 @@ class DrawerResult:
 def pull_drawer(
     law: Law, *, degrees: float = 10.0, shut: bool = False, conditions: Conditions = NOMINAL
 ) -> DrawerResult:
-    """Pull along -x at 0.05 m/s on a drawer with another slide direction, and beyond its end stop.
+    """Pull a drawer open with a target that moves on beyond the drawer's end stop.
+
+    The slide of the drawer is not parallel to the motion of the target.
 
     Args:
-        law: Settings of a controller, or a baseline.
-        degrees: Angle between the slide and the pull, in the horizontal plane [deg].
-        shut: True: push it shut again afterwards.
-        conditions: Loop, bus and assumptions.
+        law: Settings of a controller, or factory of a baseline controller.
+        degrees: Horizontal angle between the slide and the target's motion along -x [deg].
+        shut: True pushes the drawer shut again.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     angle = np.deg2rad(degrees)
     box = drawer(axis=(-float(np.cos(angle)), float(np.sin(angle)), 0.0))
     start = tool(AT_DOOR)
 
     def target(t: float) -> Array:
-        out = min(max(t - 1.0, 0.0) * DRAWER_SPEED, DRAWN)
-        back = min(max(t - TURNS, 0.0) * DRAWER_SPEED, DRAWN + BACK)
+        out = min(max(t - 1.0, 0.0) * DRAWER_SPEED, PULL_DISTANCE)
+        back = min(max(t - REVERSAL_TIME, 0.0) * DRAWER_SPEED, PULL_DISTANCE + PUSH_EXCESS)
         return displaced(start, "x", back - out)
 
-    duration = TURNS + (DRAWN + BACK) / DRAWER_SPEED + 0.5 if shut else TURNS
+    duration = (
+        REVERSAL_TIME + (PULL_DISTANCE + PUSH_EXCESS) / DRAWER_SPEED + 0.5
+        if shut
+        else REVERSAL_TIME
+    )
     trace = run(conditions.build(box), conditions.controller(law), target, duration, q=AT_DOOR)
     return DrawerResult(
         way=box.widest,
@@ -93,12 +100,13 @@ def pull_drawer(
 
 @dataclass(frozen=True, kw_only=True)
 class WipeResult:
-    """Result of a pad on a surface.
+    """Result of wiping a surface.
 
     Attributes:
-        mean, least, most: Of the normal force while wiping, means over a tick [N].
+        mean, least, most: Mean, smallest and largest normal force on the surface while wiping [N];
+            forces are averages over a control period.
         off: Largest distance of the pad from its path, along the surface [m].
-        trace: The run.
+        trace: Recorded run.
     """
 
     mean: float
@@ -116,28 +124,28 @@ def wipe(
     friction: float = 0.4,
     conditions: Conditions = NOMINAL,
 ) -> WipeResult:
-    """Lower a pad onto an uneven surface and draw a figure of eight on it, for one round.
+    """Lower a pad onto an uneven surface and wipe one figure of eight.
 
     Args:
-        law: Settings of a controller, or a baseline.
-        behind: Distance of the target behind the mean surface [m].
-        unevenness: Height of its hills, and depth of its valleys [m].
+        law: Settings of a controller, or factory of a baseline controller.
+        behind: Depth of the target below the mean surface [m].
+        unevenness: Amplitude of the surface's height [m].
         friction: Coefficient μ between pad and surface.
-        conditions: Loop, bus and assumptions.
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     surface = Surface(unevenness=unevenness, friction=friction)
     start = tool(VERTICAL)
 
     def target(t: float) -> Array:
-        phase = 2.0 * np.pi * max(t - DOWN, 0.0) / STROKE_TIME
+        phase = 2.0 * np.pi * max(t - WIPE_START, 0.0) / STROKE_TIME
         pose = displaced(start, "y", STROKE[1] * float(np.sin(phase)))
         pose[0, 3] += STROKE[0] * float(np.sin(2.0 * phase))
         pose[2, 3] -= min(max(0.02 * (t - 0.5), 0.0), surface.below + behind)
         return pose
 
     plant = conditions.build(surface)
-    trace = run(plant, conditions.controller(law), target, DOWN + STROKE_TIME, q=VERTICAL)
-    wiping = trace.t > DOWN
+    trace = run(plant, conditions.controller(law), target, WIPE_START + STROKE_TIME, q=VERTICAL)
+    wiping = trace.t > WIPE_START
     normal = trace.force[wiping, 2]
     return WipeResult(
         mean=float(normal.mean()),
@@ -154,10 +162,10 @@ class HandoverResult:
 
     Attributes:
         effort: Largest force of the person [N].
-        released: Time at which the gripper opened [s]; None: never.
-        sag: Sag of the arm under the object before the person came [m].
-        fastest: Largest speed of the tool afterwards [m/s].
-        trace: The run.
+        released: Time at which the gripper opened [s]; None if it stayed closed.
+        sag: Deviation of the tool under the object's weight before the person pulls [m].
+        fastest: Largest speed of the tool after the person started to pull [m/s].
+        trace: Recorded run.
     """
 
     effort: float
@@ -168,12 +176,12 @@ class HandoverResult:
 
 
 def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) -> HandoverResult:
-    """Hold an object of unknown weight until a person moves it 0.05 m away; then let it go.
+    """Hold an object until a person has pulled it 0.05 m away; then open the gripper.
 
     Args:
-        law: Settings of a controller, or a baseline.
-        mass: Of the object, unknown to the controller [kg].
-        conditions: Loop, bus and assumptions.
+        law: Settings of a controller, or factory of a baseline controller.
+        mass: Mass of the object, unknown to the controller [kg].
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     thing = HandoverObject(mass=mass)
     start = tool(VERTICAL)
@@ -199,13 +207,14 @@ def hand_over(law: Law, *, mass: float = 0.3, conditions: Conditions = NOMINAL) 
 
 @dataclass(frozen=True, kw_only=True)
 class PlugResult:
-    """Result of a plug.
+    """Result of inserting a plug.
 
     Attributes:
-        inside: True if it went in.
-        along, across: Largest contact force along and across the hole, over 10 ms [N].
-        off: Distance of the tip from its path at the first touch, across the hole [m].
-        trace: The run.
+        inside: True if the plug was inserted.
+        along, across: Largest contact force along and across the hole, filtered with 10 ms [N].
+        off: Horizontal distance of the plug's tip from its path at the first contact with the
+            socket [m]; 0 without a contact.
+        trace: Recorded run.
     """
 
     inside: bool
@@ -222,13 +231,13 @@ def plug_in(
     tilt: tuple[float, float] = (0.0, 0.0),
     conditions: Conditions = NOMINAL,
 ) -> PlugResult:
-    """Push a round plug of 20 mm down into a square hole that is off its assumed pose.
+    """Push a round plug of 20 mm down into a square hole that is not at its assumed pose.
 
     Args:
-        law: Settings of a controller, or a baseline.
+        law: Settings of a controller, or factory of a baseline controller.
         offset: Offset of the hole from its assumed position, x and y [m].
-        tilt: Its rotation about x and y [rad].
-        conditions: Loop, bus and assumptions.
+        tilt: Rotation of the hole from its assumed orientation, about x and y [rad].
+        conditions: Control rate, delays, true servo parameters, assumptions of the controller.
     """
     socket = Socket(offset=(*offset, -0.02), tilt=(*tilt, 0.0))
     start = tool(VERTICAL)
@@ -250,7 +259,8 @@ def plug_in(
     )
 
 
-#: Holes misplaced by 2 mm and turned by 2 deg: offset [m], tilt [rad].
+#: Pose errors of the hole that are tested, up to 2 mm and 2 deg per axis: arguments `offset` [m]
+#: and `tilt` [rad] of `plug_in`.
 MISPLACED: tuple[tuple[tuple[float, float], tuple[float, float]], ...] = tuple(
     ((2e-3 * x, 2e-3 * y), (float(np.deg2rad(2.0 * a)), float(np.deg2rad(2.0 * b))))
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))

@@ -1,8 +1,8 @@
-"""Teach and replay measured: ``python -m experiments.teaching``.
+"""Accuracy and forces of teaching and replaying: ``python -m experiments.teaching``.
 
-A hand guides the tool sideways and up, and the same arm replays the motion. Then a hand holds the
-tool for 3 s in mid-motion and lets go, with the motion waiting and with it running on. Encoder of
-0.088°, k_p as in the table or 20 % below.
+A simulated hand guides the tool sideways and up, and the arm replays this motion. In further runs a
+hand holds the tool for 3 s during the replay; the replayed motion either waits for the tool or
+continues. The encoder step is 0.088°, and the true k_p is as assumed or 20 % lower.
 """
 
 from __future__ import annotations
@@ -23,26 +23,36 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
+#: Encoder step [rad].
 COUNT = float(np.deg2rad(0.088))
-#: Start of each arm [rad], distance in y and z [m], and cap of a soft axis [N].
+#: Of each arm: start pose [rad], distance by which the hand guides the tool in y and in z [m], and
+#: cap of a soft axis during the replay [N].
 ARMS = {
     "arm7": ([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657], 0.15, 0.06, 5.0),
     "so101": ([0.0, -0.3, 0.3, 0.9, 0.0], 0.08, 0.03, 2.0),
 }
-#: Start of the teaching hand [s] and its duration [s].
-COMES, LEADS = 9.0, 3.0
-#: Stiffness and largest force of every hand [N/m], [N].
+#: Start and duration of the motion of the hand that teaches [s].
+HAND_START, HAND_DURATION = 9.0, 3.0
+#: Stiffness [N/m] and largest force [N] of every hand.
 STIFFNESS, LIMIT = 2000.0, 60.0
-#: The blocking hand: start and end after the beginning of the replay [s].
-BLOCKS = (2.2, 5.2)
-#: Deviations that never make a clock wait [m], [rad].
-NEVER = (10.0, 10.0)
+#: Time span in which a hand holds the tool, in the time of the simulation that replays [s].
+BLOCK_SPAN = (2.2, 5.2)
+#: Argument `wait` of `Replay` with which the replayed motion never waits: deviations [m], [rad]
+#: that the tool does not reach.
+NEVER_WAIT = (10.0, 10.0)
 
 
 def teaching(name: str, kp_scale: float) -> Motion:
-    """Return the motion taught by a scripted hand."""
+    """Return the motion that a simulated hand teaches the arm `name`.
+
+    Args:
+        name: Name of the arm.
+        kp_scale: True over assumed servo stiffness.
+    """
     q, sideways, up, _ = ARMS[name]
-    course = ForceProfile(start=COMES, rise=LEADS, end=COMES + LEADS + 0.5)
+    course = ForceProfile(
+        start=HAND_START, rise=HAND_DURATION, end=HAND_START + HAND_DURATION + 0.5
+    )
     hands = [
         Drag(axis=axis, distance=way, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course)
         for axis, way in (("y", sideways), ("z", up))
@@ -63,12 +73,14 @@ class ReplayResult:
     """Result of one replay.
 
     Attributes:
-        worst, median, end: Distance of the tool from the motion at the clock's time [m].
-        path: Largest distance from the taught path at any time [m].
-        force: Median force of the blocking hand in its last second [N].
-        peak: Its largest force [N].
-        after: Largest speed of the tool after its release [m/s].
-        took: Duration [s].
+        worst, median, end: Largest, median and final distance of the tool from the point of the
+            replayed motion at the same time [m].
+        path: Largest distance of the tool from the nearest point of the taught path [m].
+        force: Median force of the hand that holds the tool, in the last second of its hold [N]; 0
+            without a hand.
+        peak: Largest force of the hand that holds the tool [N]; 0 without a hand.
+        after: Largest speed of the tool after the hand has released it [m/s]; 0 without a hand.
+        took: Duration of the replay [s].
     """
 
     worst: float
@@ -82,13 +94,22 @@ class ReplayResult:
 
 
 def replay(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) -> ReplayResult:
-    """Teach, replay and measure; `held`: the motion waits for a hand that holds the tool."""
+    """Teach a motion, replay it and measure the result.
+
+    Args:
+        name: Name of the arm.
+        kp_scale: True over assumed servo stiffness.
+        soft: True if the y axis is soft during the replay.
+        speed: Ratio of the replay's speed to that of teaching.
+        *held: No value: no hand holds the tool. One value: a hand holds the tool during
+            `BLOCK_SPAN`, and the replayed motion waits for the tool (True) or continues (False).
+    """
     block, wait = bool(held), all(held)
     motion, cap = teaching(name, kp_scale), ARMS[name][3]
     model = load(name).model
     task = "xyz rpy" if model.n > 5 else "xyz"
     axes = {"y": pliant.Axis(soft=cap, profile="constant")} if soft else {}
-    course = ForceProfile(start=BLOCKS[0], rise=0.0, end=BLOCKS[1])
+    course = ForceProfile(start=BLOCK_SPAN[0], rise=0.0, end=BLOCK_SPAN[1])
     hand = Drag(axis="y", distance=0.0, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course)
     scene = [hand] if block else []
     rows = []
@@ -96,19 +117,19 @@ def replay(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
         assert isinstance(arm.drive, SimDrive)
         plant = arm.drive.plant
         controller = pliant.Controller(arm.model, pliant.Settings(task=task, axes=axes), arm.servos)
-        options = {"speed": speed} if wait else {"speed": speed, "wait": NEVER}
+        options = {"speed": speed} if wait else {"speed": speed, "wait": NEVER_WAIT}
         replay = Replay(controller, motion, **options)
         remembered = False
         for tick in pliant.Loop(arm, controller, duration=40.0):
             tick.write(replay.step(tick.q, dt=tick.dt), replay.extra(arm))
             now = tick.began  # the scene's hand uses the plant's clock
-            if block and not remembered and now >= BLOCKS[0] - 0.02:
-                plant.ground_truth.remember()  # the hand holds the present position of the tool
+            if block and not remembered and now >= BLOCK_SPAN[0] - 0.02:
+                plant.ground_truth.remember()  # makes the hand hold the tool's present position
                 remembered = True
             force = float(np.linalg.norm(plant.hands[0].force)) if block else 0.0
             want = model.forward_kinematics(motion.at(replay.time))[:3, 3]
             rows.append((now, replay.time, force, *plant.tool[:3, 3], *want))
-            if replay.done and now > BLOCKS[1] + 4.0 * block:
+            if replay.done and now > BLOCK_SPAN[1] + 4.0 * block:
                 break
     data = np.array(rows)
     time, clock, forces, tool, want = np.split(data, [1, 2, 3, 6], axis=1)
@@ -118,8 +139,8 @@ def replay(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
     taught = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
     path = np.linalg.norm(tool[playing, None] - taught[None], axis=2).min(axis=1)
     speeds = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(time)
-    late = (time > BLOCKS[1] - 1.0) & (time < BLOCKS[1])
-    released = time[1:] > BLOCKS[1]
+    late = (time > BLOCK_SPAN[1] - 1.0) & (time < BLOCK_SPAN[1])
+    released = time[1:] > BLOCK_SPAN[1]
     return ReplayResult(
         worst=float(error[playing].max()),
         median=float(np.median(error[playing])),

@@ -1,4 +1,4 @@
-"""Moving targets: sinusoids, a rotation step, and a path out of reach."""
+"""Tracking experiments: a sinusoidal target, a rotation step, and a target out of reach."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackResult:
-    """Tracking of a sinusoid by a compliant axis.
+    """Result of tracking a sinusoid with one axis.
 
     Attributes:
-        share: Rms error over amplitude.
-        position: Largest deviation of the other positions [m].
-        rotation: Largest deviation of the other rotations [rad].
-        sunk: Largest loss of height where the tool is beyond x = 0.40 m [m].
-        left: Loss of height when the tool is first back at x = 0.38 m after the far half-wave [m].
-        trace: The run.
+        share: Rms deviation of the moved axis from its target, over the amplitude.
+        position: Largest deviation of another position from its target [m].
+        rotation: Largest deviation of another rotation from its target [rad].
+        sunk: Largest loss of the tool's height while the tool is beyond x = 0.40 m [m]; 0 if it
+            never is.
+        left: Loss of the tool's height 4.5 s after the start of the motion [m].
+        trace: Recorded run.
     """
 
     share: float
@@ -48,20 +49,25 @@ class TrackResult:
 
 
 def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> TrackResult:
-    """Move the target sinusoidally along or about one axis from 1 to 17 s, two periods."""
+    """Move the target sinusoidally along or about one axis from 1 to 17 s, two periods.
+
+    Returns:
+        Errors of the tool, which starts in the vertical grasp pose.
+    """
     start = tool(VERTICAL)
     index = AXES.index(axis)
     target = sinusoid(start, axis, AMPLITUDE[axis])
     trace = run(conditions.build(), conditions.controller(law), target, 17.0, q=VERTICAL)
     swing = trace.between(1.0, 17.0)
     error = trace.error[swing]
-    # The target of a row is that of its beginning, the state that of its end; compare at the end.
-    wish = AMPLITUDE[axis] * np.sin(2.0 * np.pi * (trace.t[swing] - 1.0) / PERIOD)
+    # A row of the trace has the state at the end of a tick but the target of its start, so compute
+    # the target at the end.
+    target_at_end = AMPLITUDE[axis] * np.sin(2.0 * np.pi * (trace.t[swing] - 1.0) / PERIOD)
     sunk = trace.position[:, 2] - start[2, 3]
     far = trace.position[:, 0] > 0.40
     back = trace.at(1.0 + 4.5)
     return TrackResult(
-        share=metrics.rms(wish - trace.moved[swing, index]) / AMPLITUDE[axis],
+        share=metrics.rms(target_at_end - trace.moved[swing, index]) / AMPLITUDE[axis],
         position=metrics.largest(error[:, metrics.others(index, "xyz")]),
         rotation=metrics.largest(error[:, metrics.others(index, "rpy")]),
         sunk=float(-sunk[far].min()) if far.any() else 0.0,
@@ -72,12 +78,12 @@ def track(law: Law, axis: str, *, conditions: Conditions = NOMINAL) -> TrackResu
 
 @dataclass(frozen=True, kw_only=True)
 class TiltResult:
-    """Response to a step of the tool's orientation.
+    """Result of a step of the target's orientation.
 
     Attributes:
-        angle: Remaining angle at 6 s [rad].
-        position: Largest deviation of the tool's position during the run [m].
-        trace: The run.
+        angle: Angle between the tool's orientation and its target at 6 s [rad].
+        position: Largest distance of the tool from its constant target position [m].
+        trace: Recorded run.
     """
 
     angle: float
@@ -86,7 +92,10 @@ class TiltResult:
 
 
 def tilt(law: Law, *, conditions: Conditions = NOMINAL) -> TiltResult:
-    """Turn the target of the horizontal grasp at once, by 0.44 rad about an oblique axis."""
+    """Turn the target orientation of the horizontal grasp pose at 1 s by a step of 0.44 rad.
+
+    The axis of the rotation is oblique to the base axes.
+    """
     target = tilted(tool(HORIZONTAL))
     trace = run(conditions.build(), conditions.controller(law), target, 6.0, q=HORIZONTAL)
     return TiltResult(
@@ -102,10 +111,10 @@ class ReachResult:
 
     Attributes:
         farthest: Largest x of the tool [m].
-        speed: Rms speed of the joints at the limit, 7 to 8 s [rad/s].
+        speed: Rms speed of the joints from 7 to 8 s, at the limit of the reach [rad/s].
         fastest: Largest speed of a joint [rad/s].
-        error: Distance of the tool from its target at 15 s [m].
-        trace: The run.
+        error: Distance of the tool from its target position at 15 s [m].
+        trace: Recorded run.
     """
 
     farthest: float
@@ -116,7 +125,7 @@ class ReachResult:
 
 
 def leave_reach(law: Law, *, conditions: Conditions = NOMINAL) -> ReachResult:
-    """Move the target to x = 0.80 m, where the arm ends at 0.71 m from its shoulder, and back."""
+    """Move the target from x = 0.40 m to 0.80 m, beyond the arm's reach of 0.71 m, and back."""
     trace = run(conditions.build(), conditions.controller(law), beyond_reach, 15.0, q=AT_REACH)
     return ReachResult(
         farthest=float(trace.position[:, 0].max()),

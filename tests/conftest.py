@@ -15,6 +15,7 @@ SLOW = {
     "demo",
     "emulator",
     "identify",
+    "lerobot_plugin",
     "log",
     "servo",
     "sim",
@@ -41,6 +42,7 @@ SHARED = (
     ),
     ("tests/bands/test_campaign.py",),
     ("tests/emulator/test_process.py",),
+    *((f"tests/lerobot_plugin/test_{name}.py",) for name in ("follower", "teleoperators")),
     *((f"tests/log/test_{name}.py",) for name in ("damage", "hostile", "log", "report")),
     *((f"tests/view/test_{name}.py",) for name in ("browser", "page")),
 )

@@ -77,6 +77,58 @@ def test_results_come_in_order_from_every_backend(backend, capsys):
     assert "squares: 5 of 5" in capsys.readouterr().err
 
 
+@dataclass(frozen=True)
+class Noted:
+    """Job that notes its run in a file."""
+
+    side: int
+    notes: Path
+
+    def run(self):
+        with self.notes.open("a", encoding="utf-8") as file:
+            file.write(f"{self.side}\n")
+        return self.side**2
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_run_that_was_cut_short_continues_where_it_ended(processes, tmp_path):
+    notes, saved = tmp_path / "notes", tmp_path / "saved"
+    work = [Noted(side, notes) for side in range(6)]
+    cut = run_jobs(work[:3], processes, resume=saved)
+    assert list(cut) == [0, 1, 4]
+    (saved / "half.part").write_bytes(b"cut short")
+    with parallel_config(backend="threading"):
+        assert list(run_jobs(work, processes, resume=saved)) == [0, 1, 4, 9, 16, 25]
+    assert sorted(notes.read_text().split()) == ["0", "1", "2", "3", "4", "5"]
+
+
+@pytest.mark.full
+def test_jobs_run_on_dask():
+    distributed = pytest.importorskip("distributed")
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with (
+        distributed.LocalCluster(**options) as cluster,
+        distributed.Client(cluster),
+        parallel_config(backend="dask"),
+    ):
+        assert list(run_jobs([Square(side) for side in range(8)], 2)) == [k * k for k in range(8)]
+
+
+@pytest.mark.full
+def test_jobs_run_on_ray():
+    ray = pytest.importorskip("ray")
+    from ray.util.joblib import register_ray
+
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        register_ray()
+        with parallel_config(backend="ray"):
+            found = list(run_jobs([Square(side) for side in range(8)], 2))
+    finally:
+        ray.shutdown()
+    assert found == [k * k for k in range(8)]
+
+
 def test_robots_are_looked_for_beside_a_clone_only(tmp_path, monkeypatch):
     monkeypatch.delenv("PLIANT_ROBOTS", raising=False)
     for root in ("checkout", "venv/lib/python3.11/site-packages"):

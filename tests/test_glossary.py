@@ -38,7 +38,7 @@ SPOKEN = words_of(
     *(pliant.feasibility.AxisReport, pliant.feasibility.PoseReport),
     *(pliant.Servos, pliant.Settings, pliant.Task, pliant.Tick, pliant.types.WrenchEstimate),
     *(pliant.arm, pliant.feasibility, pliant.identify, pliant.log, pliant.servo),
-    *(pliant.servo.ServoSpec,),
+    *(pliant.config, pliant.servo.ServoSpec, pliant.teleop, pliant.teleop.JointFollower),
 )
 
 

@@ -35,7 +35,7 @@ from experiments.arms import load
 from experiments.chapters import comparison
 from experiments.simulation import NOMINAL, Conditions
 from pliant.arm import Arm
-from pliant.sim import LIGHT, Plant, SimDrive
+from pliant.sim import DRAG_15N, Plant, SimDrive
 from pliant.sim.postures import VERTICAL
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -139,7 +139,7 @@ def cases():
         yield (
             f"rates {one}",
             under(one),
-            lambda one=one: disturbances.drag(controllers.cap(), LIGHT, conditions=one),
+            lambda one=one: disturbances.drag(controllers.cap(), DRAG_15N, conditions=one),
         )
     for one in (Conditions(gears=GEARS), Conditions(gears=GEARS, gears_known=True, believed=0.7)):
         yield f"gears {one.believed}", under(one), lambda one=one: goals.door("door")(one)

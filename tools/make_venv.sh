@@ -1,10 +1,11 @@
 #!/bin/sh
-# Makes a virtual environment at $1 from the first Python >= 3.11 that can make one. PYTHON=... names another.
+# Makes a virtual environment at $1 from the first Python >= $2 (3.11) that can make one. PYTHON=... names another.
 set -eu
 venv=$1
+least=${2:-3.11}
 
 good() {
-    "$1" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1
+    "$1" -c "import sys, venv, ensurepip; sys.exit(sys.version_info < tuple(map(int, '$least'.split('.'))))" >/dev/null 2>&1
 }
 
 versions="$HOME/.pyenv/versions ${PYENV_ROOT:-$HOME/.pyenv}/versions"
@@ -22,9 +23,9 @@ if [ -n "$found" ]; then
     echo "using $found ($("$found" -c 'import platform; print(platform.python_version())'))"
     "$found" -m venv --clear "$venv"
 elif command -v uv >/dev/null; then
-    uv venv --quiet --seed --clear --python '>=3.11' "$venv"
+    uv venv --quiet --seed --clear --python ">=$least" "$venv"
 else
-    echo "error: no Python >= 3.11 with venv and ensurepip among ${PYTHON:-python3, python3.14 ... python3.11, pyenv}." >&2
+    echo "error: no Python >= $least with venv and ensurepip among ${PYTHON:-python3, python3.14 ... python3.11, pyenv}." >&2
     echo "       Install one (Debian: python3 and python3-venv) or name it: make setup PYTHON=/path/to/python3" >&2
     exit 1
 fi

@@ -1,1 +1,5 @@
-"""Speed comparison with other libraries: the problem, one module per kind of peer, the timing."""
+"""Speed comparison of pliant with other libraries (peers) on one problem.
+
+`problem` defines it, the modules `*_peer` and `*_peers` implement it, `turns` and `worker` time the
+implementations, and `table` shows the results.
+"""

@@ -1,4 +1,4 @@
-"""Peers that implement the whole step in Python code compiled by Numba or JAX."""
+"""Implementations of kinematics and control step in Python code that Numba or JAX compiles."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ from typing import Any
 import numpy as np
 
 from contest import problem
-from contest.peer import Pair, Peer
+from contest.peer import Implementation, Pair
 
 
-def numba() -> Peer:
-    """Make the Numba peer: plain loops over arrays of fixed size."""
+def numba() -> Implementation:
+    """Return the Numba implementation, which loops over array elements."""
     import numba as nb
 
     from contest import numba_step
 
     arm = problem.bench_arm()
     functions = numba_step.compile_for(arm)
-    return Peer(f"Numba {nb.__version__}", *functions)
+    return Implementation(f"Numba {nb.__version__}", *functions)
 
 
-def jax() -> Peer:
-    """Make the JAX peer: formulas compiled by XLA for the CPU; results are NumPy arrays."""
+def jax() -> Implementation:
+    """Return the JAX implementation: XLA compiles it for the CPU.
+
+    The time includes the conversion of the results to NumPy arrays.
+    """
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
     import jax as library
     import jax.numpy as jnp
@@ -77,7 +80,7 @@ def jax() -> Peer:
         first, second = found
         return np.asarray(first), np.asarray(second)
 
-    return Peer(
+    return Implementation(
         f"JAX {library.__version__}",
         lambda q: both(fast(q)),
         lambda q, target: both(whole(q, target)),

@@ -1,4 +1,8 @@
-"""Peer in C++ with fixed array sizes, built by the system's compiler for this machine's CPU."""
+"""C++ implementation of kinematics and control step, for comparison with pliant.
+
+Array sizes are fixed at compile time. The code is compiled when the benchmark starts, for the CPU
+of this machine.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from contest import problem
-from contest.peer import Pair, Peer
+from contest.peer import Implementation, Pair
 from contest.problem import Array
 
 SOURCES = Path(__file__).resolve().parents[1] / "cpp"
@@ -20,10 +24,10 @@ FLAGS = ("-std=c++17", "-O3", "-march=native", "-shared", "-fPIC", "-Wall", "-We
 
 
 def compiler() -> str:
-    """Return the C++ compiler.
+    """Return the name of the C++ compiler.
 
     Raises:
-        ImportError: None is installed.
+        ImportError: No C++ compiler is installed.
     """
     name = os.environ.get("CXX") or next(filter(shutil.which, ("c++", "g++", "clang++")), "")
     if not name:
@@ -32,7 +36,7 @@ def compiler() -> str:
 
 
 def constants(arm: problem.Arm) -> Array:
-    """Return the constants of the C++ struct in the order of its members."""
+    """Return arm data and law parameters as one array, in the order of the C++ struct's members."""
     yields = np.arange(6) == problem.YIELDS
     parts = (
         arm.links,
@@ -49,8 +53,12 @@ def constants(arm: problem.Arm) -> Array:
     return np.concatenate([np.ravel(part) for part in parts])
 
 
-def make() -> Peer:
-    """Compile and load the extension, pass it the constants, and return the peer."""
+def make() -> Implementation:
+    """Compile the C++ code, load it as a Python extension, and return the implementation.
+
+    Raises:
+        ImportError: There is no compiler, or the code does not compile.
+    """
     built = Path(os.environ["PEERS_BUILD"]) / "fixed_arm.so"
     include = [f"-I{sysconfig.get_path('include')}", f"-I{np.get_include()}"]
     command = [compiler(), *FLAGS, *include, str(SOURCES / "module.cpp"), "-o", str(built)]
@@ -86,7 +94,7 @@ def make() -> Peer:
     version = subprocess.run(
         [compiler(), "-dumpfullversion"], capture_output=True, text=True, check=False
     )
-    return Peer(
+    return Implementation(
         version=f"{Path(compiler()).name} {version.stdout.strip()} -O3 -march=native",
         kinematics=kinematics,
         kinematics_call="k(q, T, J)",

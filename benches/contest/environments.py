@@ -1,4 +1,4 @@
-"""Python environment of each peer: this one if it has the library, else a separate one."""
+"""List of the compared implementations, and the Python environment in which each one runs."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ BUILD = ROOT / "build" / "peers"
 
 @dataclass(frozen=True)
 class Entry:
-    """A peer to time: one row of the table.
+    """Description of one compared implementation.
 
     Attributes:
         name: Name in the table.
-        maker: Module and function of this package.
-        module: Required module.
-        package: Package that pip installs for it; "" if it must be installed already.
-        environment: Variables of its process.
+        maker: Function that returns the `Implementation`, as `module:function` of this package.
+        module: Python module that the implementation needs.
+        package: Name of the pip package with this module; "" if the module must be installed
+            already.
+        environment: Environment variables of the process that runs the implementation.
     """
 
     name: str
@@ -32,7 +33,8 @@ class Entry:
     environment: dict[str, str] = field(default_factory=dict)
 
 
-#: Forced instructions of pliant, fastest first; a build with one path has one row.
+#: Instruction sets for which pliant has code, widest first. Each set that the processor supports
+#: has a row of its own in the table.
 PATHS = ("avx512", "avx2", "baseline")
 OURS = tuple(
     Entry(f"pliant ({path})", "pliant_peer:make", environment={"PLIANT_INSTRUCTIONS": path})
@@ -41,7 +43,7 @@ OURS = tuple(
 PEERS = (
     Entry("C++ for this CPU", "cpp_peer:make"),
     Entry("Numba", "compiled_peers:numba", "numba", "numba"),
-    # JAX computes in its own threads, so its process is not tied to one core.
+    # JAX computes in threads of its own, so its process must not be tied to one core (PEERS_PIN).
     Entry("JAX", "compiled_peers:jax", "jax", "jax", {"PEERS_PIN": "0"}),
     Entry("Pinocchio + NumPy", "library_peers:pinocchio", "pinocchio", "pin"),
     Entry("MuJoCo + NumPy", "library_peers:mujoco", "mujoco", "mujoco"),
@@ -53,7 +55,10 @@ PEERS = (
 
 
 def python_for(entry: Entry) -> str:
-    """Return the path of an interpreter that has the peer; make an environment if needed.
+    """Return the path of a Python interpreter that has the module which an implementation needs.
+
+    The running interpreter is used if it has the module. Otherwise an environment under build/peers
+    is created, and the package is installed there.
 
     Raises:
         RuntimeError: The package cannot be installed.

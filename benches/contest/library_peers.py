@@ -1,4 +1,4 @@
-"""Peers from kinematics libraries: the library gives pose and Jacobian, NumPy evaluates the law."""
+"""Implementations in which a kinematics library computes pose and Jacobian, and NumPy the law."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy as np
 
 from contest import numpy_peer, problem
 from contest.numpy_peer import with_law
-from contest.peer import Pair, Peer, loop
+from contest.peer import Implementation, Pair, loop
 from contest.problem import Array
 
 
-def _peer(version: str, kinematics: Callable[[Array], Pair]) -> Peer:
+def _peer(version: str, kinematics: Callable[[Array], Pair]) -> Implementation:
     step = with_law(problem.bench_arm(), kinematics)
-    return Peer(version, kinematics, step, loop(kinematics), batch_size=2_000)
+    return Implementation(version, kinematics, step, loop(kinematics), batch_size=2_000)
 
 
-def pinocchio() -> Peer:
-    """Make the Pinocchio peer: one call updates the tool frame and returns its Jacobian."""
+def pinocchio() -> Implementation:
+    """Return the Pinocchio implementation: one call computes tool frame and Jacobian."""
     import pinocchio as pin
 
     model = pin.buildModelFromUrdf(str(problem.URDF))
@@ -31,8 +31,8 @@ def pinocchio() -> Peer:
     return _peer(f"Pinocchio {pin.__version__}", kinematics)
 
 
-def mujoco() -> Peer:
-    """Make the MuJoCo peer: it computes all body positions, then the Jacobian of one body."""
+def mujoco() -> Implementation:
+    """Return the MuJoCo implementation: it computes all body poses, then the tool's Jacobian."""
     import mujoco as mj
 
     keep = '<mujoco><compiler fusestatic="false" discardvisual="false"/></mujoco></robot>'
@@ -55,11 +55,11 @@ def mujoco() -> Peer:
     return _peer(f"MuJoCo {mj.__version__}", kinematics)
 
 
-def dynibo() -> Peer:
-    """Make the Dynibo peer (Rust).
+def dynibo() -> Implementation:
+    """Return the Dynibo implementation (Rust).
 
-    Dynibo returns the rotation as a quaternion and writes the Jacobian, angular rows first, into
-    the caller's array; both are converted here.
+    Dynibo returns the rotation as a quaternion and the Jacobian with angular rows first. The
+    implementation converts both, which is part of the timed call.
     """
     import dynibo as library
 
@@ -83,12 +83,13 @@ def dynibo() -> Peer:
     return _peer(f"dynibo {library.__version__}", kinematics)
 
 
-def optik() -> Peer:
-    """Make the optik peer (Rust).
+def optik() -> Implementation:
+    """Return the optik implementation (Rust).
 
-    Optik returns nested lists and a Jacobian in tool axes, which is rotated to base axes here. For
-    two consecutive fixed joints, optik does not rotate the second origin by the first, so its tool
-    position is off by a constant 4 mm; `missing` corrects it.
+    Optik returns nested lists, and a Jacobian in tool axes. The implementation converts the lists
+    to arrays and rotates the Jacobian to base axes, which is part of the timed call. If a URDF has
+    two consecutive fixed joints, optik does not rotate the origin of the second one by the first;
+    the variable `missing` corrects the resulting constant error of 4 mm.
     """
     from importlib.metadata import version
 
@@ -106,8 +107,11 @@ def optik() -> Peer:
     return _peer(f"optik-py {version('optik-py')}", kinematics)
 
 
-def placo() -> Peer:
-    """Make the placo peer; the Jacobian's first columns, of a floating base, are cut off here."""
+def placo() -> Implementation:
+    """Return the placo implementation.
+
+    It removes the Jacobian's columns for the floating base that placo adds to the arm.
+    """
     from importlib.metadata import version
 
     import placo as library

@@ -1,4 +1,4 @@
-"""Control step as loops that Numba compiles; each call allocates its result arrays."""
+"""Control step of law `paper` as loops that Numba compiles."""
 
 from __future__ import annotations
 
@@ -24,7 +24,11 @@ ALPHA, NULL = problem.ALPHA, problem.NULL
 def compile_for(
     arm: problem.Arm,
 ) -> tuple[Callable[..., Pair], Callable[..., Any], Callable[..., Pair]]:
-    """Compile kinematics, step and batch for this arm, with its numbers as constants."""
+    """Compile functions with the arm's data as constants.
+
+    Returns:
+        The functions `kinematics`, `step` and `batch` of `Implementation`.
+    """
     links, n = arm.links, arm.n
     middle, weights, rest = arm.middle, arm.limit_weights, arm.rest
 

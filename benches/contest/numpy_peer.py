@@ -1,4 +1,8 @@
-"""Peer in NumPy: the reference for all peers' results, and the law for kinematics libraries."""
+"""NumPy implementation of kinematics and law `paper`.
+
+It is the reference for the results of all implementations, and it computes the law for those whose
+library has only kinematics.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,12 @@ from collections.abc import Callable
 import numpy as np
 
 from contest import problem
-from contest.peer import Pair, Peer
+from contest.peer import Implementation, Pair
 from contest.problem import Array
 
 
 def kinematics_of(arm: problem.Arm) -> Callable[[Array], Pair]:
-    """Return a function that computes pose and Jacobian of one configuration."""
+    """Return a function that computes the tool's pose and Jacobian at joint positions (n,)."""
     n, links, last = arm.n, arm.links[:-1], arm.links[-1]
     first, second, local = links[:, :, 0], links[:, :, 1], links.copy()
     frames = np.empty((n, 4, 4))
@@ -40,7 +44,7 @@ def kinematics_of(arm: problem.Arm) -> Callable[[Array], Pair]:
 
 
 def batch_of(arm: problem.Arm) -> Callable[[Array], Pair]:
-    """Return a function for poses and Jacobians of N configurations, without a loop over them."""
+    """Return a function that computes poses and Jacobians of N joint positions (N, n) at once."""
 
     def batch(configurations: Array) -> Pair:
         count, n = configurations.shape
@@ -65,7 +69,11 @@ def batch_of(arm: problem.Arm) -> Callable[[Array], Pair]:
 
 
 def law_of(arm: problem.Arm) -> Callable[[Array, Array, Array, Array], Pair]:
-    """Return a function that evaluates law `paper`, (3)–(12), given pose and Jacobian."""
+    """Return a function that evaluates law `paper`, equations (3) to (12) of the paper, in NumPy.
+
+    Its arguments are joint positions, target pose, and the tool's pose and Jacobian. It returns
+    joint goals [rad] and torque limits [N·m].
+    """
     compliant = np.arange(6) == problem.YIELDS
     pull = problem.GAIN * (1.0 - problem.ETA * compliant)
     keep = pull / problem.GAIN
@@ -100,7 +108,10 @@ def law_of(arm: problem.Arm) -> Callable[[Array, Array, Array, Array], Pair]:
 def with_law(
     arm: problem.Arm, kinematics: Callable[[Array], Pair]
 ) -> Callable[[Array, Array], Pair]:
-    """Return a step function that combines the given kinematics with the law in NumPy."""
+    """Return a function that computes a control step: the given kinematics, then law `paper`.
+
+    Its arguments are joint positions and target pose; it returns goals and torque limits.
+    """
     law = law_of(arm)
 
     def step(q: Array, target: Array) -> Pair:
@@ -110,11 +121,11 @@ def with_law(
     return step
 
 
-def make() -> Peer:
-    """Make the peer whose kinematics and law are NumPy."""
+def make() -> Implementation:
+    """Return the implementation that computes kinematics and law with NumPy."""
     arm = problem.bench_arm()
     kinematics = kinematics_of(arm)
-    return Peer(
+    return Implementation(
         version=f"NumPy {np.__version__}",
         kinematics=kinematics,
         step=with_law(arm, kinematics),

@@ -1,4 +1,4 @@
-"""Interface that every compared implementation (peer) provides."""
+"""Interface of the implementations that the speed comparison times."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ Pair = tuple[Array, Array]
 
 
 @dataclass
-class Peer:
-    """One implementation of the work; missing parts are None.
+class Implementation:
+    """Compared implementation of up to three functions; one that it lacks is None.
 
     Attributes:
-        version: Name and version, for the table.
-        kinematics: q (n,) → pose (4, 4) and Jacobian (6, n), world-aligned, of the tool.
-        step: q (n,) and target (4, 4) → goal (n,) [rad] and torque limit (n,) [N·m].
-        batch: Q (N, n) → poses (N, 4, 4) and Jacobians (N, 6, n).
-        batch_size: N of the timed batch; smaller for a Python loop.
-        kinematics_call, step_call: Statement of the timed loop, with `f` the function above and
-            everything of `names`; it must return the results.
+        version: Name and version of the library, for the table.
+        kinematics: Function q (n,) → pose (4, 4) and Jacobian (6, n) of the tool in base axes.
+        step: Function q (n,), target (4, 4) → goal (n,) [rad], torque limit (n,) [N·m].
+        batch: Function Q (N, n) → poses (N, 4, 4), Jacobians (N, 6, n).
+        batch_size: Number N of configurations of the timed batch.
+        kinematics_call, step_call: Python statement that the timed loop executes. In it, `f` is the
+            function `kinematics` or `step`, and `q` and `t` are joint positions and target pose.
+        names: Values of the other variables in these statements.
     """
 
     version: str
@@ -35,16 +36,17 @@ class Peer:
     names: dict[str, Any] = field(default_factory=dict)
 
     def step_pair(self, q: Array, target: Array) -> Pair:
-        """Return goal and limit of one step."""
+        """Call `step`; return joint goals (n,) [rad] and torque limits (n,) [N·m] as a tuple."""
         assert self.step is not None
         found = self.step(q, target)
         return found if isinstance(found, tuple) else (found.goal, found.torque_limit)
 
 
 def loop(kinematics: Callable[[Array], Pair]) -> Callable[[Array], Pair]:
-    """Return a batch function that calls `kinematics` for each configuration in a Python loop.
+    """Return a batch function that calls `kinematics` in a Python loop.
 
-    It is for libraries without a batch call. Each call allocates the result arrays.
+    Implementations whose library has no batch function use it. Each call of the returned function
+    allocates the result arrays.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""The pliant peer, made of pliant's public functions."""
+"""Implementation of kinematics and control step with pliant's public functions."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 import pliant
 from contest import problem
-from contest.peer import Pair, Peer
+from contest.peer import Implementation, Pair
 from contest.problem import Array
 
 
 def controller(model: pliant.Model) -> pliant.Controller:
-    """Return a controller with law `paper` and the numbers of `problem`.
+    """Return a controller with law `paper` and the parameters of `problem`.
 
     The damping λ is constant, the null-space projector is the paper's, and the null space avoids
     joint limits. Gravity compensation and step limits are off.
@@ -35,8 +35,11 @@ def controller(model: pliant.Model) -> pliant.Controller:
     return pliant.Controller(model, settings, servos)
 
 
-def make() -> Peer:
-    """Make the peer; its kinematics call writes into the caller's arrays."""
+def make() -> Implementation:
+    """Return pliant's implementation.
+
+    Its timed calls of the kinematics write into preallocated arrays.
+    """
     model = pliant.Model.from_urdf(problem.URDF, tip=problem.TOOL)
     ours = controller(model)
     pose, jacobian = np.empty((4, 4)), np.empty((6, model.n))
@@ -49,7 +52,7 @@ def make() -> Peer:
         return model.kinematics_batch(configurations, out=kept[count])
 
     takes_arrays = "out" in str(inspect.signature(model.kinematics_batch))
-    return Peer(
+    return Implementation(
         version=f"pliant {pliant.__version__}, {instructions(ours)}",
         kinematics=model.kinematics,
         kinematics_call="k(q, out=arrays)",

@@ -1,7 +1,7 @@
-"""Problem that every peer solves: the bench arm, 64 states, and the numbers of law `paper`.
+"""Benchmark problem: the bench arm, 64 states, and the parameters of law `paper`.
 
-The module needs only NumPy. It parses the URDF without `pliant`, so that an error of pliant's
-parser would not also be in the hand-written peers.
+The module parses the URDF without `pliant`, so that an error of pliant's parser does not affect the
+other implementations.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ Array = NDArray[np.float64]
 URDF = Path(__file__).resolve().parents[1] / "arm7_bench.urdf"
 TOOL = "tool"
 STATES = 64
-#: Parameters of law `paper`, (3)–(12): damping λ, gain K_x [1/s], horizon h [s], null-space gain
-#: α [1/s], weight of the joint-limit cost.
+#: Parameters of law `paper`, equations (3) to (12) of the paper: damping λ of the pseudo-inverse,
+#: gain K_x [1/s], horizon h [s], null-space gain α [1/s], weight of the joint-limit cost.
 DAMPING, GAIN, HORIZON, ALPHA, LIMIT_WEIGHT = 0.02, 4.0, 0.25, 4.0, 0.1
 #: Index of the soft axis (y), and its target adaptation η.
 YIELDS, ETA = 1, 0.9
-#: Deviations d⁻ and d⁺ of x, y, z [m] and roll, pitch, yaw [rad].
+#: Deviations d⁻ at which the compliance starts to fall from 1, and d⁺ at which it is 0, of x, y, z
+#: [m] and roll, pitch, yaw [rad].
 D_MINUS = np.array([0.01] * 3 + [0.04] * 3)
 D_PLUS = np.array([0.1] * 3 + [0.4] * 3)
 #: Torque budgets [N·m]: soft axis at small deviation, at large deviation, stiff axis, null space.
@@ -32,10 +33,11 @@ SOFT, FIRM, HOLD, NULL = 0.5, 10.0, 10.0, 2.0
 
 @dataclass(frozen=True)
 class Arm:
-    """The bench arm, with frames rotated so that every joint axis is the z axis of its frame.
+    """Arm of the comparison, with frames in which every joint turns about its z axis.
 
     Attributes:
-        links: Constant transforms (n + 1, 4, 4); the tool pose is Π_i (links[i] Rz(q_i)) links[n].
+        links: Constant transforms between these frames (n + 1, 4, 4). The tool's pose is the
+            product of links[i] Rz(q_i) over the joints i, times links[n].
         lower, upper: Position limits (n,) [rad].
     """
 
@@ -50,22 +52,25 @@ class Arm:
 
     @property
     def middle(self) -> Array:
-        """Middle of the ranges (n,) [rad]."""
+        """Middle of each joint's range (n,) [rad]."""
         return 0.5 * (self.lower + self.upper)
 
     @property
     def limit_weights(self) -> Array:
-        """Weights of the joint-limit cost (n,), ``weight / (half range)²``."""
+        """Weight of each joint in the joint-limit cost (n,): `LIMIT_WEIGHT` / (half its range)²."""
         return LIMIT_WEIGHT / (0.5 * (self.upper - self.lower)) ** 2
 
     @property
     def rest(self) -> Array:
-        """Rest posture (n,) [rad]."""
+        """Posture toward which the null-space motion moves the joints (n,) [rad]."""
         return self.middle + 0.1
 
 
 def bench_arm() -> Arm:
-    """Read the bench arm from its URDF, a serial chain with joints listed from base to tool."""
+    """Read and return the arm of the comparison from its URDF.
+
+    The URDF is a serial chain whose joints are listed from base to tool.
+    """
     links, lower, upper = [], [], []
     here = np.eye(4)
     for joint in ET.parse(URDF).getroot().iter("joint"):
@@ -84,7 +89,10 @@ def bench_arm() -> Arm:
 
 
 def states(arm: Arm) -> list[tuple[Array, Array]]:
-    """Return pairs of joint positions: points of a closed path, and points slightly ahead."""
+    """Return `STATES` pairs of joint positions (n,) [rad] along a closed path.
+
+    The second of a pair is a little further on the path; the tool's pose there is the target.
+    """
 
     def at(turn: float, phase: float) -> Array:
         wave = np.sin(turn + 0.9 * np.arange(arm.n) + phase)
@@ -95,7 +103,7 @@ def states(arm: Arm) -> list[tuple[Array, Array]]:
 
 
 def many(arm: Arm, count: int) -> Array:
-    """Return configurations (count, n) spread over the ranges by a golden-ratio sequence."""
+    """Return joint positions (count, n) [rad] over the joint ranges by a golden-ratio sequence."""
     fraction = (np.arange(count * arm.n) * 0.618033988749895) % 1.0
     return arm.lower + fraction.reshape(count, arm.n) * (arm.upper - arm.lower)
 
@@ -116,7 +124,7 @@ def _origin(origin: ET.Element | None) -> Array:
 
 
 def _z_to(axis: Array) -> Array:
-    """Return a rotation whose third column is `axis`."""
+    """Return a rotation matrix (3, 3) whose third column is the direction `axis` (3,)."""
     z = axis / np.linalg.norm(axis)
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [0.0, 0.0, 1.0], z)
     x /= np.linalg.norm(x)

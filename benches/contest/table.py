@@ -1,4 +1,4 @@
-"""Results of the comparison: one row per peer, as text and as a picture."""
+"""Table and picture of the comparison, with one row per implementation."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from pathlib import Path
 import numpy as np
 
 from contest.environments import ROOT
-from contest.turns import Racer
+from contest.turns import TimedProcess
 
 
 @dataclass(frozen=True)
 class Row:
-    """Medians of one peer.
+    """Results of one implementation, a row of the table.
 
     Attributes:
-        step, kinematics: Median over rounds [µs], the empty loop subtracted; NaN where not done.
-        tail: p99.9 of single steps [µs], the empty call subtracted.
-        batch: Millions of configurations a second and core.
-        ratio, kinematics_ratio: Time of the peer over that of pliant; median over the rounds.
+        name, version: Name of the implementation, and version of its library.
+        step, kinematics: Median time of a control step, and of pose and Jacobian, over the rounds
+            [µs], minus the time of the empty loop; NaN if the implementation lacks the function.
+        tail: 99.9th percentile of the time of single steps [µs], minus the median of empty calls.
+        batch: Millions of configurations per second, for which one core computes pose and Jacobian.
+        ratio, kinematics_ratio: `step` and `kinematics` over those of pliant in the same round,
+            median over the rounds.
     """
 
     name: str
@@ -35,36 +38,36 @@ class Row:
     kinematics_ratio: float
 
 
-def rows(racers: list[Racer]) -> list[Row]:
-    """Return the rows; the first racer is pliant, the base of the ratios."""
-    ours = racers[0]
+def rows(processes: list[TimedProcess]) -> list[Row]:
+    """Return one row per process; the first process must be pliant, the reference of the ratios."""
+    ours = processes[0]
     out = []
-    for racer in racers:
-        single = np.array(racer.singles.get("step/single", []))
-        empty = np.array(racer.singles.get("empty/single", [0.0]))
+    for timed in processes:
+        single = np.array(timed.singles.get("step/single", []))
+        empty = np.array(timed.singles.get("empty/single", [0.0]))
         tail = np.percentile(single, 99.9) - np.median(empty) if single.size else np.nan
         out.append(
             Row(
-                racer.name,
-                racer.version,
-                float(np.nanmedian(net(racer, "step"))) / 1e3,
+                timed.name,
+                timed.version,
+                float(np.nanmedian(net(timed, "step"))) / 1e3,
                 float(tail) / 1e3,
-                float(np.nanmedian(net(racer, "kinematics"))) / 1e3,
-                1e3 / float(np.nanmedian(racer.medians["batch/whole"])),
-                float(np.nanmedian(net(racer, "step") / net(ours, "step"))),
-                float(np.nanmedian(net(racer, "kinematics") / net(ours, "kinematics"))),
+                float(np.nanmedian(net(timed, "kinematics"))) / 1e3,
+                1e3 / float(np.nanmedian(timed.medians["batch/whole"])),
+                float(np.nanmedian(net(timed, "step") / net(ours, "step"))),
+                float(np.nanmedian(net(timed, "kinematics") / net(ours, "kinematics"))),
             )
         )
     return out
 
 
-def net(racer: Racer, task: str) -> np.ndarray:
-    """Return the time of a call in each round [ns], less that of the loop around it."""
-    return np.array(racer.medians[f"{task}/whole"]) - np.array(racer.medians["empty/whole"])
+def net(timed: TimedProcess, task: str) -> np.ndarray:
+    """Return the time of one call of a task in each round [ns], minus that of the empty loop."""
+    return np.array(timed.medians[f"{task}/whole"]) - np.array(timed.medians["empty/whole"])
 
 
 def where() -> str:
-    """Return a line with commit, processor, Python version and machine load."""
+    """Return a text with commit, processor, Python version and machine load."""
     commit = _git("rev-parse", "--short=12", "HEAD") or "unknown commit"
     if _git("status", "--porcelain", "--untracked-files=no"):
         commit += " with changes"
@@ -73,7 +76,7 @@ def where() -> str:
 
 
 def processor() -> str:
-    """Return the name of the processor, its family where Linux reports it."""
+    """Return name, family (if Linux reports it) and number of cores of the processor."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except OSError:
@@ -106,14 +109,18 @@ def markdown(found: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def floor(racers: list[Racer]) -> float:
-    """Return p99.9 of empty calls [µs] on this machine."""
-    empty = np.array(racers[0].singles.get("empty/single") or [np.nan])
+def floor(processes: list[TimedProcess]) -> float:
+    """Return the 99.9th percentile of the time of empty calls above their median [µs]."""
+    empty = np.array(processes[0].singles.get("empty/single") or [np.nan])
     return float(np.percentile(empty, 99.9) - np.median(empty)) / 1e3
 
 
 def plot(found: list[Row], path: Path, note: str) -> None:
-    """Draw the times on a logarithmic scale: left the step and its p99.9, right kinematics."""
+    """Draw the times of all rows on logarithmic axes into the file `path`.
+
+    The left plot has a line per step, from the median to the 99.9th percentile; the right plot has
+    the medians of pose and Jacobian. `note` is a text at the bottom.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -1,4 +1,7 @@
-"""Start the peers' processes, and time their tasks in rounds of random order."""
+"""Timing of the compared implementations: each runs in its own process, in rounds.
+
+In each round, every task of every implementation is timed once, in random order.
+"""
 
 from __future__ import annotations
 
@@ -18,22 +21,24 @@ from contest.environments import BUILD, OURS, PATHS, ROOT, Entry, python_for
 
 TASKS = ("kinematics", "step", "batch")
 TOLERANCE = 1e-9
-#: Libraries limited to one thread: a control loop uses one, and batches are compared per core.
+#: Prefixes of the environment variables ``..._NUM_THREADS``, which are set to 1: the comparison of
+#: batches is per core.
 ONE_THREAD = ("OMP", "OPENBLAS", "MKL", "NUMBA", "RAYON")
-#: Seconds of one turn.
-TURN = {"whole": 0.01, "single": 0.04}
+#: Time for which a task is timed in a round [s]: calls timed in blocks, and calls timed singly.
+TASK_TIME = {"whole": 0.01, "single": 0.04}
 
 
 @dataclass
-class Racer:
-    """A peer's process.
+class TimedProcess:
+    """Process of one compared implementation, with its measured times.
 
     Attributes:
-        entry: Its row.
-        version: Reported version.
-        medians: By task, the median time of a call in each round [ns]; NaN for a round in which
-            every block was disturbed.
-        singles: By task, times of single calls over all rounds [ns].
+        entry: Description of the implementation.
+        process: The process, which runs `contest.worker`.
+        version: Name and version that the implementation reports.
+        medians: Median time of a call over the blocks of each round [ns], by task; NaN if the
+            thread had to wait for the CPU in every block of the round.
+        singles: Times of all calls that were timed singly [ns], by task.
     """
 
     entry: Entry
@@ -44,7 +49,7 @@ class Racer:
 
     @property
     def name(self) -> str:
-        """Name in the table; pliant's with the instructions in use."""
+        """Name of the implementation in the table; pliant's contains the instruction set in use."""
         if self.entry not in OURS:
             return self.entry.name
         chosen = self.version.rpartition(", ")[2]
@@ -52,9 +57,10 @@ class Racer:
 
     @classmethod
     def start(cls, entry: Entry) -> tuple[Self | None, str]:
-        """Start a peer and verify its results.
+        """Start the process of an implementation, and compare its results with the reference.
 
-        Return the racer and an empty string, or None and the reason for which it cannot be timed.
+        Returns:
+            The process and an empty string; or None and the reason why it cannot be timed.
         """
         try:
             python = python_for(entry)
@@ -77,26 +83,26 @@ class Racer:
             text=True,
             env=environment,
         )
-        racer = cls(entry, process)
-        first = racer._answer()
+        timed = cls(entry, process)
+        first = timed._answer()
         if "missing" in first:
             return None, first["missing"]
         wrong = disagreement(first["results"])
         if wrong:
-            racer.stop()
+            timed.stop()
             return None, f"DISAGREES with the reference: {wrong}"
-        racer.version = first["version"]
-        return racer, ""
+        timed.version = first["version"]
+        return timed, ""
 
     def ask(self, task: str, seconds: float) -> list[float]:
-        """Time a task in the peer's process for about `seconds`; return times per call [ns]."""
+        """Time a task in the process for about `seconds`; return times per call [ns]."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"task": task, "seconds": seconds}) + "\n")
         self.process.stdin.flush()
         return list(self._answer())
 
     def stop(self) -> None:
-        """End the process."""
+        """Close the input of the process, which ends it, and wait for its end."""
         assert self.process.stdin is not None
         self.process.stdin.close()
         self.process.wait(timeout=10)
@@ -108,7 +114,15 @@ class Racer:
 
 
 def disagreement(results: dict[str, Any]) -> str:
-    """Describe results that differ from the NumPy reference by more than 1e-9; "" if none does."""
+    """Compare results with those of the NumPy reference.
+
+    Args:
+        results: Results of each task, from `contest.worker`.
+
+    Returns:
+        Text with the tasks whose results differ by more than `TOLERANCE`, and the differences; ""
+        if there are none.
+    """
     arm = problem.bench_arm()
     reference = numpy_peer.make()
     assert reference.kinematics is not None
@@ -131,24 +145,27 @@ def disagreement(results: dict[str, Any]) -> str:
     return ", ".join(said)
 
 
-def race(racers: list[Racer], rounds: int) -> None:
-    """Run all turns, in a new random order in every round."""
+def run_rounds(processes: list[TimedProcess], rounds: int) -> None:
+    """Time all tasks of all implementations in every round, in a new random order each time.
+
+    The times are stored in the processes' `medians` and `singles`.
+    """
     draw = random.Random(20260101)
     turns = [
-        (racer, f"{task}/{kind}", kind)
-        for racer in racers
+        (timed, f"{task}/{kind}", kind)
+        for timed in processes
         for task in ("empty", *TASKS)
-        for kind in TURN
+        for kind in TASK_TIME
         if not (task == "batch" and kind == "single")
     ]
     for number in range(rounds):
         draw.shuffle(turns)
-        for racer, task, kind in turns:
-            times = racer.ask(task, TURN[kind])
+        for timed, task, kind in turns:
+            times = timed.ask(task, TASK_TIME[kind])
             if kind == "single":
-                racer.singles.setdefault(task, []).extend(times)
+                timed.singles.setdefault(task, []).extend(times)
             else:
                 median = statistics.median(times) if times else float("nan")
-                racer.medians.setdefault(task, []).append(median)
+                timed.medians.setdefault(task, []).append(median)
         print(f"\r   round {number + 1} of {rounds}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)

@@ -1,8 +1,9 @@
-"""One peer in a process of its own: verifies, then times blocks on request.
+"""Program of a process that runs one compared implementation and times it on request.
 
-Requests and replies are JSON lines on the standard streams. Calls are timed in short blocks. A
-block during which the thread waited for the CPU, by the scheduler's counter, is not reported. A
-batch takes too long to run without such waits, so its CPU time is reported instead.
+First it sends the implementation's results, for comparison with the reference. Requests and replies
+are JSON lines on the standard streams. Calls are timed in short blocks. A block is discarded if the
+thread had to wait for the CPU meanwhile, according to the scheduler's counter. A batch takes too
+long to run without such waits, so its CPU time is measured.
 """
 
 from __future__ import annotations
@@ -20,13 +21,14 @@ from typing import Any
 import numpy as np
 
 from contest import numpy_peer, problem
-from contest.peer import Peer
+from contest.peer import Implementation
 
-#: True if the process is tied to one core; False for a peer that computes in its own threads.
+#: True if the process is tied to one core; False for a library that computes in its own threads.
 PINNED = os.environ.get("PEERS_PIN") != "0"
-#: Duration of a block [ns], shorter than a time slice of the scheduler, and maximum calls in it.
+#: Approximate duration of a timed block of calls [ns], shorter than a time slice of the scheduler;
+#: and largest number of calls in a block.
 BLOCK_TIME, BLOCK_CALLS = 300_000, 4 * problem.STATES
-#: Source code of two loops: one times all its calls together, the other each call separately.
+#: Source code of a timed block: `WHOLE` times all its calls together, `SINGLE` times each call.
 WHOLE = """
 def block():
     pairs = next(chunks)
@@ -47,14 +49,17 @@ def block():
 
 
 def chunks(pairs: list[Any], count: int) -> Iterator[list[Any]]:
-    """Yield `count` states at a time, all of them in turn, without end."""
+    """Return an endless iterator of lists, each with the next `count` of the states `pairs`."""
     states = itertools.cycle(pairs)
     ready = [list(itertools.islice(states, count)) for _ in pairs]
     return itertools.cycle(ready)
 
 
-def blocks_of(peer: Peer, pairs: list[Any]) -> dict[str, Callable[[], list[float]]]:
-    """Return timed loops by task; `empty` ones have no body."""
+def blocks_of(peer: Implementation, pairs: list[Any]) -> dict[str, Callable[[], list[float]]]:
+    """Return by task a function that runs one timed block and returns times per call [ns].
+
+    `pairs` are the states: joint positions and target poses.
+    """
     calls = {"empty": ("pass", None)}
     if peer.kinematics:
         calls["kinematics"] = (peer.kinematics_call, peer.kinematics)
@@ -84,7 +89,10 @@ def blocks_of(peer: Peer, pairs: list[Any]) -> dict[str, Callable[[], list[float
 
 
 def waited() -> int:
-    """Return the time [ns] for which this thread was ready without a CPU; 0 if not reported."""
+    """Return the total time [ns] for which this thread was ready to run but had no CPU.
+
+    The value is 0 if the system does not report it.
+    """
     try:
         with open("/proc/thread-self/schedstat", encoding="ascii") as file:
             return int(file.read().split()[1])
@@ -92,8 +100,11 @@ def waited() -> int:
         return 0
 
 
-def results(peer: Peer, pairs: list[Any]) -> dict[str, Any]:
-    """Return results for the comparison with the reference."""
+def results(peer: Implementation, pairs: list[Any]) -> dict[str, Any]:
+    """Return the results of an implementation as lists, by task, for comparison with a reference.
+
+    `pairs` are the states: joint positions and target poses.
+    """
     found: dict[str, Any] = {}
     if peer.kinematics:
         found["kinematics"] = [
@@ -112,9 +123,10 @@ def results(peer: Peer, pairs: list[Any]) -> dict[str, Any]:
 
 
 def run(blocks: dict[str, Callable[[], list[float]]], task: str, seconds: float) -> list[float]:
-    """Run a task's blocks for about `seconds`, at least one; return times per call [ns].
+    """Run blocks of a task for about `seconds`; return times per call [ns].
 
-    Disturbed blocks are left out.
+    Blocks in which the thread had to wait for the CPU are discarded, except those of batches and of
+    a process that is not tied to one core.
     """
     block, times = blocks.get(task), []
     if block is None:
@@ -131,7 +143,11 @@ def run(blocks: dict[str, Callable[[], list[float]]], task: str, seconds: float)
 
 
 def main() -> None:
-    """Serve until the input ends. Argument: module and function that make the peer."""
+    """Send the implementation's results, then process timing requests until the input ends.
+
+    The command-line argument names the function that returns the implementation, as
+    `module:function`.
+    """
     if PINNED and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")

@@ -73,11 +73,13 @@ MODULES = {
     "robots": "Arms that ship with the package",
     "identify": "Servos, payload and delay from the arm itself",
     "teach": "Motions led by hand, and their replay",
+    "teleop": "Following of a leader arm or a policy",
     "log": "Logs",
     "config": "Arms described in files",
     "servo": "Servos and their buses",
     "emulator": "Emulated servos on a serial port",
     "sim": "The simulated arm",
+    "gym": "Gymnasium environments",
 }
 
 

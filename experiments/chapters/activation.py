@@ -1,4 +1,4 @@
-"""Chapter 1: activation matrices of the two grasp poses (Fig. 3)."""
+"""Chapter 1 of the report: activation matrices of the two grasp poses (Fig. 3 of the paper)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ JOINTS = (
 )
 POSES: Mapping[str, Array] = {"vertical": VERTICAL, "horizontal": HORIZONTAL}
 COLUMNS = (*AXES, "null")
-#: The same matrices from an independent implementation (NumPy and Pinocchio), rounded to three
+#: Activation matrices from an independent implementation (NumPy and Pinocchio), rounded to three
 #: digits.
 REFERENCE: Mapping[str, tuple[tuple[float, ...], ...]] = {
     "vertical": (
@@ -67,15 +67,15 @@ REFERENCE: Mapping[str, tuple[tuple[float, ...], ...]] = {
 
 
 def matrix(pose: str, *, damped: bool = False) -> Array:
-    """Return the activation matrix (7, 7) of a grasp pose, read from the controller.
+    """Return the activation matrix (7, 7) of a grasp pose, from the controller's diagnostics.
 
     Args:
         pose: `vertical` or `horizontal`.
-        damped: True: with the damping of the other chapters. The reference was made without
-            damping.
+        damped: True uses the singularity damping of the other chapters; False uses none, like
+            `REFERENCE`.
 
     Returns:
-        Shares of joints (rows) in task axes and null space (columns).
+        Share of each joint (row) in each task axis and in the null space (columns).
     """
     q = POSES[pose]
     settings = (
@@ -90,7 +90,7 @@ def matrix(pose: str, *, damped: bool = False) -> Array:
 
 
 def jobs(options: Options) -> list[Job]:
-    """Return two jobs per pose: without damping, as drawn, and with that of the other chapters."""
+    """Return two jobs per pose, without and with singularity damping."""
     return [
         *(Job(pose, matrix, (pose,)) for pose in POSES),
         *(Job(f"{pose} damped", matrix, (pose,), {"damped": True}) for pose in POSES),
@@ -98,7 +98,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Array]) -> Numbers:
-    """Return the matrices and their distance from the reference."""
+    """Return the matrices, and their largest differences from `REFERENCE` and by damping."""
     return {
         "joints": list(JOINTS),
         "columns": list(COLUMNS),
@@ -113,7 +113,7 @@ def measure(outcomes: Mapping[str, Array]) -> Numbers:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Judge the statements about Fig. 3."""
+    """Return the chapter with the paper's statements about Fig. 3."""
     share = {pose: np.array(numbers["activation"][pose]) for pose in POSES}
     worst = max(numbers["largest_difference"].values())
     figure = Figure(
@@ -142,13 +142,19 @@ def chapter(numbers: Numbers) -> Chapter:
 
 
 def _top(column: Array, count: int) -> str:
-    """Describe the largest entries of a column."""
+    """Return the `count` joints with the largest shares in a column, with the shares, as text."""
     order = np.argsort(-column)[:count]
     return listed([f"{JOINTS[i]} {column[i]:.2f}" for i in order])
 
 
 def _lead(column: Array, wanted: tuple[int, ...], ignored: tuple[int, ...] = ()) -> float:
-    """Return the smallest share of the wanted joints less the largest share of the others."""
+    """Return the smallest share of the wanted joints minus the largest share of the others.
+
+    Args:
+        column: Shares of the joints (7,) in one task axis.
+        wanted: Indices of the joints whose shares should be the largest.
+        ignored: Indices of joints that count neither as wanted nor as others.
+    """
     rest = [i for i in range(7) if i not in {*wanted, *ignored}]
     return float(column[list(wanted)].min() - column[rest].max())
 
@@ -226,19 +232,19 @@ def _study(worst: float) -> Statement:
 
 
 def draw(outcomes: Mapping[str, Array], options: Options) -> None:
-    """Draw the matrices beside the postures."""
+    """Draw the activation matrix of each grasp pose beside a picture of the arm in this pose."""
     draw_matrices(outcomes, POSES, JOINTS, COLUMNS, options.figures)
 
 
 # --- Fig. 3: activation matrices as annotated heat maps, each beside its posture ---
 
-#: Colour scale up to the blue of the common style. The colours of the text on it are fixed, so that
-#: they do not change with the theme.
+#: Colour scale of the heat maps.
 SHADES = LinearSegmentedColormap.from_list("shares", ["#f3f7fb", "#9ecae1", BLUE, "#08306b"])
+#: Colours of the text on light cells and on dark cells.
 DARK, PALE = "#1b1f25", "#fefefe"
-#: Shares from this value on have the darkest colour.
+#: Cells with at least this share of a joint have the darkest colour.
 FULL = 0.55
-#: Camera of the postures; a bar in the hand distinguishes the grasps.
+#: Arguments of `Studio` for the pictures of the grasp poses; `handle` draws a bar in the hand.
 VIEW: dict[str, Any] = {
     "look_at": (0.19, 0.0, -0.17),
     "distance": 0.82,
@@ -257,13 +263,13 @@ def draw_matrices(
     columns: Sequence[str],
     folder: Path,
 ) -> None:
-    """Draw `1-activation`.
+    """Draw the figure `1-activation`: one row per pose, with a picture and the matrix.
 
     Args:
-        matrices: Activation matrix (n, k + 1) per pose.
+        matrices: Activation matrix per pose: (n, k + 1) for n joints and k task axes.
         poses: Joint positions (n,) [rad] per pose.
-        joints: Names of the rows.
-        columns: Names of the columns.
+        joints: Names of the matrix rows.
+        columns: Names of the matrix columns.
         folder: Target folder.
     """
     with canvas(2, 2, size=(WIDE, 7.2), width_ratios=[1.0, 1.75]) as (figure, axes):
@@ -276,7 +282,10 @@ def draw_matrices(
 def posture(
     model: Any, q: Array, *, servos: Any | None = None, **view: Any
 ) -> NDArray[np.uint8] | None:
-    """Return a picture of a posture, None without a drawing backend; `view` is optional."""
+    """Return a picture of an arm at q (n,) [rad]; None if off-screen rendering is not possible.
+
+    `view` has arguments of `Studio`; by default the camera shows the whole arm from its side.
+    """
     plant = Plant(model, servos)
     plant.reset(q)
     view = view or beside(plant)
@@ -288,7 +297,7 @@ def posture(
 
 
 def beside(plant: Plant) -> dict[str, Any]:
-    """Return a camera position that sees the whole arm from its side."""
+    """Return arguments of `Studio` for a camera that shows the whole arm from its side."""
     places = plant.mj_data.site_xpos
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
     radius = float(np.linalg.norm(places - middle, axis=1).max())
@@ -303,7 +312,7 @@ def beside(plant: Plant) -> dict[str, Any]:
 
 
 def show(ax: Axes, picture: NDArray[np.uint8] | None, title: str) -> None:
-    """Put a picture into axes without frame."""
+    """Put a picture with a title into axes without a frame; for None write that it is missing."""
     ax.set_axis_off()
     ax.set_title(title)
     if picture is None:
@@ -313,7 +322,10 @@ def show(ax: Axes, picture: NDArray[np.uint8] | None, title: str) -> None:
 
 
 def heat(ax: Axes, matrix: Array, joints: Sequence[str], columns: Sequence[str]) -> None:
-    """Draw a matrix with its numbers; the last column stands apart."""
+    """Draw an activation matrix as a heat map with numbers; a gap precedes the last column.
+
+    The last column belongs to the null space. `joints` and `columns` name rows and columns.
+    """
     rows, count = matrix.shape
     left = np.arange(count, dtype=np.float64)
     left[-1] += GAP

@@ -1,4 +1,7 @@
-"""Chapter 6: caps in newtons, in random poses of our three arms; a part of the cap campaign."""
+"""Chapter 6 of the report: accuracy of force caps in random poses of three arms.
+
+The runs are a part of those of `experiments.campaign`, which defines the terms.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +23,21 @@ if TYPE_CHECKING:
 
 NUMBER = 6
 TITLE = "Are the caps kept?"
-#: Number of poses of each arm: the first poses of the campaign.
+#: Number of poses of each arm; they are the first poses of the campaign.
 POSES = {"arm7": 12, "so101": 6, "koch": 6}
-#: Arm and pose index of a quick run; no joint is near its stop there.
+#: Arm and pose index of the only run with option `quick`; all joints are clear of their stops.
 QUICK = ("arm7", 2)
+#: Attributes of `campaign.Row` that the report shows.
 FIGURES = ("poses", "cases", "refused", "kept", "kept_clear", "stopped", "median", "p95")
 
 
 def promises(arm: str, pose: int) -> list[Promise]:
-    """Measure every axis, sign and cap in one pose, the other axes free and guided."""
+    """Return the results of all pushes on one arm in one pose, without a disturbance."""
     return Poses(arm, UNDISTURBED, pose).run()
 
 
 def jobs(options: Options) -> list[Job]:
-    """Return one job per pose."""
+    """Return one job for each arm and pose."""
     places = [(arm, i) for arm, count in POSES.items() for i in range(min(count, _drawn(arm)))]
     if options.quick:
         places = [QUICK]
@@ -52,13 +56,13 @@ def _by_arm(outcomes: Mapping[str, Sequence[Promise]]) -> dict[str, list[Promise
 
 
 def measure(outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
-    """Return shares and errors per arm."""
+    """Return the statistics `FIGURES` of each arm."""
     rows = {a: table.summary(a, "nominal", found) for a, found in _by_arm(outcomes).items()}
     return {arm: {name: getattr(row, name) for name in FIGURES} for arm, row in rows.items()}
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Judge the caps of our arms."""
+    """Return the chapter with statements about the accuracy of the caps."""
     arm7 = numbers["arm7"]
     clear = band(
         claim="With no joint near its stop the push-back is the cap, within 15 % and what the "
@@ -110,7 +114,7 @@ def chapter(numbers: Numbers) -> Chapter:
 
 
 def draw(outcomes: Mapping[str, Sequence[Promise]], options: Options) -> None:
-    """Draw the distribution by axis and by arm."""
+    """Draw the distributions of the force errors, by axis on `arm7` and by arm."""
     from experiments import campaign
 
     found = _by_arm(outcomes)

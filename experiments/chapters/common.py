@@ -1,8 +1,4 @@
-"""Shared code of the chapters.
-
-It has picklable calls of the scenarios, return time and speed computed from a trace, and the style
-of the plots: colours of the control laws, labels beside points, and shaded time spans.
-"""
+"""Shared code of the report's chapters: runs, return time and speed of an axis, plot helpers."""
 
 from __future__ import annotations
 
@@ -26,9 +22,10 @@ if TYPE_CHECKING:
 
     Grid = NDArray[np.object_]
 
-#: Deviation below which an axis counts as back at its target: translations [m], rotations [rad].
-BACK = (0.015, 0.06)
-#: Time at which the hands let go [s].
+#: An axis counts as returned to its target below this deviation: translations [m],
+#: rotations [rad].
+RETURN_TOLERANCE = (0.015, 0.06)
+#: Time at which the hands release the arm [s].
 RELEASE = 5.0
 
 
@@ -37,8 +34,8 @@ class Options:
     """Options of the demo.
 
     Attributes:
-        quick: True: the fewest runs that exercise everything once.
-        figures: Folder of the pictures.
+        quick: True makes only a few runs, which execute all code once.
+        figures: Folder for the pictures.
     """
 
     quick: bool = False
@@ -46,28 +43,35 @@ class Options:
 
 
 def drag(law: Callable[[], Law], *args: Any, **kwargs: Any) -> disturbances.DragResult:
-    """Run `disturbances.drag` with a law that is made in the process that uses it."""
+    """Run `disturbances.drag` with the law that the factory `law` returns; return its result.
+
+    With a factory, the process that runs the job makes the settings.
+    """
     return disturbances.drag(law(), *args, **kwargs)
 
 
 def track(law: Callable[[], Law], *args: Any, **kwargs: Any) -> tracking.TrackResult:
-    """Run `tracking.track` with a law that is made in the process that uses it."""
+    """Run `tracking.track` with the law that the factory `law` returns; return its result.
+
+    With a factory, the process that runs the job makes the settings.
+    """
     return tracking.track(law(), *args, **kwargs)
 
 
-def returned(trace: Trace, axis: int, *, release: float = RELEASE) -> float | None:
-    """Return the time from the release until an axis stays back [s]; None if it does not.
+def return_time(trace: Trace, axis: int, *, release: float = RELEASE) -> float | None:
+    """Return the time from the release until an axis has returned to its target for good [s].
 
     Args:
-        trace: A run in which a hand lets go at `release`.
+        trace: Run in which a hand releases the arm.
         axis: Index of the task axis.
         release: Time of the release [s].
 
     Returns:
-        Time until the deviation stays below `BACK`.
+        Time from the release until the deviation is below `RETURN_TOLERANCE` and stays there; None
+        if the deviation is above it at the end of the run.
     """
     after = trace.t > release
-    away = np.abs(trace.error[after, axis]) > BACK[axis // 3]
+    away = np.abs(trace.error[after, axis]) > RETURN_TOLERANCE[axis // 3]
     times = trace.t[after]
     if not away.any():
         return 0.0
@@ -84,13 +88,13 @@ def return_speed(trace: Trace, axis: int, *, release: float = RELEASE) -> float:
 
 
 def seconds(time: float | None) -> str:
-    """Format a time [s]; for None, state that the axis does not return."""
+    """Format a return time [s] as text: "stays" for None, which means no return."""
     return "stays" if time is None else f"{time:.1f} s"
 
 
-# --- Style of the experiments' figures: colours of the laws, labels beside points, marked spans ---
+# --- Plot helpers ---
 
-#: Colours of controllers in all figures.
+#: Colour of each family of control methods in all figures.
 LAW_COLOURS = {
     "paper": RED,
     "paper + gravity": ORANGE,
@@ -102,21 +106,21 @@ LAW_COLOURS = {
 }
 
 
-#: Offsets of a label from its point (dx, dy) [pt], in the order in which they are tried.
+#: Offsets (dx, dy) of a label from its point [pt], in the order in which they are tried.
 PLACES = tuple((side * 8, dy) for dy in (0, 10, -10, 20, -20, 30, -30) for side in (1, -1))
 
 
 def label_points(
     ax: Axes, points: Sequence[tuple[float, float, str, str]], *, size: float = 7.5
 ) -> None:
-    """Write a label beside each point, at the first of `PLACES` where it covers nothing.
+    """Write a label beside each point, at the first offset of `PLACES` without an overlap.
 
-    A label without such a place is written at the right of its point. A label that is displaced
-    vertically gets a line to its point.
+    If the label overlaps something at every offset, it is put to the right of its point. A label
+    above or below its point gets a line to the point.
 
     Args:
-        ax: Axes whose limits are final.
-        points: x and y of the point in data units, text and colour of its label.
+        ax: Axes, whose limits must not change afterwards.
+        points: x and y of each point in data units, text and colour of its label.
         size: Font size [pt].
     """
     figure = ax.get_figure(root=True)
@@ -158,8 +162,8 @@ def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
-def room(row: Grid, share: float) -> None:
-    """Widen the y range of axes that share it by `share` of the curves' range at either end."""
+def pad_y_range(row: Grid, share: float) -> None:
+    """Set the common y range of a row of plots: the data's range plus `share` of it at each end."""
     limits = [value for ax in row for value in ax.dataLim.intervaly if np.isfinite(value)]
     low, high = min(limits), max(limits)
     free = share * (high - low)
@@ -167,7 +171,7 @@ def room(row: Grid, share: float) -> None:
 
 
 def shade(ax: Axes, start: float, end: float, text: str = "") -> None:
-    """Shade the span from `start` to `end` [s], with an optional text at its top."""
+    """Shade the time span from `start` to `end` [s], with an optional text at its top."""
     ax.axvspan(start, end, color=MUTED, alpha=0.10, linewidth=0)
     if text:
         ax.annotate(

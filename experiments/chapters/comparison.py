@@ -1,4 +1,4 @@
-"""Chapter 5: six control methods under the same hand."""
+"""Chapter 5 of the report: control methods compared under the same hand."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from matplotlib.lines import Line2D
 
 from experiments import controllers
 from experiments.chapters.common import (
-    BACK,
     LAW_COLOURS,
     RELEASE,
+    RETURN_TOLERANCE,
     Options,
     drag,
     label_points,
     return_speed,
-    returned,
+    return_time,
     seconds,
     shade,
 )
@@ -38,7 +38,7 @@ from experiments.runner import Job
 from experiments.simulation import NOMINAL
 from pliant._report.page import Table
 from pliant._report.style import WIDE, canvas, label_end, save, thin
-from pliant.sim.hand import STRONG
+from pliant.sim.hand import DRAG_80N
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -54,15 +54,15 @@ TITLE = "Against other ways"
 
 
 @dataclass(frozen=True)
-class Way:
-    """A control method and its presentation.
+class Method:
+    """Control method of the comparison, and its presentation.
 
     Attributes:
-        name: In tables and figures.
-        make: Makes the law.
-        family: Colour of the figures: stiff, uniform, paper, cap, impedance.
-        rate: Control rate [Hz]; 1000 for the torque-controlled arm.
-        delay: Ticks from sampling to reading, and ticks from writing to arrival at the servo.
+        name: Name in tables and figures.
+        make: Factory of the control law.
+        family: Family of the method, which determines its colour: a key of `LAW_COLOURS`.
+        rate: Control rate [Hz]; 1000 for methods that need a torque-controlled arm.
+        delay: Delays of readings and of commands [control periods].
     """
 
     name: str
@@ -72,40 +72,43 @@ class Way:
     delay: tuple[int, int] = (0, 0)
 
 
-#: Spring of the methods that return to the target [N/m]; 15 N at the distance of the hand.
+#: Stiffness [N/m] of the spring to the target in methods "100 N/m in y". The spring exerts 15 N
+#: when the hand has moved the tool by 0.15 m.
 SPRING = 100.0
 
-WAYS: Mapping[str, Way] = {
-    "stiff": Way("stiff position control", controllers.stiff_joints, "stiff"),
-    "uniform 50": Way("all limits at 50 %", partial(controllers.uniform_limit, 0.5), "uniform"),
-    "uniform 30": Way("all limits at 30 %", partial(controllers.uniform_limit, 0.3), "uniform"),
-    "paper literal": Way(
+METHODS: Mapping[str, Method] = {
+    "stiff": Method("stiff position control", controllers.stiff_joints, "stiff"),
+    "uniform 50": Method("all limits at 50 %", partial(controllers.uniform_limit, 0.5), "uniform"),
+    "uniform 30": Method("all limits at 30 %", partial(controllers.uniform_limit, 0.3), "uniform"),
+    "paper literal": Method(
         "paper, limits only, η 0", partial(controllers.limits_only, 10.0), "paper"
     ),
-    "paper 0": Way("paper, η 0", partial(controllers.paper, 10.0, eta=0.0), "paper"),
-    "paper 0.9": Way("paper, η 0.9", partial(controllers.paper, 10.0, eta=0.9), "paper"),
-    "paper 0.999": Way("paper, η 0.999", partial(controllers.paper, 10.0, eta=0.999), "paper"),
-    "gravity 0.999": Way("paper + gravity, η 0.999", controllers.rec, "paper + gravity"),
-    "cap 0": Way("cap, η 0", partial(controllers.cap, eta=0.0), "cap"),
-    "cap 0.9": Way("cap, η 0.9", partial(controllers.cap, eta=0.9), "cap"),
-    "cap 0.999": Way("cap, η 0.999", controllers.cap, "cap"),
-    "cap delayed": Way("cap, η 0.999, delayed", controllers.cap, "cap", delay=(1, 1)),
-    "springs": Way("law impedance", controllers.impedance, "impedance"),
-    "impedance": Way("torque impedance, 1 kHz", controllers.torque_impedance, "impedance", 1000.0),
-    "impedance compensated": Way(
+    "paper 0": Method("paper, η 0", partial(controllers.paper, 10.0, eta=0.0), "paper"),
+    "paper 0.9": Method("paper, η 0.9", partial(controllers.paper, 10.0, eta=0.9), "paper"),
+    "paper 0.999": Method("paper, η 0.999", partial(controllers.paper, 10.0, eta=0.999), "paper"),
+    "gravity 0.999": Method("paper + gravity, η 0.999", controllers.rec, "paper + gravity"),
+    "cap 0": Method("cap, η 0", partial(controllers.cap, eta=0.0), "cap"),
+    "cap 0.9": Method("cap, η 0.9", partial(controllers.cap, eta=0.9), "cap"),
+    "cap 0.999": Method("cap, η 0.999", controllers.cap, "cap"),
+    "cap delayed": Method("cap, η 0.999, delayed", controllers.cap, "cap", delay=(1, 1)),
+    "springs": Method("law impedance", controllers.impedance, "impedance"),
+    "impedance": Method(
+        "torque impedance, 1 kHz", controllers.torque_impedance, "impedance", 1000.0
+    ),
+    "impedance compensated": Method(
         "the same, friction compensated",
         partial(controllers.torque_impedance, compensated=True),
         "impedance",
         1000.0,
     ),
-    "impedance spring": Way(
+    "impedance spring": Method(
         "the same, 100 N/m in y",
         partial(controllers.torque_impedance, compensated=True, spring=SPRING),
         "impedance",
         1000.0,
     ),
-    "admittance": Way("admittance by current", controllers.by_current, "admittance"),
-    "admittance spring": Way(
+    "admittance": Method("admittance by current", controllers.by_current, "admittance"),
+    "admittance spring": Method(
         "admittance, 100 N/m in y", partial(controllers.by_current, spring=SPRING), "admittance"
     ),
 }
@@ -113,19 +116,25 @@ QUICK = ("stiff", "uniform 30", "paper literal", "paper 0.999", "cap 0", "cap 0.
 
 
 def jobs(options: Options) -> list[Job]:
-    """Return the runs of every method, pushed toward + and toward −."""
+    """Return the runs: every method against a hand that drags toward +y and toward -y.
+
+    With option `quick`, only the methods `QUICK` are run, toward +y. The runs of `stress_jobs` are
+    added.
+    """
     signs = (1,) if options.quick else (1, -1)
     plain = [
         Job(
             f"{key}/{sign:+d}",
             drag,
-            (WAYS[key].make, replace(STRONG, distance=sign * STRONG.distance)),
-            {"conditions": replace(NOMINAL, rate=WAYS[key].rate, delay=WAYS[key].delay)},
+            (METHODS[key].make, replace(DRAG_80N, distance=sign * DRAG_80N.distance)),
+            {"conditions": replace(NOMINAL, rate=METHODS[key].rate, delay=METHODS[key].delay)},
         )
-        for key in (QUICK if options.quick else WAYS)
+        for key in (QUICK if options.quick else METHODS)
         for sign in signs
     ]
-    return plain + stress_jobs({key: WAYS[key] for key in WAYS if f"{key}/+1" in _keys(plain)})
+    return plain + stress_jobs(
+        {key: METHODS[key] for key in METHODS if f"{key}/+1" in _keys(plain)}
+    )
 
 
 def _keys(jobs: list[Job]) -> set[str]:
@@ -133,7 +142,7 @@ def _keys(jobs: list[Job]) -> set[str]:
 
 
 def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
-    """Return numbers by method: the worse of the two directions."""
+    """Return the numbers of each method; each is the worse one of the two drag directions."""
     gathered: dict[str, list[dict[str, float | None]]] = {}
     for name, run in outcomes.items():
         key, what = name.split("/")
@@ -153,7 +162,7 @@ def _one(run: DragResult) -> dict[str, float | None]:
         "drift": run.drift,
         "position": run.position,
         "rotation": run.rotation,
-        "returned": returned(trace, 1),
+        "returned": return_time(trace, 1),
         "left": abs(float(trace.error[-1, 1])),
         "crept": abs(float(trace.moved[-1, 1] - trace.moved[trace.at(RELEASE), 1])),
         "return_speed": return_speed(trace, 1),
@@ -171,7 +180,7 @@ def _worse(ones: list[dict[str, float | None]]) -> dict[str, float | None]:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Compare the methods."""
+    """Return the chapter that compares the methods."""
     figure = Figure(
         file="5-comparison",
         title="Force to move it, and what the stiff axes do meanwhile",
@@ -194,7 +203,10 @@ def chapter(numbers: Numbers) -> Chapter:
         "limits turned down, the paper's law, the default law, springs on the same servos, an arm "
         "that can command torques, and one that reads forces from its motors' currents.",
         figures=(figure,),
-        tables=(_table(numbers), stress_table(numbers, {key: WAYS[key].name for key in numbers})),
+        tables=(
+            _table(numbers),
+            stress_table(numbers, {key: METHODS[key].name for key in numbers}),
+        ),
         numbers=numbers,
         headline=(
             (
@@ -247,7 +259,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
             claim="Law cap keeps its promise: with η = 0 and a cap of 15 N the hand meets 15 N, "
             "and the arm comes back.",
             outcome=f"Held with {firm['held']:.1f} N, drift {mm(firm['drift'])}; back within "
-            f"{mm(BACK[0])} after {seconds(firm['returned'])}.",
+            f"{mm(RETURN_TOLERANCE[0])} after {seconds(firm['returned'])}.",
             tests=(
                 between("held", firm["held"], 11.5, 18.5, "N"),
                 at_most("drift", firm["drift"], 0.005, "m"),
@@ -260,7 +272,7 @@ def _statements(numbers: Numbers) -> tuple[Statement, ...]:
 def _table(numbers: Numbers) -> Table:
     rows = [
         (
-            WAYS[key].name,
+            METHODS[key].name,
             f"{one['force']:.1f} N",
             f"{one['held']:.1f} N",
             mm(one["drift"]),
@@ -290,21 +302,21 @@ def _table(numbers: Numbers) -> Table:
 
 
 def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
-    """Draw force against drift, and y over time."""
-    shown = {key: WAYS[key] for key in WAYS if f"{key}/+1" in outcomes}
+    """Draw `5-comparison`: force against drift of each method, and y over time of some."""
+    shown = {key: METHODS[key] for key in METHODS if f"{key}/+1" in outcomes}
     numbers = measure(outcomes)
     traces = {key: outcomes[f"{key}/+1"].trace for key in shown}
     draw_comparison(numbers, traces, shown, options.figures)
 
 
-# --- The same hand under a fault: a host that stalls, gears unlike their table ---
+# --- The same hand with a stalled host, and with wrong assumptions about friction ---
 
-#: Time at which the host is silent, while the hand moves [s].
+#: Start and end of the time in which the host neither reads nor writes, while the hand moves [s].
 STALL = (2.6, 3.6)
-#: True friction and damping over those of the servo table: for tight, and for loose gears.
+#: True over assumed friction and damping of the gears: more than assumed, less than assumed.
 TIGHT, LOOSE = 1.0 / 0.7, 1.0 / 1.3
-#: Methods that are run: one of each kind.
-WHO = (
+#: Keys of the methods that run with a stalled host and with wrong friction, one of each kind.
+STRESS_METHODS = (
     "stiff",
     "uniform 30",
     "paper 0.999",
@@ -316,16 +328,20 @@ WHO = (
 )
 
 
-def stress_jobs(ways: Mapping[str, Way]) -> list[Job]:
-    """Return three runs for each available method of `WHO`."""
+def stress_jobs(ways: Mapping[str, Method]) -> list[Job]:
+    """Return three runs for each method of `STRESS_METHODS` that is in `ways`.
+
+    The host stalls in the first run. The true friction is higher than assumed in the second, and
+    lower in the third.
+    """
     out = []
-    for key in WHO:
+    for key in STRESS_METHODS:
         if key not in ways:
             continue
         nominal = replace(NOMINAL, rate=ways[key].rate)
         for what, conditions in _stresses(nominal).items():
             out.append(
-                Job(f"{key}/{what}", drag, (ways[key].make, STRONG), {"conditions": conditions})
+                Job(f"{key}/{what}", drag, (ways[key].make, DRAG_80N), {"conditions": conditions})
             )
     return out
 
@@ -339,7 +355,7 @@ def _stresses(nominal: Conditions) -> dict[str, Conditions]:
 
 
 def stress_measure(key: str, outcomes: Mapping[str, DragResult]) -> dict[str, float | None]:
-    """Compute the figures of one method; empty for a method that was not run."""
+    """Return the numbers of one method in the runs of `stress_jobs`; empty if it has none."""
     if f"{key}/stall" not in outcomes:
         return {}
     stall, tight, loose = (outcomes[f"{key}/{what}"] for what in ("stall", "tight", "loose"))
@@ -356,7 +372,7 @@ def stress_measure(key: str, outcomes: Mapping[str, DragResult]) -> dict[str, fl
 
 
 def stress_table(numbers: Numbers, names: Mapping[str, str]) -> Table:
-    """Return the table of all methods."""
+    """Return the table of the methods that have runs of `stress_jobs`."""
     rows = [
         (
             names[key],
@@ -391,7 +407,7 @@ def stress_table(numbers: Numbers, names: Mapping[str, str]) -> Table:
 
 
 def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
-    """Return the statements on the runs, if they were made."""
+    """Return the statements about the runs of `stress_jobs`; empty if a needed run is missing."""
     needed = ("cap 0.999", "admittance", "stiff", "impedance")
     if not all("stall_force" in numbers.get(key, {}) for key in needed):
         return ()
@@ -423,16 +439,23 @@ def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
     )
 
 
-# --- Force to move the arm against the drift of its stiff axes, and the return ---
+# --- Pictures of the comparison ---
 
-#: Curves shown over time: one of each family.
+#: Keys of the methods whose motion is drawn over time, one of each family.
 OVER_TIME = ("stiff", "uniform 30", "paper 0.999", "cap 0", "cap 0.999", "impedance")
 
 
 def draw_comparison(
-    numbers: Numbers, traces: Mapping[str, Trace], ways: Mapping[str, Way], folder: Path
+    numbers: Numbers, traces: Mapping[str, Trace], ways: Mapping[str, Method], folder: Path
 ) -> None:
-    """Draw `5-comparison`."""
+    """Draw `5-comparison`: force to move the arm against drift of the stiff positions, y over time.
+
+    Args:
+        numbers: Numbers of each method, from `measure`.
+        traces: Record of each method against the hand that drags toward +y.
+        ways: Methods by key.
+        folder: Target folder.
+    """
     with canvas(1, 2, size=(WIDE, 5.6), width_ratios=[1.15, 1.0]) as (figure, axes):
         ax, over = axes[0]
         names: list[tuple[float, float, str, str]] = []

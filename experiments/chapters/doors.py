@@ -1,4 +1,4 @@
-"""Chapter 4: doors and a fridge, opened and closed; the handle determines the path."""
+"""Chapter 4 of the report: doors and a fridge, opened and closed along the handle's path."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ GRIPS = ("rigid", "turning")
 
 
 def stiff(*, soft: str, **more: Any) -> Law:
-    """Return a law with all axes stiff; `soft`, the scene's soft axes, is ignored."""
+    """Return a law with all axes stiff; the argument `soft` is ignored."""
     return controllers.all_stiff(**more)
 
 
@@ -54,7 +54,11 @@ LAWS: Mapping[str, Callable[..., Law]] = {
 
 
 def jobs(options: Options) -> list[Job]:
-    """Return every scene, both grips, soft and stiff; then opening and closing by resistance."""
+    """Return the runs of every scene, grip and law.
+
+    A run opens a door, or opens and closes it, each until resistance is detected. With option
+    `quick`, only the door with a rigid grip is run.
+    """
     scenes = ("door",) if options.quick else tuple(SCENES)
     grips = ("rigid",) if options.quick else GRIPS
     runs = [
@@ -76,7 +80,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Any]) -> Numbers:
-    """Return numbers by scene, grip and law: opening, and opening and closing."""
+    """Return the numbers by scene, grip and law."""
     opening: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     both: dict[str, dict[str, dict[str, dict[str, Any]]]] = {}
     for name, run in outcomes.items():
@@ -108,7 +112,10 @@ def _both(run: OpenCloseResult) -> dict[str, Any]:
 
 
 def felt(trace: Trace) -> Array:
-    """Return the force in x (N,) [N] estimated from the joint positions, replayed from a run."""
+    """Return the force on the tool along x at each tick (N,) [N], estimated without a force sensor.
+
+    `pliant.ContactEstimator` gets the recorded joint positions and commands.
+    """
     contact = pliant.ContactEstimator(pliant.Controller(arm(), controllers.cap(), NOMINAL.servos()))
     force = np.zeros(trace.t.size)
     for k in range(trace.t.size):
@@ -118,7 +125,7 @@ def felt(trace: Trace) -> Array:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Judge the paper's statements on doors, and the bands."""
+    """Return the chapter with the paper's statements about doors and those of our study."""
     opening, both = numbers["opening"], numbers["opening_and_closing"]
     rigid = opening["door"]["rigid"]
     soft, hard = rigid["cap"], rigid["stiff"]
@@ -141,7 +148,7 @@ def chapter(numbers: Numbers) -> Chapter:
 
 
 def draw(outcomes: Mapping[str, Any], options: Options) -> None:
-    """Draw the strips of pictures, force over angle, all scenes, and opening and closing."""
+    """Draw all figures of the chapter."""
     draw_strips(outcomes, options.figures)
     draw_force_over_angle(outcomes, options.figures)
     draw_scenes(outcomes, options.figures)
@@ -152,7 +159,8 @@ def draw(outcomes: Mapping[str, Any], options: Options) -> None:
 
 # --- The paper's statements on doors and the fridge, and the results of a run ---
 
-#: Bands of law cap by scene, for rigid and turning grip: least angle [deg], largest force [N].
+#: Smallest required opening [deg] and largest allowed force [N] of law cap, by scene: first with
+#: the rigid, then with the turning grip.
 BANDS = {
     "door": ((64.0, 32.0), (64.0, 25.0)),
     "fridge": ((64.0, 34.0), (64.0, 32.0)),
@@ -169,14 +177,19 @@ NAMES = {
     "base door": "door, base moves",
     "base fridge": "fridge, base moves",
 }
-#: Opening below which a door with all axes stiff counts as stuck [deg].
+#: Opening below which a door counts as stuck [deg].
 STUCK = 35.0
-#: Allowed difference between the detected and the true end of a motion [deg].
+#: Allowed difference between the opening at the detected and at the true end of a motion [deg].
 NEAR = 1.0
 
 
 def door_figures(opening: Numbers, both: Numbers) -> tuple[Figure, ...]:
-    """Return pictures, force over angle, all scenes, opening and closing."""
+    """Return the figures of the chapter with their texts and statements.
+
+    Args:
+        opening: Numbers of the runs that open a door, by scene, grip and law.
+        both: Numbers of the runs that open and close a door, by scene, grip and law.
+    """
     grips = list(opening["door"])
     return (
         Figure(
@@ -366,7 +379,7 @@ def _stiff_ends(both: Numbers) -> tuple[Statement, ...]:
 
 
 def opening_table(opening: Numbers) -> Table:
-    """Return angle and peak force of every run."""
+    """Return a table with opening angle and largest force of every run that opens a door."""
     rows = [
         (
             NAMES[scene],
@@ -389,7 +402,7 @@ def opening_table(opening: Numbers) -> Table:
 
 
 def closing_table(both: Numbers) -> Table:
-    """Return the detected ends of every run."""
+    """Return a table with the openings at which resistance was detected, of every run."""
     rows = []
     for scene, grips in both.items():
         for grip, laws in grips.items():
@@ -405,7 +418,7 @@ def closing_table(both: Numbers) -> Table:
 
 # --- Doors: pictures, force over angle, all scenes, opening and closing ---
 
-#: Times of the pictures [s]; the pull begins at 1 s and ends at 6.6 s.
+#: Times of the pictures in a run [s]; the pull lasts from 1 s to 6.6 s.
 INSTANTS = (0.5, 2.5, 4.5, 6.6)
 VIEW: dict[str, Any] = {
     "look_at": (0.30, -0.12, -0.20),
@@ -422,7 +435,7 @@ LABELS = {
 
 
 def draw_strips(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
-    """Draw the arm at the door at equal times, soft above, stiff below."""
+    """Draw pictures of the arm at the door at `INSTANTS`: soft axes (top), all stiff (bottom)."""
     laws = ("cap", "stiff")
     with canvas(len(laws), len(INSTANTS), size=(WIDE, 5.0)) as (figure, axes):
         for row, law in enumerate(laws):
@@ -464,7 +477,7 @@ def _frames(trace: Trace) -> list[NDArray[np.uint8] | None]:
 
 
 def circle(most: float = 80.0) -> Array:
-    """Return points (k, 3) [m] of the handle's path, up to `most` [deg]."""
+    """Return points (k, 3) [m] of the handle's circular path, up to an opening `most` [deg]."""
     handle = tool(SCENES["door"].start)[:3, 3]
     arm_of_handle = np.array([0.0, 0.30, 0.0])
     angle = np.deg2rad(np.linspace(0.0, most, 41))[:, None]
@@ -474,7 +487,7 @@ def circle(most: float = 80.0) -> Array:
 
 
 def draw_force_over_angle(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
-    """Draw the largest force so far against the opening, per grip, and the handle's path."""
+    """Draw the largest force so far over the opening angle, for each grip, and the tool's path."""
     grips = [grip for grip in ("rigid", "turning") if f"open/door/{grip}/cap" in outcomes]
     with canvas(1, len(grips) + 1, size=(WIDE, 3.6)) as (figure, axes):
         for column, grip in enumerate(grips):
@@ -509,7 +522,7 @@ def draw_force_over_angle(outcomes: Mapping[str, OpenResult], folder: Path) -> N
 
 
 def _paths(ax: Any, outcomes: Mapping[str, OpenResult]) -> None:
-    """Draw the tool's path seen from above, with the circle of the handle."""
+    """Draw the tool's paths seen from above, with the hinge and the circle of the handle."""
     path = circle()
     hinge = path[0] + np.array([0.0, -0.30, 0.0])
     ax.plot(1e3 * path[:, 1], 1e3 * path[:, 0], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
@@ -538,7 +551,7 @@ def _paths(ax: Any, outcomes: Mapping[str, OpenResult]) -> None:
 
 
 def draw_scenes(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
-    """Draw peak force and angle of every scene and grip, all stiff against cap."""
+    """Draw largest force and opening for every scene and grip: law cap, and all axes stiff."""
     rows = [
         (scene, grip)
         for scene in SCENES
@@ -585,7 +598,13 @@ def draw_scenes(outcomes: Mapping[str, OpenResult], folder: Path) -> None:
 
 
 def draw_closing(traces: Mapping[str, Trace], felt: Callable[[Trace], Array], folder: Path) -> None:
-    """Draw leaf and estimated force while doors are opened and closed by resistance."""
+    """Draw opening angle and estimated force of runs that open and close a door.
+
+    Args:
+        traces: Record of each run by key.
+        felt: Function that estimates the force along x at each tick [N] from a record.
+        folder: Target folder.
+    """
     chosen = [
         (key, title)
         for key, title in (
@@ -622,7 +641,16 @@ def draw_closing(traces: Mapping[str, Trace], felt: Callable[[Trace], Array], fo
 
 
 def recognised(t: Array, force: Array) -> list[int]:
-    """Return the ticks at which resistance was detected, first to a pull, then to a push."""
+    """Return the ticks at which resistance is detected: to opening, then to closing.
+
+    Args:
+        t: Time of each tick (N,) [s].
+        force: Estimated force along x at each tick (N,) [N].
+
+    Returns:
+        At most two indices: the first ticks at which the force has exceeded `THRESHOLD` for
+        `PERSISTENCE`, toward +x and after that toward -x.
+    """
     ticks = round(PERSISTENCE / float(t[1] - t[0]))
     found: list[int] = []
     for sign in (1.0, -1.0):

@@ -1,4 +1,7 @@
-"""Any arm: its servos, pose and task axes."""
+"""Chapters of the report for any arm: built-in, or from a URDF with estimated servo parameters.
+
+The experiments start in a random pose that is chosen for the arm, see `_find_pose`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from experiments.arms import capacity
 from experiments.cap_accuracy import END, CapResult, evaluate
 from experiments.chapters.activation import heat, posture, show
 from experiments.chapters.common import LAW_COLOURS, shade
-from experiments.controllers import UNBLURRED
+from experiments.controllers import NO_RATE_LIMITS
 from experiments.demonstration import Subject
 from experiments.poses import AXES
 from experiments.report import (
@@ -59,23 +62,24 @@ if TYPE_CHECKING:
     from pliant.sim import Hand
 
 
-#: Number of random poses among which the best is chosen, and the central share of the joint ranges
-#: from which they are drawn.
+#: Number of random poses among which the start pose of the experiments is chosen, and central share
+#: of each joint's range in which these poses lie.
 SEARCHED, INNER = 512, 0.6
-#: Assumed effort of a joint without a known one: STRONG_ENOUGH times the largest torque that holds
-#: the arm, at least LEAST_EFFORT [N·m].
+#: A joint without effort limit in the URDF is assumed to have this multiple of the largest gravity
+#: torque on it in random poses, but at least `LEAST_EFFORT` [N·m].
 STRONG_ENOUGH, LEAST_EFFORT = 4.0, 0.5
-#: Distance that the soft axis moves: share of the reach, and bounds of the result [m].
+#: Distance by which experiments move the tool along the soft axis: share of the arm's reach, and
+#: smallest and largest distance [m].
 WAY_SHARE, WAY_RANGE = 0.2, (0.03, 0.15)
-#: Number of points along a motion at which it is checked before the run.
+#: Number of points along the soft axis at which a start pose is checked.
 STEPS = 12
-#: Share of the usable torque that gravity may take in a chosen pose.
+#: Largest share of a servo's usable torque that gravity may need in the start pose.
 GRAVITY_SHARE = 0.6
 
 
 @dataclass(frozen=True)
 class Source:
-    """Source of an arm: a built-in one by name, or a URDF with base and tip."""
+    """Source of an arm: the name of a built-in arm, or else a URDF with base and tip frame."""
 
     name: str = ""
     urdf: str = ""
@@ -85,16 +89,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm ready for the experiments.
+    """Arm with the servo parameters, pose and axes of its experiments.
 
     Attributes:
         model: The arm.
-        servos: Its servos, known or guessed.
-        axes: Task axes that its joints can control.
-        soft: The compliant axis.
-        pose: Joint positions (n,) [rad] of the experiments.
-        way: Distance that the soft axis can move from `pose` in either direction [m].
-        notes: Assumptions that were made.
+        servos: Servo parameters, of the built-in arm or estimated from the URDF.
+        axes: Names of the task axes, as many as the joints can control.
+        soft: Name of the soft axis.
+        pose: Start pose of the experiments (n,) [rad].
+        way: Distance by which the tool can move from `pose` along the soft axis, both ways [m].
+        notes: Assumptions, as texts for the report.
     """
 
     model: pliant.Model
@@ -107,12 +111,12 @@ class Arm:
 
     @property
     def rows(self) -> list[int]:
-        """Indices of the task axes in a 6-vector."""
+        """Indices of the task axes among x, y, z, roll, pitch, yaw."""
         return [AXES.index(name) for name in self.axes]
 
     @property
     def where(self) -> str:
-        """The pose as text."""
+        """Start pose and its choice as text for the report."""
         angles = ", ".join(f"{angle:.2f}" for angle in self.pose)
         return (
             f"pose ({angles}) rad, the best conditioned of {SEARCHED} random ones that hold "
@@ -120,20 +124,23 @@ class Arm:
         )
 
     def law(self, *, soft: str | None = None, eta: float = 0.0, **more: Any) -> pliant.Settings:
-        """Law cap with the defaults of this arm."""
+        """Return settings of law cap with the task axes and default caps of this arm.
+
+        Args:
+            soft: Names of the soft axes; "" for none; None: `Arm.soft`.
+            eta: Target adaptation of the soft axes.
+            **more: Further settings.
+        """
         task = pliant.Task(axes=" ".join(self.axes))
         return controllers.cap(soft=self.soft if soft is None else soft, eta=eta, task=task, **more)
 
 
 @cache
 def load(source: Source) -> Arm:
-    """Load an arm, guess unknown servo parameters, and find a pose.
+    """Return an arm with servo parameters, estimated if it has none, and a start pose.
 
     Args:
         source: Source of the arm.
-
-    Returns:
-        The arm.
 
     Raises:
         PliantError: The URDF is rejected, or no pose lets the soft axis move.
@@ -156,7 +163,7 @@ def _built_in(name: str) -> tuple[pliant.Model, pliant.Servos, list[str]]:
 
 
 def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
-    """Load the user's arm and guess its servos from its efforts."""
+    """Return for a URDF: model, servo parameters estimated from effort limits, notes on them."""
     model = pliant.Model.from_urdf(source.urdf, base=source.base, tip=source.tip)
     effort = np.array(model.effort_limit, dtype=np.float64)
     unknown = ~(effort > 0.0)
@@ -194,7 +201,7 @@ def ranges(model: pliant.Model) -> tuple[Array, Array]:
 def sample(
     model: pliant.Model, count: int = SEARCHED, *, inner: float = 1.0, seed: int = 0
 ) -> Array:
-    """Return random poses (count, n) from the inner share of the joint ranges."""
+    """Return random poses (count, n) [rad] from the central share `inner` of the joint ranges."""
     lower, upper = ranges(model)
     middle, half = (lower + upper) / 2, inner * (upper - lower) / 2
     return np.random.default_rng(seed).uniform(middle - half, middle + half, (count, model.n))
@@ -206,13 +213,16 @@ def _holding(model: pliant.Model) -> Array:
 
 
 def _reach(model: pliant.Model) -> float:
-    """Return the largest distance of the tool from the origin of the base in random poses [m]."""
+    """Return half the widest extent along x, y or z of the tool's positions in random poses [m]."""
     places = [model.forward_kinematics(q)[:3, 3] for q in sample(model, 128)]
     return float(np.ptp(np.array(places), axis=0).max() / 2)
 
 
 def sigma(model: pliant.Model, q: Array, axes: tuple[str, ...]) -> float:
-    """Return the smallest singular value of the task rows, translations divided by the reach."""
+    """Return the smallest singular value of the Jacobian of the task axes at q (n,) [rad].
+
+    The rows of translations are divided by `_reach`, so that the value has no unit.
+    """
     rows = np.asarray(model.jacobian(q))[[AXES.index(name) for name in axes]].copy()
     rows[[AXES.index(name) < 3 for name in axes]] /= _cached_reach(model)
     return float(np.linalg.svd(rows, compute_uv=False).min())
@@ -228,7 +238,12 @@ def _cached_reach(model: pliant.Model) -> float:
 def _find_pose(
     model: pliant.Model, servos: pliant.Servos, axes: tuple[str, ...], soft: str, way: float
 ) -> tuple[Array, float]:
-    """Return the best conditioned pose that lets the soft axis move both ways."""
+    """Return the start pose (n,) [rad] of the experiments, and the motion that it allows [m].
+
+    The pose has the largest `sigma` of the random poses in which gravity needs at most
+    `GRAVITY_SHARE` of the torque, and from which the tool can move along the axis `soft` by `way`
+    [m] in both directions. If there is no such pose, 60 % and then 35 % of `way` suffice.
+    """
     usable = np.asarray(servos.max_torque)
     light = [
         q
@@ -247,7 +262,11 @@ def _find_pose(
 
 
 def _can_move(model: pliant.Model, q: Array, axes: tuple[str, ...], soft: str, way: float) -> bool:
-    """Return True if the soft axis can move that far within limits, away from singular poses."""
+    """Return True if the tool can move from q (n,) [rad] along the axis `soft` by `way` [m].
+
+    On the way, every joint stays within its position limits and `sigma` above 40 % of its value at
+    q.
+    """
     lower, upper = ranges(model)
     rows = [AXES.index(name) for name in axes]
     least = 0.4 * sigma(model, q, axes)
@@ -266,28 +285,29 @@ def _can_move(model: pliant.Model, q: Array, axes: tuple[str, ...], soft: str, w
     return True
 
 
-# --- Runs with any arm, each a picklable call ---
+# --- Runs with any arm: functions that a job can call in another process ---
 
 RATE = 100.0
-#: Spring [N/m] and damper [N·s/m] of a hand for an arm with a cap of USUAL [N]; both scale with the
-#: cap.
+#: Stiffness [N/m] and damping [N·s/m] of a hand that acts on an axis with the cap `USUAL` [N]; for
+#: another cap, both scale with it.
 SPRING, DAMPER, USUAL = 2000.0, 30.0, 15.0
-#: Angle by which the hand turns the tool when it tests the cap of a rotation [rad].
+#: Angle by which the hand turns the tool in tests of the caps of rotations [rad].
 TURN = 0.3
-#: Poses of the promise with a smallest singular value below this share of the median are left out.
+#: Smallest `sigma` of a pose for tests of caps, as a share of the median over random poses.
 LEAST_SIGMA = 0.65
-#: Promised cap, as a share of the median static capacity, translations and rotations.
+#: Tested caps as shares of the arm's median static capacity (`experiments.arms.capacity`):
+#: translations, rotations.
 CAP_SHARE = (0.30, 0.14)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Strengths:
-    """Default strengths of law cap for the soft axis of an arm [N].
+    """Default force caps of law cap for the soft axis of an arm.
 
     Attributes:
-        soft: At zero deviation.
-        firm: At a large deviation.
-        hold: If the same axis is stiff.
+        soft: Cap of the axis at zero deviation [N].
+        firm: Cap of the axis at a large deviation [N].
+        hold: Cap of the same axis if it is stiff [N].
     """
 
     soft: float
@@ -311,7 +331,7 @@ def _loop(
 
 
 def activation(source: Source) -> Array:
-    """Return the activation matrix (n, k + 1) at the pose."""
+    """Return the activation matrix at the start pose: (n, k + 1) for n joints and k task axes."""
     arm = load(source)
     controller = pliant.Controller(
         arm.model, arm.law(soft="", tracking=pliant.Tracking(damping=0.0)), arm.servos
@@ -322,7 +342,7 @@ def activation(source: Source) -> Array:
 
 
 def strengths(source: Source) -> Strengths:
-    """Return the strengths that the controller reports: near the target, far from it, and stiff."""
+    """Return the default force caps of an arm, from the diagnostics of its controller."""
     arm = load(source)
     start = np.asarray(arm.model.forward_kinematics(arm.pose))
     row = arm.axes.index(arm.soft)
@@ -333,7 +353,8 @@ def strengths(source: Source) -> Strengths:
         controller.step(arm.pose, poses.displaced(start, arm.soft, away))
         return float(controller.diagnostics.axis_strength[row])
 
-    # Far from the target, but within the range allowed for a target.
+    # At this deviation the cap is `firm`. Do not use more than the reach: the controller rejects
+    # targets that are far out of reach.
     far = min(1.0, float(arm.model.reach))
     return Strengths(
         soft=strength(arm.soft, 0.0), firm=strength(arm.soft, far), hold=strength("", 0.0)
@@ -341,7 +362,11 @@ def strengths(source: Source) -> Strengths:
 
 
 def hand(arm: Arm, distance: float, strongest: float) -> Drag:
-    """Return a hand that is stiff and strong enough for this arm, at the tool."""
+    """Return a hand that drags the tool along the soft axis by a signed `distance` [m].
+
+    Its stiffness, damping and largest force scale with `strongest`, the largest cap of the axis
+    [N].
+    """
     scale = max(strongest / USUAL, 0.05)
     return Drag(
         axis=arm.soft,
@@ -354,13 +379,13 @@ def hand(arm: Arm, distance: float, strongest: float) -> Drag:
 
 
 def drag(source: Source, kind: str, eta: float, sign: int) -> Trace:
-    """Drag the soft axis from 2 to 5 s and let go; 9 s.
+    """Drag the tool along `Arm.soft` from 2 to 5 s, release it, and return the record of 9 s.
 
     Args:
-        source: The arm.
-        kind: `soft`, or `stiff` for all axes stiff.
-        eta: Target adaptation.
-        sign: Direction.
+        source: Source of the arm.
+        kind: `soft`: the dragged axis is soft; `stiff`: all axes are stiff.
+        eta: Target adaptation of the soft axis.
+        sign: Direction of the drag, 1 or -1.
     """
     arm = load(source)
     firm = strengths(source).firm
@@ -370,7 +395,10 @@ def drag(source: Source, kind: str, eta: float, sign: int) -> Trace:
 
 
 def swing(source: Source) -> Trace:
-    """Let the target swing twice along the soft axis, η = 0; 17 s."""
+    """Move the target sinusoidally along the soft axis for two periods; return the record.
+
+    The target adaptation η is 0.
+    """
     arm = load(source)
     start = np.asarray(arm.model.forward_kinematics(arm.pose))
     target = poses.sinusoid(start, arm.soft, arm.way)
@@ -378,7 +406,7 @@ def swing(source: Source) -> Trace:
 
 
 def regular_poses(source: Source, count: int) -> list[Array]:
-    """Return well conditioned random poses that hold themselves."""
+    """Return up to `count` random poses (n,) [rad] that are not near a singularity."""
     arm = load(source)
     sampled = sample(arm.model, inner=0.8, seed=1)
     sigmas = np.array([sigma(arm.model, q, arm.axes) for q in sampled])
@@ -387,7 +415,7 @@ def regular_poses(source: Source, count: int) -> list[Array]:
 
 
 def caps(source: Source) -> tuple[float, float]:
-    """Return the promised caps [N], [N·m]: shares of the median capacity."""
+    """Return the tested caps of translations [N] and rotations [N·m]."""
     arm = load(source)
     found = []
     for group, share in enumerate(CAP_SHARE):
@@ -404,7 +432,11 @@ def caps(source: Source) -> tuple[float, float]:
 
 
 def promises(source: Source, pose: int, count: int) -> list[CapResult]:
-    """Push every axis in both directions in pose `pose` of `count`; compare with the promises."""
+    """Return expected and measured forces of all pushes in one of `count` random poses.
+
+    The pushes are along every task axis in both directions, as far as the servos can exert the cap
+    in the pose. The list is empty if there is no pose of index `pose`.
+    """
     arm = load(source)
     chosen = regular_poses(source, count)
     if pose >= len(chosen):
@@ -445,33 +477,33 @@ def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> CapResult
     settings = pliant.Settings(
         task=pliant.Task(axes=" ".join(arm.axes)),
         axes={name: pliant.Axis(soft=cap, firm=cap)},
-        **UNBLURRED,
+        **NO_RATE_LIMITS,
     )
     target = np.asarray(arm.model.forward_kinematics(q))
     trace = _loop(arm, settings, target, END, felt_by, q=q)
     return evaluate(trace, arm.model, arm.servos, rows=arm.rows, row=row, sign=sign, cap=cap)
 
 
-# --- Chapters that suit any arm: activation, swinging, promises ---
+# --- Chapters: activation matrix, tracking, accuracy of caps ---
 
-#: Number of poses in which caps are measured: in a full run, and in a quick run.
+#: Number of poses in which caps are measured: in a full run, and with option `quick`.
 POSES = (12, 2)
 
 
 @dataclass(frozen=True)
 class ActivationChapter:
-    """Chapter 1: the activation matrix at the pose."""
+    """Chapter 1: activation matrix at the start pose."""
 
     source: Source
     NUMBER: ClassVar[int] = 1
     TITLE: ClassVar[str] = "Which joint does what"
 
     def jobs(self, options: Options) -> list[Job]:
-        """Return one job."""
+        """Return one job, which computes the activation matrix."""
         return [Job("matrix", activation, (self.source,))]
 
     def measure(self, outcomes: Mapping[str, Array]) -> Numbers:
-        """Return the matrix."""
+        """Return the activation matrix with the names of its rows and columns, and the pose."""
         arm = load(self.source)
         return {
             "joints": list(arm.model.joint_names),
@@ -481,7 +513,7 @@ class ActivationChapter:
         }
 
     def chapter(self, numbers: Numbers) -> Chapter:
-        """State the leading joint of each axis."""
+        """Return the chapter, which names the joint with the largest share in each axis."""
         arm = load(self.source)
         share = np.array(numbers["activation"])[:, : len(arm.axes)]
         sums = np.abs(share.sum(axis=0) - 1.0).max()
@@ -513,24 +545,24 @@ class ActivationChapter:
         )
 
     def draw(self, outcomes: Mapping[str, Array], options: Options) -> None:
-        """Draw matrix and posture."""
+        """Draw the activation matrix beside a picture of the arm in its start pose."""
         draw_activation(load(self.source), outcomes["matrix"], options.figures)
 
 
 @dataclass(frozen=True)
 class TrackingChapter:
-    """Chapter 3: the target swings along the soft axis."""
+    """Chapter 3: tracking of a target that oscillates along the soft axis."""
 
     source: Source
     NUMBER: ClassVar[int] = 3
     TITLE: ClassVar[str] = "A compliant axis still tracks"
 
     def jobs(self, options: Options) -> list[Job]:
-        """Return one job."""
+        """Return one job, which runs `swing`."""
         return [Job("swing", swing, (self.source,))]
 
     def measure(self, outcomes: Mapping[str, Trace]) -> Numbers:
-        """Return the rms error over amplitude, and the other positions."""
+        """Return rms error over amplitude, and the largest deviation of the other positions."""
         arm, trace = load(self.source), outcomes["swing"]
         axis = AXES.index(arm.soft)
         swing = trace.between(1.0, 17.0)
@@ -542,7 +574,7 @@ class TrackingChapter:
         }
 
     def chapter(self, numbers: Numbers) -> Chapter:
-        """Judge the tracking."""
+        """Return the chapter with statements about the tracking."""
         arm = load(self.source)
         figure = Figure(
             file="3-swing",
@@ -571,25 +603,25 @@ class TrackingChapter:
         )
 
     def draw(self, outcomes: Mapping[str, Trace], options: Options) -> None:
-        """Draw the swing."""
+        """Draw the tool's motion along the soft axis, and the deviations of other positions."""
         draw_swing(load(self.source), outcomes["swing"], options.figures)
 
 
 @dataclass(frozen=True)
 class CapChapter:
-    """Chapter 4: the promised cap against the force on a hand."""
+    """Chapter 4: accuracy of the caps, compared with the force on a hand."""
 
     source: Source
     NUMBER: ClassVar[int] = 4
     TITLE: ClassVar[str] = "Promised and felt"
 
     def jobs(self, options: Options) -> list[Job]:
-        """Return a job per pose: every axis, both ways."""
+        """Return one job per pose, with pushes along every axis in both directions."""
         count = POSES[options.quick]
         return [Job(f"pose {k}", promises, (self.source, k, count)) for k in range(count)]
 
     def measure(self, outcomes: Mapping[str, Sequence[CapResult]]) -> Numbers:
-        """Return every push, and the number of kept promises."""
+        """Return the forces of all pushes, their median error, and the number of kept caps."""
         pushes = [one for several in outcomes.values() for one in several]
         errors = [abs(one.measured - one.promise) / one.cap for one in pushes]
         return {
@@ -609,7 +641,7 @@ class CapChapter:
         }
 
     def chapter(self, numbers: Numbers) -> Chapter:
-        """Judge the share of promises that were kept."""
+        """Return the chapter with a statement about the share of caps that are kept."""
         share = numbers["kept"] / max(numbers["pushes"], 1)
         figure = Figure(
             file="4-promise",
@@ -643,19 +675,19 @@ class CapChapter:
         )
 
     def draw(self, outcomes: Mapping[str, Sequence[CapResult]], options: Options) -> None:
-        """Draw promise against force."""
+        """Draw measured against expected force of all pushes."""
         draw_promises([one for several in outcomes.values() for one in several], options.figures)
 
 
 def experiments(source: Source) -> dict[int, Any]:
-    """Return the chapters by number."""
+    """Return the chapters of the report for an arm, by number."""
     kinds = (ActivationChapter, DragChapter, TrackingChapter, CapChapter)
     return {kind.NUMBER: kind(source) for kind in kinds}
 
 
-# --- The chapter in which a hand drags any arm: one axis soft, and all axes stiff ---
+# --- Chapter: drag of a soft axis ---
 
-#: Runs of the drag by kind: `soft` or `stiff`, η, direction.
+#: Arguments of the runs of `drag`: kind (`soft` or `stiff`), target adaptation η, direction.
 DRAGS = (
     ("soft", 0.999, 1),
     ("soft", 0.999, -1),
@@ -668,14 +700,17 @@ DRAGS = (
 
 @dataclass(frozen=True)
 class DragChapter:
-    """Chapter 2: one axis soft, dragged by a hand; the same all stiff."""
+    """Chapter 2: a hand drags the arm, with one axis soft and with all axes stiff."""
 
     source: Source
     NUMBER: ClassVar[int] = 2
     TITLE: ClassVar[str] = "Held, dragged, let go"
 
     def jobs(self, options: Options) -> list[Job]:
-        """Return the runs: soft with and without adaptation, and stiff, both ways."""
+        """Return the runs of `DRAGS`, and a job that reads the arm's default caps.
+
+        With option `quick`, only the runs in the positive direction are returned.
+        """
         runs = [d for d in DRAGS if d[2] == 1] if options.quick else DRAGS
         return [
             Job("strengths", strengths, (self.source,)),
@@ -686,7 +721,7 @@ class DragChapter:
         ]
 
     def measure(self, outcomes: Mapping[str, Any]) -> Numbers:
-        """Return numbers by kind: the worse of both directions."""
+        """Return the numbers of each kind of run; each is the worse one of the two directions."""
         arm, given = load(self.source), outcomes["strengths"]
         kinds: dict[str, dict[str, float]] = {}
         for name, trace in outcomes.items():
@@ -733,7 +768,7 @@ class DragChapter:
         }
 
     def chapter(self, numbers: Numbers) -> Chapter:
-        """Judge against the promises and against the stiff arm."""
+        """Return the chapter, which compares the forces of the soft axis and of the stiff arm."""
         arm = load(self.source)
         follow, firm, stiff = numbers["soft 0.999"], numbers["soft 0"], numbers["stiff 0"]
         given, soft = numbers["strengths"], numbers["soft_axis"]
@@ -820,7 +855,7 @@ class DragChapter:
         )
 
     def draw(self, outcomes: Mapping[str, Any], options: Options) -> None:
-        """Draw place, drift and force."""
+        """Draw the dragged axis, the other positions and the force of the hand over time."""
         traces = {name: one for name, one in outcomes.items() if name != "strengths"}
         draw_dragged(load(self.source), traces, options.figures)
 
@@ -845,11 +880,11 @@ def _drag_table(numbers: Numbers) -> Table:
     )
 
 
-# --- Any arm as the subject of a demonstration ---
+# --- Any arm as the robot of a demonstration ---
 
 
 def subject(source: Source) -> Subject:
-    """Load an arm and select the experiments that suit it.
+    """Return the robot of a demonstration with the chapters of this module.
 
     Raises:
         PliantError: The arm is rejected.
@@ -866,7 +901,7 @@ def subject(source: Source) -> Subject:
     )
 
 
-# --- Figures of the chapters that suit any arm ---
+# --- Figures ---
 
 KINDS = (
     ("stiff 0", "all stiff", LAW_COLOURS["stiff"]),
@@ -876,7 +911,7 @@ KINDS = (
 
 
 def draw_activation(arm: Arm, matrix: Array, folder: Path) -> None:
-    """Draw the matrix beside the posture."""
+    """Draw the figure `1-activation`: the arm in its start pose, and its activation matrix."""
     with canvas(1, 2, size=(WIDE, 1.1 + 0.42 * matrix.shape[0]), width_ratios=[1.0, 1.75]) as (
         figure,
         axes,
@@ -887,7 +922,11 @@ def draw_activation(arm: Arm, matrix: Array, folder: Path) -> None:
 
 
 def draw_dragged(arm: Arm, traces: Mapping[str, Trace], folder: Path) -> None:
-    """Draw the dragged axis, the farthest other position and the hand's force."""
+    """Draw `2-dragged`, three plots over time with one curve per run.
+
+    They show the deviation of the dragged axis from its target, at each time the largest deviation
+    of the other positions (none if the task has no other position), and the force of the hand.
+    """
     axis = AXES.index(arm.soft)
     others = [row for row in arm.rows if row < 3 and row != axis]
     with canvas(1, 3, size=(WIDE, 3.6)) as (figure, axes):
@@ -918,7 +957,7 @@ def draw_dragged(arm: Arm, traces: Mapping[str, Trace], folder: Path) -> None:
 
 
 def draw_swing(arm: Arm, trace: Trace, folder: Path) -> None:
-    """Draw the axis with its target, and the other positions."""
+    """Draw `3-swing`: soft axis and target, and the deviations of the other positions."""
     axis = AXES.index(arm.soft)
     step = thin(trace.t)
     t = trace.t[step]
@@ -946,7 +985,7 @@ def draw_swing(arm: Arm, trace: Trace, folder: Path) -> None:
 
 
 def draw_promises(pushes: Sequence[CapResult], folder: Path) -> None:
-    """Draw force against promise, both in units of the cap."""
+    """Draw `4-promise`: measured against expected force of each push, both divided by the cap."""
     with canvas(1, 1, size=(WIDE * 0.55, 4.8)) as (figure, axes):
         ax = axes[0, 0]
         line = np.array([0.0, 1.3])

@@ -1,4 +1,4 @@
-"""Chapter 2: a hand drags the arm out of its pose and lets go, in y and yaw (Figs 4 and 5)."""
+"""Chapter 2 of the report: a hand drags the arm along y or yaw and releases it (Figs 4 and 5)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 
 from experiments import controllers, metrics
 from experiments.chapters.common import (
-    BACK,
     LAW_COLOURS,
     RELEASE,
+    RETURN_TOLERANCE,
     Options,
     drag,
+    pad_y_range,
     return_speed,
-    returned,
-    room,
+    return_time,
     shade,
 )
 from experiments.poses import AXES
@@ -45,7 +45,7 @@ from pliant._report.style import (
     save,
     thin,
 )
-from pliant.sim.hand import LIGHT, YAW, Drag, Twist
+from pliant.sim.hand import DRAG_15N, TWIST_3NM, Drag, Twist
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -64,24 +64,31 @@ LAWS: Mapping[str, Callable[..., Law]] = {
     "paper": partial(controllers.paper, 10.0),
     "cap": controllers.cap,
 }
-#: Length of a run [s]: long enough for the slowest return.
+#: Duration of a run [s], long enough for the slowest return of the arm to its target.
 DURATION = 12.0
 
 
 def key(axis: str, law: str, eta: float, sign: int) -> str:
-    """Return the name of a run."""
+    """Return the key of a run: axis, law, target adaptation η, and sign of the direction."""
     return f"{axis} {law} {eta:g} {sign:+d}"
 
 
 def hand(axis: str, sign: int) -> Drag | Twist:
-    """Return a hand of at most 15 N at the wrist to 0.25 m, or 3 N·m at the tool to 0.8 rad."""
+    """Return the hand that drags an axis in the direction `sign`.
+
+    For y, it drags the wrist by 0.25 m with at most 15 N; for yaw, it turns the tool by 0.8 rad
+    with at most 3 N·m.
+    """
     if axis == "yaw":
-        return replace(YAW, angle=sign * YAW.angle)
-    return replace(LIGHT, distance=sign * LIGHT.distance)
+        return replace(TWIST_3NM, angle=sign * TWIST_3NM.angle)
+    return replace(DRAG_15N, distance=sign * DRAG_15N.distance)
 
 
 def jobs(options: Options) -> list[Job]:
-    """Return both laws, three η, both directions, in y and in yaw."""
+    """Return the runs: axis y and yaw, each law, each target adaptation η, both directions.
+
+    With option `quick`, only y toward + is run.
+    """
     axes, signs = (("y",), (1,)) if options.quick else (("y", "yaw"), (1, -1))
     return [
         Job(
@@ -98,7 +105,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, DragResult]) -> Numbers:
-    """Return numbers by axis, law, η and direction."""
+    """Return the numbers by axis, law, η and direction."""
     numbers: dict[str, dict[str, dict[str, dict[str, dict[str, float | None]]]]] = {}
     for name, run in outcomes.items():
         axis, law, eta, sign = name.split()
@@ -122,7 +129,7 @@ def _one(run: DragResult, axis: int) -> dict[str, float | None]:
         "position": run.position,
         "rotation": run.rotation,
         "least_c": float(np.min(compliance)),
-        "returned": returned(trace, axis),
+        "returned": return_time(trace, axis),
         "return_speed": return_speed(trace, axis),
         "left": abs(float(trace.error[end, axis])),
         "crept": abs(float(trace.moved[end, axis] - trace.moved[letting_go, axis])),
@@ -131,7 +138,7 @@ def _one(run: DragResult, axis: int) -> dict[str, float | None]:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Judge the statements about Figs 4 and 5."""
+    """Return the chapter with the paper's statements about Figs 4 and 5."""
     figures = [figure for axis in numbers for figure in axis_figures(axis, numbers[axis])]
     headline = []
     for axis in numbers:
@@ -145,13 +152,13 @@ def chapter(numbers: Numbers) -> Chapter:
         "and lets go. How far does it follow, what do the other axes do, and does it come back?",
         figures=tuple(figures),
         tables=tuple(return_table(axis, numbers[axis]) for axis in numbers),
-        numbers={"back_below": {"m": BACK[0], "rad": BACK[1]}, **numbers},
+        numbers={"back_below": {"m": RETURN_TOLERANCE[0], "rad": RETURN_TOLERANCE[1]}, **numbers},
         headline=tuple(headline),
     )
 
 
 def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
-    """Draw an overview and all deviations per law, for each axis."""
+    """Draw for each dragged axis one overview, and one figure of all deviations per law."""
     traces = {name: run.trace for name, run in outcomes.items()}
     for axis in dict.fromkeys(name.split()[0] for name in outcomes):
         draw_overview(traces, axis, options.figures)
@@ -161,32 +168,36 @@ def draw(outcomes: Mapping[str, DragResult], options: Options) -> None:
 
 # --- The paper's statements on Figs 4 and 5, and the results of a run ---
 
-#: Deviations d⁻, where compliance starts to decrease, and d⁺, where it is zero: y [m], yaw [rad].
+#: Deviation d⁻ at which the compliance of the axis starts to fall from 1, and d⁺ at which it is 0:
+#: y [m], yaw [rad].
 RANGE = {"y": (0.01, 0.10), "yaw": (0.04, 0.40)}
-#: Largest speed at which a return counts as slow: y [m/s], yaw [rad/s].
+#: Largest speed of a return to the target that counts as slow: y [m/s], yaw [rad/s].
 SLOW = {"y": 0.2, "yaw": 0.8}
-#: Distance that the hand moves the axis: y [m], yaw [rad].
+#: Distance of the hand's motion: y [m], yaw [rad].
 WAY = {"y": 0.25, "yaw": 0.8}
 NUMBER_OF_FIGURE = {"y": "Fig. 4", "yaw": "Fig. 5"}
 
 
 def amount(axis: str) -> Callable[[float], str]:
-    """Format a deviation of an axis."""
+    """Return the function that formats a deviation of an axis, in mm or rad."""
     return (lambda value: f"{value:.2f} rad") if axis == "yaw" else mm
 
 
 def worst(runs: Numbers, name: str) -> float:
-    """Return the largest value of figure `name` over the push directions."""
+    """Return the largest value of the number `name` over the runs in both directions."""
     return float(max(one[name] for one in runs.values()))
 
 
 def least(runs: Numbers, name: str) -> float:
-    """Return the smallest value of figure `name` over the push directions."""
+    """Return the smallest value of the number `name` over the runs in both directions."""
     return float(min(one[name] for one in runs.values()))
 
 
 def axis_figures(axis: str, numbers: Numbers) -> tuple[Figure, ...]:
-    """Return the overview, and all six deviations under each law."""
+    """Return the figures of a dragged axis with their texts and statements.
+
+    They are the overview of both laws, and one figure per law with all six deviations.
+    """
     of, push = (
         amount(axis),
         "at most 3 N·m at the tool" if axis == "yaw" else "at most 15 N at the wrist",
@@ -265,7 +276,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
         ),
         Statement(
             claim="Let go, the tool moves back to its target slowly (η = 0 and 0.9).",
-            outcome=f"Time until it is back within {of(BACK[axis == 'yaw'])}: "
+            outcome=f"Time until it is back within {of(RETURN_TOLERANCE[axis == 'yaw'])}: "
             f"{return_times(axis, none)} (η = 0) and {return_times(axis, some)} (η = 0.9), "
             f"{of(worst(some, 'left'))} being left; the fastest return goes at "
             f"{max(worst(none, 'return_speed'), worst(some, 'return_speed')):.2f} "
@@ -274,7 +285,7 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
                 at_most(
                     "deviation left",
                     max(worst(none, "left"), worst(some, "left")),
-                    BACK[axis == "yaw"],
+                    RETURN_TOLERANCE[axis == "yaw"],
                 ),
                 at_most(
                     "speed",
@@ -291,7 +302,9 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
             f"{1e3 * worst(full, 'still_moving'):.1f} m{_unit(axis, 'speed')}; before the push it "
             f"had already drifted by {of(worst(full, 'before'))}.",
             tests=(
-                at_least("motion after release", worst(full, "crept"), BACK[axis == "yaw"]),
+                at_least(
+                    "motion after release", worst(full, "crept"), RETURN_TOLERANCE[axis == "yaw"]
+                ),
                 at_most(
                     "speed at the end", worst(full, "still_moving"), 0.005 if axis == "y" else 0.02
                 ),
@@ -303,9 +316,19 @@ def _paper(axis: str, law: Numbers) -> tuple[Statement, ...]:
 
 
 def _why_not_slowly(axis: str, none: Numbers, some: Numbers) -> str:
-    """Explain a remaining deviation at η = 0.9, and a fast return."""
+    """Return the known reasons for which law `paper` does not return slowly to the target.
+
+    Args:
+        axis: The dragged axis.
+        none: Numbers of the runs with η = 0.
+        some: Numbers of the runs with η = 0.9.
+
+    Returns:
+        Reasons for a remaining deviation with η = 0.9 and for a fast return; empty if neither
+        occurred.
+    """
     reasons = []
-    if worst(some, "left") > BACK[axis == "yaw"]:
+    if worst(some, "left") > RETURN_TOLERANCE[axis == "yaw"]:
         reasons.append(
             "gravity, of which this law knows nothing, keeps it "
             f"{amount(axis)(worst(some, 'left'))} off at η = 0.9"
@@ -356,20 +379,24 @@ def _study(axis: str, law: Numbers) -> tuple[Statement, ...]:
 
 
 def comes_back(axis: str, one: Numbers) -> str:
-    """Describe the return time of a run, or that the arm stays or does not come close enough."""
+    """Return as text the time in which the arm returned in a run, or that it did not return.
+
+    Without a return, the text is "stays" if the arm hardly moved after the release, and otherwise
+    "not back".
+    """
     if one["returned"] is not None:
         return f"{one['returned']:.1f} s"
-    return "stays" if one["crept"] <= BACK[axis == "yaw"] else "not back"
+    return "stays" if one["crept"] <= RETURN_TOLERANCE[axis == "yaw"] else "not back"
 
 
 def return_times(axis: str, runs: Numbers) -> str:
-    """Describe the return times of both directions."""
+    """Return the texts of `comes_back` for both directions, as one text."""
     each = dict.fromkeys(comes_back(axis, one) for one in runs.values())
     return " and ".join(each)
 
 
 def span(of: Callable[[float], str], runs: Numbers, name: str) -> str:
-    """Return the range of a number over the push directions."""
+    """Return the range of the number `name` over both directions as text, formatted by `of`."""
     low, high = of(least(runs, name)), of(worst(runs, name))
     return low if low == high else f"{low} to {high}"
 
@@ -379,7 +406,7 @@ def _unit(axis: str, what: str = "force") -> str:
 
 
 def return_table(axis: str, numbers: Numbers) -> Table:
-    """Return the return time per η, and the force to move the arm."""
+    """Return a table with force, deviations and return time of each law, η and direction."""
     of = amount(axis)
     rows = []
     for law, etas in numbers.items():
@@ -417,18 +444,23 @@ def return_table(axis: str, numbers: Numbers) -> Table:
     )
 
 
-# --- Figs 4 and 5: an overview of both laws, and all deviations of each ---
+# --- Pictures ---
 
 ETA_NAMES = ("0", "0.9", "0.999")
 SIGNS = ("+1", "-1")
 #: Time at which the hand grips the arm [s].
 GRIPPED = 2.0
-#: Gap between two runs that are drawn one after the other on the time axis [s].
+#: Gap between the curves of two runs that are drawn one after the other on a time axis [s].
 PAUSE = 0.6
 
 
 def draw_overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
-    """Draw the dragged axis, the farthest other position and the hand, one law over the other."""
+    """Draw an overview of all runs of a dragged axis: three plots over time for each η.
+
+    They show the deviation of the dragged axis from its target, at each time the largest deviation
+    of the other positions, and the force or torque of the hand, with one curve per law and
+    direction.
+    """
     index = AXES.index(axis)
     turning = index > 2
     others = [i for i in range(3) if i != index]
@@ -459,8 +491,8 @@ def draw_overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
             axes[2, column].set_xlabel("time [s]")
         axes[0, 0].set_ylabel(f"{axis}, from its target [{unit}]")
         axes[1, 0].set_ylabel("farthest other position [mm]")
-        room(axes[0], 0.14)
-        room(axes[1], 0.14)
+        pad_y_range(axes[0], 0.14)
+        pad_y_range(axes[1], 0.14)
         axes[1, 0].set_ylim(bottom=0.0)
         axes[2, 0].set_ylabel(f"hand [{'N·m' if turning else 'N'}]")
         names(
@@ -471,7 +503,10 @@ def draw_overview(traces: Mapping[str, Trace], axis: str, folder: Path) -> None:
 
 
 def draw_deviations(traces: Mapping[str, Trace], axis: str, law: str, folder: Path) -> None:
-    """Draw all six deviations and c of one law, the runs of both directions in a row."""
+    """Draw all six deviations, and the compliance of the dragged axis, for one law.
+
+    There is one column per η; the runs of the two directions follow each other on the time axis.
+    """
     index = AXES.index(axis)
     with canvas(
         3, 3, size=(WIDE, 6.2), sharex=True, sharey="row", height_ratios=[1.0, 1.0, 0.62]
@@ -499,7 +534,7 @@ def draw_deviations(traces: Mapping[str, Trace], axis: str, law: str, folder: Pa
             axes[0, column].set_title(f"η = {eta}", pad=14)
             axes[2, column].set_xlabel("time [s]")
             axes[2, column].set_ylim(-0.05, 1.08)
-        room(axes[0], 0.14)
+        pad_y_range(axes[0], 0.14)
         axes[0, 0].set_ylabel("positions, from target [mm]")
         axes[1, 0].set_ylabel("rotations, from target [rad]")
         axes[2, 0].set_ylabel("compliance c")
@@ -510,7 +545,10 @@ def draw_deviations(traces: Mapping[str, Trace], axis: str, law: str, folder: Pa
 def _end_names(
     axes: NDArray[np.object_], traces: Mapping[str, Trace], axis: str, law: str, end: float
 ) -> None:
-    """Name the lines at the right edge, where the last run ends."""
+    """Write the names of the six deviations at the right ends of their curves, at time `end` [s].
+
+    The curves are those of the last column, η = 0.999.
+    """
     present = [s for s in SIGNS if f"{axis} {law} {ETA_NAMES[2]} {s}" in traces]
     trace = traces[f"{axis} {law} {ETA_NAMES[2]} {present[-1]}"]
     for row, group in ((0, AXES[:3]), (1, AXES[3:])):

@@ -1,4 +1,4 @@
-"""Chapter 3: the target swings along every axis while that axis is compliant (Figs 6 and 7)."""
+"""Chapter 3 of the report: tracking of a sinusoid by a compliant axis (Figs 6 and 7)."""
 
 from __future__ import annotations
 
@@ -55,16 +55,19 @@ LAWS: Mapping[str, Callable[..., Law]] = {
     "paper + gravity": controllers.rec,
     "cap": controllers.cap,
 }
-#: Literal reading of the paper, without step limits; it shows the loss of height z.
+#: Law of the paper without step limits. With it the tool sinks while the target moves along x.
 LITERAL: Callable[..., Law] = partial(controllers.limits_only, 10.0)
-#: Largest ratio of rms error to amplitude that counts as "tracking very well".
+#: Largest ratio of rms error to amplitude that counts as "tracking very well" in the paper's sense.
 WELL = 0.10
-#: Largest accepted ratio of rms error to amplitude of law cap, by axis.
+#: Largest accepted ratio of rms error to amplitude with law cap, by tracked axis.
 CAP_BANDS = {"x": 0.025, "y": 0.035, "z": 0.06, "roll": 0.025, "pitch": 0.05, "yaw": 0.03}
 
 
 def jobs(options: Options) -> list[Job]:
-    """Return every axis under three laws, and x under the literal reading."""
+    """Return the runs: every axis with each of `LAWS`, and x with `LITERAL`.
+
+    With option `quick`, only x and y with laws `paper` and `cap`, and x with `LITERAL` are run.
+    """
     axes = ("x", "y") if options.quick else AXES
     wanted = {name: LAWS[name] for name in (("paper", "cap") if options.quick else LAWS)}
     runs = [
@@ -77,7 +80,7 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, TrackResult]) -> Numbers:
-    """Return numbers by axis and law."""
+    """Return the numbers by axis and law."""
     numbers: dict[str, dict[str, dict[str, float]]] = {}
     for name, run in outcomes.items():
         axis, law = name.split("/")
@@ -105,7 +108,7 @@ def _one(run: TrackResult, axis: int) -> dict[str, float]:
 
 
 def chapter(numbers: Numbers) -> Chapter:
-    """Judge the statements about Figs 6 and 7."""
+    """Return the chapter with the paper's statements about Figs 6 and 7."""
     axes = [axis for axis in AXES if axis in numbers]
     turning = [axis for axis in axes if AXES.index(axis) > 2]
     moving = [axis for axis in axes if AXES.index(axis) < 3]
@@ -262,7 +265,7 @@ def _table(numbers: Numbers, axes: list[str]) -> Table:
 
 
 def draw(outcomes: Mapping[str, TrackResult], options: Options) -> None:
-    """Draw the swings and the loss of z."""
+    """Draw the motion of every tracked axis, and the loss of the tool's height with law `paper`."""
     traces = {name: run.trace for name, run in outcomes.items()}
     axes = [axis for axis in AXES if f"{axis}/cap" in traces]
     for file, group in (("3-tracking-positions", axes[:3]), ("3-tracking-rotations", axes[3:])):
@@ -271,7 +274,7 @@ def draw(outcomes: Mapping[str, TrackResult], options: Options) -> None:
     draw_loss(traces, options.figures)
 
 
-# --- Figs 6 and 7: sinusoids, and the loss of height while the arm swings in x ---
+# --- Pictures ---
 
 ORDER = ("paper", "paper + gravity", "cap")
 
@@ -279,7 +282,14 @@ ORDER = ("paper", "paper + gravity", "cap")
 def draw_swings(
     traces: Mapping[str, Trace], axes_names: Sequence[str], file: str, folder: Path
 ) -> None:
-    """Draw the swinging axis with its target above, the farthest other position below."""
+    """Draw for each axis the motion with its target, and the deviation of the other positions.
+
+    Args:
+        traces: Record of each run, by axis and law.
+        axes_names: Names of the drawn axes, one column each.
+        file: File name of the figure, without extension.
+        folder: Target folder.
+    """
     count = len(axes_names)
     with canvas(
         2,
@@ -320,7 +330,11 @@ def draw_swings(
 
 
 def draw_loss(traces: Mapping[str, Trace], folder: Path) -> None:
-    """Draw x, z, c and the shoulder's torque of the x swing."""
+    """Draw `3-loss-of-z`: the tool's loss of height while the target oscillates along x.
+
+    The plots show x and z of the tool and the compliance of x with three laws, and the torque of
+    the shoulder pitch with `LITERAL`.
+    """
     shown = (
         ("x/literal", "paper, no step limits", RED),
         ("x/paper", "paper, step limits", ORANGE),

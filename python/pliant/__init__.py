@@ -4,8 +4,9 @@
     >>> model = pliant.robots.arm7()
     >>> controller = pliant.Controller(model, pliant.Settings.soft("y"))
 
-SI units; joints base to tip; task axes x y z roll pitch yaw; 6-vectors linear first; poses
-`base_from_tool` (4, 4); deviations target minus actual; gravity torques hold the arm.
+Conventions: SI units; joints are ordered base to tip, task axes x y z roll pitch yaw; 6-vectors
+have the linear part first; poses are `base_from_tool` (4, 4); a deviation is target minus actual;
+gravity torques are those that hold the arm.
 """
 
 from __future__ import annotations
@@ -98,12 +99,13 @@ __all__ = [
     "connect",
 ]
 
-#: Submodules imported at first use, because they need extras or import slowly.
+#: Public submodules that `pliant.NAME` imports at first use: they need extras or import slowly.
 _PARTS = (
     "arm",
     "config",
     "feasibility",
     "functional",
+    "gym",
     "identify",
     "log",
     "model",
@@ -112,9 +114,10 @@ _PARTS = (
     "servo",
     "sim",
     "teach",
+    "teleop",
     "types",
 )
-#: Names exported from submodules, imported at first use.
+#: Public names that are imported at first use, each with the submodule that defines it.
 _NAMES = {
     "AXES": "pliant._validation",
     "Arm": "pliant.arm",

@@ -29,6 +29,7 @@ __all__ = [
     "Inertial",
     "Issue",
     "Joint",
+    "JointFollower",
     "JointStop",
     "Link",
     "Lowering",
@@ -2758,6 +2759,66 @@ class HandGuidingLaw:
         Raises:
             ShapeError: `q` does not have n entries. OutOfRangeError: A number is not finite, or
                 `dt` is not above 0. Nothing has changed.
+        """
+
+@final
+class JointFollower:
+    """Follows joint targets of a leader arm or a policy, with the force of the tool bounded.
+
+    Unlike `Controller.step_joints`, every joint follows its own target, also near a singular pose,
+    and nothing but the torque limits is soft. The limits carry the weight and `max_force`; a
+    blocked joint's goal stays near it, so that a released arm returns at the speed limits. With the
+    reference r, gravity g, friction rho and damping d including back-EMF, per joint:
+    `f = max_a F_a max(|J_a|, 0.1 m |J_wa|) + rho`, `r = clip(r moved to q_target, q -+ f / k_p)`,
+    `goal = r + (g + 0.8 d v + 0.8 rho tanh(v / v0)) / k_p`, `limit = |g| + f + 0.8 |d v|`.
+
+    Args:
+        model: The arm.
+        servos: Assumed servo parameters; None: those of the model.
+        max_force: Largest force at the tool along x, y, z of the base [N]: a number, or one per
+            axis; inf: the servos' usable torque. Friction of the gears comes on top.
+        max_tool_speed: Speed limit of the tool [m/s]; inf for none.
+        max_joint_speed: Speed limit of each joint [rad/s]; inf for none.
+
+    Raises:
+        ConfigError: There is no servo table. OutOfRangeError, ShapeError: An argument is invalid.
+
+    Example:
+        >>> follower = pliant.teleop.JointFollower(arm.model, arm.servos, max_force=4.0)
+        >>> for tick in pliant.Loop(arm, follower, rate=100.0):
+        ...     tick.step(leader.read().q)
+    """
+
+    def __new__(
+        cls,
+        model: Model,
+        servos: Servos | None = None,
+        *,
+        max_force: ArrayLike,
+        max_tool_speed: float = 0.6,
+        max_joint_speed: float = 4.0,
+    ) -> JointFollower: ...
+    @property
+    def max_force(self) -> _Array:
+        """Largest force along x, y, z of the base (3,) [N]; can be set while running."""
+
+    @max_force.setter
+    def max_force(self, value: ArrayLike) -> None: ...
+    def reset(self, q: ArrayLike) -> None:
+        """Start again from joint positions q (n,) [rad], at rest.
+
+        Raises:
+            ShapeError, OutOfRangeError: `q` does not have n finite entries.
+        """
+
+    def step(self, q: ArrayLike, q_target: ArrayLike, *, dt: float) -> Command:
+        """Return goals and torque limits for measured positions and targets (n,) [rad] after dt.
+
+        Targets are clipped to the position limits. The first step starts from `q`.
+
+        Raises:
+            ShapeError: A vector does not have n entries. OutOfRangeError: A number is not finite,
+                or `dt` is not above 0 [s]. Nothing has changed.
         """
 
 @final

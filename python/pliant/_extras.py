@@ -1,4 +1,4 @@
-"""Messages about missing extras, with the pip command that installs them."""
+"""Error messages about missing extras (optional dependencies), with the command to install them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 
 
 def pip() -> str:
-    """Return the command that installs packages into the running environment."""
+    """Return the start of a command (pip or uv) that installs into the running environment."""
     python = Path(sys.executable)
-    # Do not resolve: the interpreter of a virtual environment is a symbolic link.
+    # Do not resolve links: a virtual environment's interpreter links to the system's interpreter.
     shown = os.path.relpath(python) if python.is_relative_to(Path.cwd()) else str(python)
     if importlib.util.find_spec("pip") is None:
         return f"uv pip install --python {shown}"
@@ -19,9 +19,7 @@ def pip() -> str:
 
 
 def missing(what: str, extra: str) -> str:
-    """Return one line: the missing extra, and the command that installs it.
-
-    pliant itself is installed from a clone or a wheel, so pip does not need a package index for it.
+    """Return a sentence with the missing extra and the command that installs it.
 
     Args:
         what: Feature that needs the extra, as the beginning of a sentence.

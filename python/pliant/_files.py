@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
 
-#: Largest sizes [bytes]: `SMALL` of a settings file, `LARGE` of a file with samples.
+#: Largest size [bytes] of an input file: `SMALL` for configurations, `LARGE` for recorded samples.
 SMALL, LARGE = 1 << 20, 1 << 28
 
 
 def read_text(path: Path, max_size: int = SMALL) -> str:
-    """Read a text file.
+    """Return the contents of a UTF-8 text file.
 
     Args:
         path: The file.
-        max_size: Largest size [bytes].
+        max_size: Largest accepted size of the file [bytes].
 
     Raises:
-        ConfigError: A pipe, a device or a folder, or too large.
-        OSError: Missing, or not readable.
-        UnicodeDecodeError: Not UTF-8 text.
+        ConfigError: The path is a pipe, a device or a folder, or the file is too large.
+        OSError: The file is missing, or not readable.
+        UnicodeDecodeError: The file is not UTF-8 text.
     """
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode):
@@ -44,13 +44,13 @@ def read_text(path: Path, max_size: int = SMALL) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace control characters, which a terminal would execute, by U+FFFD."""
+    """Return the text with U+FFFD in place of control characters, which a terminal executes."""
     return "".join(c if c.isprintable() or c in " \n\t" else "�" for c in text)
 
 
 #: Number of leading bytes that identify the kind of a file.
 HEAD = 4096
-#: Test of the first `HEAD` bytes for each kind of file that a command may write.
+#: For each kind of file that a command may write: function that recognizes its first `HEAD` bytes.
 KINDS: dict[str, Callable[[bytes], bool]] = {
     "log": lambda head: head.startswith(b"\x89MCAP0\r\n"),
     "motion": lambda head: b"pliant motion" in head,
@@ -63,12 +63,14 @@ KINDS: dict[str, Callable[[bytes], bool]] = {
 
 
 def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()) -> bool:
-    """Check that a file can be written without loss of another file; nothing is changed.
+    """Check that a file can be written and would not overwrite a file of another kind.
+
+    The check leaves the file as it is.
 
     Args:
         path: File to write.
         kind: Key of `KINDS`.
-        inputs: Files that are read; None and missing files are ignored.
+        inputs: Files that the command reads; None and missing files are ignored.
 
     Returns:
         True if a file of the same kind exists and will be replaced.
@@ -86,7 +88,7 @@ def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()
     if path.is_dir():
         raise ConfigError(f"{path} cannot be written: it is a folder; name a file")
     if path.exists() and not path.is_file():
-        return False  # a device or a pipe: only writing would tell
+        return False  # a device or a pipe cannot be checked without writing
     try:
         # Creating a temporary file is the only reliable test of write access to the folder.
         with replacing(path, keep=False):
@@ -108,7 +110,10 @@ def check_output(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()
 
 @contextmanager
 def replacing(path: Path, *, keep: bool = True) -> Iterator[Path]:
-    """Yield a temporary file beside `path`; it replaces `path` at the end, or is removed on errors.
+    """Context manager that writes `path` atomically.
+
+    It yields the path of a temporary file in the same folder. At the end of the context this file
+    replaces `path`; after an exception it is removed. A device or a pipe is yielded itself.
 
     Args:
         path: File to write.
@@ -137,7 +142,7 @@ def replacing(path: Path, *, keep: bool = True) -> Iterator[Path]:
 
 
 def _is_same(path: Path, other: Path) -> bool:
-    """Return True if two paths are the same file, also through links."""
+    """Return True if two paths name the same file, also through links."""
     with suppress(OSError):
         if path.samefile(other):
             return True

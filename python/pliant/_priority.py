@@ -1,19 +1,20 @@
-"""Process priorities: background processes get a lower one, the emulator a higher one."""
+"""Process priorities (nice values): lower for background processes, higher for the emulator."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 
-#: Change of the nice value in either direction.
+#: Amount by which the nice value is raised or lowered.
 NICE = 10
 
 
 def lower_priority() -> None:
-    """Lower the priority of this process, so that it never delays the control loop.
+    """Lower the priority of this process, so that it does not delay the control loop.
 
-    On Linux it also becomes a batch process, which does not preempt others when it wakes up. The
-    idle policy is not used, because STOP on a web page must work on a busy machine too.
+    On Linux the process also gets the scheduling policy SCHED_BATCH, so that it does not preempt
+    other processes when it wakes up. SCHED_IDLE is not used: on a busy machine it would stop the
+    web page, and with it the STOP button.
     """
     os.nice(NICE)
     if hasattr(os, "SCHED_BATCH"):
@@ -22,6 +23,6 @@ def lower_priority() -> None:
 
 
 def raise_priority() -> None:
-    """Raise the priority of threads started from here, if the system permits it."""
+    """Raise the priority of this thread and of threads that it starts, if the system permits it."""
     with contextlib.suppress(OSError):
         os.nice(-NICE)

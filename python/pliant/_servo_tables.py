@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pliant._core import Servos
     from pliant._typing import Array
 
-#: Fields of a servo table with one number per joint.
+#: Fields of `Servos` with one number, or one number per joint.
 COLUMNS = (
     "kp",
     "max_torque",
@@ -30,33 +30,38 @@ COLUMNS = (
     "armature",
     "encoder_step",
 )
-#: No-load speed of servos without back-EMF in a table that needs a number [rad/s].
+#: No-load speed [rad/s] that stands for "no back-EMF" in a table where the field needs a number.
 UNREACHABLE = 1e6
 
 
 def take(table: Servos, n: int, places: ArrayLike) -> Servos:
-    """Return a servo table with the entries at some indices of a table for n joints.
+    """Return a servo table with the entries of some joints of a table for n joints.
+
+    Args:
+        table: Parameters of n servos; a field may hold one number for all joints.
+        n: Number of joints of the table.
+        places: Indices of the joints.
 
     Raises:
-        ConfigError: The table has another number of joints.
+        ConfigError: A field has neither one nor n entries.
     """
     return table.replace(**_columns(table, n, np.asarray(places, dtype=int)))
 
 
 def spread(table: Servos, n: int) -> Servos:
-    """Return a table with n entries in every field.
+    """Return the servo table with n entries in every field; a single number is repeated.
 
     Raises:
-        ConfigError: The table has another number of joints.
+        ConfigError: A field has neither one nor n entries.
     """
     return take(table, n, np.arange(n))
 
 
 def join(first: Servos, rest: Sequence[Servos]) -> Servos:
-    """Concatenate servo tables; limit type and `stiffness_known` are those of the first.
+    """Concatenate servo tables; limit type and `stiffness_known` are those of the first table.
 
-    If the first is of limit type `pwm`, servos of another type get an unreachable no-load speed,
-    that is, no back-EMF.
+    If the first table has a no-load speed (limit type `pwm`), servos of a table without one get the
+    no-load speed `UNREACHABLE`, which means no back-EMF.
     """
     tables = [first, *rest]
     sizes = [np.size(table.kp) for table in tables]
@@ -74,7 +79,7 @@ def join(first: Servos, rest: Sequence[Servos]) -> Servos:
 
 
 def _columns(table: Servos, n: int, places: NDArray[np.int_]) -> dict[str, Any]:
-    """Return the entries at some indices, for every field with one number per joint."""
+    """Return, for every numeric field of a table for n joints, its entries at the given indices."""
     names = [*COLUMNS, *(["no_load_speed"] if table.no_load_speed is not None else [])]
     out = {}
     for name in names:

@@ -1,4 +1,4 @@
-"""Checks of function arguments; errors show the value and the allowed values."""
+"""Validation of function arguments; an error shows the argument's value and the allowed values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 #: Task axes in their order: translations [m], then rotations [rad].
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
-#: How to create an argument of each type.
+#: For each argument type, a phrase for error messages that says how to create such an object.
 HINTS: dict[type, str] = {
     Model: "as pliant.robots.arm7(), .so101(), .koch() or Model.from_urdf(path) make one",
     Servos: "e.g. Servos.of(['sts3215'] * model.n)",
@@ -28,7 +28,7 @@ HINTS: dict[type, str] = {
 
 
 def format_value(value: Any) -> str:
-    """Format a value with its type for an error message."""
+    """Return a value and its type as text for an error message."""
     text = repr(value)
     return f"{text if len(text) <= 80 else text[:77] + '...'} ({type(value).__name__})"
 
@@ -37,7 +37,7 @@ def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
     """Return `value` if it is an instance of `kind`.
 
     Raises:
-        TypeError: It is not; the message describes what is needed.
+        TypeError: `value` has another type; the message contains `hint`.
     """
     if not isinstance(value, kind):
         hint = hint or HINTS.get(kind, "")
@@ -48,17 +48,21 @@ def instance(value: Any, kind: type[T], name: str, hint: str = "") -> T:
 
 
 def mapping(value: Any, name: str, hint: str) -> Mapping[Any, Any]:
-    """Return `value` if it is a mapping; errors as in `instance`."""
+    """Return `value` if it is a mapping.
+
+    Raises:
+        TypeError: `value` is not a mapping; the message contains `hint`.
+    """
     if not isinstance(value, Mapping):
         raise TypeError(f"{name} must be a mapping, {hint}, got {format_value(value)}")
     return value
 
 
 def real(value: Any, name: str) -> float:
-    """Return a number, finite or not.
+    """Return `value` as a float, finite or not.
 
     Raises:
-        ConfigError: Not a number.
+        ConfigError: `value` is not a number.
     """
     if isinstance(value, (bool, str, bytes)) or np.ndim(value) != 0:
         raise ConfigError(f"{name} must be a number, got {format_value(value)}")
@@ -72,8 +76,8 @@ def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = 
     """Return a finite number in [low, high].
 
     Raises:
-        ConfigError: Not a number.
-        OutOfRangeError: NaN, infinite or out of range.
+        ConfigError: `value` is not a number.
+        OutOfRangeError: The number is NaN, infinite or out of range.
     """
     out = real(value, name)
     if not (low <= out <= high and np.isfinite(out)):
@@ -84,7 +88,12 @@ def number(value: Any, name: str, low: float, high: float = np.inf, unit: str = 
 
 
 def positive(value: Any, name: str, unit: str = "") -> float:
-    """Return a finite number above zero; errors as in `number`."""
+    """Return a finite number above zero.
+
+    Raises:
+        ConfigError: `value` is not a number.
+        OutOfRangeError: The number is NaN, infinite, zero or negative.
+    """
     out = number(value, name, 0.0, unit=unit)
     if out == 0.0:
         of = f" [{unit}]" if unit else ""
@@ -96,7 +105,7 @@ def vector(value: ArrayLike, n: int, name: str, unit: str = "") -> Array:
     """Return a new array (n,) of finite numbers.
 
     Raises:
-        ShapeError: Wrong shape, not an array of numbers, or not finite.
+        ShapeError: `value` has the wrong shape, or an entry is not a finite number.
     """
     of = f" [{unit}]" if unit else ""
     try:

@@ -1,8 +1,8 @@
-"""Interface between an arm's life cycle and the hardware or simulation that moves its joints.
+"""Interface `Drive` between `Arm` and the hardware or simulation that moves its joints.
 
-A drive moves *all* joints of an arm, on the chain and off it (a gripper), in its own order; `Arm`
-matches them by name. A drive handles units and its bus. It does not handle kinematics, gravity or
-control policy.
+A drive moves *all* joints of an arm: those of the controlled chain and others, such as a gripper.
+It may order them as it likes, because `Arm` matches joints by name. A drive converts units and
+handles the servo bus; it knows nothing of kinematics, gravity or control.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from pliant._typing import Array, Mask
 
 
-#: Last part of a wait that is spent in a busy loop [s], because sleep wakes up this late.
+#: Last part of a wait [s] that is a busy loop instead of a `sleep`, because `sleep` returns late.
 SPIN = 1e-4
 
 
 @dataclass(frozen=True)
 class JointReadings:
-    """One reading of all N joints of a drive, in its order.
+    """One reading of all N joints of a drive, in the order of `Drive.names`.
 
     Attributes:
         position: Positions (N,) [rad]; undefined where `ok` is False.
-        ok: Which positions were read in this cycle (N,).
+        ok: Mask (N,) of the positions that were read in this cycle.
         time: Sample times on the drive's clock [s]: (N,), or one number for all.
         velocity: Velocities as the servos report them (N,) [rad/s]; None: not reported.
         load: Torques that the servos estimate from PWM duty or current (N,) [N·m]; None: not
@@ -57,7 +57,7 @@ class ServoStatus:
         voltage: Supply voltage at the servo [V].
         temperature: Temperature of the servo [°C].
         faults: Faults that the servo reports, one sentence each; empty if healthy.
-        limit: Torque limit read from the servo [N·m]; None before it was read.
+        limit: Torque limit stored in the servo [N·m]; None until it has been read once.
     """
 
     name: str
@@ -68,16 +68,17 @@ class ServoStatus:
 
 
 class Clock(Protocol):
-    """Clock of a drive.
+    """Interface of the clock of a drive.
 
-    If `real_time` is True, time passes on its own; otherwise it advances only in `wait_until`.
+    If the optional attribute `real_time` is False, the clock is simulated: its time advances only
+    in `wait_until`.
     """
 
     def now(self) -> float:
-        """Return the time [s]; never decreases."""
+        """Return the present time of the clock [s], which never decreases."""
 
     def wait_until(self, deadline: float) -> None:
-        """Return at `deadline` [s], or at once if it has passed."""
+        """Wait until the clock shows `deadline` [s]; return at once if that time has passed."""
 
 
 class Drive(Protocol):
@@ -86,39 +87,39 @@ class Drive(Protocol):
     Optional attributes:
 
     - `clock`: default is the monotonic clock of the machine;
-    - `latency`: time from the end of a write to its effect [s];
+    - `latency`: time from the end of `write` until the servos use the new goals [s];
     - `overload` (N,): share of the usable torque above which a servo's overload protection acts;
-    - `stall_current` (N,) [A]: needed for the supply budget;
-    - `enabled` (N,): joints whose torque is on already;
-    - `orders`: goals (N,) [rad] and limits (N,) [N·m] stored in the servos, NaN if unknown;
+    - `stall_current` (N,) [A]: current at stall, needed to keep the supply current below its limit;
+    - `enabled` (N,): joints whose torque is on, also if another program switched it on;
+    - `orders`: goals (N,) [rad] and torque limits (N,) [N·m] in the servos, NaN if unknown;
     - `refusing` (N,): joints that are known not to accept goals;
     - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint.
     """
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Joint names, in the order of every vector."""
+        """Joint names (N,), in the order of all vectors of the drive."""
 
     @property
     def servos(self) -> Servos:
-        """Servo parameters, one entry per name; `open` updates those that the servos report."""
+        """Servo parameters (N,), in the order of `names`; `open` updates those read from servos."""
 
     @property
     def counters(self) -> Mapping[str, int]:
         """Counters of bus events, such as retries and timeouts, by name."""
 
     def open(self) -> None:
-        """Connect to the servos and check which models they are.
+        """Connect to the servos and check that their models are the configured ones.
 
         Raises:
-            ServoError: The cause and the remedy.
+            ServoError: A servo cannot be reached or used; the message gives cause and remedy.
         """
 
     def close(self) -> None:
-        """Close the port; the servos hold their last goal and limit."""
+        """Close the ports; torque stays as it is, and the servos keep their last goal and limit."""
 
     def read(self) -> JointReadings:
-        """Return the positions of this cycle; `ok` is False for joints that did not answer.
+        """Read all joints; in the result, `ok` is False for joints that did not answer.
 
         Raises:
             ServoError: The connection is gone.
@@ -127,43 +128,46 @@ class Drive(Protocol):
     def write(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send goals (N,) [rad] and torque limits (N,) [N·m] to enabled joints.
 
-        `velocity` (N,) [rad/s] limits the speed toward the goal, for servos with a speed register;
-        inf, or None: no speed limit.
+        `velocity` (N,) [rad/s] is the largest speed toward the goal, for servos with a speed
+        register; an entry inf, or None for all: no speed limit.
         """
 
     def poll_status(self) -> ServoStatus | None:
-        """Return the status of the next servo in turn; None if none was read in this call."""
+        """Read and return the status of one servo, each call the next; None if none was read."""
 
     def enable(self, goal: Array, limit: Array) -> None:
-        """Switch torque on: limit, then goal = present position, then torque, then verify.
+        """Switch the torque of all joints on, and check that every servo confirms it.
 
-        A joint whose torque is on already keeps it on.
+        Order of writes: torque limit, goal at the present position, torque on. A joint whose torque
+        is already on keeps it on. `goal` (N,) [rad] holds the expected joint positions, and `limit`
+        (N,) [N·m] the first torque limits.
 
         Raises:
-            ServoError: A joint moved or did not confirm; torque is then as it was before.
+            ServoError: A joint moved or did not confirm; torque that this call switched on has been
+                switched off again.
         """
 
     def disable(self, names: Sequence[str]) -> None:
-        """Switch torque off; every joint is tried even if one fails."""
+        """Switch the torque of the named joints off; if one fails, the others are still tried."""
 
     def watchdog(self, seconds: float) -> None:
-        """Set the time without messages after which servos stop [s]; 0 disables the watchdog.
+        """Set the time without messages after which a servo stops [s]; 0 disables this watchdog.
 
-        Servos without a watchdog ignore this.
+        Servos without a watchdog are left unchanged.
         """
 
 
 class MonotonicClock:
-    """Monotonic clock of the machine. A wait sleeps, then busy-waits for the last 0.1 ms."""
+    """Monotonic clock of the system; a wait sleeps first and busy-waits for the last 0.1 ms."""
 
     real_time = True
 
     def now(self) -> float:
-        """Return the time [s]."""
+        """Return the present time of the system's monotonic clock [s]."""
         return time.perf_counter()
 
     def wait_until(self, deadline: float) -> None:
-        """Return at `deadline` [s]."""
+        """Wait until the time is `deadline` [s]."""
         rest = deadline - time.perf_counter() - SPIN
         if rest > 0.0:
             time.sleep(rest)
@@ -173,17 +177,17 @@ class MonotonicClock:
 
 @dataclass(frozen=True)
 class State:
-    """State of an arm in one cycle, joints in chain order.
+    """State of an arm in one control cycle; the n joints are those of the chain, base to tip.
 
     `dq`, `load` and `current` are None if the servos do not report them.
 
     Attributes:
-        q: Joint positions (n,) [rad]; a joint without a new position keeps its last accepted one.
+        q: Joint positions (n,) [rad]; a joint without a new reading keeps its last position.
         dq: Joint velocities as the servos report them (n,) [rad/s].
         time: Sample time of the oldest of the positions, on the arm's clock [s].
-        fresh: Whether every joint's position is new in this cycle.
-        extra: Positions of the joints off the chain (a gripper) by name [rad].
-        age: Age of each position (n,) [s].
+        fresh: True if the positions of all joints were read in this cycle.
+        extra: Positions by name of the joints outside the chain, such as a gripper [rad].
+        age: Time since each position was sampled (n,) [s].
         load: Torque as each servo estimates it (n,) [N·m].
         current: Current of each servo (n,) [A].
         voltage: Supply voltage at each servo (n,) [V]; NaN before the first reading.
@@ -204,6 +208,6 @@ class State:
     faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Set the ages to 0 if they are not given."""
+        """Set `age` to 0 for all joints if it is not given."""
         if self.age.shape != self.q.shape:
             object.__setattr__(self, "age", np.zeros_like(self.q))

@@ -1,4 +1,4 @@
-"""Reports on what an arm can exert in a pose or along a path."""
+"""Reports on the forces that an arm can exert in a pose or along a path."""
 
 from pliant._core import (
     AxisReport,

@@ -1,4 +1,4 @@
-"""Functions that evaluate single equations of the controller's paper.
+"""Functions that compute single equations of the paper behind the controller (docs/derivations.md).
 
 >>> import pliant.functional as F
 >>> F.compliance(0.03, soft_until=0.01, firm_from=0.10)

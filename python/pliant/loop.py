@@ -1,4 +1,4 @@
-"""Control loop that yields one tick per period, and stops if positions or commands are missing."""
+"""Real-time control loop `Loop`: one tick per period, with timeouts for positions and commands."""
 
 from __future__ import annotations
 
@@ -21,32 +21,33 @@ if TYPE_CHECKING:
 
 
 LOG = logging.getLogger("pliant")
-#: Gap between two steps after which a controller is reset to the present pose [s].
+#: Time without new positions after which the controller is reset to the present pose [s].
 RESTART = 0.25
-#: A command is rejected if its tick began longer ago than `STALE_PERIODS` periods and `STALE` [s].
+#: A command is rejected if its tick began longer ago than both this many periods and this time [s].
 STALE_PERIODS, STALE = 5.0, 0.1
-#: Time step of the controller step after a reset [s]: long enough for a goal that holds the arm
-#: against gravity, because goals move at a limited speed.
+#: Time step of the first controller step after a reset [s]. Goals move at a limited speed; in this
+#: step they can reach the lead (goal minus position) that holds the arm against gravity.
 PRIME = 0.1
-#: Extra time before the arm's watchdog acts on a stall, so that the loop detects it first [s].
+#: Extra time before the arm's supervisor thread lowers the arm because the program has stalled [s],
+#: so that the loop detects a stall first.
 GRACE = 0.1
-#: Lowest rate [Hz]: the time step of a controller is at most 1 s.
+#: Lowest rate of the loop [Hz], because the time step of a controller is at most 1 s.
 LOWEST = 1.0
-#: The delay is the median of `AVERAGE` commands. The controller is told if it changes by more than
-#: `CHANGE` [s] and by more than the share `CHANGE_SHARE` of the value reported last.
+#: Number of commands over whose delays the median is taken; and absolute [s] and relative [1]
+#: changes of this median above which the controller gets the new value.
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 
 
-#: Histogram bins: lower end of the first [s] (`FIRST`), bins per decade (`PER_DECADE`), and number
-#: of bins (`BINS`); they end at 10 s.
+#: Logarithmic bins of the lateness histogram: lower end of the first bin [s], number of bins per
+#: decade, number of bins.
 FIRST, PER_DECADE, BINS = 1e-6, 20, 140
 
 
 class LatenessHistogram:
-    """Histogram of ticks by lateness, 20 bins per decade from 1 µs to 10 s.
+    """Histogram of the lateness of ticks: 20 bins per decade from 1 µs to 10 s.
 
     Attributes:
-        counts: Ticks per bin (142,): below 1 µs, the 140 bins, above 10 s.
+        counts: Number of ticks per bin (142,): below 1 µs, in the 140 bins, above 10 s.
         largest: Largest lateness of a tick [s]; 0 without ticks.
     """
 
@@ -65,13 +66,13 @@ class LatenessHistogram:
         self.counts[bin_] += 1
 
     def __len__(self) -> int:
-        """Return the number of ticks."""
+        """Return the number of counted ticks."""
         return int(self.counts.sum())
 
     def percentile(self, share: float) -> float:
         """Return the lateness [s] at percentile `share` (0 to 100); 0 without ticks.
 
-        It is the upper end of a bin, so up to 12 % too large, but never above `largest`.
+        The result is the upper end of a bin: up to 12 % too large, but not above `largest`.
         """
         total = len(self)
         if total == 0:
@@ -87,7 +88,7 @@ class LatenessHistogram:
 
 
 class Commanded(Protocol):
-    """Protocol of a command: joint goals and torque limits."""
+    """Interface of a command: joint goals and torque limits."""
 
     @property
     def goal(self) -> Array:
@@ -99,16 +100,16 @@ class Commanded(Protocol):
 
 
 class TickRecorder(Protocol):
-    """Protocol of a recorder of ticks; `pliant.log.Recorder` is one."""
+    """Interface of a recorder of ticks; `pliant.log.Recorder` implements it."""
 
     def start(self, arm: Arm, controller: Any | None, rate: float) -> Any:
-        """Begin a run at `rate` [Hz]; return the controller that the loop steps."""
+        """Begin a run at `rate` [Hz]; return the controller, or a wrapper, that the loop steps."""
 
     def add(self, tick: Tick, command: Commanded | None) -> None:
-        """Record a tick with its command."""
+        """Record a tick with its command; None: the tick had no command."""
 
     def close(self) -> None:
-        """Finish the record."""
+        """End the recording."""
 
 
 class Tick:
@@ -122,7 +123,7 @@ class Tick:
         time: Start of the tick [s]; 0 at the first tick of the loop, on every backend.
         index: Number of ticks that the loop yielded before this one.
         began: Start of the tick on the arm's clock, which `state.time` and `arm.time` also use [s].
-        command: Last command given to `write` in this tick, sent or not; None before.
+        command: Last command passed to `write` in this tick, also a rejected one; None: no command.
     """
 
     __slots__ = ("_loop", "answered", "began", "command", "dt", "index", "q", "state", "time")
@@ -130,7 +131,7 @@ class Tick:
     def __init__(
         self, loop: Loop, state: State, dt: float, times: tuple[float, float], index: int
     ) -> None:
-        """Store the state; `Loop` creates ticks. `times`: start of this and the first tick [s]."""
+        """Create a tick (only `Loop` does); `times`: start of this and of the first tick [s]."""
         began, first = times
         self._loop, self.state, self.q, self.dt = loop, state, state.q, dt
         self.began, self.time, self.index, self.answered = began, began - first, index, False
@@ -139,7 +140,7 @@ class Tick:
     def step(self, *args: Any, **inputs: Any) -> Any:
         """Step the loop's controller with `q` and `dt`, write its command and return it.
 
-        Short for ``command = loop.controller.step(tick.q, *args, dt=tick.dt, **inputs)`` and
+        Equivalent to ``command = loop.controller.step(tick.q, *args, dt=tick.dt, **inputs)`` and
         ``tick.write(command)``.
 
         Args:
@@ -148,8 +149,8 @@ class Tick:
             **inputs: Keywords of the controller's `step`, such as `twist`.
 
         Raises:
-            ConfigError: The loop has no controller with `step`. All that the controller's `step`
-                and `write` raise.
+            ConfigError: The loop has no controller with `step`. The controller's `step` and `write`
+                may raise further errors.
         """
         step = getattr(self._loop.controller, "step", None)
         if step is None:
@@ -164,23 +165,25 @@ class Tick:
     def write(
         self, command: Commanded, extra: Mapping[str, tuple[float, float]] | None = None
     ) -> bool:
-        """Send a command; if it is rejected, goals and limits in the servos stay unchanged.
+        """Send a command to the servos, unless it is invalid or late.
 
         A command is rejected, and counted in `Loop.rejected`, if a goal or limit is not finite, or
-        if the tick began longer ago than five periods and 0.1 s.
+        if the tick began longer ago than both five periods and 0.1 s. Goals and limits in the
+        servos then stay unchanged.
 
         Args:
-            command: Goals and limits: a `pliant.Command`, or an object with `goal` and
-                `torque_limit`. The limits are not raised to the weight: an arm whose limits are
-                too low sinks or falls, see `Arm.write`.
-            extra: Goal [rad] and limit [N·m] of joints off the chain by name.
+            command: Goals and torque limits: a `pliant.Command`, or an object with `goal` and
+                `torque_limit`. Limits below the torque that gravity requires are sent as they are:
+                the arm then sinks or falls, see `Arm.write`.
+            extra: Goal [rad] and torque limit [N·m], by name, of joints outside the chain.
 
         Returns:
             True if the command was sent.
 
         Raises:
-            ShapeError, ConfigError, OutOfRangeError: Wrong number of joints, or a negative limit.
-            TypeError: Not a command.
+            ShapeError, ConfigError, OutOfRangeError: The command has the wrong number of joints, or
+                a negative limit.
+            TypeError: The object is not a command.
             ServoError: Torque is off, or the connection is gone.
         """
         self.answered = self._loop._write(self, command, extra)
@@ -188,55 +191,56 @@ class Tick:
         return self.answered
 
     def skip(self) -> None:
-        """Leave goals and limits unchanged in this tick.
+        """Leave goals and torque limits in the servos unchanged in this tick.
 
-        Call it in each tick without a command: the loop raises after `arm.comm_timeout` without
-        commands and without calls of `skip`.
+        Call `skip` in each tick without a command: after `arm.comm_timeout` without commands and
+        calls of `skip`, the loop raises an error.
         """
         self.answered = True
 
 
 class Loop:
-    """Control loop over an enabled arm; an iterator of ticks.
+    """Control loop over an enabled arm; an iterator of ticks (control cycles).
 
-    A tick is yielded only with new positions of all joints. Goals and limits stay unchanged while
-    positions are missing, while commands are missing or not finite, and while the program stalls.
-    If positions or commands are missing for more than `arm.comm_timeout`, or a tick takes longer
-    than `max_step_time`, the loop raises, and the arm's `with` lowers the arm. After a gap of more
-    than 0.25 s between positions the controller is reset to the present pose, and limits rise again
-    within 0.5 s. If the program makes no call for the longer of `comm_timeout` and `max_step_time`,
-    plus a period and 0.1 s, a thread lowers the arm (not in simulated time).
+    A tick is yielded only with new positions of all joints. Goals and limits in the servos stay
+    unchanged while positions are missing, while commands are missing or not finite, and while the
+    program stalls. If positions or commands are missing for more than `arm.comm_timeout`, or a tick
+    takes longer than `max_step_time`, the loop raises an error, and the arm is lowered at the end
+    of its `with` block. After a gap of more than 0.25 s between positions, the controller is reset
+    to the present pose, and torque limits rise again within 0.5 s. If the program makes no call for
+    the longer of `comm_timeout` and `max_step_time`, plus a period and 0.1 s, a thread lowers the
+    arm (not in simulated time).
 
     Args:
-        arm: The arm, enabled.
-        controller: Controller that `Tick.step` steps. The loop sets its delay from measurements,
-            and resets it at the start and after gaps. None: no controller.
+        arm: An enabled arm.
+        controller: Controller for `Tick.step`. The loop sets its delay from measurements, and
+            resets it at the start and after gaps. None: no controller.
         rate: Ticks per second [Hz], at least 1; None: the rate in the controller's settings, or
             `arm.rate` if it has none.
         duration: Duration of the loop [s]; None: unlimited.
         max_step_time: Longest time that the program may take in one tick [s]; None:
             `arm.comm_timeout`.
-        recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`. It
-            receives every tick with its command. It is started here and closed when the loop ends.
+        recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`, which
+            receives every tick with its command. The loop starts it, and closes it at the end.
 
     Attributes:
-        controller: Controller to step. With a recorder, a wrapper that records its calls. Pass this
+        controller: Controller to step; with a recorder, a wrapper that records its calls. Pass this
             object to helpers that step the controller (`pliant.teach.Replay`).
         period: Time between two ticks [s].
-        duration: As given.
+        duration: Duration of the loop [s]; None: unlimited.
         lateness: Histogram of the lateness of ticks.
-        missed: Number of deadlines skipped because a tick took too long.
+        missed: Number of deadlines that were skipped because a tick took too long.
         missing: Number of ticks without new positions of all joints.
         rejected: Number of commands that were not sent.
         restarts: Number of resets after a gap; the reset at the start is not counted.
-        delay: Median time from the sample of positions to the effect of the goals computed from
-            them [s], over 50 commands; None before.
+        delay: Median over 50 commands of the time from sampling positions until the servos use the
+            goals computed from them [s]; None before the first 50 commands.
 
     Raises:
         TypeError: `arm` is not an arm, or `controller` has no `reset`.
         ConfigError: The rate is below 1 Hz, or its period is not a multiple of a simulated arm's
             period; or a time is negative or not a number.
-        ServoTimeoutError: While looping: positions, commands or the program stalled.
+        ServoTimeoutError: While looping: positions or commands are missing, or the program stalled.
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
     Example:
@@ -256,7 +260,7 @@ class Loop:
         max_step_time: float | None = None,
         recorder: TickRecorder | None = None,
     ) -> None:
-        """Check the arguments."""
+        """Validate the arguments, and start the recorder if there is one."""
         if not hasattr(arm, "clock"):
             raise TypeError(
                 f"arm must be an Arm, as pliant.connect(...) makes one, got {format_value(arm)}"
@@ -294,7 +298,7 @@ class Loop:
             self.controller = recorder.start(arm, controller, rate)
 
     def __iter__(self) -> Iterator[Tick]:
-        """Enable supervision by the arm and yield ticks; close the recorder at the end."""
+        """Start the arm's supervisor thread and yield ticks; close the recorder at the end."""
         if not self._arm.enabled:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
@@ -308,9 +312,10 @@ class Loop:
                 self._close(self._recorder, raises=ended)
 
     def _close(self, recorder: TickRecorder, *, raises: bool) -> None:
-        """Close the recorder; its `OSError` is raised if `raises`, else logged.
+        """Close the recorder; raise its `OSError` if `raises` is True, else write it to the log.
 
-        It is logged if the loop has ended with an exception, which it would replace.
+        After an exception in the loop, an `OSError` must not be raised, because it would replace
+        that exception.
         """
         try:
             recorder.close()
@@ -363,8 +368,7 @@ class Loop:
             else:
                 self.missing += 1
                 self._wait_no_longer_than(state, arm.comm_timeout)
-                # The program gets no tick without positions, so this time must not count as time
-                # without a command.
+                # Exclude this time from the command timeout: without a tick there is no command.
                 commanded += now - before
             before = now
             deadline += self.period
@@ -375,7 +379,7 @@ class Loop:
                 deadline += skipped * self.period
 
     def _wait_no_longer_than(self, state: State, longest: float) -> None:
-        """Raise if positions of a joint have been missing for more than `longest` [s]."""
+        """Raise `ServoTimeoutError` if a joint had no new position for more than `longest` [s]."""
         if state.age.max() > longest:
             names = [
                 name
@@ -401,18 +405,19 @@ class Loop:
             return
         if first:
             self._capture(q)
-        # `capture_gravity` does not change the goals; `reset` applies the captured leads.
+        # Reset after `_capture`, which changes only the gravity offset: `reset` sets goals with it.
         controller.reset(q)
         if hasattr(controller, "model"):
-            # Goals move from q at a limited speed: one long step, which is not sent, lets them
-            # reach the leads that hold the arm against gravity.
+            # Goals start at q and move at a limited speed. One long step, whose command is not
+            # sent, moves them to where they hold the arm against gravity.
             controller.step(q, controller.model.forward_kinematics(q), dt=PRIME)
 
     def _capture(self, q: Array) -> None:
-        """Pass the leads measured at torque on to the controller, if the stiffness is unknown.
+        """Set the controller's gravity offset, if the stiffness of the servos is not known.
 
-        The leads are those at q (n,) [rad]. Joints without a measured lead get the gravity torque
-        divided by the assumed stiffness.
+        The offset is the lead (goal minus position) that held each joint when torque was switched
+        on, at positions q (n,) [rad]. For joints without a measured lead, the lead is the gravity
+        torque divided by the assumed stiffness.
         """
         arm, capture = self._arm, getattr(self.controller, "capture_gravity", None)
         leads = getattr(arm, "leads", None)
@@ -424,7 +429,7 @@ class Loop:
     def _write(
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
     ) -> bool:
-        """Check and send a command; return False and count it if it is rejected."""
+        """Check a command; send it and return True, or count it as rejected and return False."""
         self._check()
         clock = self._arm.clock
         if not (hasattr(command, "goal") and hasattr(command, "torque_limit")):
@@ -446,9 +451,9 @@ class Loop:
         return True
 
     def _measure(self, delay: float) -> None:
-        """Add a delay [s]; after each 50, store their median and tell the controller of a change.
+        """Record the delay of a command [s], plus the drive's latency; after 50, store the median.
 
-        The drive's latency is added to each delay.
+        The controller gets the median if it differs enough from the value set before.
         """
         self._delays.append(delay + getattr(self._arm.drive, "latency", 0.0))
         if len(self._delays) < AVERAGE:
@@ -464,7 +469,7 @@ class Loop:
 
 
 def _never() -> None:
-    """Stand in for the supervisor's check before the loop runs; never raises."""
+    """Do nothing; placeholder for the check of the arm's supervisor until the loop runs."""
 
 
 def _divides(grain: float, period: float) -> bool:

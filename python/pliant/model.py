@@ -1,4 +1,4 @@
-"""Parts of a `Model`: links, joints, inertias and results of inverse kinematics."""
+"""Classes used by `pliant.Model`: links, joints, inertias and results of inverse kinematics."""
 
 from pliant._core import (
     IkResult,

@@ -1,4 +1,4 @@
-"""Results of a controller and of the contact estimator, for annotations."""
+"""Result types of the controller and of the contact estimator, for annotations."""
 
 from pliant._core import BatchState, Diagnostics, WrenchEstimate
 

@@ -34,7 +34,7 @@ def check(job, run):
 def job_of(arm, number, over):
     (found,) = (
         job
-        for job in descent.descents(arm, number + 1)
+        for job in descent.descents(arm, max(number + 1, -number))
         if job.number == number and job.over_table == over
     )
     return found
@@ -47,6 +47,33 @@ def test_neither_way_is_a_rise_a_lunge_or_a_drop(arm, number):
     # Alternately in free air and over a table.
     job = job_of(arm, number, bool(number % 2))
     check(job, job.run())
+
+
+@pytest.mark.parametrize(("arm", "number"), [("so101", -2), ("koch", -4)])
+def test_down_from_the_ready_pose_within_fifteen_seconds(arm, number):
+    # Servos of half or 2.5 times the assumed stiffness, coarse counts, 1.7 times the friction.
+    job = job_of(arm, number, False)
+    run = job.run()
+    check(job, run)
+    assert run.seconds < 15.0  # (14.5 and 11.6; 20.2 and 18.1 before)
+
+
+def test_an_arm_that_swings_is_taken_over_without_being_swung_further():
+    # The tool swings at 0.08 m/s, because a count of the encoder is more than the friction.
+    job = job_of("arm7", 11, False)
+    run = job.run()
+    assert run.apart > 2.0
+    assert run.jerk < 0.10  # (0.09; 0.29 where each reading was drawn back)
+    assert run.moved < 0.020
+
+
+@pytest.mark.skipif(not descent.is_here("vx300s"), reason="no description beside the project")
+def test_torque_off_only_where_the_arm_stands_without_it():
+    # The shoulder falls backward while the tool lies on the table.
+    run = job_of("vx300s", 35, True).run()
+    assert run.apart > 1.4
+    assert run.after < 0.10  # (0.20 before, after 60 s without an end)
+    assert run.seconds < 30.0
 
 
 @pytest.mark.full

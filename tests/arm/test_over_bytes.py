@@ -203,7 +203,9 @@ def test_no_lost_packet_of_enabling_lets_an_old_goal_move_the_arm(family):
 
 
 @pytest.mark.parametrize("cleared", [True, False])
-def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkeypatch):
+def test_torque_does_not_go_off_where_servos_refuse_the_way_down(
+    cleared, monkeypatch, capsys, caplog
+):
     """The line is dead for longer than the watchdog, then the arm is lowered."""
     if not cleared:
         # As if the watchdog could not be cleared.
@@ -230,8 +232,11 @@ def test_torque_does_not_go_off_where_servos_refuse_the_way_down(cleared, monkey
             arm.clock.wait_until(arm.clock.now() + 0.5)
             assert bus.plant.tool[2, 3] < start - 0.02
         else:
-            with pytest.raises(pliant.ServoError, match="do not take the goals"):
+            with pytest.raises(pliant.ServoFaultError, match="do not take the goals"):
                 arm.lower()
+            said = " ".join(capsys.readouterr().err.split()) + caplog.text
+            assert "torque is ON in" in said
+            assert "the bus is gone" not in said
             assert all(switches(bus, k)[-1] == "torque on" for k in range(1, 7))
         arm.close()
 

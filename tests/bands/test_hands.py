@@ -3,12 +3,12 @@
 import pytest
 
 from experiments import controllers, disturbances
-from pliant.sim import LIGHT, STRONG
+from pliant.sim import DRAG_15N, DRAG_80N
 from pliant.sim.postures import HORIZONTAL
 
 
 def test_rec_follows_a_15_newton_hand():
-    seen = disturbances.drag(controllers.rec(), LIGHT)
+    seen = disturbances.drag(controllers.rec(), DRAG_15N)
     assert seen.moved > 0.23  # [m] (.25)
     assert seen.force < 9.0  # [N] (5.6)
     assert seen.position < 0.008  # [m] (.0026)
@@ -17,7 +17,7 @@ def test_rec_follows_a_15_newton_hand():
 
 
 def test_cap_follows_a_15_newton_hand():
-    seen = disturbances.drag(controllers.cap(), LIGHT)
+    seen = disturbances.drag(controllers.cap(), DRAG_15N)
     assert seen.moved > 0.23
     assert seen.force < 7.5  # [N] (5.6)
     assert seen.position < 0.005  # [m] (.0023)
@@ -26,34 +26,34 @@ def test_cap_follows_a_15_newton_hand():
 
 
 def test_cap_follows_a_strong_hand():
-    seen = disturbances.drag(controllers.cap(), STRONG)
+    seen = disturbances.drag(controllers.cap(), DRAG_80N)
     assert seen.force < 6.0  # [N] (4.0)
     assert seen.position < 0.005  # [m] (.0025)
 
 
 def test_rec_comes_back_with_eta_below_one():
-    seen = disturbances.drag(controllers.rec(eta=0.9), LIGHT)
+    seen = disturbances.drag(controllers.rec(eta=0.9), DRAG_15N)
     assert seen.moved > 0.15  # [m] (.24)
     assert seen.position < 0.012  # [m] (.0069)
     assert seen.back < 0.015  # [m] after 1 s (.001)
 
 
 def test_cap_comes_back_with_eta_below_one():
-    seen = disturbances.drag(controllers.cap(eta=0.9), LIGHT, duration=12.0)
+    seen = disturbances.drag(controllers.cap(eta=0.9), DRAG_15N, duration=12.0)
     assert seen.moved > 0.2  # [m] (.24)
     assert seen.force < 13.0  # [N] (9.4)
     assert seen.end < 0.015  # [m] after 7 s (.002)
 
 
 def test_paper_without_gravity_model_drifts_before_the_hand_comes():
-    seen = disturbances.drag(controllers.paper(10), LIGHT)
+    seen = disturbances.drag(controllers.paper(10), DRAG_15N)
     assert 0.040 <= seen.before <= 0.130  # [m] (.079)
     assert seen.moved > 0.2  # [m] (.24)
     assert seen.drift < 0.012  # [m] (.0055)
 
 
 def test_paper_without_gravity_model_comes_back_with_eta_below_one():
-    seen = disturbances.drag(controllers.paper(10, eta=0.9), LIGHT)
+    seen = disturbances.drag(controllers.paper(10, eta=0.9), DRAG_15N)
     assert 0.09 <= seen.moved <= 0.24  # [m] (.13)
     assert seen.drift < 0.012  # [m] (.0048)
     resting = seen.trace.moved[seen.trace.at(2.0), 1]
@@ -62,7 +62,7 @@ def test_paper_without_gravity_model_comes_back_with_eta_below_one():
 
 
 def test_rec_without_adaptation():
-    seen = disturbances.drag(controllers.rec(eta=0.0), STRONG)
+    seen = disturbances.drag(controllers.rec(eta=0.0), DRAG_80N)
     assert 4.0 <= seen.held <= 10.0  # [N] (6.5)
     assert seen.drift < 0.008  # [m] (.0046)
     assert seen.back < 0.005  # [m]
@@ -70,7 +70,7 @@ def test_rec_without_adaptation():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["+y", "-y"])
 def test_cap_keeps_its_promise(sign):
-    hand = STRONG if sign > 0.0 else disturbances.opposite(STRONG)
+    hand = DRAG_80N if sign > 0.0 else disturbances.opposite(DRAG_80N)
     seen = disturbances.drag(controllers.cap(eta=0.0), hand)
     assert 11.5 <= sign * seen.held <= 18.5  # [N] (14.3, 14.8)
     assert seen.position < 0.005  # [m] (.0023)
@@ -94,7 +94,7 @@ def test_limits_only_lets_the_stiff_axes_go():
 
 
 def test_rec_in_the_horizontal_grasp():
-    seen = disturbances.drag(controllers.rec(), STRONG, q=HORIZONTAL)
+    seen = disturbances.drag(controllers.rec(), DRAG_80N, q=HORIZONTAL)
     assert seen.moved > 0.14  # [m] (.15)
     assert seen.force < 9.0  # [N] (4.0)
     assert seen.position < 0.008  # [m] (.0013)
@@ -102,6 +102,6 @@ def test_rec_in_the_horizontal_grasp():
 
 
 def test_cap_in_the_horizontal_grasp():
-    seen = disturbances.drag(controllers.cap(), STRONG, q=HORIZONTAL)
+    seen = disturbances.drag(controllers.cap(), DRAG_80N, q=HORIZONTAL)
     assert seen.force < 6.0  # [N] (3.9)
     assert seen.position < 0.005  # [m] (.0022)

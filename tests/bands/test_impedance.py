@@ -9,7 +9,7 @@ import pytest
 from experiments import controllers, disturbances, doors
 from experiments.simulation import Conditions
 from pliant import Axis, ConfigError, Controller, Settings, robots
-from pliant.sim import LIGHT, Plant
+from pliant.sim import DRAG_15N, Plant
 from pliant.sim.postures import VERTICAL
 
 #: Law `impedance` without the reduction of stiffness for delays.
@@ -65,7 +65,7 @@ def test_opens_a_door_whose_handle_turns():
 @pytest.mark.parametrize("loop", LOOPS)
 def test_follows_a_15_newton_hand(loop):
     conditions, law, _, _, force, drift = LOOPS[loop]
-    seen = disturbances.drag(law(), LIGHT, conditions=conditions)
+    seen = disturbances.drag(law(), DRAG_15N, conditions=conditions)
     assert seen.force < force
     assert seen.position < drift
 
@@ -87,7 +87,7 @@ def test_taps_ring_beyond_the_bound(loop):
 def test_a_slow_loop_with_a_tick_each_way_is_stable():
     seen = disturbances.idle(controllers.impedance(), conditions=SLOW)
     assert seen.speed < 0.002  # [rad/s] (.0005; with the full springs .48)
-    dragged = disturbances.drag(controllers.impedance(), LIGHT, conditions=SLOW)
+    dragged = disturbances.drag(controllers.impedance(), DRAG_15N, conditions=SLOW)
     assert dragged.moved > 0.2  # [m]
     assert dragged.position < 0.015  # [m]
 
@@ -121,7 +121,7 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
         law="impedance",
         axes={"xyz": Axis(stiffness=2.2 / give)},
         delay=0.02,
-        **controllers.UNBLURRED,
+        **controllers.NO_RATE_LIMITS,
     )
     controller, plant = Controller(arm, settings), Plant(arm, delay=(1, 1))
     plant.reset(q)

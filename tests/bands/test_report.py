@@ -23,7 +23,7 @@ def gives_way(q, axis, sign, cap):
     """Return the force [N, N·m] at which a growing push moves the axis, and the reported one."""
     index = AXES.index(axis)
     settings = pliant.Settings(
-        axes={axis: pliant.Axis(soft=cap, firm=cap)}, **controllers.UNBLURRED
+        axes={axis: pliant.Axis(soft=cap, firm=cap)}, **controllers.NO_RATE_LIMITS
     )
     controller = NOMINAL.controller(settings)
     assert isinstance(controller, pliant.Controller)
@@ -58,5 +58,5 @@ def test_the_report_foretells_what_a_dead_host_leaves(push):
     settings = controllers.cap(eta=0.0)
     report = pliant.Controller(arm(), settings).report(VERTICAL)
     said = report.axes[push[1:]].host_loss_force[int(push[0] == "+")]
-    felt = disturbances.die(settings, push).force
+    felt = disturbances.lose_host(settings, push).force
     assert abs(said / felt - 1.0) < DEAD[push]

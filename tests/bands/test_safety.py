@@ -12,13 +12,13 @@ LEAST_KEPT = 0.92  # (.98)
 
 @pytest.mark.parametrize("push", DEAD)
 def test_cap_leaves_little_force_when_the_host_dies(push):
-    seen = disturbances.die(controllers.cap(eta=0.0), push)
+    seen = disturbances.lose_host(controllers.cap(eta=0.0), push)
     assert seen.force < DEAD[push]
     assert abs(seen.force - seen.formula) < 2.5  # [N] (1.7)
 
 
 def test_cap_stands_still_when_the_host_dies():
-    assert disturbances.die(controllers.cap(eta=0.0), None).moved < 0.001  # [m]
+    assert disturbances.lose_host(controllers.cap(eta=0.0), None).moved < 0.001  # [m]
 
 
 def kept(count, margin):

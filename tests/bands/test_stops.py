@@ -6,7 +6,7 @@ from mismatch import DRAWN, Mismatch, Parameters
 
 import pliant
 from experiments import joint_limit_rest
-from experiments.controllers import UNBLURRED
+from experiments.controllers import NO_RATE_LIMITS
 from pliant import robots
 from pliant.sim import Plant
 from pliant.sim.postures import VERTICAL
@@ -36,7 +36,7 @@ def beyond_the_limit(name, cap, ticks, law="cap"):
         axes={"y": pliant.Axis(soft=cap, firm=cap, **spring)},
         law=law,
         delay=late,
-        **UNBLURRED,
+        **NO_RATE_LIMITS,
     )
     controller = pliant.Controller(model, settings)
     gap.check(controller)

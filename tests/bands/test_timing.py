@@ -6,7 +6,7 @@ from mismatch import Mismatch, Parameters
 
 from experiments import controllers, disturbances, doors, metrics
 from experiments.simulation import Conditions
-from pliant.sim import LIGHT, ROBUST
+from pliant.sim import DRAG_15N, DRAG_30N
 
 ROUGH = {"noise": np.deg2rad(0.05), "read_loss": 0.05, "write_loss": 0.05}
 BUSES = {
@@ -39,7 +39,7 @@ COUNTS = {
 
 @pytest.mark.parametrize("bus", BUSES)
 def test_rec_at_other_rates_and_delays(bus):
-    seen = disturbances.drag(controllers.rec(), ROBUST, conditions=BUSES[bus])
+    seen = disturbances.drag(controllers.rec(), DRAG_30N, conditions=BUSES[bus])
     assert seen.moved > 0.19  # [m]
     assert seen.position < 0.010  # [m] (.0029, .0042, .0040, .0016, .0029)
     assert metrics.speed(seen.trace, 1.0, 2.0) < 0.03  # [rad/s] at rest before
@@ -55,7 +55,7 @@ def test_rec_does_not_ring_at_50_hz(axis):
 @pytest.mark.parametrize("loop", DELAYED)
 def test_cap_predicts_over_the_delay(loop):
     conditions, force, drift = DELAYED[loop]
-    seen = disturbances.drag(controllers.cap(), LIGHT, conditions=conditions)
+    seen = disturbances.drag(controllers.cap(), DRAG_15N, conditions=conditions)
     assert seen.force < force
     assert seen.position < drift
     assert doors.open_door(controllers.cap, conditions=conditions).force < 28.0  # [N] (21)
@@ -76,7 +76,7 @@ def test_cap_with_friction_known_to_30_percent(loop, believed):
     late = sum(conditions.delay) / conditions.rate
     assumed = Parameters(friction=believed, damping=believed, delay=late)
     with Mismatch(plant=Parameters(delay=late), assumed=assumed):
-        seen = disturbances.drag(controllers.cap(), LIGHT, conditions=conditions)
+        seen = disturbances.drag(controllers.cap(), DRAG_15N, conditions=conditions)
         door = doors.open_door(controllers.cap, conditions=conditions)
     assert seen.force < 9.0  # [N] (5.3-7.3)
     assert seen.position < 0.006  # [m] (.0024-.0040)
@@ -95,5 +95,5 @@ def test_cap_with_a_flickering_encoder(count, rate):
         controllers.cap(), disturbances.SLOW, duration=7.0, conditions=conditions
     )
     assert slow.force < force
-    light = disturbances.drag(controllers.cap(), LIGHT, duration=5.5, conditions=conditions)
+    light = disturbances.drag(controllers.cap(), DRAG_15N, duration=5.5, conditions=conditions)
     assert light.force < 9.0  # [N]

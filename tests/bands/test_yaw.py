@@ -1,11 +1,11 @@
 """A hand turns the tool about an axis that yields; a task's orientation is followed."""
 
 from experiments import controllers, disturbances, tracking
-from pliant.sim import YAW
+from pliant.sim import TWIST_3NM
 
 
 def test_rec_follows_a_turning_hand():
-    seen = disturbances.drag(controllers.rec(soft="yaw"), YAW)
+    seen = disturbances.drag(controllers.rec(soft="yaw"), TWIST_3NM)
     assert seen.moved > 0.75  # [rad] (.80)
     assert seen.force < 1.2  # [N·m] (.73)
     assert seen.position < 0.009  # [m] (.0044)
@@ -13,14 +13,14 @@ def test_rec_follows_a_turning_hand():
 
 
 def test_rec_turns_back_with_eta_below_one():
-    seen = disturbances.drag(controllers.rec(soft="yaw", eta=0.9), YAW)
+    seen = disturbances.drag(controllers.rec(soft="yaw", eta=0.9), TWIST_3NM)
     assert seen.moved > 0.5  # [rad]
     assert seen.position < 0.022  # [m]
     assert seen.back < 0.06  # [rad]
 
 
 def test_cap_follows_a_turning_hand():
-    seen = disturbances.drag(controllers.cap(soft="yaw"), YAW)
+    seen = disturbances.drag(controllers.cap(soft="yaw"), TWIST_3NM)
     assert seen.moved > 0.75  # [rad] (.80)
     assert seen.force < 1.1  # [N·m] (.83)
     assert seen.position < 0.009  # [m] (.0059)

@@ -87,7 +87,7 @@ def moved(path):
 )
 def test_nothing_is_loaded_between_two_ticks(command, tmp_path, name):
     flags = {
-        "teach": [str(tmp_path / "m.json"), "--hand"],
+        "teach": [str(tmp_path / "m.json"), "--scripted-hand"],
         "run": ["--duration", "1"],
         "replay": [moved(tmp_path / "r.json")],
     }
@@ -105,7 +105,7 @@ def test_a_recording_outlives_ctrl_c(command, tmp_path):
         "recorded and (recorded.append(1), "
         "len(recorded) == 300 and os.kill(os.getpid(), signal.SIGINT))"
     )
-    code, _, done = command("teach", str(file), "--hand", each=each, backend="sim")
+    code, _, done = command("teach", str(file), "--scripted-hand", each=each, backend="sim")
     assert code == 130, done.stderr
     motion = Motion.load(file)
     assert 0.5 < motion.duration < 4.0

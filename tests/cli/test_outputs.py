@@ -53,8 +53,8 @@ def contents(folder):
 @pytest.mark.parametrize(
     "words",
     [
-        "teach so101 my_arm.json --calibration my_arm.json --backend sim --hand",
-        "teach so101 ./my_arm.json --backend sim --hand",
+        "teach so101 my_arm.json --calibration my_arm.json --backend sim --scripted-hand",
+        "teach so101 ./my_arm.json --backend sim --scripted-hand",
         "teach mine.toml arm.urdf",
         "run mine.toml --duration 0.2 --quiet --log mine.toml",
         "run mine.toml --duration 0.2 --quiet --log arm.urdf",

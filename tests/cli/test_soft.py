@@ -3,7 +3,7 @@
 import pytest
 
 import pliant
-from pliant.cli._flags import apply_soft
+from pliant.config._soft import apply_soft
 
 MODEL = pliant.robots.so101()
 TASK = pliant.Task(axes="xyz")
@@ -14,7 +14,7 @@ SETTINGS = pliant.Settings(
 
 
 def soft(words, *, holds):
-    return apply_soft(SETTINGS, words, MODEL, holds=holds)
+    return apply_soft(SETTINGS, words, MODEL, holds=holds, option="--soft")
 
 
 @pytest.mark.parametrize("holds", [True, False])

@@ -222,11 +222,11 @@ def test_a_target_that_was_not_reached_is_said(tmp_path, capsys):
 
 def test_joints_at_their_limits_are_named_where_a_target_was_not_reached():
     """From the folded rest pose an SO-101 cannot lift its tool: its limits block the path."""
-    from pliant.cli.run import _missed
+    from pliant.cli.run import _describe_target_error
 
     folded = np.array([0.0, -1.75, 1.7, 0.0, 0.0])
     target = MODEL.forward_kinematics([0.0, -0.3, 0.3, 0.9, 0.0])
-    (said,) = _missed(MODEL, folded, target)
+    (said,) = _describe_target_error(MODEL, folded, target)
     assert "at their limits: shoulder_lift, elbow_flex" in said
     assert "another pose" in said
-    assert not _missed(MODEL, folded, MODEL.forward_kinematics(folded))
+    assert not _describe_target_error(MODEL, folded, MODEL.forward_kinematics(folded))

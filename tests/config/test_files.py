@@ -1,4 +1,5 @@
 import re
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +7,11 @@ import pytest
 
 import pliant
 from pliant import config
+from pliant.config import factory
+from pliant.config.factory import make_emulator
 from pliant.config.schema import zeros
+from pliant.emulator import ManualClock
+from pliant.servo import ServoBus
 
 ROBOTS = Path(__file__).parents[3] / "shared" / "robots"
 OWN = ("arm7", "koch", "so100", "so101")
@@ -236,6 +241,21 @@ def test_a_file_for_a_built_in_model_takes_no_other_urdf(name):
         config.load(name, urdf="my.urdf")
 
 
+@contextmanager
+def makers_arm(read):
+    """Yield the arm of a configuration, on emulated servos in emulated time."""
+    if read.backend == "sim":
+        with pliant.connect(read, handle_signals=False) as arm:
+            yield arm
+        return
+    with make_emulator(read, clock="steps") as bus:
+        specs = factory.servo_specs(read, bus.ports)
+        drive = ServoBus(specs, reply_timeout_min=0.5, clock=ManualClock(bus))
+        grippers = factory.gripper_configs(read)
+        with pliant.Arm(read.model(), drive, grippers=grippers, handle_signals=False) as arm:
+            yield arm
+
+
 @pytest.mark.parametrize("backend", ["sim", "emulator"])
 def test_the_file_for_the_makers_so101_runs_as_printed(backend, tmp_path):
     page = Path(__file__).parents[2] / "docs" / "robots" / "so101.md"
@@ -247,15 +267,15 @@ def test_the_file_for_the_makers_so101_runs_as_printed(backend, tmp_path):
     if not urdf.is_file():
         pytest.skip(f"no {urdf}")
     read = config.load(file, backend=backend, urdf=urdf)
-    # An emulated arm descends as slowly as a real one.
-    on_exit = "lower" if backend == "sim" else "leave_enabled"
-    with pliant.connect(read, handle_signals=False, on_exit=on_exit) as arm:
+    with makers_arm(read) as arm:
         controller = pliant.Controller(arm.model, read.settings(), arm.servos)
         start = arm.read().q
         target = arm.model.forward_kinematics(start)
         for tick in pliant.Loop(arm, controller, duration=0.3):
             tick.write(controller.step(tick.q, target, dt=tick.dt))
         assert np.abs(arm.read().q - start).max() < 0.05
+        arm.lower()
+        assert not arm.enabled
 
 
 def test_zero_comes_from_the_file_then_from_the_calibration(tmp_path):

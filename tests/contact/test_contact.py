@@ -141,11 +141,11 @@ def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
     with Mismatch(plant=Parameters(), assumed=drawn):
         free = [bench.free(number, 20.0) for number in range(2)]
         met = [bench.contact(number) for number in range(12)]
-    facts = table.honesty(free, met)
+    facts = table.estimate_errors(free, met)
     assert facts["free beyond"] < 0.001  # (.0000 in an hour)
     assert facts["free rms"] < 1.5  # [N] (.77)
     strength = table.STRONG_FORCE * bench.arm.median_capacity[0]
-    guarded = table.look("short", table.Rule("guarded", 0.6), strength, free, met)
+    guarded = table.evaluate("short", table.Rule("guarded", 0.6), strength, free, met)
     assert guarded.alarms == 0
     assert guarded.missed <= 0.2  # (.045 of 581)
     assert guarded.seen >= 0.6  # (.80)

@@ -78,12 +78,12 @@ def trace(along):
 
 def test_return_time_counts_from_the_release_to_the_last_time_away():
     along = np.where(np.arange(1, 101) <= 50, 0.1, 0.0)
-    assert common.returned(trace(along), 1) == 0.0
+    assert common.return_time(trace(along), 1) == 0.0
     along[50:57] = 0.1
-    assert common.returned(trace(along), 1) == pytest.approx(0.8)
+    assert common.return_time(trace(along), 1) == pytest.approx(0.8)
     along[69] = 0.02
-    assert common.returned(trace(along), 1) == pytest.approx(2.1)
-    assert common.returned(trace(np.full(100, 0.1)), 1) is None
+    assert common.return_time(trace(along), 1) == pytest.approx(2.1)
+    assert common.return_time(trace(np.full(100, 0.1)), 1) is None
 
 
 def test_return_speed_is_that_after_the_release():

@@ -204,11 +204,11 @@ def test_memory_is_bounded(tmp_path):
     from pliant.log.frames import Sender
 
     end, start = os.pipe()
-    sender = Sender(start, most=10_000)
+    sender = Sender(start, max_backlog=10_000)
     for _ in range(200):
         sender.send(1, bytes(1000))
     assert sender.dropped > 100
-    assert len(sender._rest) <= 10_000 + 2000
+    assert len(sender._backlog) <= 10_000 + 2000
     begun = time.monotonic()
     sender.finish(0.2)
     assert time.monotonic() - begun < 5.0

@@ -11,7 +11,8 @@ from demo.test_report import check_page
 import pliant
 import pliant.sim
 from pliant.cli import main
-from pliant.log import Recorder, felt, findings, read
+from pliant.log import Recorder, findings, read
+from pliant.log import forces as force_estimates
 
 pytest.importorskip("mcap_ros2")
 pytest.importorskip("matplotlib")
@@ -50,28 +51,28 @@ def run(tmp_path_factory):
 
 def test_the_force_of_the_hand_is_found_in_the_log(run):
     _, log, forces = run
-    seen = felt.feel(log)
-    late = (findings.since(log) > 1.8) & (findings.since(log) < UNTIL - 0.6)
+    seen = force_estimates.estimate_forces(log)
+    late = (findings.elapsed_time(log) > 1.8) & (findings.elapsed_time(log) < UNTIL - 0.6)
     error = np.abs(seen.force[late, 1] - forces[late, 1])
     assert late.sum() > 5
     assert (error <= seen.bound[late, 1]).all()
     assert forces[late, 1].min() > 10.0
-    assert findings.above(log, seen, 1) == 0.0
+    assert findings.exceeded_share(log, seen, 1) == 0.0
     assert seen.strengths["y"].firm == (15.0, 15.0)
 
 
 def test_a_sentence_names_the_cap_of_a_firm_axis(run):
     log = read(run[0])
-    sentence = findings.sentence(log, felt.feel(log), 1)
+    sentence = findings.sentence(log, force_estimates.estimate_forces(log), 1)
     assert re.search("y: .* firm: .* the cap was 15 N", sentence)
 
 
 def test_forces_do_not_depend_on_where_the_loop_started_anew(run):
     _, log, _ = run
-    primes = felt._primes(log)
-    assert len(primes) == 1
+    priming_steps = force_estimates._priming_steps(log)
+    assert len(priming_steps) == 1
     steps = [call for call in log.calls if call.what == "step"]
-    assert len(steps) - len(primes) == len(log)
+    assert len(steps) - len(priming_steps) == len(log)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +89,7 @@ def test_forces_do_not_depend_on_where_the_loop_started_anew(run):
 )
 def test_sentences_name_the_reason(tmp_path, settings, says):
     log, _ = record(tmp_path / "run.mcap", pliant.Settings(axes=settings), duration=1.6)
-    assert re.search(says, findings.sentence(log, felt.feel(log), 1))
+    assert re.search(says, findings.sentence(log, force_estimates.estimate_forces(log), 1))
 
 
 def test_stretches_are_those_of_the_log(tmp_path):
@@ -100,8 +101,8 @@ def test_stretches_are_those_of_the_log(tmp_path):
         total[span.joint] += span.end - span.start
     flagged = 0.01 * (log.saturated.sum(axis=0) + log.locked.sum(axis=0))
     for name, share in zip(log.run["joints"], flagged, strict=True):
-        # Flags with gaps of up to GAP belong to one stretch.
-        assert share - 1e-9 <= total[name] <= share + findings.GAP * len(spans)
+        # Flags with gaps of up to MAX_GAP belong to one stretch.
+        assert share - 1e-9 <= total[name] <= share + findings.MAX_GAP * len(spans)
 
 
 def test_health_counts_what_came_late(run):
@@ -124,9 +125,9 @@ def test_command_leaves_a_page_that_needs_nothing(run, tmp_path, capsys):
     for name in ("softness", "strength", "loop"):
         assert (tmp_path / "here" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     again = read(path)
-    forces = felt.feel(again)
+    estimates = force_estimates.estimate_forces(again)
     for k in range(6):
-        assert findings.sentence(again, forces, k) in text
+        assert findings.sentence(again, estimates, k) in text
     assert repr(log.settings) in text
 
 

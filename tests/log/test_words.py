@@ -3,7 +3,7 @@ import pytest
 
 import pliant
 import pliant.robots
-from pliant.log import words
+from pliant.log import serialization
 
 
 @pytest.mark.parametrize(
@@ -17,8 +17,8 @@ from pliant.log import words
 )
 def test_a_model_is_made_again(options):
     model = pliant.robots.so101(**options)
-    text = words.write({"model": words.describe(model)})
-    again = words.model(words.read(text)["model"])
+    text = serialization.write({"model": serialization.describe(model)})
+    again = serialization.model(serialization.read(text)["model"])
     q = np.linspace(-0.4, 0.4, 5)
     assert again.joint_names == model.joint_names
     np.testing.assert_array_equal(again.lower, model.lower)
@@ -50,7 +50,7 @@ def test_settings_keep_every_bit():
         "servos": pliant.robots.koch().servos,
         "axes": ("x", "y"),
     }
-    read = words.read(words.write(given))
+    read = serialization.read(serialization.write(given))
     assert read["settings"] == given["settings"]
     assert read["servos"] == given["servos"]
     for preset in (
@@ -58,10 +58,10 @@ def test_settings_keep_every_bit():
         pliant.Settings.wipe(press=5.0),
         pliant.Settings.paper(),
     ):
-        assert words.read(words.write(preset)) == preset
+        assert serialization.read(serialization.write(preset)) == preset
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"type": "Popen", "fields": {}}', '{"fields": 1}'])
 def test_what_is_none_is_refused(text):
     with pytest.raises(pliant.ConfigError, match="description"):
-        words.read(text)
+        serialization.read(text)

@@ -29,6 +29,7 @@ def test_every_name_is_there_and_documented():
         *pliant.functional.__all__,
         *pliant.model.__all__,
         *pliant.arm.__all__,
+        *pliant.teleop.__all__,
         *pliant.types.__all__,
     }
     # For `pliant.arm` and `pliant.identify`, which offer more to the user.

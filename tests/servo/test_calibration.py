@@ -1,7 +1,9 @@
 """A calibration file is compared with the servos' registers before torque."""
 
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 import pliant
@@ -112,3 +114,29 @@ def test_doctor_reports_each_joint(tmp_path, monkeypatch):
     # Every joint but the third, whose offset in the file is the factory's 0.
     assert len(said) == 5
     assert any("shoulder_pan" in text and "off by 17.6°" in text for text in said)
+
+
+@pytest.mark.parametrize(("sign", "closed"), [(1, 2000), (-1, 3100)])
+def test_a_calibrated_gripper_closes_at_the_end_of_its_range(sign, closed, tmp_path):
+    ready = (Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8")
+    turned = ready.replace("id = 6, gain = 16 }", f"id = 6, gain = 16, sign = {sign} }}")
+    file = tmp_path / "arm.toml"
+    file.write_text(turned, "utf-8")
+    calibration = lerobot_file(tmp_path, gripper={"range_min": 2000, "range_max": 3100})
+    own = config.load(file, backend="emulator", calibration=calibration)
+    (jaw,) = factory.gripper_configs(own).values()
+    assert jaw.closed == 0.0
+    assert jaw.opened == pytest.approx(1100 * 2.0 * np.pi / 4096)
+    with make_emulator(own, clock="steps") as bus:
+        drive = ServoBus(
+            factory.servo_specs(own, bus.ports), reply_timeout_min=0.5, clock=ManualClock(bus)
+        )
+        grippers = factory.gripper_configs(own)
+        with pliant.Arm(
+            own.model(), drive, grippers=grippers, handle_signals=False, on_exit="leave_enabled"
+        ) as arm:
+            for move, count in ((arm.gripper.close, closed), (arm.gripper.open, 5100 - closed)):
+                move()
+                for tick in pliant.Loop(arm, rate=100.0, duration=2.0):
+                    tick.skip()
+                assert bus.servo(6).get("present_position") == pytest.approx(count, abs=30)

@@ -5,10 +5,10 @@ import pytest
 
 import pliant
 from pliant.sim import (
-    LIGHT,
-    ROBUST,
-    STRONG,
-    YAW,
+    DRAG_15N,
+    DRAG_30N,
+    DRAG_80N,
+    TWIST_3NM,
     Drag,
     ForceProfile,
     Plant,
@@ -54,7 +54,7 @@ def test_a_torque_reaches_the_joints(arm, grasp):
     np.testing.assert_allclose(plant.torque, arm.gravity(plant.q) - pulled, atol=1e-5)
 
 
-@pytest.mark.parametrize("hand", [LIGHT, ROBUST, STRONG, YAW])
+@pytest.mark.parametrize("hand", [DRAG_15N, DRAG_30N, DRAG_80N, TWIST_3NM])
 def test_hands_are_bounded_and_let_go(arm, grasp, floating, hand):
     plant = Plant(arm, scene=[hand])
     plant.reset(grasp)
@@ -68,7 +68,7 @@ def test_hands_are_bounded_and_let_go(arm, grasp, floating, hand):
 
 
 def test_a_drag_gets_where_it_wants(arm, grasp, floating):
-    plant = Plant(arm, scene=[STRONG])
+    plant = Plant(arm, scene=[DRAG_80N])
     plant.reset(grasp)
     start = plant.tool[1, 3]
     floating(plant, 480)
@@ -148,7 +148,7 @@ def test_the_arm_rests_on_a_table(arm, grasp):
 
 
 def test_hands_can_be_changed_without_building_again(arm, grasp):
-    plant = Plant(arm, scene=[STRONG])
+    plant = Plant(arm, scene=[DRAG_80N])
     plant.reset(grasp)
     plant.set_hands([Push(force_vector=(0.0, 5.0, 0.0), course=ALWAYS)])
     plant.advance()
@@ -157,7 +157,7 @@ def test_hands_can_be_changed_without_building_again(arm, grasp):
 
 
 def test_the_record_keeps_rows_and_refuses_odd_ones(arm, grasp):
-    plant = Plant(arm, scene=[LIGHT])
+    plant = Plant(arm, scene=[DRAG_15N])
     plant.reset(grasp)
     record = Recorder(plant)
     for tick in range(3):

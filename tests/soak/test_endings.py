@@ -55,8 +55,8 @@ def test_the_arm_is_lowered(ending, code):
     with EmulatorProcess(so101, NEAR) as bus:
         program = start(bus, *([] if ending.startswith("SIG") else [ending]))
         # The sag of soft servos at torque on is not part of the descent.
-        bus.call("watcher.begin")
-        high = bus.call("watcher.start")
+        bus.call("recorder.begin")
+        high = bus.call("recorder.start")
         if ending.startswith("SIG"):
             os.killpg(program.pid, getattr(signal, ending))
         _, said = program.communicate(timeout=120)
@@ -64,7 +64,7 @@ def test_the_arm_is_lowered(ending, code):
         # Lowered, not dropped: a fall reaches 1 m/s, and a busy machine may miss some ticks.
         assert not bus.call("on")
         assert bus.call("plant.tool.tolist")[2][3] < high - 0.02
-        assert bus.call("watcher.speeds")[False] < 0.25
+        assert bus.call("recorder.speeds")[False] < 0.25
 
 
 def test_killed_it_keeps_its_last_order():

@@ -291,7 +291,7 @@ def was_led(file):
     model = pliant.robots.so101()
     tool = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
     moved = tool[-1] - tool[0]
-    assert moved[1] == pytest.approx(lead.ASIDE * model.reach, abs=0.02)
+    assert moved[1] == pytest.approx(lead.SIDE_SHARE * model.reach, abs=0.02)
     assert moved[2] > 0.005
 
 
@@ -299,14 +299,17 @@ def was_led(file):
 def test_the_command_teaches_with_a_scripted_hand(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO())
     file = tmp_path / "m.json"
-    assert main(["teach", left_enabled(tmp_path), str(file), "--backend", "sim", "--hand"]) == 0
+    assert (
+        main(["teach", left_enabled(tmp_path), str(file), "--backend", "sim", "--scripted-hand"])
+        == 0
+    )
     assert "pliant replay" in capsys.readouterr().out
     was_led(file)
 
 
 def test_no_scripted_hand_leads_a_real_arm(tmp_path, capsys):
     file = tmp_path / "m.json"
-    assert main(["teach", "so101", str(file), "--hand"]) == 2
+    assert main(["teach", "so101", str(file), "--scripted-hand"]) == 2
     assert "simulated arms only" in capsys.readouterr().err
 
 

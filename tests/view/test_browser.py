@@ -23,7 +23,7 @@ import pytest
 import pliant
 from pliant.sim import Plant
 from pliant.sim.postures import VERTICAL
-from pliant.view.scene_view import FOV, GIZMO, overlook
+from pliant.view.scene_view import FOV, GIZMO_SIZE, camera_view
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 if BROWSER is None:
@@ -145,7 +145,7 @@ class Tab:
     def pixel(self, point):
         """Return where a point (3,) [m] of the scene is drawn by the first camera."""
         plant = standing()
-        middle, eye = overlook(plant.mj_model, plant.mj_data, plant.tool[:3, 3], GIZMO)
+        middle, eye = camera_view(plant.mj_model, plant.mj_data, plant.tool[:3, 3], GIZMO_SIZE)
         ahead = (middle - eye) / np.linalg.norm(middle - eye)
         right = np.cross(ahead, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)

@@ -6,7 +6,7 @@ import pytest
 
 import pliant
 from pliant.view import messages
-from pliant.view.settings_editor import LAWS, OWN, SettingsEditor
+from pliant.view.settings_editor import FILE_PRESET, LAWS, SettingsEditor
 
 TASKS = {
     "arm7": ("x y z roll pitch yaw", "xyz", "x y yaw"),
@@ -59,7 +59,7 @@ def test_every_preset_law_and_switch_works(robot, task):
 def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
     editor, controller = begin(robot, task, own_files(task)[kind])
     plain = kind in {"firm", "nothing"}
-    assert editor.preset == (editor.presets[1] if plain else OWN)
+    assert editor.preset == (editor.presets[1] if plain else FILE_PRESET)
     for law in LAWS:
         editor.apply(messages.Law(1, law), controller)
         for name in pliant.Task(axes=task).names:
@@ -71,7 +71,7 @@ def test_own_settings_take_every_law_and_every_edit(robot, task, kind):
         editor.apply(messages.Adaptation(3, 0.7), controller)
         editor.apply(messages.Firm(4, True), controller)
         editor.apply(messages.Firm(5, False), controller)
-    editor.apply(messages.Preset(6, OWN), controller)
+    editor.apply(messages.Preset(6, FILE_PRESET), controller)
 
 
 def test_file_that_names_no_soft_axis_begins_like_the_simulated_arm():

@@ -102,36 +102,36 @@ def flooded():
         endpoint.queue(messages.Push((1.0, 0.0, 0.0)))
     endpoint.queue(messages.Stop())
     made = Link.__new__(Link)
-    made._pipe, made._waiting = Connection(ours.detach()), messages.Queue()
-    made._free, made._due, made._edit_due = True, 0.0, 0.0
+    made._pipe, made._pending = Connection(ours.detach()), messages.Queue()
+    made._acknowledged, made._due, made._edit_due = True, 0.0, 0.0
     return made, endpoint
 
 
 def test_flood_reaches_the_loop_in_small_parts_and_the_stop_at_once():
     link, _ = flooded()
-    heard, calls = [], 0
+    received, calls = [], 0
     until = time.perf_counter() + 20.0
-    while messages.Stop() not in heard:
+    while messages.Stop() not in received:
         assert time.perf_counter() < until
         took = link.messages()
         assert len(took) <= messages.PER_TICK
-        heard += took
+        received += took
         calls += bool(took)
         time.sleep(0.001)
     assert calls <= 4
-    assert len(link._waiting) <= messages.MAX_QUEUED
+    assert len(link._pending) <= messages.MAX_QUEUED
 
 
 def test_edits_are_not_taken_faster_than_they_cost(monkeypatch):
-    monkeypatch.setattr("pliant.view.ipc.EDITS", 1e9)
+    monkeypatch.setattr("pliant.view.ipc.EDIT_PERIOD", 1e9)
     link, _ = flooded()
-    until, heard = time.perf_counter() + 20.0, []
-    while messages.Stop() not in heard:
+    until, received = time.perf_counter() + 20.0, []
+    while messages.Stop() not in received:
         assert time.perf_counter() < until
-        heard += link.messages()
+        received += link.messages()
     for _ in range(100):
-        heard += link.messages()
-    assert sum(isinstance(message, messages.Edit) for message in heard) == 1
+        received += link.messages()
+    assert sum(isinstance(message, messages.Edit) for message in received) == 1
 
 
 def test_page_that_floods_still_takes_snapshots():

@@ -16,7 +16,7 @@ import viser.transforms as tf
 from pliant.view import html, messages
 from pliant.view.page import Page
 from pliant.view.panel import Panel
-from pliant.view.scene_view import LONGEST, SceneView
+from pliant.view.scene_view import ARROW_LENGTH, SceneView
 from pliant.view.session import Session
 from pliant.view.source import Simulated
 
@@ -110,7 +110,7 @@ def test_drums_stand_on_the_axes_of_their_joints(seen):
     last = seen.running[-1]
     seen.scene_view.show(last)
     data, figure = seen.scene_view._data, seen.info.figure
-    for drum, name in zip(seen.scene_view._hinges._drums, seen.info.joints, strict=True):
+    for drum, name in zip(seen.scene_view._drums._drums, seen.info.joints, strict=True):
         joint = figure.joint(name).id
         node = seen.scene_view._nodes[int(figure.jnt_bodyid[joint])]
         place = tf.SO3(np.asarray(node.wxyz)).apply(np.asarray(drum.position)) + node.position
@@ -128,13 +128,15 @@ def test_drawn_tool_is_where_the_simulation_has_it(seen):
 
 
 def test_arrow_shows_the_push_and_hides_without_one(seen):
-    pushed = next(s for s in seen.running if s.pull is not None and abs(s.pull[1][1]) > 5.0)
+    pushed = next(
+        s for s in seen.running if s.hand_force is not None and abs(s.hand_force[1][1]) > 5.0
+    )
     seen.scene_view.show(pushed)
     assert seen.scene_view._arrow.visible
     start, end = seen.scene_view._arrow.points[0]
-    np.testing.assert_allclose(end, pushed.pull[0], atol=1e-5)
-    assert (end - start)[1] == pytest.approx(LONGEST * 6.0 / 40.0, rel=0.1)
-    seen.scene_view.show(replace(pushed, pull=None))
+    np.testing.assert_allclose(end, pushed.hand_force[0], atol=1e-5)
+    assert (end - start)[1] == pytest.approx(ARROW_LENGTH * 6.0 / 40.0, rel=0.1)
+    seen.scene_view.show(replace(pushed, hand_force=None))
     assert not seen.scene_view._arrow.visible
 
 
@@ -257,12 +259,12 @@ def test_push_buttons_say_force_or_torque(seen):
     controls = seen.panel.controls
     controls.side.value = "−y"
     controls.force.value = 7.0
-    assert controls._pushing(2.0) == messages.Push((0.0, -7.0, 0.0), (0.0, 0.0, 0.0), 2.0)
+    assert controls._push_message(2.0) == messages.Push((0.0, -7.0, 0.0), (0.0, 0.0, 0.0), 2.0)
     controls.side.value = "+yaw"
     assert controls.force.label == "Torque [N·m]"
     assert controls.force.max == 4.0
     controls.force.value = 1.5
-    assert controls._pushing(0.4) == messages.Push((0.0, 0.0, 0.0), (0.0, 0.0, 1.5), 0.4)
+    assert controls._push_message(0.4) == messages.Push((0.0, 0.0, 0.0), (0.0, 0.0, 1.5), 0.4)
 
 
 def test_gizmo_says_a_target_and_is_left_alone_while_it_is_dragged(seen):
@@ -302,6 +304,6 @@ def test_only_the_tab_that_holds_the_arm_lets_go_when_it_closes(seen):
     page.scene_view, page._send = seen.scene_view, seen.notice.append
     for held_by, closed, notice in ((None, 3, []), (7, 3, []), (7, 7, [messages.LetGo()])):
         seen.scene_view.held_by = held_by
-        page._left(SimpleNamespace(client_id=closed))
+        page._on_disconnect(SimpleNamespace(client_id=closed))
         assert seen.notice == notice
     seen.scene_view.held_by = None

@@ -80,9 +80,9 @@ def test_push_moves_the_soft_axis_and_ends_by_itself(script):
     info = link.infos[0]
     during = next(s for s in link.running if s.time > link.running[0].time + 0.9)
     assert deviation(during, info, "y") < -0.05
-    assert during.pull is not None
-    np.testing.assert_allclose(during.pull[1], (0.0, 6.0, 0.0), atol=0.1)
-    assert link.running[-1].pull is None
+    assert during.hand_force is not None
+    np.testing.assert_allclose(during.hand_force[1], (0.0, 6.0, 0.0), atol=0.1)
+    assert link.running[-1].hand_force is None
     assert abs(deviation(link.running[-1], info, "y")) < 0.02
 
 
@@ -113,17 +113,17 @@ def test_grab_pulls_a_point_of_the_arm_and_lets_go(script):
 
     link.messages = counted(link, heard)
     session.run(1)
-    pulled = [s for s in link.running if s.pull is not None]
+    pulled = [s for s in link.running if s.hand_force is not None]
     assert pulled
     assert pulled[-1].step.deviation[1] < -0.01
-    assert link.running[-1].pull is None
+    assert link.running[-1].hand_force is None
 
 
 def test_grabbing_what_is_no_part_of_the_arm_does_nothing(script):
     grab = messages.Grab(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     door = messages.Grab(10_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     _, link = live(script, {5: [grab, door, messages.Grab(3, None, (1.0, 0, 0))], 40: END})
-    assert all(s.pull is None for s in link.running)
+    assert all(s.hand_force is None for s in link.running)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_message_of_a_rejected_setting_ends_with_a_valid_one(script):
 
 
 def test_message_of_a_rejected_setting_expires(script, monkeypatch):
-    monkeypatch.setattr("pliant.view.publisher.REFUSED", 0.0)
+    monkeypatch.setattr("pliant.view.publisher.MAX_NOTICE_TIME", 0.0)
     _, link = live(script, {4: messages.Adaptation(1, 1.5), 16: END})
     assert link.running[-1].notice == (2, "", False)
 
@@ -289,6 +289,15 @@ def test_wall_meets_little_more_than_the_cap(script):
     assert len(link.infos[0].walls) == 1
     wall = session._robot.plant.hands[0]
     assert 4.0 < wall.peak_force < 20.0
+
+
+def test_arm_without_a_start_posture_starts_halfway_between_its_limits(script, monkeypatch):
+    monkeypatch.setitem(robots._ARMS, "other", robots.so101)
+    source = Simulated("other", "wall", paced=False)
+    middle = 0.5 * (source.model.lower + source.model.upper)
+    np.testing.assert_allclose(source.scenes["wall"].q, middle)
+    _, link = live(script, {10: END}, robot="other")
+    assert link.running
 
 
 def test_other_arms_have_scenes_of_their_own(script):

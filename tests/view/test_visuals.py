@@ -10,8 +10,8 @@ import trimesh
 
 import pliant
 from pliant.sim import Plant
-from pliant.view.robot_view import find, visuals
-from pliant.view.scene_view import _height, _shapes
+from pliant.view.robot_view import find_mesh, visuals
+from pliant.view.scene_view import _body_meshes, _floor_height
 
 URDF = """<robot name="own">
   <material name="blue"><color rgba="0 0 1 1"/></material>
@@ -61,11 +61,11 @@ def test_meshes_are_found_beside_the_urdf_and_by_package(folder):
         str(inside),
         f"file://{inside}",
     ):
-        assert find(name, urdf) == inside.resolve()
-    assert find("package://own_description/meshes/arm%20link.obj", urdf) is not None
+        assert find_mesh(name, urdf) == inside.resolve()
+    assert find_mesh("package://own_description/meshes/arm%20link.obj", urdf) is not None
     for name in ("", "base.stl", "package://own_description/meshes/none.stl", "https://a/b.stl"):
-        assert find(name, urdf) is None
-    assert find("../meshes/base.stl", None) is None
+        assert find_mesh(name, urdf) is None
+    assert find_mesh("../meshes/base.stl", None) is None
 
 
 def test_shapes_stand_where_the_urdf_has_them(folder):
@@ -89,7 +89,7 @@ def test_shapes_stand_where_the_urdf_has_them(folder):
 def test_link_without_its_mesh_and_a_broken_file_are_drawn_as_before(folder):
     figure, shapes = draw("missing.stl", "../meshes/broken.stl", folder / "urdf" / "x")
     assert "body:base" not in {figure.body(v.body).name for v in shapes}
-    assert _shapes(SimpleNamespace(visuals=shapes)) == {}
+    assert _body_meshes(SimpleNamespace(visuals=shapes)) == {}
 
 
 @pytest.mark.parametrize("robot", ["so101", "koch"])
@@ -102,12 +102,12 @@ def test_small_arms_have_a_base_and_a_gripper_and_stand_on_their_table(robot):
         table=None,
         home=np.eye(4),
     )
-    drawn = {plant.mj_model.body(b).name for b in _shapes(stage)}
+    drawn = {plant.mj_model.body(b).name for b in _body_meshes(stage)}
     assert drawn == {f"body:{link.name}" for link in model.links if link.name != "tool"}
     # At any tool position: over bytes an arm may begin folded, or below its table.
     for height in (0.3, -0.2):
         stage.home[2, 3] = height
-        assert _height(stage) == pytest.approx(0.0, abs=1e-9)
+        assert _floor_height(stage) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_arm_that_hangs_is_above_the_floor_and_a_known_table_counts():
@@ -118,6 +118,6 @@ def test_arm_that_hangs_is_above_the_floor_and_a_known_table_counts():
     stage = SimpleNamespace(
         figure=plant.mj_model, visuals=visuals(model, plant.mj_model), table=None, home=home
     )
-    assert _height(stage) == pytest.approx(-0.58)
+    assert _floor_height(stage) == pytest.approx(-0.58)
     stage.table = -0.4
-    assert _height(stage) == -0.4
+    assert _floor_height(stage) == -0.4

@@ -1,1 +1,1 @@
-"""Pages, tables and pictures of reports, for logs and for `experiments/`."""
+"""HTML pages, tables and figures of reports, for logs and for `experiments/`."""

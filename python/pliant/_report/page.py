@@ -1,7 +1,4 @@
-"""A self-contained HTML page of text, pictures and tables.
-
-The demo's report and the report of a log use it.
-"""
+"""Self-contained HTML page of text, figures and tables, for reports of a log and of the demo."""
 
 from __future__ import annotations
 
@@ -17,7 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-#: Colours of the figures that follow the page's theme, by the names of its variables.
+#: CSS variable of the page for each colour in an SVG figure; the page replaces the colours by these
+#: variables, so that figures follow its dark mode.
 THEMED = {
     "#1b1f24": "var(--ink)",
     "#67707b": "var(--muted)",
@@ -33,7 +31,13 @@ THEMED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Rows of text and numbers; numbers are set in columns of their own."""
+    """A table of text cells; the page aligns columns of numbers right.
+
+    Attributes:
+        caption: Text above the table.
+        columns: Headings of the columns.
+        rows: Cells of each row.
+    """
 
     caption: str
     columns: tuple[str, ...]
@@ -50,19 +54,16 @@ def write(
     body: str,
     footer: str,
 ) -> Path:
-    """Write a page.
+    """Write an HTML page and return its path.
 
     Args:
         path: Path of the HTML file.
         title: Headline.
-        about: Subject, in two sentences.
-        notes: Notes for the top of the page.
-        contents: Identifier and title of each section.
+        about: Summary in two sentences.
+        notes: Notes at the top of the page, one paragraph each.
+        contents: HTML identifier and title of each section, for the table of contents.
         body: HTML of the sections.
-        footer: Source of the numbers.
-
-    Returns:
-        The path.
+        footer: Text below the sections.
     """
     template = files(__name__.rpartition(".")[0]).joinpath("page.html").read_text(encoding="utf-8")
     page = Template(template).substitute(
@@ -78,12 +79,12 @@ def write(
 
 
 def text(plain: str) -> str:
-    """Return escaped text, with a typographic minus before numbers."""
+    """Return text escaped for HTML, with a typographic minus sign before numbers."""
     return re.sub(r"(?<![\w−])-(?=\d)", "−", escape(plain))
 
 
 def table(content: Table) -> str:
-    """Return rows under a caption, with numbers aligned right."""
+    """Return the HTML of a table with caption; columns of numbers are aligned right."""
     numeric = [
         all(
             re.match(r"^[−\-–±]?\d|^stays$|^not back$|^missed$|^–$", row[k]) for row in content.rows
@@ -105,7 +106,10 @@ def table(content: Table) -> str:
 
 
 def picture(folder: Path, name: str, title: str) -> str:
-    """Return the figure: a themed SVG if it exists, else a PNG."""
+    """Return the HTML that embeds a figure: `<name>.svg` in `folder` if it exists, else the PNG.
+
+    `title` is the text for screen readers.
+    """
     vector = folder / f"{name}.svg"
     if vector.exists():
         return _themed(vector.read_text(encoding="utf-8"), name, title)
@@ -114,11 +118,14 @@ def picture(folder: Path, name: str, title: str) -> str:
 
 
 def _themed(svg: str, name: str, title: str) -> str:
-    """Embed an SVG file in the page: unique identifiers, colours of the theme."""
+    """Return an SVG as HTML to embed, with the page's CSS variables (`THEMED`) as colours.
+
+    The prefix `name` makes the identifiers in the SVG unique on the page.
+    """
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", body)
-    # At most the drawn size, so that text keeps one size.
+    # Keep the drawn width as the maximum: an enlarged figure would have larger text than others.
     body = re.sub(r'(<svg[^>]*?)\swidth="([^"]*)"', r'\1 style="max-width: \2"', body, count=1)
     body = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r"\1", body, count=1)
     body = body.replace("<svg", f'<svg role="img" aria-label="{escape(title)}"', 1)

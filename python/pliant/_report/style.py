@@ -1,8 +1,7 @@
-"""Common style of all figures: colour-blind safe, units on every axis, labels at the lines.
+"""Common matplotlib style of all figures, with the colour-blind safe palette of Okabe and Ito.
 
-Colours after Okabe and Ito. A figure is saved as PNG for slides and as SVG for the report. The
-report turns ink, grid and background of the SVG into variables of the page, so that figures follow
-its dark mode.
+A figure is saved as PNG for slides, and as SVG for the HTML report. The report replaces the colours
+in the SVG, so that figures follow its dark mode.
 """
 
 from __future__ import annotations
@@ -33,7 +32,9 @@ if TYPE_CHECKING:
 
     Grid = NDArray[np.object_]
 
+#: Colours of text, secondary text, grid lines and background.
 INK, MUTED, GRID, CARD = "#1b1f24", "#67707b", "#e3e6ea", "#ffffff"
+#: Colours of curves.
 BLUE, SKY, GREEN, ORANGE, RED, PURPLE = (
     "#0072b2",
     "#56b4e9",
@@ -42,12 +43,14 @@ BLUE, SKY, GREEN, ORANGE, RED, PURPLE = (
     "#d55e00",
     "#cc79a7",
 )
-#: Axes of the task; rotations take the colour of the axis they turn about.
+#: Colour of each task axis; a rotation has the colour of the axis that it turns about.
 AXIS_COLOURS = {"x": RED, "y": GREEN, "z": BLUE, "roll": RED, "pitch": GREEN, "yaw": BLUE}
-#: Width of a figure that fills the report [inch].
+#: Width of a figure that fills the width of the report [inch].
 WIDE = 11.0
+#: Resolution of PNG files [pixels/inch].
 PIXELS_PER_INCH = 150
 
+#: Matplotlib parameters (`rcParams`) of the common style.
 RC: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -93,16 +96,13 @@ def canvas(
     size: tuple[float, float] = (WIDE, 4.0),
     **grid: Any,
 ) -> Iterator[tuple[Figure, Grid]]:
-    """Yield a figure in the common style and its axes (rows, columns).
+    """Yield a figure in the common style, and the array of its axes (rows, columns).
 
     Args:
-        rows: Of the grid of axes.
-        columns: Of the grid of axes.
-        size: Width and height [inch].
-        **grid: As `Figure.subplots` (`sharex`, `width_ratios`, ...).
-
-    Yields:
-        The figure and its axes, always a two-dimensional array.
+        rows: Number of rows of axes.
+        columns: Number of columns of axes.
+        size: Width and height of the figure [inch].
+        **grid: Arguments of `Figure.subplots` (`sharex`, `width_ratios`, ...).
     """
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=size, layout="constrained")
@@ -110,7 +110,7 @@ def canvas(
 
 
 def save(figure: Figure, folder: Path, name: str) -> None:
-    """Write `name.png` and `name.svg`, without dates: equal runs give equal files."""
+    """Write `name.png` and `name.svg` without dates, so that equal figures give equal files."""
     folder.mkdir(parents=True, exist_ok=True)
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     figure.savefig(folder / f"{name}.png", dpi=PIXELS_PER_INCH, metadata={"Software": None})
@@ -118,7 +118,12 @@ def save(figure: Figure, folder: Path, name: str) -> None:
 
 
 def thin(t: Array, *, rate: float = 25.0) -> slice:
-    """Return the slice that thins a curve to `rate` points per second."""
+    """Return a slice that selects every k-th sample, so that about `rate` per second remain.
+
+    Args:
+        t: Times of the samples (N,) [s], evenly spaced.
+        rate: Samples per second to keep [Hz].
+    """
     step = 1 if t.size < 2 else max(1, round(1.0 / (rate * float(t[1] - t[0]))))
     return slice(None, None, step)
 
@@ -126,13 +131,13 @@ def thin(t: Array, *, rate: float = 25.0) -> slice:
 def label_end(
     ax: Axes, x: float, labels: Sequence[tuple[float, str, str]], *, size: float = 8.0
 ) -> None:
-    """Write names beside the ends of lines, moved apart until they do not touch.
+    """Write labels beside the ends of lines, moved apart so that they do not overlap.
 
     Args:
-        ax: Axes whose limits are final.
-        x: Where the lines end, data units.
-        labels: Height in data units, text, colour.
-        size: Of the type [pt].
+        ax: Axes with their final limits.
+        x: Position of the line ends in data units.
+        labels: y in data units, text and colour of each label.
+        size: Font size [pt].
     """
     low, high = ax.get_ylim()
     figure = ax.get_figure(root=True)
@@ -140,7 +145,7 @@ def label_end(
         return
     height = (
         ax.get_position().height * figure.get_figheight() * 72.0
-    )  # pt; before the layout: generous
+    )  # [pt], before the constrained layout, which may reduce it
     gap = 1.15 * size * (high - low) / max(height, 1.0)
     order = sorted(labels)
     places = [np.clip(y, low, high) for y, _, _ in order]
@@ -171,7 +176,7 @@ def label_end(
 def names(
     ax: Axes, entries: Sequence[tuple[str, str]], *, right: bool = True, top: bool = True
 ) -> None:
-    """Write names in their colours into a corner, one below the other."""
+    """Write each (text, colour) of `entries` into a corner of the axes, in one line each."""
     for row, (text, colour) in enumerate(entries if top else list(reversed(entries))):
         ax.annotate(
             text,
@@ -188,7 +193,15 @@ def names(
 
 
 def level(ax: Axes, y: float, text: str = "", *, colour: str = MUTED, at: float = 0.01) -> None:
-    """Draw a dashed horizontal line with its name."""
+    """Draw a dashed horizontal line at y, labelled `text`.
+
+    Args:
+        ax: Axes to draw into.
+        y: Height of the line in data units.
+        text: Label above the line; empty: no label.
+        colour: Colour of line and label.
+        at: Start of the label, as a share of the width of the axes.
+    """
     ax.axhline(y, color=colour, linewidth=0.9, linestyle=(0, (4, 3)))
     if text:
         ax.annotate(

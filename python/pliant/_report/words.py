@@ -1,4 +1,4 @@
-"""Helpers for sentences made from numbers."""
+"""Helper for the sentences of a report."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def listed(items: Sequence[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Return the items joined into one English enumeration: `a`, `a and b`, or `a, b and c`."""
     if len(items) < 2:
         return "".join(items)
     return f"{', '.join(items[:-1])} and {items[-1]}"

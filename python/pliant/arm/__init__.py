@@ -1,4 +1,4 @@
-"""Life cycle of an arm over any drive: torque on, read and write, lower, torque off."""
+"""Robot arm on any `Drive` (servo bus or simulator): enable, read, write, lower, torque off."""
 
 from pliant._core import Lowering
 from pliant.arm.arm import Arm

@@ -1,4 +1,4 @@
-"""Checks of joint vectors, times and poses from the caller."""
+"""Validation of joint vectors, times and poses that the caller passes to `Arm`."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: A position up to this far outside its limits is accepted; a requested pose is then clipped [rad].
+#: Distance outside its position limits up to which a joint position is still accepted [rad].
 SLACK = 0.1
-#: Largest `comm_timeout` [s].
+#: Largest accepted value of the argument `comm_timeout` [s].
 MAX_COMM_TIMEOUT = 60.0
 
 
 def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
-    """Return `value` as a joint vector (n,).
+    """Return `value` as a joint vector: a float array (n,), one entry per joint of the chain.
 
     Raises:
-        ShapeError: Wrong shape, or not real numbers. OutOfRangeError: Not finite, if `finite`.
+        ShapeError: The value has the wrong shape, or is not made of real numbers.
+        OutOfRangeError: An entry is not finite, although `finite` is True.
     """
     try:
         raw = np.asarray(value)
-        # NumPy would convert bool, complex and text silently.
+        # Reject bool, complex and text: NumPy would convert them to float without an error.
         array = None if raw.dtype.kind in "bcUS" else np.array(raw, dtype=np.float64)
     except (TypeError, ValueError):
         array = None
@@ -46,10 +47,10 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
 
 
 def times(rate: float, comm_timeout: float, watchdog: float) -> tuple[float, float, float]:
-    """Return checked rate [Hz], `comm_timeout` [s] and watchdog [s]; see `Arm`.
+    """Validate arguments of `Arm`; return rate [Hz], `comm_timeout` [s] and watchdog [s] as floats.
 
     Raises:
-        ConfigError: A value is not a number or out of range.
+        ConfigError: A value is not a number, or out of range.
     """
     rate, comm_timeout = real(rate, "rate"), real(comm_timeout, "comm_timeout")
     watchdog = real(watchdog, "watchdog")
@@ -66,10 +67,11 @@ def times(rate: float, comm_timeout: float, watchdog: float) -> tuple[float, flo
 
 
 def posture(model: Model, value: ArrayLike, name: str) -> Array:
-    """Return a checked pose (n,) [rad], clipped to the position limits.
+    """Validate a pose, joint positions (n,) [rad], and return it clipped to the position limits.
 
     Raises:
-        ShapeError, OutOfRangeError: Not a joint vector, or more than `SLACK` outside the limits.
+        ShapeError: The pose is not a joint vector.
+        OutOfRangeError: The pose is not finite, or more than `SLACK` outside the limits.
     """
     pose = vector(model, value, name)
     for joint, q, low, high in outside(model, pose):
@@ -81,10 +83,10 @@ def posture(model: Model, value: ArrayLike, name: str) -> Array:
 
 
 def outside(model: Model, q: Array) -> Iterator[tuple[str, float, float, float]]:
-    """Yield the joints of q (n,) [rad] that are more than `SLACK` outside their limits.
+    """Yield the joints whose position in q (n,) [rad] is more than `SLACK` outside its limits.
 
     Yields:
-        Name, position and limits of each [rad].
+        Name, position [rad], lower and upper position limit [rad] of each such joint.
     """
     for row in zip(model.joint_names, q.tolist(), model.lower, model.upper, strict=True):
         _, here, low, high = row
@@ -92,14 +94,17 @@ def outside(model: Model, q: Array) -> Iterator[tuple[str, float, float, float]]
             yield row
 
 
-#: Number of poses checked along the path.
+#: Number of poses that `path_obstacle` checks along a path.
 STEPS = 60
-#: Depth by which a point of the model may be inside the table, because models are not exact [m].
+#: Depth inside the table at which a point of the arm is still accepted, because models of arm and
+#: table are not exact [m].
 TOLERANCE = 0.005
 
 
 def check_rest(model: Model, points: ArmPoints, rest: Array, table: float | None) -> None:
-    """Check that the arm is above its table in a rest pose (n,) [rad].
+    """Check that no point of the arm is inside the table in the rest pose `rest` (n,) [rad].
+
+    `table` is the height of the table in base axes [m]; None: nothing is checked.
 
     Raises:
         OutOfRangeError: A point of the arm is inside the table.
@@ -119,10 +124,11 @@ def check_rest(model: Model, points: ArmPoints, rest: Array, table: float | None
 def path_obstacle(
     model: Model, points: ArmPoints, q: Array, rest: Array, table: float | None
 ) -> str | None:
-    """Return why the straight path from q to the rest pose (n,) [rad] is blocked, or None.
+    """Return a sentence if the table blocks the path from q to `rest` (n,) [rad], else None.
 
-    Both ends are inside the joint limits, so every pose between them is too. A point that starts
-    inside the table may stay at that depth.
+    The path is straight in joint space, so it stays within the joint limits. A point of the arm
+    that is inside the table at the start may stay at its height, but not go lower. `table` is the
+    height of the table in base axes [m]; None: nothing is checked.
     """
     if table is None:
         return None
@@ -139,5 +145,5 @@ def path_obstacle(
 
 
 def _point_name(model: Model, point: int) -> str:
-    """Return the name of a point of the arm."""
+    """Return the joint name of the point with index `point` in `ArmPoints`, or "the tool"."""
     return "the tool" if point >= model.n else model.joint_names[point]

@@ -36,52 +36,55 @@ if TYPE_CHECKING:
     Orders = Mapping[str, tuple[float, float]]
 
 
-#: `FASTEST`: assumed largest speed of a joint without a known one [rad/s]. `JUMP`: change of
-#: position that is accepted after any time [rad].
-FASTEST, JUMP = 10.0, 0.2
-#: Largest speed of a joint that is pushed, as a multiple of its limit.
-THROWN = 2.0
-#: `IMPOSSIBLE`: number of implausible readings in a row that is reported as a fault. `PAUSE`: gap
-#: between readings above which the joint may have moved unseen even after a jump [s].
-IMPOSSIBLE, PAUSE = 3, 0.1
+#: Assumed largest speed of a joint without a speed limit in the model [rad/s]; and change of
+#: position that is accepted between two readings, however short the time between them [rad].
+DEFAULT_SPEED, JUMP_MARGIN = 10.0, 0.2
+#: Largest plausible speed of a joint that a hand pushes, as a multiple of the joint's speed limit.
+PUSHED_SPEED = 2.0
+#: Number of consecutive implausible positions of a joint that is reported as a fault; and time
+#: between two readings [s] above which the accepted change of position grows even after an
+#: implausible position, because the joint may have moved in that time.
+MAX_JUMPS, READING_GAP = 3, 0.1
 
 
 class PositionFilter:
     """Filter that rejects implausible positions of N joints.
 
     A position is accepted if it was read in this cycle, is finite, and lies within
-    ``2 v_max Δt + 0.2 rad`` of the last accepted one. The check is needed because protocols without
-    sequence numbers can deliver answers of earlier cycles. Δt does not grow while implausible
-    readings arrive: a jump of the encoder is a fault and is never accepted.
+    ``2 v_max Δt + 0.2 rad`` of the joint's last accepted position. v_max is the largest speed of
+    the joint [rad/s], Δt the time since that position [s]. Δt does not grow while implausible
+    positions arrive: a lasting jump of an encoder thus stays rejected, and is reported as a fault.
+    The filter also catches late replies of earlier cycles if the position has changed much since
+    then; some servo protocols have no sequence numbers to detect such replies.
 
     Attributes:
         position: Last accepted positions (N,) [rad]; NaN before the first.
-        time: Time at which each was sampled (N,) [s].
-        jumps: Number of positions rejected because of a jump.
+        time: Times at which these positions were sampled (N,) [s]; -inf before the first.
+        jumps: Number of positions rejected so far because they were too far from the last one.
     """
 
-    def __init__(self, fastest: Array) -> None:
-        """Set the largest speeds (N,) [rad/s]; NaN or inf: unknown."""
-        self._fastest = np.where(np.isfinite(fastest), fastest, FASTEST)
-        self.position: Array = np.full(fastest.size, np.nan)
-        self.time: Array = np.full(fastest.size, -np.inf)
+    def __init__(self, max_speeds: Array) -> None:
+        """Store the largest joint speeds (N,) [rad/s]; `DEFAULT_SPEED` replaces NaN and inf."""
+        self._max_speeds = np.where(np.isfinite(max_speeds), max_speeds, DEFAULT_SPEED)
+        self.position: Array = np.full(max_speeds.size, np.nan)
+        self.time: Array = np.full(max_speeds.size, -np.inf)
         self.jumps = 0
-        # Per joint: `_last`: time of the last reading; `_allowed`: Δt of the check; `_rejected`:
-        # implausible readings in a row; `_jump`: size of the last jump [rad].
+        # Per joint: time of the last reading [s], Δt for the check of the next position [s],
+        # number of consecutive implausible positions, and size of the last jump [rad].
         self._last: Array = self.time.copy()
-        self._allowed: Array = np.zeros(fastest.size)
-        self._rejected: NDArray[np.int_] = np.zeros(fastest.size, dtype=np.int_)
-        self._jump: Array = np.zeros(fastest.size)
+        self._allowed: Array = np.zeros(max_speeds.size)
+        self._rejected: NDArray[np.int_] = np.zeros(max_speeds.size, dtype=np.int_)
+        self._jump: Array = np.zeros(max_speeds.size)
 
     def update(self, sample: JointReadings) -> Mask:
-        """Accept the plausible positions of a sample; return a mask (N,) of the accepted joints."""
+        """Store the plausible positions in `sample`; return the mask (N,) of their joints."""
         read = np.asarray(sample.ok, dtype=bool) & np.isfinite(sample.position)
         first = np.isnan(self.position)
         gap = np.where(first, 0.0, sample.time - self._last)
         self._last = np.where(read, sample.time, self._last)
-        counts = read & ((self._rejected == 0) | (gap > PAUSE))
+        counts = read & ((self._rejected == 0) | (gap > READING_GAP))
         self._allowed += np.where(counts, gap, 0.0)
-        reach = THROWN * self._fastest * self._allowed + JUMP
+        reach = PUSHED_SPEED * self._max_speeds * self._allowed + JUMP_MARGIN
         with np.errstate(invalid="ignore"):
             distance = np.abs(sample.position - self.position)
             plausible = first | (distance <= reach)
@@ -95,34 +98,39 @@ class PositionFilter:
         return ok
 
     def faults(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return a sentence for each joint with repeated implausible readings."""
+        """Return a sentence for each joint with `MAX_JUMPS` or more implausible positions in a row.
+
+        `names` are the joint names (N,).
+        """
         return tuple(
             f"{names[int(i)]}: its position jumped by {self._jump[i]:.2f} rad, which it cannot "
             "have moved: encoder fault, slipped horn or loose gear. Torque off, then check its zero"
-            for i in np.flatnonzero(self._rejected >= IMPOSSIBLE)
+            for i in np.flatnonzero(self._rejected >= MAX_JUMPS)
         )
 
     def reset(self) -> None:
-        """Forget all positions, so that the next ones are accepted after any movement."""
-        self.position = np.full_like(self._fastest, np.nan)
-        self.time = np.full_like(self._fastest, -np.inf)
+        """Discard all positions: the next position of each joint is then accepted in any case."""
+        self.position = np.full_like(self._max_speeds, np.nan)
+        self.time = np.full_like(self._max_speeds, -np.inf)
         self._last = self.time.copy()
         self._allowed, self._jump = np.zeros_like(self.time), np.zeros_like(self.time)
         self._rejected = np.zeros_like(self._rejected)
 
 
-#: Format of orders for joints off the chain, as errors show it.
+#: Part of error messages: format of the argument `extra`, goals and limits of joints off the chain.
 EXTRA = "as {'gripper': (goal [rad], limit [N·m])}"
 
 
 class JointMap:
-    """Joints of a drive, split into chain joints and others.
+    """Joints of a drive, split into the chain from base to tool and other joints (grippers).
+
+    Vectors (N,) are in drive order, the order in which the drive lists the joints.
 
     Attributes:
-        names: All joint names in drive order (N,).
-        chain: Indices of the chain's joints in drive order (n,).
-        off_chain: Indices of the joints off the chain.
-        extra: Names of the joints off the chain.
+        names: Names of all joints (N,).
+        chain: Index of each joint of the chain in drive order (n,).
+        off_chain: Index of each joint off the chain in drive order (N - n,).
+        extra: Names of the joints off the chain (N - n,).
     """
 
     def __init__(self, model: Model, drive: Drive) -> None:
@@ -146,11 +154,11 @@ class JointMap:
         self.extra = tuple(self.names[i] for i in self.off_chain)
 
     def index(self, name: str) -> int:
-        """Return the index of a joint in drive order."""
+        """Return the index of the joint `name` in drive order."""
         return self.names.index(name)
 
     def servos(self, drive: Drive) -> Servos:
-        """Return the chain's servo parameters from the drive's table, in chain order."""
+        """Return the servo parameters of the chain, n entries, taken from the drive's table."""
         size = len(self.names)
         table = take(drive.servos, size, self.chain)
         known = getattr(drive, "stiffness_known", None)
@@ -158,25 +166,26 @@ class JointMap:
             return table
         return table.replace(stiffness_known=bool(np.broadcast_to(known, size)[self.chain].all()))
 
-    def fastest(self, model: Model) -> Array:
-        """Return the largest speeds (N,) [rad/s]: the model's limits; `FASTEST` without one."""
-        fastest = np.full(len(self.names), FASTEST)
+    def max_speeds(self, model: Model) -> Array:
+        """Return the largest joint speeds (N,) [rad/s]: limits of the model, or `DEFAULT_SPEED`."""
+        max_speeds = np.full(len(self.names), DEFAULT_SPEED)
         known = np.asarray(model.velocity_limit)
-        fastest[self.chain] = np.where(np.isfinite(known), known, FASTEST)
-        return fastest
+        max_speeds[self.chain] = np.where(np.isfinite(known), known, DEFAULT_SPEED)
+        return max_speeds
 
     def join(self, chain: Array, off_chain: Array) -> Array:
-        """Merge chain values (n,) and other values into a vector (N,) in drive order."""
+        """Merge values of the chain (n,) and of other joints (N - n,) into a vector (N,)."""
         both = np.empty(len(self.names))
         both[self.chain], both[self.off_chain] = chain, off_chain
         return both
 
     def check(self, orders: Orders) -> dict[str, tuple[float, float]]:
-        """Return checked goals [rad] and limits [N·m] of joints off the chain.
+        """Validate and return `orders`: goal [rad] and limit [N·m] by name of joints off the chain.
 
         Raises:
-            TypeError: Not a mapping. ConfigError: Unknown joint, or not two numbers.
-                OutOfRangeError: Not finite, or a negative limit.
+            TypeError: `orders` is not a mapping.
+            ConfigError: A joint is unknown, or the value of a joint is not a pair of numbers.
+            OutOfRangeError: A number is not finite, or a limit is negative.
         """
         checked = {}
         for name, order in mapping(orders, "extra", EXTRA).items():
@@ -201,40 +210,47 @@ class JointMap:
         return checked
 
 
-#: A limit below `SHARE` of the gravity torque for more than `LASTING` [s] causes a warning.
-SHARE, LASTING = 0.5, 0.2
+#: A joint's torque limit below the share `LOW_SHARE` of its gravity torque, for longer than
+#: `LOW_TIME` [s], causes a warning.
+LOW_SHARE, LOW_TIME = 0.5, 0.2
 
 
 class LowTorqueWarning:
-    """Warning about torque limits too low for the weight, if no controller computed them.
+    """Warns about torque limits that are too low for the arm's weight.
 
-    A limit is too low if it is below half of the joint's gravity torque g(q), and limit plus
-    friction is below all of it: ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``.
+    The torque limit of a joint [N·m] is too low if ``limit < 0.5 |g|`` and ``limit + τ_f < |g|``,
+    with the joint's gravity torque g and dry friction τ_f [N·m]. Commands of a `Controller` are not
+    checked, because their limits carry the weight.
     """
 
     def __init__(self, model: Model, servos: Servos) -> None:
-        """Store joint names and friction; no limit has been checked yet."""
+        """Store the joint names of the model and the friction of the servos."""
         self._names, self._friction = model.joint_names, np.asarray(servos.friction)
         self._since: float | None = None
         self._is_warned = False
 
     def reset(self) -> None:
-        """Reset the timer, because a controller sent this command."""
+        """Restart the time `LOW_TIME`; called after every command of a `Controller`."""
         self._since = None
 
     def check(self, limit: Array, gravity: Array, now: float) -> None:
-        """Warn once if limits (n,) [N·m] stay too low for g (n,) [N·m]; `now` is the time [s].
+        """Warn once, if a torque limit has been too low for `LOW_TIME`.
+
+        Args:
+            limit: Torque limits (n,) [N·m].
+            gravity: Gravity torques (n,) [N·m].
+            now: Present time [s].
 
         Warns:
             RuntimeWarning: The joint with the largest missing torque.
         """
         weight = np.abs(gravity)
-        short = (limit < SHARE * weight) & (limit + self._friction < weight)
+        short = (limit < LOW_SHARE * weight) & (limit + self._friction < weight)
         if self._is_warned or not short.any():
             self._since = None
             return
         self._since = now if self._since is None else self._since
-        if now - self._since <= LASTING:
+        if now - self._since <= LOW_TIME:
             return
         self._is_warned = True
         joint = int(np.where(short, weight - limit, -np.inf).argmax())
@@ -248,26 +264,27 @@ class LowTorqueWarning:
         )
 
 
-#: Time in which limits rise to the requested values, after torque on and after a gap [s].
-EASE = 0.5
-#: Largest distance of a goal outside its position limits, plus the largest lead; a goal farther
-#: outside is rejected [rad].
-FAR = 1.0
+#: Time in which torque limits rise from holding torque to their requested values, after torque on
+#: and after a time without commands [s].
+RAMP_TIME = 0.5
+#: Distance of a goal beyond a position limit above which the goal is rejected, because its unit is
+#: probably wrong [rad]. The largest lead (goal minus position at full torque) comes on top.
+MAX_GOAL_EXCESS = 1.0
 
 
 class ArmIO:
     """Read and write all joints of a drive, with the checks that apply to every cycle.
 
     Attributes:
-        servos: Servos of the chain, n entries.
-        goal, limit: Goals [rad] and limits [N·m] last sent to the chain (n,).
+        servos: Servo parameters of the chain, n entries.
+        goal, limit: Goals [rad] and torque limits [N·m] last sent to the chain (n,).
         orders: Last goal [rad] and limit [N·m] of each joint off the chain, by name.
         thermal: Thermal model of the servos.
-        positions: Last plausible positions.
+        positions: Filter with the last plausible positions.
     """
 
     def __init__(self, model: Model, drive: Drive, budget: Budget) -> None:
-        """Match joints to servos; no reading is available yet."""
+        """Match the joints of the model to those of the drive; read nothing from the drive."""
         self.model, self.drive = model, drive
         self.clock: Clock = getattr(drive, "clock", None) or MonotonicClock()
         self.joints = JointMap(model, drive)
@@ -278,7 +295,7 @@ class ArmIO:
             _per_joint(drive.servos.max_torque, size),
         )
         self.thermal = budget.thermal_model(self._usable, getattr(drive, "stall_current", None))
-        self.positions = PositionFilter(self.joints.fastest(model))
+        self.positions = PositionFilter(self.joints.max_speeds(model))
         self._low_torque = LowTorqueWarning(model, self.servos)
         self.goal, self.limit = np.zeros(model.n), np.zeros(model.n)
         self.orders: dict[str, tuple[float, float]] = {}
@@ -290,16 +307,16 @@ class ArmIO:
         self._reported: dict[str, tuple[str, ...]] = {}
         self._rows: dict[str, Array | None] = {}
         self._watchdog = 0.0
-        # Time of the last bus access, and of the last position received.
+        # Times of the last bus access and of the last position received [s].
         self._last_access = self._last_position = self.clock.now()
 
-    # Reading.
+    # Methods that read from the drive.
 
     def sample(self) -> Mask:
-        """Take a reading; return a mask (n,) of the chain's joints that have a new position.
+        """Read all joints; return the mask (n,) of the chain's joints with a new position.
 
         Raises:
-            ServoError: The connection is gone.
+            ServoError: The connection to the drive is lost.
         """
         self._rearm_after_silence()
         try:
@@ -325,7 +342,7 @@ class ArmIO:
         return is_new
 
     def state(self, ok: Mask) -> State:
-        """Return the present state; `ok` (n,) marks joints read in the last sample."""
+        """Return the state of the arm after a `sample`, which returned the mask `ok` (n,)."""
         positions, chain = self.positions, self.joints.chain
         time = positions.time[chain]
         position = positions.position
@@ -348,7 +365,7 @@ class ArmIO:
         return (*reported, *jumped, *thermal_faults(self.thermal, self.joints.names))
 
     def delay(self, now: float) -> float:
-        """Return the time from the newest sample to `now`, plus the drive's latency [s]."""
+        """Return the age of the newest position at time `now` [s], plus the drive's latency [s]."""
         sampled = float(self.positions.time[self.joints.chain].max())
         return max(now - sampled, 0.0) + float(getattr(self.drive, "latency", 0.0))
 
@@ -363,7 +380,10 @@ class ArmIO:
         return np.asarray(self.model.gravity(self.q), dtype=np.float64)
 
     def stored_commands(self) -> tuple[Array, Array]:
-        """Return goals [rad] and limits [N·m] (n,) read from the chain's servos; NaN if unknown."""
+        """Return the goals [rad] and limits [N·m] (n,) in the chain's servos; NaN if unknown.
+
+        The drive reports them as its attribute `orders`, to take over an arm with torque on.
+        """
         orders = getattr(self.drive, "orders", None)
         chain = self.joints.chain
         if orders is None:
@@ -371,36 +391,43 @@ class ArmIO:
         return np.asarray(orders[0])[chain], np.asarray(orders[1])[chain]
 
     def set_watchdog(self, seconds: float) -> None:
-        """Set the servos' watchdog: they stop after this silence [s], where supported; 0: never.
+        """Set the servos' watchdog, if supported: they stop after this bus silence [s]; 0 is off.
 
         Raises:
-            ServoError: A servo did not confirm.
+            ServoError: A servo did not confirm the new watchdog time.
         """
         self._watchdog = seconds
         self.drive.watchdog(seconds)
         self._last_access = self.clock.now()
 
     def _rearm_after_silence(self) -> None:
-        """Rearm the watchdog after a gap of half its time: servos that it stopped refuse goals."""
+        """Rearm the servos' watchdogs after a bus silence of half their time; one may have tripped.
+
+        Do nothing after a shorter silence.
+        """
         if self._watchdog and self.clock.now() - self._last_access > 0.5 * self._watchdog:
             self._rearm()
 
     def _rearm(self) -> None:
-        """Clear tripped watchdogs and arm them again; errors are ignored, a later call retries."""
+        """Clear and arm the servos' watchdogs; ignore bus errors, because a later call retries."""
         self._last_position = self.clock.now()
         with contextlib.suppress(ServoError):
             self.drive.watchdog(0.0)
             self.drive.watchdog(self._watchdog)
 
     def is_refused(self) -> bool:
-        """Return True if a joint of the chain refuses goals; its torque must then stay on."""
+        """Return True if the drive reports that a servo of the chain rejects goals."""
         refusing = getattr(self.drive, "refusing", None)
         return refusing is not None and bool(np.any(np.asarray(refusing)[self.joints.chain]))
 
-    # Writing.
+    # Methods that write to the drive.
 
     def ramp_limits(self, limit: Array | float = 0.0) -> None:
-        """Start a ramp of 0.5 s, from the greater of holding torque and `limit` (n,) [N·m]."""
+        """Bound torque limits during `RAMP_TIME` by a ramp from holding torque to usable torque.
+
+        Args:
+            limit: Lower bound of the ramp at its start (n,) [N·m].
+        """
         self._ramp_start, self._min_limit = self.clock.now(), limit
 
     def write(
@@ -412,7 +439,7 @@ class ArmIO:
         lead: bool,
         velocity: ArrayLike | None = None,
     ) -> None:
-        """Check, clip and send goals and limits; see `Arm.write`."""
+        """Validate, clip and send goals and limits; `Arm.write` documents the arguments."""
         goal = vector(self.model, goal, "goal")
         limit = self.limit if limit is None else vector(self.model, limit, "limit")
         if limit.min() < 0.0:
@@ -425,7 +452,7 @@ class ArmIO:
         gravity, model, chain = self.gravity(), self.model, self.joints.chain
         need, max_lead = gravity / self._kp[chain], self._usable[chain] / self._kp[chain]
         excess = np.maximum(model.lower - goal, goal - model.upper)
-        if excess.max() > FAR + max_lead[excess.argmax()]:
+        if excess.max() > MAX_GOAL_EXCESS + max_lead[excess.argmax()]:
             joint = int(excess.argmax())
             raise OutOfRangeError(
                 f"goal of {model.joint_names[joint]} is {goal[joint]:g} rad, far outside of "
@@ -442,13 +469,16 @@ class ArmIO:
             self._low_torque.check(limit, gravity, self.clock.now())
 
     def _clip_limits(self, goal: Array, limit: Array, gravity: Array) -> Array:
-        """Return limits (n,) [N·m], bounded by heat, by supply current and by `ramp_limits`."""
+        """Return `limit` (n,) [N·m] reduced to the thermal and supply budgets and to the ramp.
+
+        `goal` (n,) [rad] and `gravity` (n,) [N·m] belong to the same command.
+        """
         chain, support = self.joints.chain, SUPPORT * np.abs(gravity)
         usable = self._usable[chain]
         holding = np.minimum(
             np.maximum(support + torque_margin(self.servos, gravity), self._min_limit), usable
         )
-        share = min(max((self.clock.now() - self._ramp_start) / EASE, 0.0), 1.0)
+        share = min(max((self.clock.now() - self._ramp_start) / RAMP_TIME, 0.0), 1.0)
         limit = np.minimum(limit, holding + share * (usable - holding))
         limit = np.minimum(limit, np.maximum(self.thermal.torque_ceiling()[chain], support))
         goals, limits = self._in_drive_order(goal, limit)
@@ -461,21 +491,22 @@ class ArmIO:
         """Switch torque on with these first goals [rad] and limits [N·m] (n,).
 
         Raises:
-            ServoError: A joint moved or did not confirm.
+            ServoError: A joint moved when torque came on, or its servo did not confirm.
         """
         self.goal, self.limit = goal.copy(), limit.copy()
         self._sent = self._in_drive_order(goal, np.minimum(limit, self._usable[self.joints.chain]))
         self.drive.enable(*self._sent)
 
     def send(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
-        """Send goals [rad] and limits [N·m] of the chain (n,), and `orders` to all other joints.
+        """Send goals and limits of the chain, and `orders` to the joints off the chain.
 
-        Limits are clipped only to the servos' usable torque.
-
-        `velocity` (n,) [rad/s] goes to the servos' speed registers; None: no speed limit.
+        Args:
+            goal: Joint goals (n,) [rad].
+            limit: Torque limits (n,) [N·m], clipped to the servos' usable torque.
+            velocity: Speed limits (n,) [rad/s]; None: no speed limit.
 
         Raises:
-            ServoError: The connection is gone.
+            ServoError: The connection to the drive is lost.
         """
         goals, limits = self._in_drive_order(
             goal, np.minimum(limit, self._usable[self.joints.chain])
@@ -490,7 +521,10 @@ class ArmIO:
         self._update_status(self.drive.poll_status())
 
     def _in_drive_order(self, goal: Array, limit: Array) -> tuple[Array, Array]:
-        """Return goals and limits (N,) in drive order; limits off the chain are bounded by heat."""
+        """Extend goals and limits of the chain (n,) to all joints (N,), with values of `orders`.
+
+        The thermal budget bounds the limits of the joints off the chain.
+        """
         off_chain = self.joints.off_chain
         orders = [self.orders[name] for name in self.joints.extra]
         ceiling = self.thermal.torque_ceiling()[off_chain]
@@ -499,7 +533,11 @@ class ArmIO:
         return goals, self.joints.join(limit, max_lead)
 
     def _update_thermal(self, load: Array | None) -> None:
-        """Update the thermal model with the torques exerted since the last reading."""
+        """Update the thermal model with the servos' torques since the last reading.
+
+        `load` are the measured torques (N,) [N·m]. If they are None or NaN, the torques are
+        estimated from position errors, stiffness and limits.
+        """
         now = self.clock.now()
         if self._last_update is not None and self._sent is not None:
             goal, limit = self._sent
@@ -511,7 +549,7 @@ class ArmIO:
         self._last_update = now
 
     def _update_status(self, status: ServoStatus | None) -> None:
-        """Store voltage, temperature and faults from one slow read."""
+        """Store voltage, temperature and faults of the servo in `status`; None: do nothing."""
         if status is None:
             return
         index = self.joints.index(status.name)
@@ -523,5 +561,5 @@ class ArmIO:
 
 
 def _per_joint(value: ArrayLike, size: int) -> Array:
-    """Return a new array (size,) from one number or one per joint."""
+    """Return a new array (size,) with a scalar repeated, or with the values of an array (size,)."""
     return np.broadcast_to(np.asarray(value, dtype=np.float64), size).copy()

@@ -1,4 +1,7 @@
-"""Messages about an arm, written by a separate thread so that output never blocks a descent."""
+"""Messages to the user, written by a separate thread so that output never blocks a descent.
+
+A descent is the lowering of an arm until it rests.
+"""
 
 from __future__ import annotations
 
@@ -13,28 +16,29 @@ from typing import NoReturn
 
 #: Logger of all messages. Without a handler, INFO and above go to standard error.
 LOGGER = logging.getLogger("pliant.arm")
-#: Least time between a progress line and the line before it, without a terminal [s].
+#: Shortest time between two progress messages in a log or file [s]; on a terminal, each progress
+#: message overwrites the previous one instead.
 PROGRESS_PERIOD = 5.0
-#: Width of a terminal that does not report one [columns].
+#: Assumed width of a terminal that does not report its width [columns].
 WIDTH = 80
-#: Longest wait for messages at the end of a descent [s].
+#: Longest wait at the end of a descent until all messages are written [s].
 FLUSH_TIMEOUT = 0.3
 
 
 class Message:
-    """A queued line.
+    """Line of text in the message queue.
 
     Attributes:
         text: The line.
-        level: As in `logging`.
-        progress: Whether a later line may overwrite it on a terminal.
-        is_written: Whether the line was written, or writing failed.
+        level: Level of the module `logging`.
+        progress: True if a later line may overwrite this line on a terminal.
+        is_written: True if the line was written, or if writing failed.
     """
 
     __slots__ = ("is_written", "level", "progress", "text")
 
     def __init__(self, text: str, level: int, *, progress: bool = False) -> None:
-        """Store the line; it is not written yet."""
+        """Store the line `text`, marked as not yet written."""
         self.text, self.level, self.progress, self.is_written = text, level, progress, False
 
 
@@ -45,7 +49,7 @@ class MessageQueue:
     """
 
     def __init__(self) -> None:
-        """Start without a thread."""
+        """Create an empty queue without a thread."""
         self._process = 0
         self._queue: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._last: Message | None = None
@@ -53,11 +57,11 @@ class MessageQueue:
         self._line_open, self._written = False, -PROGRESS_PERIOD
 
     def start(self) -> None:
-        """Start the thread, once per process; this is not possible in a signal handler."""
+        """Start the thread that writes, once per process; signal handlers must not call this."""
         if self._process == os.getpid():
             return
         self._queue, self._last = queue.SimpleQueue(), None
-        # Without a thread the arm is still lowered, but without messages.
+        # Ignore a failure to start the thread: the arm can then be lowered without messages.
         with contextlib.suppress(RuntimeError):
             threading.Thread(
                 target=self._run, args=(self._queue,), name="pliant-messages", daemon=True
@@ -65,7 +69,7 @@ class MessageQueue:
             self._process = os.getpid()
 
     def post(self, text: str, level: int = logging.INFO, *, progress: bool = False) -> Message:
-        """Queue a line."""
+        """Append a message to the queue and return it; without a running thread, discard it."""
         message = Message(text, level, progress=progress)
         if self._process == os.getpid():
             self._last = message
@@ -75,7 +79,10 @@ class MessageQueue:
         return message
 
     def flush(self, within: float = FLUSH_TIMEOUT) -> None:
-        """Wait until all lines are written, at most `within` [s]; once per blocked stream."""
+        """Wait until all messages are written, at most `within` [s].
+
+        If the last call ended without success and the stream is still blocked, return at once.
+        """
         last = self._last
         if last is None or (self._blocked is not None and not self._blocked.is_written):
             return
@@ -85,7 +92,7 @@ class MessageQueue:
         self._blocked = None if last.is_written else last
 
     def _run(self, lines: queue.SimpleQueue[Message]) -> NoReturn:
-        """Write one line after another."""
+        """Write the messages of the queue `lines` in order, without end; the thread runs this."""
         while True:
             message = lines.get()
             with contextlib.suppress(Exception):
@@ -93,7 +100,7 @@ class MessageQueue:
             message.is_written = True
 
     def _write(self, message: Message) -> None:
-        """Pass a line to `logging`, or write it to standard error."""
+        """Pass a message to `logging` if it has a handler, else write it to standard error."""
         now = time.monotonic()
         sparse = message.progress and now - self._written < PROGRESS_PERIOD
         if LOGGER.hasHandlers():
@@ -105,7 +112,7 @@ class MessageQueue:
         if stream is None or not _is_enabled(message.level):
             return
         text = f"pliant: {message.text}"
-        # Bypass the interpreter's stream: a blocked writer would hold its lock forever.
+        # Write to the file descriptor: a blocked write to Python's stream would hold its lock.
         own = sys.__stderr__
         number = own.fileno() if own is not None and stream is own else None
         if number is not None and os.isatty(number) and os.environ.get("TERM") != "dumb":
@@ -130,7 +137,7 @@ class MessageQueue:
 
 
 def _is_enabled(level: int) -> bool:
-    """Return True if standard error shows this level when `logging` has no handler."""
+    """Return True if messages of this level go to standard error when `logging` has no handler."""
     if LOGGER.disabled or logging.root.manager.disable >= level:
         return False
     for logger in (LOGGER, logging.getLogger("pliant")):

@@ -1,4 +1,4 @@
-"""End of an arm's use: lowering it or holding the present pose, with messages."""
+"""Shutdown of an arm: lower it or hold its present pose, with messages to the user."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import SUPPORT, Lowering, ServoError, torque_margin
+from pliant._core import SUPPORT, Lowering, ServoError, ServoFaultError, torque_margin
 from pliant.arm._messages import MESSAGES
 from pliant.arm._signals import name_of, signal_of
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from pliant.arm._messages import Message
 
 
-#: Time between two progress messages [s].
+#: Shortest time between two progress messages of a descent, the lowering of the arm [s].
 PROGRESS = 1.0
-#: Lowest torque at which a joint counts as loaded [N·m].
+#: Smallest gravity torque with which a message names a joint as carrying the arm [N·m].
 MIN_LOAD = 1e-3
-#: Largest length of a reason in a message [characters].
+#: Largest length of an error text in a message [characters].
 MAX_REASON = 160
-#: Text for each phase of a descent.
+#: Text in progress messages for each phase of a descent.
 PHASES = {"rest": "to its rest pose", "down": "down", "ramp": "at rest, giving up its weight"}
-#: Remedy for an arm that was left with torque on.
+#: Advice in messages: remedy for an arm that was left with torque on.
 RECOVER = (
     "`pliant run ARM`, or your program started again, takes it over and lowers it at its end; or "
     "support the arm and cut the supply"
@@ -37,19 +37,19 @@ RECOVER = (
 
 
 class ExitMessages:
-    """Messages of one exit of an arm.
+    """Messages of one shutdown of an arm.
 
-    A planned exit is logged as INFO, or as DEBUG for an arm in simulated time; any other as
-    WARNING.
+    Messages of a planned shutdown have the level INFO, or DEBUG for an arm in simulated time.
+    Messages of an unplanned shutdown have the level WARNING, except for its progress.
 
     Args:
         name: Name of the arm.
-        io: Cycle of the arm.
-        cause: Reason for the exit; None: planned.
+        io: Read and write access to the arm.
+        cause: Reason for the shutdown; None if it is planned.
     """
 
     def __init__(self, name: str, io: ArmIO, cause: str | None) -> None:
-        """Store the start time; no message is sent yet."""
+        """Store the start time of the shutdown; send no message yet."""
         self._name, self._io, self._cause = name, io, cause
         is_real = bool(getattr(io.clock, "real_time", False))
         planned = logging.INFO if is_real else logging.DEBUG
@@ -59,10 +59,10 @@ class ExitMessages:
         self._start_height: float | None = None
 
     def begin(self, *, interrupted: bool = False) -> Message:
-        """Announce that the arm is being lowered, and what Ctrl-C does meanwhile.
+        """Send and return the message that the arm is being lowered, and what Ctrl-C does now.
 
         Args:
-            interrupted: Whether a Ctrl-C is the reason.
+            interrupted: True if a Ctrl-C is the reason for the shutdown.
         """
         why = "" if self._cause is None else f" ({self._cause})"
         again = "Ctrl-C again leaves" if interrupted else "Ctrl-C twice leaves"
@@ -71,14 +71,14 @@ class ExitMessages:
         )
 
     def progress(self, lowering: Lowering) -> None:
-        """Report progress, at most once a second."""
+        """Send a message about the progress of a descent, at most once every `PROGRESS` seconds."""
         now = time.monotonic()
         if self._start_height is None:
             self._start_height = self._height()
         if now - self._last_progress < PROGRESS:
             return
         self._last_progress = now
-        # An error in a message must not end the descent.
+        # Ignore every error here: an error in a message must not end the descent.
         with contextlib.suppress(Exception):
             where = PHASES.get(lowering.phase, lowering.phase)
             MESSAGES.post(
@@ -88,10 +88,10 @@ class ExitMessages:
             )
 
     def lowered(self, *, has_signal: bool = False) -> str:
-        """Report that the arm rests and torque is off.
+        """Send the message that the arm rests with torque off, and return its text.
 
         Args:
-            has_signal: Whether a signal came during the descent; the message is then a WARNING.
+            has_signal: True if a signal came during the descent; the level is then WARNING.
         """
         return self._post(
             f"{self._name} was lowered: torque OFF, {self._height_change()}, "
@@ -100,10 +100,10 @@ class ExitMessages:
         )
 
     def left_enabled(self, *, stopped: bool = False) -> str:
-        """Report that torque stays on, which joints carry the arm, and the remedy.
+        """Send the message that torque stays on, with loaded joints and remedy; return its text.
 
         Args:
-            stopped: Whether a descent was aborted.
+            stopped: True if a descent was aborted; the level is then WARNING.
         """
         return self._post(
             f"{self._name} stays where it is, torque ON: {self._loaded_joints()}. {RECOVER}",
@@ -111,11 +111,11 @@ class ExitMessages:
         )
 
     def failed(self, error: BaseException, on: list[str] | None) -> str:
-        """Report the error that ended a descent, and the torque state.
+        """Send the message that a descent failed, with error and torque state; return its text.
 
         Args:
-            error: The reason.
-            on: Joints whose torque is on; None: unknown, the servos do not answer.
+            error: Error that ended the descent.
+            on: Joints whose torque is on; None if unknown, because the servos do not answer.
         """
         if on is None:
             return self._post(
@@ -134,7 +134,7 @@ class ExitMessages:
         return text
 
     def _loaded_joints(self) -> str:
-        """Name the joints with a gravity torque above their friction, largest first."""
+        """Return a text that lists joints whose gravity torque exceeds friction, largest first."""
         with contextlib.suppress(Exception):
             io = self._io
             load = np.abs(io.gravity())
@@ -150,11 +150,11 @@ class ExitMessages:
         return "no joint carries much"
 
     def _elapsed(self) -> float:
-        """Return the time since the exit began [s], on the arm's clock."""
+        """Return the time since the start of the shutdown [s], on the arm's clock."""
         return self._io.clock.now() - self._start_time
 
     def _height(self) -> float:
-        """Return the height of the tool [m], against gravity; NaN if unknown."""
+        """Return the height of the tool above the base's origin [m]; NaN if unknown."""
         with contextlib.suppress(Exception):
             model = self._io.model
             gravity = np.asarray(model.gravity_vector)
@@ -172,7 +172,7 @@ class ExitMessages:
 
 
 def exit_cause(error: BaseException | None) -> str | None:
-    """Return the reason for an exit after an exception; None: no exception, or a planned end."""
+    """Return the reason for a shutdown that the exception `error` caused; None if it is planned."""
     if error is None or isinstance(error, GeneratorExit):
         return None
     number = signal_of(error)
@@ -184,18 +184,18 @@ def exit_cause(error: BaseException | None) -> str | None:
 
 
 def brief(error: BaseException) -> str:
-    """Return the first line of an error, cut at `MAX_REASON` characters."""
+    """Return type and first line of an exception, cut at `MAX_REASON` characters."""
     lines = str(error).strip().splitlines()
     text = f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
     return text if len(text) <= MAX_REASON else f"{text[: MAX_REASON - 3]}..."
 
 
-#: A lead is kept if it fits a servo up to `STIFFER` times stiffer or `SOFTER` times softer than
-#: assumed.
+#: Largest ratio of true to assumed servo stiffness, and of assumed to true stiffness, for which
+#: `hold_position` keeps the present lead (goal minus position of a joint).
 STIFFER, SOFTER = 2.5, 2.0
-#: Silence of the bus after which a descent is given up [s].
+#: Silence of the bus after which a descent ends with an error [s].
 MAX_SILENCE = 2.0
-#: Largest number of restarts of a descent after refused goals.
+#: Largest number of times that a descent is restarted because servos rejected its goals.
 MAX_RESTARTS = 2
 
 
@@ -207,26 +207,27 @@ def descend(
     *,
     on_tick: Callable[[Lowering], None] | None = None,
 ) -> bool:
-    """Lower the arm until its limits are zero, so that torque can be switched off.
+    """Lower the arm until its torque limits are zero, so that torque can be switched off.
 
-    Joints off the chain keep their orders until everything rests. Single bus errors do not end the
-    descent. A bus that fails for 2 s does; the servos then keep their last goal and limit.
+    Joints off the chain keep goal and limit until the arm rests. Single bus errors do not end the
+    descent, but a silence of `MAX_SILENCE` does; the servos then keep their last goal and limit.
 
     Args:
-        io: The arm.
+        io: Read and write access to the arm.
         rest: Rest pose to move to first (n,) [rad]; None: straight down.
-        rate: Rate of this loop [Hz].
-        is_aborted: Returns True to abort the descent, with torque as it is.
-        on_tick: Called once per tick.
+        rate: Rate of the descent's control loop [Hz].
+        is_aborted: Function that returns True to abort the descent; torque then stays on.
+        on_tick: Function that each cycle calls with the state of the descent; None: no call.
 
     Returns:
-        True if the limits are zero; False if the descent was aborted.
+        True if the torque limits are zero; False if the descent was aborted.
 
     Raises:
-        ServoError: The bus is gone, or servos refuse goals; torque stays on.
+        ServoError: The bus is gone; torque stays on.
+        ServoFaultError: Servos reject goals; torque stays on.
     """
     clock, model = io.clock, io.model
-    # Disable the watchdog: a servo that it stopped would refuse the goals of the descent.
+    # Disable the servos' watchdogs: after a trip, a servo would reject the goals of the descent.
     with contextlib.suppress(ServoError):
         io.set_watchdog(0.0)
     refused = 0
@@ -250,7 +251,7 @@ def descend(
         if order is None:
             refused += 1
             if refused > MAX_RESTARTS:
-                raise ServoError(
+                raise ServoFaultError(
                     "servos do not take the goals that lower the arm, and torque stays on: support "
                     "the arm, then cut the supply"
                 )
@@ -267,14 +268,16 @@ def descend(
 
 
 def hold_position(io: ArmIO) -> None:
-    """Send goals and limits that hold the present pose, and disable the watchdog."""
+    """Send goals and torque limits that hold the present pose; disable the servos' watchdogs."""
     kp, gravity = np.asarray(io.servos.kp), io.gravity()
     push, need = torque_margin(io.servos, gravity), gravity / kp
-    # Servos stiffer or softer than assumed need a smaller or larger lead for the weight.
+    # Keep the present lead (goal minus position) if it carries the weight with the true stiffness,
+    # which may differ from the assumed kp by up to the factors `STIFFER` and `SOFTER`.
     ends = np.sort((need / STIFFER, need * SOFTER), axis=0)
     lead = np.clip(io.goal - io.q, ends[0] - push / kp, ends[1] + push / kp)
     limit = SUPPORT * np.abs(gravity) + push
-    # A servo that carries the weight at its limit would move if the limit rose.
+    # Do not raise the limit of a servo that carries the weight at its torque limit: the joint
+    # would move.
     full = (kp * np.abs(lead) > io.limit) & (io.limit >= np.abs(gravity))
     held = np.where(full, np.minimum(io.limit, limit), limit)
     io.send(io.q + lead, held)

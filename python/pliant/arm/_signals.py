@@ -3,10 +3,11 @@
 - While no arm is being lowered, SIGINT raises `KeyboardInterrupt`, and SIGTERM, SIGHUP and SIGQUIT
   raise `SystemExit`; these exceptions lower the arms. A repetition of the same signal within
   `REPEAT_TIME` is ignored.
-- While an arm is being lowered, a handler raises nothing. The exception follows once the arm is
-  down.
-- Only SIGINT aborts a descent. This takes a second SIGINT, at least `REPEAT_TIME` after the one
-  before, and after the message that announces the effect.
+- While an arm is being lowered, the handler stores the signal, and its exception is raised once the
+  arm is down.
+- Only SIGINT aborts a descent. This takes a second SIGINT, at least `REPEAT_TIME` after the
+  previous SIGINT, and after the message that tells the user what it does. If the descent hangs, a
+  third SIGINT, `HANG_TIMEOUT` after the second, raises `SystemExit` at once.
 """
 
 from __future__ import annotations
@@ -29,32 +30,33 @@ if TYPE_CHECKING:
 
     from pliant.arm._messages import Message
 
-#: Handled signals, as far as this system has them.
+#: Signals that are handled, without those that the operating system lacks.
 HANDLED = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
     if hasattr(signal, name)
 )
-#: A signal this soon after the same one is a key repeat [s]: keyboards begin to repeat a key that
-#: is held down after 0.25 to 0.66 s.
+#: Time after a signal in which a repetition counts as a key repeat [s]; keyboards start to repeat
+#: a pressed key after 0.25 to 0.66 s.
 REPEAT_TIME = 0.75
-#: A descent still running this long after it was aborted hangs [s]; a third Ctrl-C then leaves it.
+#: Time after the abort of a descent from which on a third Ctrl-C ends the program, because a bus
+#: call seems to hang [s].
 HANG_TIMEOUT = 1.0
 
 
 class Signals:
-    """Registration of one arm for signals.
+    """Registration of one arm with the signal handlers of the process.
 
     Args:
-        stop: Aborts the arm's descent, torque on; called in a signal handler.
+        stop: Function that aborts the arm's descent; a signal handler calls it.
 
     Attributes:
-        leaving: Whether the arm is being lowered.
-        stopped: Whether a second Ctrl-C has aborted its descent.
+        leaving: True while the arm is being lowered.
+        stopped: True if a second Ctrl-C has aborted the descent.
     """
 
     def __init__(self, stop: Callable[[], None]) -> None:
-        """Store the callback; no signal is handled yet."""
+        """Store the function `stop`; `install` registers the arm."""
         self.stop = stop
         self.leaving = self.stopped = False
 
@@ -65,11 +67,11 @@ class Signals:
 
     @property
     def has_pending(self) -> bool:
-        """Return True if a signal is pending until the arms are down."""
+        """Return True if a signal came during a descent and takes effect once all arms are down."""
         return _REGISTRY.pending is not None
 
     def install(self) -> None:
-        """Handle signals from now on; outside the main thread, warn that this is not possible."""
+        """Register the arm, so that signals lower it; outside the main thread, only warn."""
         self.stopped = False
         if self.installed:
             return
@@ -85,49 +87,50 @@ class Signals:
         _REGISTRY.add(self)
 
     def restore(self) -> None:
-        """Unregister; with the last arm, restore the former handlers."""
+        """Unregister the arm; after the last arm, restore the former signal handlers."""
         _REGISTRY.remove(self)
         self.leaving = False
 
     def begin(self, announcement: Message) -> None:
-        """Mark the start of a descent; `announcement` is the message that announces it."""
+        """Mark the arm as being lowered; `announcement` is the message that told the user so."""
         if self.installed:
             _REGISTRY.begin(self, announcement)
 
     def deliver(self) -> None:
-        """Raise the exception for a signal that came during the descent.
+        """Raise the exception for a signal that came during the descent, if there was one.
+
+        Outside the main thread, send the signal to the process instead.
 
         Raises:
-            KeyboardInterrupt, SystemExit: In the main thread. Another thread sends the process the
-                signal instead.
+            KeyboardInterrupt, SystemExit: A signal came during the descent.
         """
         _REGISTRY.deliver(self)
 
 
 class Registry:
-    """Registry of all arms with torque, with the installed and the former signal handlers.
+    """Registry of all arms with torque; installs and restores the signal handlers.
 
     Attributes:
-        arms: In order of registration.
-        pending: Signal that came during a descent and was not delivered yet.
+        arms: Registered arms, in order of registration.
+        pending: Signal that came during a descent and was not delivered yet, or None.
     """
 
     def __init__(self) -> None:
-        """Start without arms and handlers."""
+        """Create a registry without arms; no signal handlers are installed."""
         self.arms: list[Signals] = []
         self._before: dict[int, Any] = {}
         self._process = 0
         self._forget()
 
     def _forget(self) -> None:
-        """Reset the state of earlier signals."""
+        """Discard pending signals and all other state that earlier signals left."""
         self._last: tuple[int, float] = (0, -REPEAT_TIME)
         self.pending: int | None = None
         self._announced: Message | None = None
         self._stopped_at: float | None = None
 
     def add(self, arm: Signals) -> None:
-        """Register an arm and install the handlers."""
+        """Register an arm, and install the signal handlers of this package."""
         if self._process != os.getpid():
             # After a fork: the arms of the parent process do not belong to this process.
             self.arms.clear()
@@ -142,7 +145,7 @@ class Registry:
                 signal.signal(number, self._catch)
 
     def remove(self, arm: Signals) -> None:
-        """Unregister an arm; with the last one, restore the former handlers."""
+        """Unregister an arm; after the last arm, restore the former handlers."""
         if arm not in self.arms:
             return
         self.arms.remove(arm)
@@ -150,27 +153,32 @@ class Registry:
             self._announced = self._stopped_at = None
         if self.arms:
             return
-        # Python sets handlers in the main thread only; elsewhere, `_catch` calls the former ones.
+        # Only the main thread can set handlers. In another thread ignore the error: `_catch` stays
+        # installed and calls the former handlers.
         with contextlib.suppress(ValueError):
             for number, handler in self._before.items():
                 if signal.getsignal(number) == self._catch:
-                    # None: the handler was not set from Python. The default is the nearest
-                    # substitute.
+                    # A handler that was not set from Python is None and cannot be restored: use
+                    # the default action instead.
                     signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def begin(self, arm: Signals, announcement: Message) -> None:
-        """Suppress exceptions from signals until the arm is removed."""
+        """Mark an arm as being lowered; until `remove`, signals are stored and not raised.
+
+        If a Ctrl-C caused the descent, `announcement` told the user that the next one aborts it.
+        """
         arm.leaving = True
         if self._announced is None and is_interrupted(sys.exception()):
             self._announced = announcement
 
     def deliver(self, arm: Signals) -> None:
-        """Raise the exception for a pending signal once no arm is being lowered."""
+        """Raise the exception for a pending signal, unless another arm is being lowered."""
         if any(other.leaving for other in self.arms):
             return
         pending, self.pending = self.pending, None
         stopped, arm.stopped = arm.stopped, False
-        # An exception in flight ends the program already, unless it is only Ctrl-C.
+        # A `SystemExit` that a signal has raised before ends the program anyway: do not replace it
+        # by the exception of a pending Ctrl-C.
         number = _stronger(signal_of(sys.exception()), pending)
         if stopped:
             raised: BaseException = SystemExit(128 + (number or signal.SIGINT))
@@ -183,7 +191,7 @@ class Registry:
         os.kill(os.getpid(), number or signal.SIGINT)
 
     def _catch(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal."""
+        """Handle signal `number`: raise its exception, or store the signal during a descent."""
         if self._process != os.getpid() or not self.arms:
             self._pass_on(number, frame)
             return
@@ -205,7 +213,11 @@ class Registry:
             self._interrupt(now, is_repeated=is_repeated)
 
     def _interrupt(self, now: float, *, is_repeated: bool) -> None:
-        """Handle Ctrl-C while an arm is being lowered."""
+        """Handle Ctrl-C at time `now` [s] while an arm is being lowered.
+
+        The first Ctrl-C sends a message, the second aborts the descent, a third ends the program.
+        `is_repeated` is True for a key repeat, which does not abort.
+        """
         if self._stopped_at is not None:
             if now - self._stopped_at > HANG_TIMEOUT and not is_repeated:
                 raise SystemExit(128 + signal.SIGINT)
@@ -224,7 +236,7 @@ class Registry:
                     arm.stop()
 
     def _pass_on(self, number: int, frame: FrameType | None) -> None:
-        """Call the former handler, or its default action."""
+        """Call the handler that was set before this package's, or the signal's default action."""
         former = self._before.get(number)
         if callable(former):
             former(number, frame)
@@ -237,24 +249,27 @@ _REGISTRY = Registry()
 
 
 def exception(number: int) -> BaseException:
-    """Return the exception that corresponds to a signal."""
+    """Return the exception for a signal: `KeyboardInterrupt` for SIGINT, else `SystemExit`."""
     return KeyboardInterrupt() if number == signal.SIGINT else SystemExit(128 + number)
 
 
 def _stronger(first: int | None, second: int | None) -> int | None:
-    """Return the signal that ends the program; SIGINT has lower priority, it is often caught."""
+    """Return the signal to deliver of two, None being no signal; any other signal beats SIGINT.
+
+    Programs often catch the exception of SIGINT, so it might not end the program.
+    """
     if first is None or (first == signal.SIGINT and second is not None):
         return second
     return first
 
 
 def name_of(number: int) -> str:
-    """Return the name of a signal as users know it."""
+    """Return the name of a signal for messages: Ctrl-C for SIGINT."""
     return "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
 
 
 def signal_of(error: BaseException | None) -> int | None:
-    """Return the signal for which an exception, or one in its context chain, was raised."""
+    """Return the number of the signal behind an exception or its context chain, or None."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return int(signal.SIGINT)
@@ -267,5 +282,5 @@ def signal_of(error: BaseException | None) -> int | None:
 
 
 def is_interrupted(error: BaseException | None) -> bool:
-    """Return True if an exception was caused by Ctrl-C."""
+    """Return True if Ctrl-C caused an exception, directly or through its context chain."""
     return signal_of(error) == signal.SIGINT

@@ -1,4 +1,4 @@
-"""Lock of an arm, and a watchdog thread that lowers it when the program stalls."""
+"""Exclusive access to an arm, and a watchdog thread that lowers it if the program stalls."""
 
 from __future__ import annotations
 
@@ -14,28 +14,29 @@ from pliant._core import ServoError, ServoTimeoutError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-#: Thread switch interval of Python while the arm is lowered by the watchdog thread [s]. The default
-#: of 5 ms would cost half a period per bus call while another thread computes.
+#: Python's thread switch interval while the watchdog thread lowers the arm [s]. With the default of
+#: 5 ms, another busy thread would delay every bus call by half a control period of 10 ms.
 SWITCH_INTERVAL = 1e-4
 
 
 class Supervisor:
-    """Lock of an arm, and a watchdog thread that calls `leave` when the program stalls.
+    """Lock of an arm, and a watchdog thread that calls `leave` if the program stalls.
 
-    Each access to the drive is inside `with supervisor`, which restarts the timeout. The thread
-    exists only inside `supervised`. Only the process that switched torque on may use the arm: a
-    forked process shares the open port, and two users would mix their messages.
+    Each access to the drive is inside `with supervisor`, which restarts the timeout. The watchdog
+    thread exists only inside `supervised`. Only the process that switched torque on may use the
+    arm: a forked process shares the open port, and packets of two processes would mix.
 
     Attributes:
-        owner: Id of the process that switched torque on; None while torque is off.
-        lock: Held by the thread that uses the drive.
-        reason: Reason why the watchdog thread took the arm over; None: it did not. `Arm` also sets
-            it when the program ends.
-        abort: Set to abort a running descent, in any thread.
+        owner: Id of the process that switched torque on; None while torque is off, or after it was
+            left on deliberately.
+        lock: Lock that the thread with access to the drive holds.
+        reason: Reason for which the watchdog thread has called `leave`; None if it has not. `Arm`
+            also sets it when the program ends.
+        abort: Event that aborts a running descent in any thread.
     """
 
     def __init__(self, leave: Callable[[], None]) -> None:
-        """Store `leave`, which lowers the arm or leaves it enabled; it runs with the lock held."""
+        """Store `leave`, a function that lowers the arm or leaves it enabled, with `lock` held."""
         self.lock = threading.RLock()
         self.abort = threading.Event()
         self.reason: str | None = None
@@ -47,7 +48,8 @@ class Supervisor:
         """Take the lock for one access to the drive.
 
         Raises:
-            ServoError, ServoTimeoutError: As `check`.
+            ServoError: Another process switched torque on.
+            ServoTimeoutError: The watchdog thread has taken the arm over.
         """
         self.check()
         self.lock.acquire()
@@ -65,12 +67,11 @@ class Supervisor:
         return self.owner is not None and self.owner != os.getpid()
 
     def check(self) -> None:
-        """Raise if the arm was taken over or belongs to another process.
+        """Raise an error unless this process and thread may use the arm.
 
         Raises:
-            ServoTimeoutError: The watchdog thread has taken the arm over; raised at once, also
-                while the arm is being lowered.
-            ServoError: Another process switched its torque on.
+            ServoTimeoutError: The watchdog thread has taken the arm over, or is lowering it.
+            ServoError: Another process switched the torque of the arm on.
         """
         if self.is_owned_elsewhere:
             raise ServoError(
@@ -85,8 +86,9 @@ class Supervisor:
     def exclusive(self, *, at_once: bool = False) -> Iterator[None]:
         """Return a context that holds the lock while torque is switched on or off.
 
-        It first waits until a descent in another thread ends. With `at_once`, or if an exception
-        comes during the wait, that descent is aborted and the arm stays where it is, torque on.
+        The context first waits until a descent (lowering) in another thread has ended. With
+        `at_once`, or after an exception during the wait, it aborts that descent; the arm then holds
+        its pose with torque on.
 
         Raises:
             ServoError: Another process switched torque on.
@@ -112,11 +114,11 @@ class Supervisor:
 
     @contextlib.contextmanager
     def supervised(self, timeout: float | None) -> Iterator[Callable[[], None]]:
-        """Run a watchdog thread that takes the arm over after `timeout` [s] without a call.
+        """Run a watchdog thread that calls `leave` after `timeout` [s] without access to the drive.
 
-        With None no thread runs. The context yields `check`. An exception does not stop the thread,
-        because the program may block before it lowers the arm. Then `end_supervision`, the next
-        `supervised` or a takeover stops it.
+        If `timeout` is None, no thread runs. The context yields the method `check`. An exception in
+        the context does not stop the thread, because the program may block before it lowers the
+        arm. `end_supervision`, the next `supervised` or the call of `leave` then ends the thread.
         """
         if timeout is None:
             yield self.check
@@ -140,7 +142,7 @@ class Supervisor:
         self._done.set()
 
     def _run(self, timeout: float, done: threading.Event) -> None:
-        """Take the arm over once the program stalls for `timeout` [s]; return at `done`."""
+        """Take the arm over once the program stalls for `timeout` [s]; return if `done` is set."""
         longest = threading.TIMEOUT_MAX
         while not done.wait(
             min(max(self._last_call + timeout - time.perf_counter(), 1e-3), longest)
@@ -148,14 +150,15 @@ class Supervisor:
             if time.perf_counter() - self._last_call < timeout:
                 continue
             with self.lock:
-                # Another thread held the lock until now, so it may have made a call meanwhile.
+                # Compute the stall again: another thread may have accessed the drive while this
+                # thread waited for the lock.
                 silent = time.perf_counter() - self._last_call
                 if silent >= timeout and not done.is_set() and self.reason is None:
                     self._take_over(silent)
                     return
 
     def _take_over(self, silent: float) -> None:
-        """Call `leave` after a stall of `silent` [s]; an error of it is added to `reason`."""
+        """Call `leave` after a stall of `silent` [s]; store the stall and any error in `reason`."""
         self.reason = f"the program did not come back for {silent:.2f} s: the arm was taken over"
         self.abort.clear()
         interval = sys.getswitchinterval()

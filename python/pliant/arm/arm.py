@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from pliant._core import ArmPoints, ConfigError, ServoError
+from pliant._core import ArmPoints, ConfigError, ServoError, ServoFaultError
 from pliant._validation import instance, real
 from pliant.arm._checks import check_rest, path_obstacle, posture, times
 from pliant.arm._io import ArmIO
@@ -47,17 +47,17 @@ if TYPE_CHECKING:
 class Arm:
     """Robot arm whose joints a `Drive` moves.
 
-    `with` opens and enables the arm. At its end, also after an exception, it acts as `on_exit` says
-    and closes the drive. Only the process that switched torque on may use the arm until torque is
-    off: in a process forked from it, `close` and the end of the program do nothing, and `read` and
-    `write` raise.
+    `with` opens and enables the arm. At the end of the block, also after an exception, the arm is
+    lowered or left enabled, see `on_exit`, and the drive is closed. Only the process that switched
+    torque on may use the arm: in a forked process, `close` does nothing, and `read` and `write`
+    raise an error.
 
     Args:
         model: The robot; its joint names are matched with the drive's.
         drive: Interface to the servos or the simulator.
         rest_q: Joint positions (n,) [rad] to which `lower` moves first, if the path is clear of the
             table; None: straight down.
-        on_exit: What `close` and the end of `with` do while torque is on: `lower`, or
+        on_exit: Action of `close` and of the end of `with` if torque is on: `lower` or
             `leave_enabled`.
         rate: Rate of the arm's own loops in `enable` and `lower` [Hz].
         comm_timeout: Time without positions or without commands after which a `Loop` raises [s],
@@ -65,20 +65,20 @@ class Arm:
         power_budget: Thermal and supply limits; None: the default.
         grippers: Configurations of joints off the chain, by name; a joint that is not listed has
             the default `GripperConfig`.
-        watchdog: Silence after which servos stop by themselves, where supported [s]; 0: never. A
-            stopped servo holds its present position and loses the lead that carries the weight:
-            the arm sinks by ``g/k_p``.
-        handle_signals: Whether SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
+        watchdog: Bus silence after which servos stop by themselves, if supported [s]; 0: never. A
+            stopped servo takes its present position as goal, so that the joint sinks by
+            ``g/k_p`` [rad], gravity torque over stiffness of the servo.
+        handle_signals: True if SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
         table: Height of the table in base axes [m]; None: no table, or its height is unknown.
 
     Attributes:
-        model: The given model with the parameters of `servos`.
-        drive, rate, rest_q, comm_timeout, table: As given.
-        detour: Reason why the last descent skipped the rest pose; None if there was no reason.
-        servos: Servo parameters of the chain, n entries, from the drive; updated when it opens.
+        model: The robot, with the servo parameters of the drive.
+        drive, rate, rest_q, comm_timeout, table: The arguments of the same names.
+        detour: Reason for which the last lowering skipped the rest pose; None if it did not.
+        servos: Servo parameters of the chain, n entries; updated when the drive opens.
         grippers: Grippers by joint name; created again when the drive opens.
-        leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN if unknown:
-            the joint rested on something, or torque was never on.
+        leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN if unknown,
+            because the joint rested on an object or torque was never on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
@@ -124,10 +124,10 @@ class Arm:
         self.leads: Array = np.full(model.n, np.nan)
 
     def _build(self) -> None:
-        """Create the parts that depend on servo parameters; called again once `open` read them."""
+        """Create the parts that depend on servo parameters; `open` calls this method again."""
         self._io = ArmIO(self.model, self.drive, self._budget)
         self.servos = self._io.servos
-        # The model's own servo parameters may differ from the drive's.
+        # Replace the servo parameters of the model, which may differ from those of the drive.
         self.model = self.model.with_servos(self.servos)
         self._points = ArmPoints(self.model, self.servos.armature)
         self.grippers = make_grippers(self._io, self._gripper_configs, self._send_gripper)
@@ -138,7 +138,7 @@ class Arm:
         return self._supervisor.owner == os.getpid()
 
     def open(self) -> None:
-        """Connect and identify the servos; torque stays as it is.
+        """Connect to the servos and identify them; torque stays as it is.
 
         Raises:
             ServoError: The servos cannot be reached or identified.
@@ -151,9 +151,9 @@ class Arm:
     def enable(self) -> None:
         """Switch torque on at the present positions, and let the servos take up the weight.
 
-        The first limits are little above the gravity torques; then all limits rise within 0.5 s.
-        Joints whose torque is on already keep the goals and limits that hold them, and an arm that
-        lies on a table stays there. Signal handlers are installed before torque comes on.
+        The first torque limits are close to the gravity torques; then all limits rise within 0.5 s.
+        Joints whose torque is on already keep their goals and limits, and an arm that lies on a
+        table stays there. Signal handlers are installed before torque comes on.
 
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
@@ -165,7 +165,7 @@ class Arm:
                 self._enable()
 
     def _enable(self) -> None:
-        """Enable the arm; the caller holds the lock."""
+        """Do the work of `enable`; the caller holds the supervisor's lock."""
         self.open()
         self._supervisor.reason = None
         io = self._io
@@ -188,7 +188,8 @@ class Arm:
             self._release()
             raise
         except BaseException:
-            # A signal before torque on: no descent follows that would remove the handlers.
+            # After a signal that came before torque on, no descent follows that would remove the
+            # signal handlers: remove them here.
             if not self.enabled:
                 self._release()
             raise
@@ -198,7 +199,9 @@ class Arm:
         io.set_watchdog(self._watchdog)
 
     def lower(self) -> None:
-        """Lower the arm: to the rest pose if set, then down at 0.15 m/s until it rests; torque off.
+        """Move to the rest pose if set, descend at 0.15 m/s until the arm rests, torque off.
+
+        If the table blocks the path to the rest pose, the arm descends from the present pose.
 
         Raises:
             ServoError: The bus is gone, or torque of a joint stayed on.
@@ -206,12 +209,15 @@ class Arm:
         self._descend(self.rest_q)
 
     def park(self, pose: ArrayLike | None = None) -> None:
-        """Move to a pose (n,) [rad], by default the rest pose, straight in joint space; then lower.
+        """Move to a pose (n,) [rad], by default the rest pose, and lower the arm there.
+
+        The path is straight in joint space. If the table blocks it, the arm is lowered from its
+        present pose instead, see `detour`.
 
         Raises:
             ConfigError, ShapeError, OutOfRangeError: The pose is not valid, or inside the table;
                 nothing has moved.
-            ServoError: As `lower`.
+            ServoError: The bus is gone, or torque of a joint stayed on.
         """
         if pose is None and self.rest_q is None:
             raise ConfigError("no pose to park in: arm.park([...]) or connect(..., rest_q=[...])")
@@ -225,7 +231,7 @@ class Arm:
     def leave_enabled(self) -> None:
         """Hold the present pose with torque on, also after the program ends.
 
-        The servos heat up, because nothing reduces their limits any more.
+        The servos may overheat, because the thermal budget no longer reduces their limits.
         """
         with self._supervisor.exclusive():
             if self.enabled:
@@ -234,10 +240,10 @@ class Arm:
                 self._release()
 
     def disable_torque(self) -> None:
-        """Switch torque off in the present pose: the arm falls. Every joint is tried.
+        """Switch torque off in the present pose: the arm falls.
 
         Raises:
-            ServoError: Torque of a joint stayed on.
+            ServoError: Torque of a joint stayed on; the others are off.
         """
         with self._supervisor.exclusive(at_once=True):
             try:
@@ -246,9 +252,9 @@ class Arm:
                 self._release()
 
     def close(self) -> None:
-        """If torque is on, lower the arm or leave it enabled, as `on_exit` says; close the drive.
+        """Lower the arm or leave it enabled, see `on_exit`, and close the drive.
 
-        If another process switched torque on, do nothing.
+        Do nothing if another process switched torque on.
         """
         if self._supervisor.is_owned_elsewhere:
             return
@@ -263,7 +269,10 @@ class Arm:
             MESSAGES.flush()
 
     def _descend(self, rest: Array | None) -> None:
-        """Lower the arm through `rest` (n,) [rad]; a second Ctrl-C aborts, with torque on."""
+        """Lower the arm via the pose `rest` (n,) [rad], or straight down if it is None.
+
+        A second Ctrl-C aborts the descent; torque then stays on.
+        """
         if not self.enabled:
             return
         error, signals = sys.exception(), self._signals
@@ -285,7 +294,7 @@ class Arm:
                 signals.deliver()
 
     def _run_descent(self, rest: Array | None, messages: ExitMessages) -> None:
-        """Descend and switch torque off; if the descent is aborted, keep the arm held."""
+        """Descend and switch torque off; if the descent is aborted, hold the present pose."""
         down = False
         rest = self._reachable(rest)
         if self.detour is not None:
@@ -303,13 +312,14 @@ class Arm:
                     self._io.set_watchdog(0.0)
                 self.drive.disable(self._io.joints.names)
         except BaseException as error:
-            # SystemExit after an abort: a third Ctrl-C ended a call on a bus that hangs. Another
-            # call could hang too.
+            # SystemExit after an abort comes from a third Ctrl-C, during a bus call that hung: make
+            # no more bus calls.
             hangs = isinstance(error, SystemExit) and self._supervisor.abort.is_set()
             if not down and not hangs:
                 self._hold()
-            # Without a connection the torque state is unknown.
-            is_unknown = isinstance(error, ServoError) and not down
+            # If the bus failed before the arm was down, the torque state of the servos is unknown.
+            is_answering = isinstance(error, ServoFaultError)
+            is_unknown = isinstance(error, ServoError) and not is_answering and not down
             self._exit_message = messages.failed(
                 error, None if is_unknown else self._powered_joints()
             )
@@ -322,12 +332,15 @@ class Arm:
             self._exit_message = messages.left_enabled(stopped=True)
 
     def _hold(self) -> None:
-        """Try to send goals and limits that hold the arm; ignore errors."""
+        """Send goals and torque limits that hold the present pose; ignore errors of the bus."""
         with contextlib.suppress(Exception):
             hold_position(self._io)
 
     def _powered_joints(self) -> list[str]:
-        """Return the joints whose torque is on, as far as the drive knows."""
+        """Return the joints whose torque is on according to the drive.
+
+        If the drive does not report torque, return all joints.
+        """
         names = self._io.joints.names
         on = np.broadcast_to(getattr(self.drive, "enabled", True), len(names))
         return [name for name, powered in zip(names, on, strict=True) if powered]
@@ -336,7 +349,7 @@ class Arm:
         return ExitMessages(self.model.name, self._io, cause)
 
     def _reachable(self, rest: Array | None) -> Array | None:
-        """Return the rest pose if the path is free; else set `detour` and return None."""
+        """Return `rest` if the path to it is clear of the table; else set `detour`, return None."""
         self.detour = None
         if rest is None:
             return None
@@ -359,7 +372,7 @@ class Arm:
             self._supervisor.owner = None
 
     def _release(self) -> None:
-        """Give up ownership, stop the watchdog thread and restore the signal handlers."""
+        """End this process's control of the arm: stop watchdog thread and signal handling."""
         self._supervisor.owner = None
         self._supervisor.end_supervision()
         atexit.unregister(self._at_exit)
@@ -373,7 +386,7 @@ class Arm:
         self.close()
 
     def __repr__(self) -> str:
-        """Return a one-line description."""
+        """Return model name, number of joints and torque state in one line."""
         torque = "on" if self.enabled else "off"
         return f"<Arm {self.model.name}, {self.model.n} joints, torque {torque}>"
 
@@ -397,21 +410,22 @@ class Arm:
         except ServoError as worse:
             if error is None:
                 raise
-            # The first error is the cause; attach the error of the descent as a note.
+            # `error` is the cause: let it propagate, with the error of the descent as a note.
             error.add_note(f"while the arm was being lowered: {worse}")
         else:
             if error is not None and self._exit_message is not None:
-                # The traceback is printed after the summary: repeat the summary below it.
+                # Repeat the exit message as a note of the error: Python prints the traceback last,
+                # after the message, and the note below it.
                 error.add_note(f"pliant: {self._exit_message}")
         finally:
             if isinstance(error, KeyboardInterrupt):
                 _end_at_the_caller(error)
 
     def read(self) -> State:
-        """Return the state of the joints in this cycle.
+        """Read all joints and return their state.
 
-        A joint without an answer, or with an implausible one, keeps its last position, and its age
-        grows: see `State.fresh`, `State.age`.
+        A joint without a reply, or with an implausible position, keeps its last position, and the
+        age of that position grows: see `State.fresh` and `State.age`.
 
         Raises:
             ServoTimeoutError: The program stalled for too long, and the arm was lowered meanwhile.
@@ -429,26 +443,27 @@ class Arm:
         lead: bool = False,
         velocity: ArrayLike | None = None,
     ) -> None:
-        """Send goals and torque limits, within position limits and budgets.
+        """Send goals and torque limits, bounded by position limits and by the power budget.
 
-        Low limits are sent unchanged: with a limit below the weight the arm sinks, with 0 it falls.
-        A `RuntimeWarning` is issued once if a limit stays below half of the weight for 0.2 s, but
-        not for a `Controller`'s commands in `Tick.write`.
+        Low limits are sent unchanged: with limits below the gravity torques the arm sinks, with 0
+        it falls.
+        A `RuntimeWarning` is issued once if a limit stays below half of the gravity torque for
+        0.2 s, but not for commands of a `Controller`.
 
         Args:
             goal: Joint goals (n,) [rad]. They are clipped to the position limits, extended by the
-                lead that the gravity torque needs.
-            limit: Torque limits (n,) [N·m]; None keeps those sent last.
-            extra: Goal [rad] and limit [N·m] of joints off the chain by name; others keep theirs.
-            lead: Whether goals may lie beyond the position limits to exert a force. A `Controller`
-                makes sure that this moves no joint out of its range; `Tick.write` sets `lead` for
-                its commands.
+                lead (goal minus position) that the gravity torque needs.
+            limit: Torque limits (n,) [N·m]; None keeps the last limits.
+            extra: Goal [rad] and limit [N·m] of joints off the chain by name; joints that are not
+                listed keep their last values.
+            lead: True if goals may lie beyond the position limits to exert a force. `Tick.write`
+                sets it for commands of a `Controller`, which keeps joints within their range.
             velocity: Largest velocity (n,) [rad/s] toward the goals, for the servos' speed
                 registers; None or inf: no speed limit.
 
         Raises:
             ShapeError, OutOfRangeError, ConfigError, TypeError: Invalid argument; nothing was sent.
-            ServoTimeoutError: As `read`.
+            ServoTimeoutError: The program stalled for too long, and the arm was lowered meanwhile.
             ServoError: Torque is off, or was switched on by another process, or the connection is
                 gone.
         """
@@ -457,19 +472,20 @@ class Arm:
             self._io.write(goal, limit, extra, lead=lead, velocity=velocity)
 
     def supervised(self, patience: float) -> AbstractContextManager[Callable[[], None]]:
-        """Return a context in which a thread acts as `on_exit` says if the program stalls.
+        """Return a context with a watchdog thread that lowers the arm if the program stalls.
 
-        It acts after `patience` [s] without a call of the arm; in simulated time, never. The
-        context yields a function that raises `ServoTimeoutError` once the thread has acted. `Loop`
-        uses this.
+        The thread performs `on_exit` after `patience` [s] without a read or write. In simulated
+        time there is no such thread. The context yields a function that raises `ServoTimeoutError`
+        after the thread has performed `on_exit`. `Loop` uses this context.
         """
         real = getattr(self.clock, "real_time", False)
         return self._supervisor.supervised(patience if real else None)
 
     def ramp_limits(self) -> None:
-        """Start a ramp of 0.5 s that bounds limits, from those that hold the arm to the largest.
+        """Bound torque limits for 0.5 s by a ramp from holding torques to usable torques.
 
-        `Loop` calls it after a gap, when goals may be far from the present positions.
+        A holding torque is the torque that keeps a joint in its pose. `Loop` calls this method
+        after missed cycles, when goals may be far from the present positions.
         """
         self._io.ramp_limits()
 
@@ -478,7 +494,7 @@ class Arm:
         """The gripper, if it is the only joint off the chain.
 
         Raises:
-            ConfigError: There is no such joint, or several; use `grippers`.
+            ConfigError: There is no joint off the chain, or there are several: use `grippers`.
         """
         if len(self.grippers) != 1:
             there = ", ".join(self.grippers) or "none"
@@ -487,21 +503,24 @@ class Arm:
 
     @property
     def clock(self) -> Clock:
-        """Clock of the drive."""
+        """Clock of the drive: real time, or the simulated time of a simulator."""
         return self._io.clock
 
     @property
     def heat(self) -> dict[str, float]:
-        """Used share of each joint's thermal budget, by joint name; limits fall from 0.8 on."""
+        """Used share of the thermal budget by joint name; above 0.8 torque limits are reduced."""
         return dict(zip(self._io.joints.names, self._io.thermal.heat.tolist(), strict=True))
 
     @property
     def counters(self) -> dict[str, int]:
-        """Event counters: those of the drive, and `jumps`, the readings rejected for a jump."""
+        """Event counters of the drive by name, and `jumps`, the number of implausible positions."""
         return {**self.drive.counters, "jumps": self._io.positions.jumps}
 
     def _send_gripper(self, name: str, goal: float, limit: float) -> None:
-        """Send goal and limit of a joint off the chain at once; the chain's stay unchanged."""
+        """Send goal [rad] and torque limit [N·m] of a joint off the chain.
+
+        The last goals and limits of the chain's joints are sent again.
+        """
         with self._supervisor:
             self._check_enabled()
             self._io.orders[name] = (goal, limit)
@@ -513,7 +532,7 @@ class Arm:
 
 
 def _end_at_the_caller(error: KeyboardInterrupt) -> None:
-    """Cut this package's frames off the traceback of a Ctrl-C; they do not help the user."""
+    """Remove this package's frames from the traceback of a Ctrl-C, which do not help the user."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         module = trace.tb_next.tb_frame.f_globals.get("__name__", "")

@@ -1,4 +1,4 @@
-"""Grippers and other joints off the chain: one goal and one torque limit each."""
+"""Grippers and other joints off the chain, each with a goal and a torque limit."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from pliant._core import Model
     from pliant.arm._io import ArmIO
 
-#: The default limit is the lesser of `DEFAULT_SHARE` of the servo's usable torque and
-#: `OVERLOAD_SHARE` of the torque at which its overload protection acts.
+#: Default torque limit of a gripper: the smaller of `DEFAULT_SHARE` of the servo's usable torque
+#: and `OVERLOAD_SHARE` of the torque at which its overload protection acts.
 DEFAULT_SHARE, OVERLOAD_SHARE = 0.3, 0.9
 
 
@@ -29,8 +29,8 @@ class GripperConfig:
     Attributes:
         opened, closed: Joint positions when open and when closed [rad], of a sliding joint [m];
             None: the upper and the lower position limit of the model.
-        limit: Default torque limit [N·m], of a sliding joint [N]; None: the lesser of 30 % of the
-            usable torque and 0.9 of the overload threshold.
+        limit: Default torque limit [N·m], of a sliding joint [N]; None: the smaller of 30 % of the
+            usable torque and 90 % of the overload threshold.
         lever: Distance from the axis to the middle of the finger [m]. If given, `Gripper.close`
             takes a force at the finger [N] and `Gripper.width` is in [m]; None: a torque [N·m] and
             an angle [rad].
@@ -42,7 +42,7 @@ class GripperConfig:
     lever: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         if self.limit is not None and not self.limit >= 0.0:
             raise ConfigError(f"GripperConfig.limit must be at least 0 N·m, got {self.limit!r}")
         if self.lever is not None and not self.lever > 0.0:
@@ -50,10 +50,10 @@ class GripperConfig:
 
 
 class Gripper:
-    """A joint off the chain that opens and closes with a bounded torque.
+    """Gripper: a joint off the chain that opens and closes with a bounded torque.
 
-    The goal of `close` is the closed position. An object between the fingers is held with at most
-    the torque limit.
+    The goal of `close` is the closed position. The torque limit bounds the grip force on an object
+    between the fingers.
 
     Attributes:
         name: Joint name.
@@ -73,7 +73,7 @@ class Gripper:
         order: Callable[[str, float, float], None],
         measure: Callable[[str], float],
     ) -> None:
-        """Take values that `config` does not set from the model; `Arm` creates grippers.
+        """Take values that `config` does not set from the model; only `Arm` creates grippers.
 
         Raises:
             ConfigError: Neither `config` nor the model gives the ends of the travel.
@@ -92,15 +92,15 @@ class Gripper:
         self._lever, self._order, self._measure = config.lever, order, measure
 
     def open(self) -> None:
-        """Open all the way with the default limit."""
+        """Open to the end of the travel, with the default torque limit."""
         self.go(self.opened)
 
     def close(self, force: float | None = None) -> None:
         """Close until the fingers meet or an object stops them.
 
         Args:
-            force: Largest force at the finger [N] if the lever is known or the joint slides, else
-                torque [N·m]; None: the default limit.
+            force: Largest force at the finger [N] if `GripperConfig.lever` is given or the joint
+                slides, else largest joint torque [N·m]; None: the default limit.
 
         Raises:
             ConfigError: The force is negative, not finite, or above the servo's maximum.
@@ -132,10 +132,7 @@ class Gripper:
         return 2.0 * self._lever * math.sin(min(travel, math.pi) / 2.0)
 
     def _torque(self, force: float | None) -> float:
-        """Return the limit of the joint for `force` of `close`; None: the default limit.
-
-        Limits are in [N·m], of a sliding joint in [N].
-        """
+        """Return the torque limit [N·m], of a sliding joint [N], for a `force` as in `close`."""
         if force is None:
             return self.limit
         arm = self._lever if self._lever is not None and not self._sliding else 1.0
@@ -158,10 +155,10 @@ class Gripper:
 
 
 def check_grippers(grippers: Mapping[str, GripperConfig] | None) -> dict[str, GripperConfig]:
-    """Return the gripper configurations by joint name; empty for None.
+    """Validate and return the gripper configurations by joint name; None gives an empty mapping.
 
     Raises:
-        TypeError: Not a mapping, or a value is not a `GripperConfig`.
+        TypeError: `grippers` is not a mapping, or a value is not a `GripperConfig`.
     """
     hint = "as {'gripper': pliant.arm.GripperConfig(lever=0.05)}"
     named = {} if grippers is None else mapping(grippers, "grippers", hint)
@@ -174,10 +171,15 @@ def check_grippers(grippers: Mapping[str, GripperConfig] | None) -> dict[str, Gr
 def make_grippers(
     io: ArmIO, grippers: Mapping[str, GripperConfig], order: Callable[[str, float, float], None]
 ) -> dict[str, Gripper]:
-    """Create one gripper per joint off the chain.
+    """Return one `Gripper` per joint off the chain, by joint name.
+
+    Args:
+        io: Read access to the arm.
+        grippers: Configurations by joint name; a joint that is not listed has the default.
+        order: Function that sends joint name, goal [rad] and torque limit [N·m].
 
     Raises:
-        ConfigError: A configuration names no such joint, or the ends of the travel are missing.
+        ConfigError: A configuration names an unknown joint, or the ends of the travel are missing.
     """
     joints, drive = io.joints, io.drive
     unknown = sorted(set(grippers) - set(joints.extra))

@@ -1,4 +1,4 @@
-"""Thermal and supply budget: limits are reduced before the hardware protects itself."""
+"""Thermal and supply budgets, which reduce torque limits before servos overheat and switch off."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pliant._core import ThermalModel
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-#: Share of the thermal budget at which a fault is reported.
+#: Used share of a servo's thermal budget above which a fault is reported; 1 is the whole budget.
 TOO_HOT = 1.3
 
 
@@ -34,15 +34,15 @@ class Budget:
     hottest: float = 70.0
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         self.thermal_model((), ())
 
     def thermal_model(self, max_torque: ArrayLike, stall_current: ArrayLike | None) -> ThermalModel:
-        """Return a model of N cold servos.
+        """Return a thermal model of N cold servos.
 
         Args:
             max_torque: Usable torques (N,) [N·m].
-            stall_current: Currents at these torques (N,) [A]; None: unknown.
+            stall_current: Currents at these torques (N,) [A]; None if unknown.
 
         Raises:
             ConfigError: A value is out of range, or `supply` is given and the currents are unknown.
@@ -60,7 +60,9 @@ class Budget:
 def thermal_faults(thermal: ThermalModel, names: tuple[str, ...]) -> list[str]:
     """Return a sentence for each servo that exceeds its thermal budget or is about to switch off.
 
-    `names` are the joint names (N,) in the order of `thermal`.
+    Args:
+        thermal: Thermal model of the N servos.
+        names: Joint names (N,).
     """
     found = []
     for name, heat, degrees in zip(names, thermal.heat, thermal.temperature, strict=True):

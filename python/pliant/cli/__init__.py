@@ -1,4 +1,4 @@
-"""The command `pliant`: one file per command, imported only when it is called."""
+"""Command line of `pliant`: runs the named command, prints its errors, returns an exit code."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from pliant._core import PliantError, __version__
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-#: Largest number of files listed when a file is missing.
-SHOWN = 8
-#: Commands in the groups that --help shows, each with its module and summary. The module has a
-#: function `run` whose arguments are the flags.
+#: Maximum number of existing files that the error about a missing file lists.
+MAX_LISTED_FILES = 8
+#: Module and summary of each command, in the groups that --help shows. The module is imported only
+#: when the command is called; the arguments of the module's function `run` are the command's flags.
 GROUPS = {
     "control an arm": {
         "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
@@ -48,25 +48,27 @@ GROUPS = {
         "arms": ("pliant.cli.arms", "list the ready arms, or print the file of one"),
     },
 }
+#: Module and summary of each command; the entries of all groups of `GROUPS`.
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
-#: First words of two-word commands.
+#: First words of two-word commands, such as `log` of `pliant log plot`.
 PREFIXES = tuple(dict.fromkeys(name.split()[0] for name in COMMANDS if " " in name))
-#: Exit code of an explained error, also of an unknown flag.
-EXPLAINED = 2
-INTERRUPTED = 130
-CUT_OFF = 141
+#: Exit code after a reported error, such as an invalid file or an unknown flag.
+ERROR_EXIT = 2
+#: Exit code after Ctrl-C, as in a shell: 128 + SIGINT.
+INTERRUPT_EXIT = 130
+#: Exit code if the output pipe is closed, as in a shell: 128 + SIGPIPE.
+CLOSED_PIPE_EXIT = 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
+    """Run a command of `pliant`.
 
     Args:
-        arguments: Without the program name; default those of the process.
+        arguments: Command-line words without the program name; None: the words in `sys.argv`.
 
     Returns:
-        Exit code: 0, 1 for a prompt that the user declined, 2 for an error that was explained in
-        one line, 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP, 131 after SIGQUIT, 141 if
-        its output pipe is closed.
+        Exit code: 0 on success, 1 if the user declined a prompt, 2 after a reported error, 128 plus
+        the number of a signal (130 after Ctrl-C), 141 if the output pipe is closed.
     """
     return _guarded(lambda: _run(list(sys.argv[1:] if arguments is None else arguments)))
 
@@ -74,60 +76,58 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def program(
     run: Callable[..., object], prog: str, summary: str, arguments: Sequence[str] | None = None
 ) -> int:
-    """Run a function as a program of its own, with the flags and errors of a command.
+    """Run a function as a separate program, with flags and error messages like a `pliant` command.
 
     Args:
-        run: The function; its arguments are the flags.
+        run: Function whose arguments are the flags.
         prog: Name of the program in its help.
-        summary: One line for its help.
-        arguments: Without the program name; default those of the process.
+        summary: Description of the program in one line.
+        arguments: Command-line words without the program name; None: the words in `sys.argv`.
 
     Returns:
-        Exit code, as `main`.
+        Exit code, with the meanings listed at `main`.
     """
-    arguments_given = list(sys.argv[1:] if arguments is None else arguments)
-    return _guarded(lambda: _call(lambda: run, prog, summary, arguments_given))
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    return _guarded(lambda: _call(lambda: run, prog, summary, words))
 
 
 def _guarded(call: Callable[[], int]) -> int:
-    """Return the exit code of a call; handle a closed output."""
+    """Call a function and flush the output; return its exit code, or that of a closed pipe."""
     try:
         return call()
     except BrokenPipeError:  # `pliant … | head`: the reader has closed the pipe
-        return CUT_OFF
+        return CLOSED_PIPE_EXIT
     finally:
-        _let_go_of_dead_readers()
+        _flush_output()
 
 
-def _run(arguments_given: list[str]) -> int:
-    """Run a command by its name."""
-    first = arguments_given[0] if arguments_given else "--help"
+def _run(words: list[str]) -> int:
+    """Run the command named by the first one or two command-line words; return its exit code."""
+    first = words[0] if words else "--help"
     if first in {"--version", "-V"}:
         print(f"pliant {__version__}")
         return 0
     if first in {"--help", "-h"}:
         print(usage())
         return 0
-    if first in PREFIXES and (len(arguments_given) == 1 or arguments_given[1] in {"--help", "-h"}):
+    if first in PREFIXES and (len(words) == 1 or words[1] in {"--help", "-h"}):
         print(usage(first))
         return 0
-    words = 2 if first in PREFIXES else 1
-    name = " ".join(arguments_given[:words])
+    word_count = 2 if first in PREFIXES else 1
+    name = " ".join(words[:word_count])
     if name not in COMMANDS:
         kind = "flag" if first.startswith("-") else "command"
-        return _explain(f"there is no {kind} {name!r}{_hint(name)} (pliant --help lists them)")
-    # Commands also log how they leave an arm.
+        return _print_error(f"there is no {kind} {name!r}{_hint(name)} (pliant --help lists them)")
+    # For a simulated arm, only debug messages tell if it was lowered or left with torque on.
     logging.getLogger("pliant.arm").setLevel(logging.DEBUG)
     module, summary = COMMANDS[name]
-    return _call(
-        lambda: import_module(module).run, f"pliant {name}", summary, arguments_given[words:]
-    )
+    return _call(lambda: import_module(module).run, f"pliant {name}", summary, words[word_count:])
 
 
 def _call(
-    load: Callable[[], Callable[..., object]], prog: str, summary: str, arguments_given: list[str]
+    load: Callable[[], Callable[..., object]], prog: str, summary: str, words: list[str]
 ) -> int:
-    """Load a function, run it with flags as arguments, and explain its errors in one line."""
+    """Call the function from `load` with the parsed flags; print errors; return the exit code."""
     try:
         import tyro
 
@@ -135,23 +135,25 @@ def _call(
             load(),
             prog=prog,
             description=summary[0].upper() + summary[1:] + ".",
-            args=arguments_given,
+            args=words,
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
         )
     except OSError as error:
-        # If the terminal hangs up, the error comes from a signal.
-        if (code := _signalled(error)) is not None:
+        # A closed terminal raises an OSError too, but the exit code must be that of SIGHUP.
+        if (code := _signal_exit_code(error)) is not None:
             return code
         if isinstance(error, BrokenPipeError):
             raise
-        return _explain(_not_there(error) if isinstance(error, FileNotFoundError) else str(error))
+        return _print_error(
+            _describe_missing_file(error) if isinstance(error, FileNotFoundError) else str(error)
+        )
     except (PliantError, ImportError) as error:
-        explained = _explain(str(error))
-        return explained if (code := _signalled(error)) is None else code
+        explained = _print_error(str(error))
+        return explained if (code := _signal_exit_code(error)) is None else code
     except SystemExit as stop:
-        return stop.code if isinstance(stop.code, int) else EXPLAINED
+        return stop.code if isinstance(stop.code, int) else ERROR_EXIT
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return INTERRUPT_EXIT
     return 0
 
 
@@ -160,10 +162,10 @@ def usage(prefix: str = "") -> str:
     width = max(map(len, COMMANDS))
     lines = []
     for title, group in GROUPS.items():
-        own = {name: entry for name, entry in group.items() if name.startswith(prefix)}
-        if own:
+        shown = {name: entry for name, entry in group.items() if name.startswith(prefix)}
+        if shown:
             lines += [f"{title}:"]
-            lines += [f"  {name:<{width}}  {summary}" for name, (_, summary) in own.items()]
+            lines += [f"  {name:<{width}}  {summary}" for name, (_, summary) in shown.items()]
             lines += [""]
     return "\n".join(
         (
@@ -179,7 +181,7 @@ def usage(prefix: str = "") -> str:
 
 
 def _hint(name: str) -> str:
-    """Suggest the command whose name, or last word, is closest to an unknown word."""
+    """Return "; did you mean ...?" with the command that resembles an unknown name, or ""."""
     names = {word: full for full in COMMANDS for word in (full, full.split()[-1])}
     for word in (name, name.rsplit(maxsplit=1)[-1], name.split(maxsplit=1)[0]):
         if close := difflib.get_close_matches(word, names, n=1):
@@ -187,36 +189,38 @@ def _hint(name: str) -> str:
     return ""
 
 
-def _not_there(error: FileNotFoundError) -> str:
-    """Return an error text with the missing file and the similar files in its folder."""
+def _describe_missing_file(error: FileNotFoundError) -> str:
+    """Return an error text: the missing folder; or the missing file and files with its suffix."""
     if error.filename is None:
         return str(error)
     path = Path(os.fsdecode(error.filename))
     if not path.absolute().parent.is_dir():
         return f"there is no folder {path.absolute().parent} for {path.name}"
-    there = sorted(other.name for other in path.absolute().parent.glob(f"*{path.suffix}"))[:SHOWN]
-    hint = f"; there are {', '.join(there)}" if path.suffix and there else ""
+    similar = sorted(other.name for other in path.absolute().parent.glob(f"*{path.suffix}"))[
+        :MAX_LISTED_FILES
+    ]
+    hint = f"; there are {', '.join(similar)}" if path.suffix and similar else ""
     return f"there is no file {path}{hint}"
 
 
-def _explain(message: str) -> int:
-    """Print an error, one line per problem."""
+def _print_error(message: str) -> int:
+    """Print an error message to stderr, with its line breaks; return `ERROR_EXIT`."""
     lines = [" ".join(line.split()) for line in message.splitlines() if line.strip()]
     with contextlib.suppress(OSError):
         print("error:", "\n       ".join(lines), file=sys.stderr)
-    return EXPLAINED
+    return ERROR_EXIT
 
 
-def _signalled(error: BaseException) -> int | None:
-    """Return the exit code of the signal behind an exception, None without a signal."""
+def _signal_exit_code(error: BaseException) -> int | None:
+    """Return 128 plus the signal that caused an exception; None if no signal caused it."""
     from pliant.arm._signals import signal_of
 
     number = signal_of(error)
     return None if number is None else 128 + number
 
 
-def _let_go_of_dead_readers() -> None:
-    """Flush the output; redirect closed streams to the null device."""
+def _flush_output() -> None:
+    """Flush stdout and stderr; redirect a stream whose reader is gone to the null device."""
     for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
         try:
             if stream is not None:

@@ -1,4 +1,4 @@
-"""`python -m pliant.cli`, for environments without the script."""
+"""Entry point of `python -m pliant.cli`, for environments without the `pliant` script."""
 
 from pliant.cli import main
 

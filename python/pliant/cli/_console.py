@@ -1,4 +1,4 @@
-"""Output of plain lines, and detection of the Enter key while a loop runs."""
+"""Printing of unformatted lines, and detection of the Enter key while a control loop runs."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from rich.console import Console
 
 
 def print_line(text: str, console: Console | None = None) -> None:
-    """Print a line as it is: not wrapped, not coloured, without markup."""
+    """Print a line without wrapping, colours or markup; on stdout if `console` is None."""
     (console or Console()).print(text, highlight=False, soft_wrap=True, markup=False)
 
 
 class EnterKey:
-    """Lines of standard input, read in a separate thread."""
+    """Detector of the Enter key; a separate thread reads standard input, so nothing blocks."""
 
     def __init__(self) -> None:
-        """Start the thread."""
+        """Start the thread that reads standard input."""
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._read, daemon=True, name="pliant-keys").start()
 
@@ -27,7 +27,7 @@ class EnterKey:
             self._lines.put(line)
 
     def pressed(self) -> bool:
-        """Return True if Enter has been pressed since the last call."""
+        """Return True if Enter has been pressed since the last call of this method."""
         pressed = False
         while not self._lines.empty():
             self._lines.get()

@@ -1,4 +1,4 @@
-"""External targets: parsing, checks, and sources: a file, standard input, or UDP datagrams."""
+"""Target poses for `pliant run`: parser, checks, and readers of files, standard input and UDP."""
 
 from __future__ import annotations
 
@@ -25,17 +25,20 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
+#: Keys allowed in the JSON object of a target.
 KEYS = ("position", "wxyz", "xyzw", "q")
 
 
 @dataclass(frozen=True)
 class Target:
-    """A parsed target.
+    """A parsed target of the tool.
 
     Attributes:
-        position: (3,) [m], base axes; None: unchanged.
-        rotation: Quaternion and its order; None: unchanged.
-        q: Joint positions (n,) [rad] whose tool pose is the target.
+        position: Position of the tool (3,) [m], base axes; None keeps the last target position.
+        rotation: Order of the components (`wxyz` or `xyzw`) and quaternion of the tool (4,); None
+            keeps the last target orientation.
+        q: Joint positions (n,) [rad] whose tool pose is the target; None: the target is given by
+            `position` and `rotation`.
     """
 
     position: tuple[float, ...] | None = None
@@ -44,11 +47,11 @@ class Target:
 
     @classmethod
     def parse(cls, line: str, model: Model) -> Target:
-        """Parse a line for an arm.
+        """Parse a line of JSON, and check its target for an arm.
 
         Raises:
-            ConfigError: The line is no JSON object of the known keys with finite numbers, or its
-                target is far out of the arm's reach or limits.
+            ConfigError: The line is not a JSON object of `KEYS` with finite numbers, or the method
+                `check` rejects the target.
         """
         try:
             data: Any = json.loads(line)
@@ -71,11 +74,11 @@ class Target:
         return target
 
     def check(self, model: Model) -> None:
-        """Check that the arm can plausibly reach the target.
+        """Check that the target is plausible for an arm.
 
         Raises:
             OutOfRangeError: The position is far out of reach, or a joint far beyond its limits.
-            ShapeError, ConfigError: It is no pose, or has other joints.
+            ShapeError, ConfigError: The number of joints is wrong, or the quaternion is invalid.
         """
         if self.q is not None:
             model.check_joint_target(np.array(self.q))
@@ -84,7 +87,7 @@ class Target:
             model.check_target(pose)
 
     def pose(self, model: Model, before: Array) -> Array:
-        """Return the pose (4, 4); missing parts are taken from `before`."""
+        """Return the target pose (4, 4); parts without a target come from the pose `before`."""
         if self.q is not None:
             return model.forward_kinematics(np.array(self.q))
         pose = before.copy()
@@ -119,37 +122,37 @@ def _short(text: str) -> str:
     return repr(text if len(text) < 60 else f"{text[:57]}...")
 
 
-#: Longest line and largest datagram [bytes].
+#: Maximum size of one target, a line or a datagram [bytes].
 MAX_LINE = 4096
-#: Bytes per read of a pipe, and the pause after a read [s].
-CHUNK, PAUSE = 65536, 0.001
-#: Largest number of datagrams read per tick.
+#: Maximum number of bytes of one read of a pipe, and pause after each read [s].
+READ_SIZE, READ_PAUSE = 65536, 0.001
+#: Maximum number of datagrams read per control cycle.
 MAX_DATAGRAMS = 256
-#: Least time between two messages on refused targets [s].
+#: Minimum time between two error messages on rejected targets [s].
 REPORT_PERIOD = 0.5
 
 
 class Targets(Protocol):
-    """A source of targets.
+    """Protocol of a source of targets.
 
     Attributes:
-        done: True if there will be no more targets, so that the program may end.
+        done: True once the source has ended, so that the command may end too.
     """
 
     done: bool
 
     def latest(self) -> Target | None:
-        """Return the newest target since the last call, None if there is none."""
+        """Return the newest target received since the last call; None if none was received."""
 
     def __enter__(self) -> Self:
-        """Open."""
+        """Return this source of targets, which is open."""
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the file, pipe or socket of the targets."""
 
 
 class NoTargets:
-    """No targets: the arm holds."""
+    """Source without targets: the arm holds its first pose. Base class of all other sources."""
 
     done = False
 
@@ -165,7 +168,7 @@ class NoTargets:
 
 
 class FileTargets(NoTargets):
-    """A file with one line per tick; the whole file is checked before the arm moves."""
+    """Targets of a file, one line per control cycle; the constructor checks the whole file."""
 
     def __init__(self, path: Path, model: Model) -> None:
         try:
@@ -186,7 +189,7 @@ class FileTargets(NoTargets):
         self._next = 0
 
     def latest(self) -> Target | None:
-        """Return the target of the next line."""
+        """Return the target of the next line of the file; None after the last line."""
         if self._next == len(self._targets):
             self.done = True
             return None
@@ -195,14 +198,14 @@ class FileTargets(NoTargets):
 
 
 class RejectedTargets:
-    """Reports invalid targets at a bounded rate, without stopping the loop."""
+    """Parser of targets; prints at most one error on invalid targets per `REPORT_PERIOD`."""
 
     def __init__(self) -> None:
         self._next = -math.inf
         self._unreported = 0
 
     def parse(self, line: bytes, model: Model) -> Target | None:
-        """Parse a line; report an invalid one and return None."""
+        """Return the target in a line; if the line is invalid, print the error and return None."""
         try:
             if len(line) > MAX_LINE:
                 raise ConfigError(f"a target is longer than {MAX_LINE} bytes")
@@ -223,19 +226,17 @@ class RejectedTargets:
         self._next, self._unreported = now + REPORT_PERIOD, 0
 
     def close(self) -> None:
-        """Report the number of unreported errors."""
+        """Print how many invalid targets were not reported, because of the bounded rate."""
         if self._unreported:
             print(f"{self._unreported} more targets were refused", file=sys.stderr)
 
 
 class StreamTargets(NoTargets):
-    """Lines of a pipe, such as standard input, read in a thread; only the newest counts.
-
-    An invalid line is reported and skipped.
+    """Targets of a pipe, such as standard input; a thread reads it and keeps the newest line.
 
     Args:
-        pipe: File descriptor. It is read without Python's buffer: a waiting thread would hold the
-            buffer's lock and block the end of the program.
+        pipe: File descriptor. The thread reads it without Python's buffered reader: a thread that
+            waits in that reader holds the reader's lock, which blocks the end of the program.
         model: The arm.
     """
 
@@ -251,13 +252,13 @@ class StreamTargets(NoTargets):
     def _read(self, pipe: int) -> None:
         rest = b""
         try:
-            while data := os.read(pipe, CHUNK):
+            while data := os.read(pipe, READ_SIZE):
                 *lines, rest = (rest + data).split(b"\n")
-                # Keep just enough of an unfinished line to detect that it is too long.
+                # Bound the memory for an unfinished line; one byte more marks it as too long.
                 rest = rest[: MAX_LINE + 1]
                 self._newest.extend(line for line in lines if line.strip())
-                # A fast sender must not take the loop's CPU time.
-                time.sleep(PAUSE)
+                # Without a pause, a fast sender would take the CPU time of the control loop.
+                time.sleep(READ_PAUSE)
             if rest.strip():
                 self._newest.append(rest)
         except OSError as error:
@@ -266,8 +267,8 @@ class StreamTargets(NoTargets):
             self._ended = True
 
     def latest(self) -> Target | None:
-        """Return the newest target if it is valid."""
-        self.done = self._ended  # read first, so that all lines before the end are in the queue
+        """Return the newest target; None if it is invalid or there is no new one."""
+        self.done = self._ended  # before the queue, so that the last line is not lost
         return self._rejected.parse(self._newest.pop(), self._model) if self._newest else None
 
     def __exit__(self, *_: object) -> None:
@@ -275,7 +276,7 @@ class StreamTargets(NoTargets):
 
 
 class UdpTargets(NoTargets):
-    """Datagrams on the loopback interface: other machines cannot control the arm."""
+    """Targets of UDP datagrams from this machine; only the loopback interface is open."""
 
     def __init__(self, port: int, model: Model) -> None:
         self._model = model
@@ -289,7 +290,7 @@ class UdpTargets(NoTargets):
             raise ConfigError(f"cannot listen on UDP port {port}: {error}") from error
 
     def latest(self) -> Target | None:
-        """Return the newest target if it is valid."""
+        """Return the newest target; None if it is invalid or there is no new one."""
         newest = b""
         with suppress(BlockingIOError):
             for _ in range(MAX_DATAGRAMS):
@@ -302,10 +303,14 @@ class UdpTargets(NoTargets):
 
 
 def open_targets(source: str, model: Model) -> Targets:
-    """Open the source named by `--targets`.
+    """Return the source of targets that `--targets` names.
+
+    Args:
+        source: Path of a file, "-" for standard input, "udp:PORT", or "" for no targets.
+        model: The arm.
 
     Raises:
-        ConfigError: It cannot be read, or is no port.
+        ConfigError: The source cannot be read, or the port is invalid.
         FileNotFoundError: The file does not exist.
     """
     if not source:

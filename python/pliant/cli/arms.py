@@ -1,4 +1,4 @@
-"""`pliant arms`: the ready arms, and the configuration file of one."""
+"""`pliant arms`: list the configurations in the package, or print one."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from pliant import config
 from pliant._core import ConfigError
 from pliant.config import loader
 
-#: Optional name of a ready arm.
+#: Optional name of a configuration in the package.
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
 
 def run(name: Name = "") -> None:
-    """List the ready arms, or print the configuration file of one.
+    """List the arms with a ready configuration file, or print the file of one arm.
 
-    To start a file of your own: pliant arms so101 > my_arm.toml
+    To start your own configuration file: pliant arms so101 > my_arm.toml
 
     Args:
-        name: Ready arm whose file is printed. Default: a list of all.
+        name: Arm whose configuration file is printed. Without a name, all arms are listed.
     """
     if not name:
         Console().print(_table())
@@ -39,14 +39,14 @@ def run(name: Name = "") -> None:
 
 
 def _table() -> Table:
-    """Return one row per arm: name, joints, servos, source of its URDF."""
+    """Return a table with one row per arm: name, number of joints, servo models, URDF."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for heading in ("name", "joints", "servos", "URDF"):
         table.add_column(heading, justify="right" if heading == "joints" else "left")
     for name in loader.list_arms():
-        read = config.load(name)
-        servos = dict.fromkeys(servo.model for servo in read.servo.values())
-        gripper = "" if read.gripper is None else " + gripper"
-        urdf = "included" if read.robot.builtin else "to be given"
-        table.add_row(name, f"{len(read.servo)}{gripper}", ", ".join(servos), urdf)
+        arm_config = config.load(name)
+        servos = dict.fromkeys(servo.model for servo in arm_config.servo.values())
+        gripper = "" if arm_config.gripper is None else " + gripper"
+        urdf = "included" if arm_config.robot.builtin else "to be given"
+        table.add_row(name, f"{len(arm_config.servo)}{gripper}", ", ".join(servos), urdf)
     return table

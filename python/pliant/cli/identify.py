@@ -1,4 +1,4 @@
-"""`pliant identify`: measure servos, gravity or payload on the arm itself."""
+"""`pliant identify`: measure the servos, the gravity offset or the payload of an arm."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from pliant.config import Config
 
 Procedure = Literal["servos", "gravity", "payload"]
-#: Motion and duration of each procedure.
-ANNOUNCED = {
+#: For each procedure, a phrase that tells the user its motion and duration before it starts.
+PROCEDURE_TEXTS = {
     "servos": "swings every joint about this pose and jumps its goal, about 2 minutes",
     "gravity": "holds the arm where it is, 4 to 9 seconds",
     "payload": "swings the joints slowly about this pose, about 30 seconds",
 }
-#: Significant digits of the numbers for the file.
-DIGITS = 4
+#: Significant digits of the printed configuration values.
+SIGNIFICANT_DIGITS = 4
 
 
 def run(
@@ -35,74 +35,74 @@ def run(
     span: Annotated[float | None, tyro.conf.arg(metavar="RADIANS")] = None,
     override: ConfigFlags,
 ) -> None:
-    """Measure the arm, print what was found and the lines for its file, and lower the arm.
+    """Measure the arm, print the results and the lines for its configuration, and lower the arm.
 
-    servos measures stiffness, friction, damping and delay; gravity checks that the arm stays where
-    it is; payload weighs what the tool carries. Do not touch the arm meanwhile, and what stands
-    within --span of it must be out of the way. Ctrl-C ends the procedure and lowers the arm.
+    servos measures stiffness, friction, damping and delay; gravity checks that the arm stays in its
+    pose; payload estimates mass and centre of mass of the load. Do not touch the arm meanwhile, and
+    keep its surroundings free. Ctrl-C ends the procedure and lowers the arm.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         procedure: servos, gravity or payload.
-        span: Distance of the poses from the present one, per joint [rad]. Default: 0.1 for servos,
+        span: Largest motion of each joint from the present pose [rad]. Default: 0.1 for servos,
             0.3 for payload.
         override: Values that replace those of the configuration file.
     """
     options: dict[str, Any] = {} if span is None else {"span": span}
     if procedure == "gravity" and options:
         raise ConfigError("--span belongs to servos and payload: gravity moves nothing")
-    read = override.load(arm)
-    settings = read.settings()
-    connected = connect(read)
-    # Errors of the configuration appear before torque comes on.
+    arm_config = override.load(arm)
+    settings = arm_config.settings()
+    connected = connect(arm_config)
+    # Check the settings here, so that an error is raised before torque is on.
     Controller(connected.model, settings, connected.servos)
     console = Console()
-    print_line(f"{procedure}: {ANNOUNCED[procedure]}; do not touch the arm", console)
-    made: list[list[str]] = []
+    print_line(f"{procedure}: {PROCEDURE_TEXTS[procedure]}; do not touch the arm", console)
+    results: list[list[str]] = []
     try:
         with connected as live:
-            made.append(_measure(procedure, live, read, settings, options))
+            results.append(_measure(procedure, live, arm_config, settings, options))
     finally:
-        # After the descent of the arm: a terminal may block.
-        for line in (line for lines in made for line in lines):
+        # Print only after the arm is lowered: a blocked terminal must not delay the descent.
+        for line in (line for lines in results for line in lines):
             print_line(line, console)
 
 
 def _measure(
     procedure: Procedure,
     arm: Arm,
-    read: Config,
+    arm_config: Config,
     settings: Settings,
     options: dict[str, Any],
 ) -> list[str]:
-    """Run a procedure; return its findings and the lines for the file."""
+    """Run a procedure; return the printed lines: its results and lines for the configuration."""
     if procedure == "servos":
         found = identify.identify_servos(arm, arm.model, arm.servos, **options)
-        return [*found.summary(), *_servo_lines(read, found), *_payload_lines(found.payload)]
+        return [*found.summary(), *_servo_lines(arm_config, found), *_payload_lines(found.payload)]
     controller = Controller(arm.model, settings, arm.servos)
     if procedure == "payload":
-        weighed = identify.estimate_payload(arm, controller, **options)
-        return [*weighed.summary(), *_payload_lines(weighed)]
+        estimate = identify.estimate_payload(arm, controller, **options)
+        return [*estimate.summary(), *_payload_lines(estimate)]
     captured = identify.capture_gravity(arm, controller)
     return [*captured.summary(), *_gravity_lines(captured)]
 
 
-def _servo_lines(read: Config, found: identify.Identification) -> list[str]:
-    """Return the table [servo] with the measured stiffness, friction and damping."""
-    if not read.servo:
+def _servo_lines(arm_config: Config, found: identify.Identification) -> list[str]:
+    """Return TOML lines for the table [servo]: measured stiffness, friction and damping."""
+    if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
     for i, joint in enumerate(found.joint_names):
-        own = read.servo[joint].model_dump(exclude_unset=True)
-        own["kp"] = float(found.servos.kp[i])
-        own["friction"] = float(found.friction[i])
-        own["damping"] = float(found.servos.damping[i])
-        lines.append(f"{joint} = {_toml(own)}")
+        entry = arm_config.servo[joint].model_dump(exclude_unset=True)
+        entry["kp"] = float(found.servos.kp[i])
+        entry["friction"] = float(found.friction[i])
+        entry["damping"] = float(found.servos.damping[i])
+        lines.append(f"{joint} = {_toml(entry)}")
     return lines
 
 
 def _payload_lines(found: identify.PayloadEstimate) -> list[str]:
-    """Return the payload as a line of [robot], if one was found."""
+    """Return the TOML line with the payload for [robot], or a comment if no payload was found."""
     if not found.found:
         return ["", "# no payload for the file"]
     payload = found.payload
@@ -111,22 +111,22 @@ def _payload_lines(found: identify.PayloadEstimate) -> list[str]:
 
 
 def _gravity_lines(found: identify.GravityCapture) -> list[str]:
-    """Return settings under which the arm stays, if it moved under its own."""
+    """Return TOML lines for [settings.compensation] that keep the arm still, or a comment."""
     if found.stays:
         return ["", "# nothing to change in the file: the arm stays with its settings"]
     if found.remedy is None:
         return ["", "# no settings for the file: identify the servos or the payload"]
-    own = found.remedy.compensation
+    compensation = found.remedy.compensation
     return [
         "",
         "[settings.compensation]",
-        f"friction = {_toml(float(own.friction))}",
-        f"damping = {_toml(float(own.damping))}",
+        f"friction = {_toml(float(compensation.friction))}",
+        f"damping = {_toml(float(compensation.damping))}",
     ]
 
 
 def _toml(value: Any) -> str:
-    """Return a value as TOML on one line."""
+    """Return a value as TOML on one line, with rounded numbers."""
     if isinstance(value, dict):
         entries = (f"{key} = {_toml(each)}" for key, each in value.items() if each is not None)
         return f"{{ {', '.join(entries)} }}"
@@ -135,5 +135,5 @@ def _toml(value: Any) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, float):
-        return repr(float(f"{value:.{DIGITS}g}"))
+        return repr(float(f"{value:.{SIGNIFICANT_DIGITS}g}"))
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,4 +1,4 @@
-"""`pliant replay`: play a motion compliantly."""
+"""`pliant replay`: play a recorded motion with a compliant arm."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pliant.cli._flags import (
     ConfigFlags,
     File,
     MotionFile,
-    apply_soft,
     check_log,
-    recorder_of,
+    make_recorder,
 )
 from pliant.config import connect
+from pliant.config._soft import apply_soft
 from pliant.loop import Loop
 
 if TYPE_CHECKING:
@@ -44,100 +44,106 @@ def run(
     log: File = None,
     override: ConfigFlags,
 ) -> None:
-    """Go to where the motion begins, play it, and lower the arm.
+    """Move to the start of the motion, play the motion, and lower the arm.
 
-    What is blocked waits: the motion's clock stands while the tool is farther off than --wait, and
-    goes on when it is let go.
+    The motion pauses while the tool deviates by more than --wait, for example at an obstacle.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        motion: Motion file. One of `pliant teach` (.json), or a log (.mcap).
-        soft: Axes that yield: "y yaw" with the arm's own caps, "y=2 z=5" capped at 2 and 5 N (N·m
-            for roll, pitch, yaw). The other axes hold. Default: the file's settings.
-        speed: Factor on the motion's speed.
-        wait: Deviation of the tool [m], [rad] at which the motion waits.
-        stop: Force [N] that stops the arm; Enter goes on. Nothing: never.
-        times: How often.
-        log: MCAP file to write (extra log).
+        motion: Motion file. A file of `pliant teach` (.json), or a log (.mcap).
+        soft: Axes that yield: "y yaw" with the arm's default caps, "y=2 z=5" with caps of 2 and 5 N
+            (N·m for roll, pitch, yaw). The other axes hold. Default: settings of the configuration.
+        speed: Factor on the speed of the motion.
+        wait: Deviations of the tool [m] [rad] above which the motion pauses.
+        stop: Force [N] at which the arm stops; Enter continues. Default: the arm never stops.
+        times: Number of repetitions.
+        log: MCAP file to write (needs the extra log).
         override: Values that replace those of the configuration file.
     """
-    read = override.load(arm)
-    check_log(log, [*override.inputs(arm, read), motion])
-    settings = apply_soft(read.settings(), soft, read.model(), holds=True)
+    arm_config = override.load(arm)
+    check_log(log, [*override.inputs(arm, arm_config), motion])
+    settings = apply_soft(
+        arm_config.settings(), soft, arm_config.model(), holds=True, option="--soft"
+    )
     if times < 1:
         raise ConfigError(f"--times must be at least 1, got {times}")
     loaded = _load(motion)
-    loaded.validate_for(read.model())
+    loaded.validate_for(arm_config.model())
     options: dict[str, Any] = {"speed": speed, "wait": wait, "stop": stop}
-    made = connect(read)
-    # Check that controller and motion fit before torque comes on.
-    teach.Replay(Controller(made.model, settings, made.servos), loaded, **options)
-    play = _Play(times)
+    connected = connect(arm_config)
+    # Check settings and motion here, so that an error is raised before torque is on.
+    teach.Replay(Controller(connected.model, settings, connected.servos), loaded, **options)
+    player = _Player(times)
     try:
-        with made as live:
+        with connected as live:
             controller = Controller(live.model, settings, live.servos)
             replay = partial(teach.Replay, motion=loaded, **options)
             note = f"replay of {motion}"
-            recorder = None if log is None else recorder_of(log, config=read, note=note)
-            play.run(Loop(live, controller, recorder=recorder), live, replay)
+            recorder = None if log is None else make_recorder(log, config=arm_config, note=note)
+            player.run(Loop(live, controller, recorder=recorder), live, replay)
     finally:
-        play.summary()
+        player.summary()
 
 
 def _load(path: Path) -> teach.Motion:
-    """Load a motion; print a note if its log ends early."""
+    """Load a motion from a motion file or a log; print a note if the log is incomplete."""
     if path.suffix != ".mcap":
         return teach.Motion.load(path)
     from pliant.log import read
 
     log = read(path)
     try:
-        made = teach.Motion.from_log(log)
+        loaded = teach.Motion.from_log(log)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
     if not log.whole:
-        print_line(f"{path} was cut short: it is played up to {made.duration:.2f} s, where it ends")
-    return made
+        print_line(
+            f"{path} was cut short: it is played up to {loaded.duration:.2f} s, where it ends"
+        )
+    return loaded
 
 
-class _Play:
-    """Plays a motion a number of times, and prints its state."""
+class _Player:
+    """Plays a motion a number of times and prints changes of its state."""
 
     def __init__(self, times: int) -> None:
-        """Start with no motion played."""
-        self._times, self._played = times, 0
-        self._took = self._waited = 0.0
+        """Create a player; `times` is the number of repetitions."""
+        self._times, self._play_count = times, 0
+        self._duration = self._waiting_time = 0.0
         self._console = Console()
 
     def run(self, loop: Loop, arm: Arm, make: Callable[..., Replay]) -> None:
-        """Play the motion."""
-        keys, replay, shown = EnterKey(), make(loop.controller), ""
-        begun: float | None = None
+        """Play the motion in the control loop; `make` creates the `Replay` of a controller."""
+        keys, replay, last_state = EnterKey(), make(loop.controller), ""
+        start: float | None = None
         for tick in loop:
-            begun = tick.time if begun is None else begun
-            self._took = tick.time - begun
+            start = tick.time if start is None else start
+            self._duration = tick.time - start
             command = replay.step(tick.q, dt=tick.dt, load=tick.state.load)
             tick.write(command, replay.extra(arm))
             if keys.pressed():
                 replay.resume()
-            if replay.state != shown:
-                shown = replay.state
+            if replay.state != last_state:
+                last_state = replay.state
                 hint = {"stopped": ": something pushes; Enter goes on", "blocked": ": it waits"}
                 self._console.print(
-                    f"{replay.time:6.2f} s  {shown}{hint.get(shown, '')}", highlight=False
+                    f"{replay.time:6.2f} s  {last_state}{hint.get(last_state, '')}", highlight=False
                 )
             if replay.done:
-                self._played, self._waited = self._played + 1, self._waited + replay.blocked_time
-                if self._played == self._times:
+                self._play_count, self._waiting_time = (
+                    self._play_count + 1,
+                    self._waiting_time + replay.blocked_time,
+                )
+                if self._play_count == self._times:
                     break
                 replay = make(loop.controller)
 
     def summary(self) -> None:
-        """Print how often it was played, after the descent: a terminal may block."""
-        if self._took > 0.0:
-            times = "1 time" if self._played == 1 else f"{self._played} times"
-            whole = times if self._played == self._times else f"{times} of {self._times}"
+        """Print repetitions, duration and paused time; called after the arm is lowered."""
+        if self._duration > 0.0:
+            times = "1 time" if self._play_count == 1 else f"{self._play_count} times"
+            whole = times if self._play_count == self._times else f"{times} of {self._times}"
             self._console.print(
-                f"played {whole} in {self._took:.1f} s, waited {self._waited:.1f} s",
+                f"played {whole} in {self._duration:.1f} s, waited {self._waiting_time:.1f} s",
                 highlight=False,
             )

@@ -1,4 +1,4 @@
-"""`pliant run`: hold an arm compliantly, or let it follow targets, with a live table."""
+"""`pliant run`: let a compliant arm hold its pose or follow targets, and show a live table."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pliant.cli._flags import (
     ConfigFlags,
     File,
     Seconds,
-    apply_soft,
     check_duration,
     check_log,
-    recorder_of,
+    make_recorder,
 )
 from pliant.cli._targets import Targets, open_targets
 from pliant.config import connect
+from pliant.config._soft import apply_soft
 from pliant.loop import Loop
 
 if TYPE_CHECKING:
@@ -34,12 +34,13 @@ if TYPE_CHECKING:
     from pliant.arm import Arm
     from pliant.loop import Tick
 
-#: Refresh rate of the table [Hz].
-FRAMES = 5.0
-#: Time for which the last target is held without --duration [s].
-LINGER = 2.0
-#: Final distance to the target that is reported [m], and distance to a joint limit [rad].
-MISSED, AT_LIMIT = 0.02, 0.05
+#: Refresh rate of the live table [Hz].
+TABLE_RATE = 5.0
+#: Without --duration, the command ends this long after the last target [s].
+HOLD_TIME = 2.0
+#: Final distance of the tool from its target above which the target is reported as missed [m], and
+#: distance from a position limit below which a joint is reported as at its limit [rad].
+TARGET_TOLERANCE, LIMIT_MARGIN = 0.02, 0.05
 
 
 def run(
@@ -54,87 +55,90 @@ def run(
 ) -> None:
     """Switch torque on, control the arm until Ctrl-C, and lower it.
 
-    A line of targets is a JSON object: {"position": [x, y, z]} in metres, base axes, with
-    "wxyz": [w, x, y, z] or "xyzw" if it shall turn too; or {"q": [...]} in rad.
+    A target is one line of JSON: {"position": [x, y, z]} in m, base axes, and optionally the
+    orientation as quaternion "wxyz" or "xyzw"; or joint positions {"q": [...]} in rad.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        soft: Axes that yield: "y yaw" with the arm's own caps, "y=2 z=5" capped at 2 and 5 N (N·m
-            for roll, pitch, yaw). The other axes stay as the file has them.
-        targets: Where targets come from: a file with one a line, as {"position": [0.2, 0, 0.2]}
-            [m] or {"q": [0, 0.1, ...]} [rad], played at the loop's rate; - for standard input;
-            udp:PORT for datagrams on this machine. Nothing: the arm holds.
-        duration: Ends by itself after this time [s].
+        soft: Axes that yield: "y yaw" with the arm's default caps, "y=2 z=5" with caps of 2 and 5 N
+            (N·m for roll, pitch, yaw). The other axes keep their settings.
+        targets: Source of targets: a file with one target per line and control cycle, - for
+            standard input, or udp:PORT for datagrams on this machine. Default: the arm holds.
+        duration: Time after which the command ends [s].
         override: Values that replace those of the configuration file.
-        log: MCAP file to write (extra log).
-        quiet: No table.
+        log: MCAP file to write (needs the extra log).
+        quiet: Do not show the table.
     """
-    read = override.load(arm)
-    check_log(log, [*override.inputs(arm, read), targets])
-    settings = read.settings()
+    arm_config = override.load(arm)
+    check_log(log, [*override.inputs(arm, arm_config), targets])
+    settings = arm_config.settings()
     check_duration(duration)
-    model = read.model()
-    settings = apply_soft(settings, soft, model, holds=False)
-    connected = connect(read)
-    # Check the settings before torque comes on.
+    model = arm_config.model()
+    settings = apply_soft(settings, soft, model, option="--soft")
+    connected = connect(arm_config)
+    # Check the settings here, so that an error is raised before torque is on.
     Controller(connected.model, settings, connected.servos)
-    made: list[tuple[Arm, Loop, list[str]]] = []
+    runs: list[tuple[Arm, Loop, list[str]]] = []
     try:
         with open_targets(targets, model) as source, connected as live:
             controller = Controller(live.model, settings, live.servos)
             rate = controller.settings.rate
-            recorder = None if log is None else recorder_of(log, config=read)
+            recorder = None if log is None else make_recorder(log, config=arm_config)
             loop = Loop(live, controller, rate=rate, duration=duration, recorder=recorder)
-            _follow(made, live, loop, source=source, quiet=quiet)
+            _follow(runs, live, loop, source=source, quiet=quiet)
     finally:
-        # After the descent, also after Ctrl-C: a terminal may block.
-        for ended in made:
-            _summary(*ended)
+        # Print only after the arm is lowered: a blocked terminal must not delay the descent.
+        for finished in runs:
+            _summary(*finished)
 
 
 def _follow(
-    made: list[tuple[Arm, Loop, list[str]]],
+    runs: list[tuple[Arm, Loop, list[str]]],
     arm: Arm,
     loop: Loop,
     *,
     source: Targets,
     quiet: bool,
 ) -> None:
-    """Follow the targets; append the loop to `made` for the summary."""
+    """Run the control loop; the tool follows the targets. Append arm, loop and notes to `runs`."""
     notes: list[str] = []
-    made.append((arm, loop, notes))
-    every = max(round(1.0 / (FRAMES * loop.period)), 1)
+    runs.append((arm, loop, notes))
+    ticks_per_refresh = max(round(1.0 / (TABLE_RATE * loop.period)), 1)
     pose: Array | None = None
-    last_target, is_led = 0.0, False
+    last_target, has_target = 0.0, False
     with Live(console=Console(), auto_refresh=False, transient=True) as live:
         for tick in loop:
-            here = arm.model.forward_kinematics(tick.q)
-            pose = here if pose is None else pose
+            tool = arm.model.forward_kinematics(tick.q)
+            pose = tool if pose is None else pose
             target = source.latest()
             if target is not None:
                 pose = target.pose(arm.model, pose)
-                last_target, is_led = tick.time, True
-            if source.done and loop.duration is None and tick.time - last_target > LINGER:
+                last_target, has_target = tick.time, True
+            if source.done and loop.duration is None and tick.time - last_target > HOLD_TIME:
                 break
             command = tick.step(pose)
-            if not quiet and tick.index % every == 0:
-                live.update(_table(arm, loop.controller, tick, command, here), refresh=True)
-    if is_led and pose is not None:
-        notes += _missed(arm.model, tick.q, pose)
+            if not quiet and tick.index % ticks_per_refresh == 0:
+                live.update(_table(arm, loop.controller, tick, command, tool), refresh=True)
+    if has_target and pose is not None:
+        notes += _describe_target_error(arm.model, tick.q, pose)
 
 
-def _missed(model: Model, q: Array, target: Array) -> list[str]:
-    """Return a sentence on a missed target, with the joints at their limits."""
-    off = float(np.linalg.norm((model.forward_kinematics(q) - target)[:3, 3]))
-    if off <= MISSED:
+def _describe_target_error(model: Model, q: Array, target: Array) -> list[str]:
+    """Return a sentence in a list if the tool missed the target pose (4, 4), else an empty list."""
+    distance = float(np.linalg.norm((model.forward_kinematics(q) - target)[:3, 3]))
+    if distance <= TARGET_TOLERANCE:
         return []
-    room = np.minimum(q - model.lower, model.upper - q)
-    names = [name for name, left in zip(model.joint_names, room, strict=True) if left < AT_LIMIT]
+    margin = np.minimum(q - model.lower, model.upper - q)
+    names = [
+        name
+        for name, margin_left in zip(model.joint_names, margin, strict=True)
+        if margin_left < LIMIT_MARGIN
+    ]
     why = (
         f"; at their limits: {', '.join(names)}. The tool goes straight to its target and looks "
         "for no way round: begin in another pose"
     )
-    return [f"the tool is {off * 1e3:.0f} mm off its last target{why if names else ''}"]
+    return [f"the tool is {distance * 1e3:.0f} mm off its last target{why if names else ''}"]
 
 
 def _summary(arm: Arm, loop: Loop, notes: list[str]) -> None:
@@ -152,23 +156,23 @@ def _table(
     controller: Controller,
     tick: Tick,
     command: Command,
-    here: Array,
+    tool: Array,
 ) -> Table:
-    """Return the table: tool, compliance of each axis, torque limits, temperatures."""
+    """Return the live table: tool position, deviation and softness per task axis, joint states."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{arm.model.name}, {tick.time:.0f} s")
     for name in ("axis", "tool", "off by", "softness", "joint", "q", "limit", "of usable", "heat"):
         table.add_column(name, justify="left" if name in {"axis", "joint"} else "right")
     axes = controller.settings.task.names
     last = controller.diagnostics
     error, softness = last.deviation, last.softness
-    limit, usable, heat = command.torque_limit, np.asarray(arm.servos.max_torque), arm.heat
+    limit, max_torque, heat = command.torque_limit, np.asarray(arm.servos.max_torque), arm.heat
     for row in range(max(len(axes), arm.model.n)):
         cells = [""] * 9
         if row < len(axes):
             place = AXES.index(axes[row])
             unit = "mm" if place < 3 else "mrad"
             cells[0] = axes[row]
-            cells[1] = f"{here[place, 3] * 1e3:.0f} mm" if place < 3 else ""
+            cells[1] = f"{tool[place, 3] * 1e3:.0f} mm" if place < 3 else ""
             cells[2] = f"{error[row] * 1e3:+.1f} {unit}"
             cells[3] = f"{softness[row]:.2f}"
         if row < arm.model.n:
@@ -177,7 +181,7 @@ def _table(
                 name,
                 f"{tick.q[row]:+.3f}",
                 f"{limit[row]:.2f} N·m",
-                f"{limit[row] / usable[row]:.0%}",
+                f"{limit[row] / max_torque[row]:.0%}",
                 f"{heat[name]:.0%}",
             ]
         table.add_row(*cells)

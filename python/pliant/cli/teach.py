@@ -1,4 +1,4 @@
-"""`pliant teach`: record a motion by leading the arm by hand."""
+"""`pliant teach`: record a motion while a hand guides the arm."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pliant.cli._flags import (
     Duration,
     MotionFile,
     check_duration,
-    check_written,
+    check_writable,
 )
 from pliant.config import connect
 from pliant.teach._retiming import import_ruckig
@@ -35,28 +35,28 @@ def run(
     *,
     by: Literal["rest", "enter", "gripper"] = "rest",
     duration: Duration = 60.0,
-    hand: bool = False,
+    scripted_hand: bool = False,
     bounds: Annotated[
         tuple[float, float, float] | None, tyro.conf.arg(metavar="SPEED ACCELERATION JERK")
     ] = None,
     note: str = "",
     override: ConfigFlags,
 ) -> None:
-    """Float the arm, record how it is led, trim and smooth it, and lower the arm.
+    """Make the arm weightless, record its motion by hand, lower the arm, and write the motion.
 
-    The arm first swings a little to find its weight: do not touch it meanwhile. Ctrl-C lowers
-    the arm too, and what was led until then is written.
+    The arm first swings a little to measure its payload: do not touch it meanwhile. After Ctrl-C,
+    the motion recorded so far is written.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        motion: Motion file. It is written, and ends with .json.
-        by: What starts and ends the recording: rest records at once and ends with a rest of 3 s;
-            Enter; or the gripper pressed shut.
-        duration: Ends by itself after this time [s]. It counts from the start of the recording.
-        hand: Without an arm (sim, emulator): a scripted hand leads the tool aside and up.
-        bounds: Speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] that no joint of the motion
-            may exceed (needs ruckig). Nothing: smoothed only.
-        note: A line of your own.
+        motion: Motion file. The command writes it; its name ends with .json.
+        by: Start and end of the recording: rest starts at once and ends when the arm has rested for
+            3 s; enter uses the Enter key; gripper uses a gripper that is pressed shut.
+        duration: Time after which the command ends [s]. It counts from the start of the recording.
+        scripted_hand: On a simulated arm (sim, emulator), let a scripted hand lead the tool.
+        bounds: Maximum speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] of every joint (needs
+            ruckig). Default: the motion is only smoothed.
+        note: Comment to store in the file.
         override: Values that replace those of the configuration file.
     """
     from dataclasses import replace
@@ -66,12 +66,14 @@ def run(
     check_duration(duration)
     if bounds is not None:
         import_ruckig(bounds)
-    read = override.load(arm)
-    check_written(motion, "motion", override.inputs(arm, read))
-    if by == "gripper" and read.gripper is None:
+    arm_config = override.load(arm)
+    check_writable(motion, "motion", override.inputs(arm, arm_config))
+    if by == "gripper" and arm_config.gripper is None:
         raise ConfigError(f"{arm} names no gripper: use --by enter or rest")
-    if hand and read.backend == "bus":
-        raise ConfigError("--hand leads simulated arms only: add --backend sim or emulator")
+    if scripted_hand and arm_config.backend == "bus":
+        raise ConfigError(
+            "--scripted-hand leads simulated arms only: add --backend sim or emulator"
+        )
     console = Console()
     keys = EnterKey() if by == "enter" else None
 
@@ -81,35 +83,35 @@ def run(
     def on_status(line: str) -> None:
         console.print(line, highlight=False, markup=False)
         if line == RECORDING:
-            lead()
+            start_hand()
 
-    def save(taken: Motion) -> None:
-        taken = replace(taken, note=note)
-        # Save the unbounded motion first, so that it is not lost if the bounds fail.
-        taken.save(motion)
+    def save(recorded: Motion) -> None:
+        recorded = replace(recorded, note=note)
+        # Save the motion before `retime` applies the bounds, so that an error loses nothing.
+        recorded.save(motion)
         if bounds is not None:
-            teach.retime(taken, bounds).save(motion)
+            teach.retime(recorded, bounds).save(motion)
         files = map(shlex.quote, (arm, str(motion)))
-        again = " ".join(["pliant replay", *files, *override.words()])
-        print_line(f"{motion}: {taken.duration:.1f} s; {again}", console)
+        again = " ".join(["pliant replay", *files, *override.as_arguments()])
+        print_line(f"{motion}: {recorded.duration:.1f} s; {again}", console)
 
-    made: list[Motion] = []
-    cut: list[Motion] = []
-    live = connect(read)
-    lead = prepare(live) if hand else lambda: None
+    motions: list[Motion] = []
+    interrupted: list[Motion] = []
+    live = connect(arm_config)
+    start_hand = prepare(live) if scripted_hand else lambda: None
     try:
         with live:
-            made.append(
+            motions.append(
                 teach.record(
                     live,
                     seconds=duration,
                     should_toggle=None if by == "rest" else should_toggle,
                     on_status=on_status,
-                    on_interrupt=cut.append,
+                    on_interrupt=interrupted.append,
                 )
             )
     finally:
-        # After the descent of the arm: writing a file can be slow.
-        made.extend(motion.trimmed().smoothed().for_model(live.model) for motion in cut)
-        for taken in made:
-            save(taken)
+        # Write files only after the arm is lowered: a slow disk must not delay the descent.
+        motions.extend(motion.trimmed().smoothed().for_model(live.model) for motion in interrupted)
+        for recorded in motions:
+            save(recorded)

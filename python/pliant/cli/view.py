@@ -1,4 +1,4 @@
-"""`pliant view`: a browser page to push an arm and inspect its compliance."""
+"""`pliant view`: control an arm from a page in the browser."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pliant.cli._flags import ArmName, ConfigFlags, File, HttpPort, check_log
 if TYPE_CHECKING:
     from pliant.view.source import Source
 
-#: Optional name of a scene.
+#: Name of a simulated scene; None: the arm of the configuration, without a scene.
 Scene = Annotated[str | None, tyro.conf.arg(metavar="SCENE")]
-#: Largest port number.
-HIGHEST = 65535
+#: Maximum TCP port number.
+MAX_PORT = 65535
 
 
 def run(
@@ -32,29 +32,29 @@ def run(
     log: File = None,
     override: ConfigFlags,
 ) -> None:
-    """Show an arm on a page, control it from there until Ctrl-C, and lower it.
+    """Control an arm from a page in the browser until Ctrl-C, and lower the arm.
 
-    Without ARM, or with --scene, it is a simulated arm with scenes to play with. The page asks for
-    the token in its link. It can be reached from this machine alone unless --host says otherwise;
-    then everybody on that network who has the link can move the arm, and it travels unencrypted.
+    Without ARM, or with --scene, the arm is simulated. The page opens only with the token in its
+    link, and only on this machine. With another --host, everyone on that network who has the link
+    can move the arm; the data are not encrypted.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...). Default: a
             simulated arm7.
         scene: Simulate ARM, one of arm7, so101 and koch, in a scene: free, door, drawer, wall or
             hand-over.
-        rate: Of the simulated arm's control [Hz].
+        rate: Control rate of the simulated arm [Hz].
         host: Address to listen on; 0.0.0.0 opens the page to the network.
-        http_port: Port of the page; the next free one is taken.
-        browser: Open the page in the browser.
-        log: MCAP file to write (extra log).
+        http_port: TCP port of the page; if it is taken, the next free one is used.
+        browser: Open the page in the default browser.
+        log: MCAP file to write (needs the extra log).
         override: Values that replace those of the configuration file.
     """
-    if not 1 <= http_port <= HIGHEST:
-        raise ConfigError(f"--http-port is a port from 1 to {HIGHEST}, got {http_port}")
+    if not 1 <= http_port <= MAX_PORT:
+        raise ConfigError(f"--http-port is a port from 1 to {MAX_PORT}, got {http_port}")
     is_simulated = not arm or scene is not None
     check_log(log, [] if is_simulated else override.inputs(arm, override.load(arm)))
-    _needs()
+    _check_extra()
     from pliant.view.auth import is_loopback
     from pliant.view.ipc import Link
     from pliant.view.session import Session
@@ -86,33 +86,33 @@ def run(
 
 
 def _simulated(robot: str, scene: str, rate: float, override: ConfigFlags) -> Source:
-    """Return a built-in simulated arm; reject flags of configurations."""
+    """Return the `Source` that makes a simulated built-in arm; reject flags for configurations."""
     from pliant.view.source import Simulated
 
     if robot not in pliant.robots.names():
         built_in = ", ".join(pliant.robots.names())
         raise ConfigError(f"--scene simulates one of {built_in}, got {robot}: leave --scene out")
-    if options := override.words():
+    if options := override.as_arguments():
         flag = options[0].split()[0]
         raise ConfigError(f"{flag} belongs to a configuration: pliant view so101 {options[0]}")
     source = Simulated(robot, scene, rate)
-    source.arm()  # checks the rate before the link is printed
+    source.arm()  # so that an invalid rate is an error before the page starts
     return source
 
 
 def _configured(arm: str, override: ConfigFlags) -> Source:
-    """Return the arm of a configuration."""
+    """Return the `Source` that connects to the arm of a configuration."""
     from pliant.view.source import Configured
 
     return Configured(override.load(arm))
 
 
-def _needs() -> None:
-    """Check that the extra is installed, with the install command in the error."""
+def _check_extra() -> None:
+    """Raise an ImportError with the install command if the extra `view` is not installed."""
     from importlib import import_module
 
-    for needed in ("viser", "mjviser"):
+    for name in ("viser", "mjviser"):
         try:
-            import_module(needed)
+            import_module(name)
         except ImportError as error:
             raise PliantError(missing("the page", "view")) from error

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 def explain(error: ValidationError, schema: type[BaseModel]) -> list[str]:
-    """Return all validation errors, one sentence each."""
+    """Return a sentence for each validation error: key, value and allowed values."""
     return list(dict.fromkeys(_sentence(detail, schema) for detail in error.errors()))
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """Return `, did you mean 'x'? There are: ...` for an unknown word."""
+    """Return the text `did you mean 'x'? there are: ...` for an unknown word."""
     names = sorted(known)
     close = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
     hint = f"did you mean {close[0]!r}? " if close else ""
@@ -43,7 +43,7 @@ def _sentence(detail: ErrorDetails, schema: type[BaseModel]) -> str:
 
 
 def keys(schema: type[BaseModel], path: Sequence[int | str]) -> set[str]:
-    """Return the keys of the table at `path`."""
+    """Return the keys that the schema allows in the table at `path`."""
     table: Any = schema
     for step in path:
         if isinstance(table, type) and issubclass(table, BaseModel):
@@ -69,7 +69,7 @@ def _is_model(table: Any) -> bool:
 
 
 def _inner(table: Any, step: int | str) -> Any:
-    """Return the table inside an Optional; containers are opened by the next step."""
+    """Return the type of a key or an item of a table type, without Optional."""
     parts = get_args(table)
     if type(None) in parts:
         return next((part for part in parts if part is not type(None)), None)

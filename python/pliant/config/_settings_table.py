@@ -1,4 +1,4 @@
-"""Parsing of the table `settings` and the preset into `pliant.Settings`, with all errors."""
+"""Conversion of a file's table `settings` and preset to `pliant.Settings`; collects all errors."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Presets; `soft` also needs axes.
+#: Names of the presets of `Settings`; `soft` also needs axes.
 PRESETS = ("paper", "firm", "door", "drawer", "hand_guiding", "hand_over", "plug", "soft", "wipe")
-#: Groups of settings, each a table of its own.
+#: Class of each group of settings; a group is a table such as [settings.tracking] in the file.
 GROUPS: dict[str, Callable[..., Any]] = {
     "tracking": Tracking,
     "null_space": NullSpace,
@@ -35,15 +35,15 @@ GROUPS: dict[str, Callable[..., Any]] = {
     "torque_limits": TorqueLimits,
     "paper_options": PaperOptions,
 }
-#: Fields on which the meaning of others depends; if one is wrong, the others are not checked.
+#: Fields of `Settings` on which other fields depend; an error in one of them ends the validation.
 FIRST = ("task", "law")
 
 
 def check_preset(preset: str | dict[str, Any] | None) -> None:
-    """Check that a preset exists.
+    """Check that a preset of the configuration file exists.
 
     Raises:
-        ValueError: Unknown preset.
+        ValueError: No preset has the given name.
     """
     name, _ = _preset(preset)
     if name not in (None, *PRESETS):
@@ -53,18 +53,18 @@ def check_preset(preset: str | dict[str, Any] | None) -> None:
 def resolve(
     fields: Mapping[str, Any], preset: str | dict[str, Any] | None, rate: float
 ) -> tuple[Settings | None, list[str]]:
-    """Create settings, or return all errors.
+    """Return the settings of a configuration file, and all errors in them.
 
-    A wrong field is removed and the rest tried again, until the rest is valid or an error names no
-    field that can be removed.
+    An invalid field is removed and the remaining fields are validated again, until they are valid
+    or the error names no field that can be removed.
 
     Args:
-        fields: The table `settings` as read.
+        fields: The table `settings` of the file.
         preset: Name of a preset, or a table with its name and arguments.
-        rate: Loop rate [Hz], used if the fields have none.
+        rate: Loop rate [Hz], used if the fields contain no rate.
 
     Returns:
-        The settings or None, and the errors, one sentence each.
+        The settings, None if there are errors; and a list with one sentence per error.
     """
     left, wrong = dict(fields), list[str]()
     if "axes" in left:
@@ -91,7 +91,7 @@ def resolve(
 
 
 def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: float) -> Settings:
-    """Create settings from fields with parsed axes."""
+    """Return the settings of a preset with its fields replaced; the axes are `Axis` objects."""
     values = {"rate": rate, **fields}
     name, arguments = _preset(preset)
     if name is None:
@@ -105,7 +105,7 @@ def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: flo
 
 
 def _preset(preset: str | dict[str, Any] | None) -> tuple[Any, dict[str, Any]]:
-    """Return name and arguments of the preset."""
+    """Return the name of the preset (None without a preset), and its arguments."""
     if isinstance(preset, dict):
         arguments = dict(preset)
         return arguments.pop("name", "(without a name)"), arguments
@@ -113,7 +113,7 @@ def _preset(preset: str | dict[str, Any] | None) -> tuple[Any, dict[str, Any]]:
 
 
 def _axes(table: Any, wrong: list[str]) -> dict[str, Axis]:
-    """Return the valid axes; append the errors of the others to `wrong`."""
+    """Return the valid entries of the table `axes`; append errors of the others to `wrong`."""
     if not isinstance(table, dict):
         wrong.append(f"axes is a table of axis keys, got {table!r}")
         return {}
@@ -121,17 +121,17 @@ def _axes(table: Any, wrong: list[str]) -> dict[str, Axis]:
 
 
 def _axis(key: str, value: Any, wrong: list[str]) -> Axis | None:
-    """Return one axis, or None with an error appended to `wrong`."""
+    """Return one entry of the table `axes`; if it is invalid, None, and append to `wrong`."""
     if not isinstance(value, dict):
         wrong.append(f"axes.{key} is a table such as {{ soft = 4.0 }}, got {value!r}")
         return None
     left = {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
-    # `Axis` does not know its name.
+    # Errors of `Axis` do not name the axis: prefix them with the key of the axis.
     return _build(Axis, left, "Axis.", f"axes.{key}: ", wrong)
 
 
 def _group(name: str, table: Any, wrong: list[str]) -> Any:
-    """Return a group of settings, or None with an error appended to `wrong`."""
+    """Return a group, such as `Tracking`; if it is invalid, None, and append errors to `wrong`."""
     if not isinstance(table, dict):
         wrong.append(f"{name} is a table such as [settings.{name}], got {table!r}")
         return None
@@ -141,14 +141,14 @@ def _group(name: str, table: Any, wrong: list[str]) -> Any:
 def _build(
     make: Callable[..., T], left: dict[str, Any], own: str, place: str, wrong: list[str]
 ) -> T | None:
-    """Make an object from its fields; None if one is wrong.
+    """Return an object constructed from fields; None if a field is invalid.
 
     Args:
-        make: The constructor.
-        left: The fields.
-        own: Beginning of the constructor's messages, replaced by `place`.
-        place: Place in the file.
-        wrong: Gets all errors.
+        make: Constructor of the object.
+        left: The fields; invalid ones are removed.
+        own: Prefix of the constructor's error messages, replaced by `place`.
+        place: Key of the object in the file, as prefix of the errors.
+        wrong: List to which all errors are appended.
     """
     good = True
     while True:
@@ -165,12 +165,12 @@ def _build(
 
 
 def _leave_out(left: dict[str, Any], message: str) -> bool:
-    """Remove the field that an error names; return True if the rest can be checked."""
+    """Remove the field that an error names from `left`; return True if the rest can be checked."""
     name, _, rest = message.partition(".")
     axes = left.get("axes")
     if name == "axes" and axes:
         key = re.split(r"[:.]", rest)[0]
-        # The error names one axis, but the key applies to several: removing one does not help.
+        # A key may name several axes, and then equals no axis of an error: remove all axes.
         left["axes"] = {k: v for k, v in axes.items() if k != key} if key in axes else {}
         return True
     found = re.match(r"\w+", message)

@@ -1,4 +1,4 @@
-"""Diagnosis of a configuration and its hardware, with remedies. Writes nothing."""
+"""Diagnosis of a configuration and its hardware, with remedies; nothing is written to servos."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ if TYPE_CHECKING:
 
 Level = Literal["good", "note", "bad"]
 #: Largest acceptable latency timer of an FTDI adapter [s].
-SHORT = 0.0015
-#: `CYCLES`: number of bus cycles that are timed. `WATCHED`: duration of the clock test [s].
-CYCLES, WATCHED = 200, 1.0
-#: Largest acceptable lateness of a tick, as a share of its period.
-LATE = 0.2
-#: Task axes for the check of the weight; an arm with n < 3 joints gets the first n.
+MAX_LATENCY_TIMER = 0.0015
+#: Number of timed readings of all joints, and duration of the test of the loop's clock [s].
+CYCLES, CLOCK_TEST_TIME = 200, 1.0
+#: Largest acceptable lateness (99.9 %) of a control cycle, as a share of the control period [1].
+MAX_LATENESS = 0.2
+#: Task axes for the check that the servos can carry the arm; for n < 3 joints, the first n of them.
 ANY_TASK = "xyz"
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """One finding.
+    """One finding of the diagnosis.
 
     Attributes:
         level: `good`, `note` (works, could be better), or `bad` (must be fixed).
-        about: Subject.
-        text: Finding and remedy.
+        about: Part of the system that the finding concerns.
+        text: Description of the finding and its remedy.
     """
 
     level: Level
@@ -54,9 +54,9 @@ class Diagnosis:
 
 
 def examine(config: Config) -> Iterator[Diagnosis]:
-    """Check files, ports, servos and the machine, in this order.
+    """Yield the findings on files, ports, servos and this machine.
 
-    If a part is broken, the checks that depend on it are skipped.
+    After a `bad` finding, checks that depend on the faulty part are skipped.
     """
     try:
         model = config.model()
@@ -94,7 +94,7 @@ def examine(config: Config) -> Iterator[Diagnosis]:
 
 
 def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
-    """Report data that the robot description lacks."""
+    """Check the rest pose, the settings and the weight of the arm; report a missing calibration."""
     rest = config.life.rest_q
     if rest is None:
         yield Diagnosis(
@@ -121,7 +121,7 @@ def _model(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 
 def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
-    """Check that a controller accepts the model with these settings: task and weight."""
+    """Check that a `Controller` can be created: the task fits, and the servos carry the arm."""
     settings = config.settings()
     try:
         Controller(model, settings)
@@ -132,7 +132,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
         yield Diagnosis(
             "note", "settings", f"{error}; `pliant run` needs `task` in [settings] of the file"
         )
-        # The weight does not depend on the task.
+        # Replace the invalid task, so that the check whether servos carry the arm still runs.
         with contextlib.suppress(PliantError):
             settings = settings.replace(task=ANY_TASK[: model.n])
         try:
@@ -142,17 +142,17 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 
 def _clock(rate: float) -> Diagnosis:
-    """Measure how late a wait for a deadline ends on this machine, at `rate` [Hz]."""
+    """Measure how late this machine wakes up from waits for deadlines at `rate` [Hz]."""
     clock, late, period = MonotonicClock(), LatenessHistogram(), 1.0 / rate
     deadline = clock.now()
-    end = deadline + WATCHED
+    end = deadline + CLOCK_TEST_TIME
     while deadline < end:
         deadline += period
         clock.wait_until(deadline)
         late.add(clock.now() - deadline)
     worst, often = late.percentile(99.9), late.percentile(50.0)
     text = f"wakes {often * 1e6:.0f} µs late, at most {worst * 1e3:.2f} ms, at {rate:g} Hz"
-    if worst > LATE * period:
+    if worst > MAX_LATENESS * period:
         return Diagnosis(
             "note", "loop", f"{text}: other programs compete; close them, or lower [loop] rate"
         )
@@ -160,12 +160,12 @@ def _clock(rate: float) -> Diagnosis:
 
 
 def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
-    """Check permissions and adapters."""
+    """Report USB adapters whose latency timer exceeds `MAX_LATENCY_TIMER`."""
     for path in dict.fromkeys(spec.port for spec in chain.specs):
         if not Path(path).exists() or not os.access(path, os.R_OK | os.W_OK):
-            continue  # opening it says why, with the remedy
+            continue  # opening the port raises the error for this, with the remedy
         timer = latency_timer(path)
-        if timer is not None and timer > SHORT:
+        if timer is not None and timer > MAX_LATENCY_TIMER:
             name = Path(path).resolve().name
             yield Diagnosis(
                 "bad",
@@ -176,7 +176,7 @@ def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
 
 
 def _servos(found: tuple[ServoInfo, ...]) -> Iterator[Diagnosis]:
-    """Report the identified servos and their notes."""
+    """Report the servos that replied, their notes, and differences of firmware within a model."""
     volts = [f.voltage for f in found]
     yield Diagnosis(
         "good",
@@ -201,7 +201,7 @@ def _servos(found: tuple[ServoInfo, ...]) -> Iterator[Diagnosis]:
 
 
 def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
-    """Compare the servos' gains with those that the file gives the simulator."""
+    """Report servos whose P gain register differs from `gain` in the configuration file."""
     read = chain.gains
     for joint, servo in servos(config).items():
         if servo.gain is not None and read[joint] != servo.gain:
@@ -214,7 +214,7 @@ def _gains(chain: ServoBus, config: Config) -> Iterator[Diagnosis]:
 
 
 def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
-    """Check that the measured joint positions are possible."""
+    """Report joints whose measured position is outside the joint limits."""
     position = dict(zip(chain.names, chain.read().position.tolist(), strict=True))
     for name, q, low, high in outside(model, np.array([position[j] for j in model.joint_names])):
         yield Diagnosis(
@@ -226,7 +226,7 @@ def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
 
 
 def _cycle(chain: ServoBus, config: Config) -> Diagnosis:
-    """Compare the time to read all joints with the wire time."""
+    """Measure the time to read all joints; compare it with the transmission time of the bytes."""
     times, before = [], chain.counters["timeouts"]
     for _ in range(CYCLES):
         begin = time.perf_counter()

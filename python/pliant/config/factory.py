@@ -1,4 +1,4 @@
-"""Construction of an arm and its drive from a configuration; `connect`."""
+"""Construction of an `Arm` and its drive (servo bus or simulator) from a configuration."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from pliant.config.schema import (
     calibrations,
     chain_servos,
     extra_servos,
+    gripper_travel,
     servos,
     spec,
     zeros,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class ArmOptions(TypedDict, total=False):
-    """Options of `pliant.Arm`; they override the configuration."""
+    """Options of `pliant.Arm`; they override values of the configuration."""
 
     rest_q: ArrayLike | None
     on_exit: Literal["lower", "leave_enabled"]
@@ -80,7 +81,7 @@ class ConnectOptions(ArmOptions, total=False):
 
 ARM_OPTIONS = frozenset(ArmOptions.__annotations__)
 PLANT_OPTIONS = frozenset(ConnectOptions.__annotations__) - ARM_OPTIONS
-#: Keywords of `connect` that override keys of a configuration file.
+#: Keyword arguments of `connect` that override keys of a configuration file.
 FILE_OPTIONS = frozenset(("backend", "port", "urdf", "calibration"))
 ALL_OPTIONS = ARM_OPTIONS | PLANT_OPTIONS | FILE_OPTIONS | {"q", "real_time"}
 
@@ -96,22 +97,22 @@ def connect(
     real_time: bool = False,
     **options: Unpack[ConnectOptions],
 ) -> Arm:
-    """Create the arm of a configuration. `with` enables it, and lowers it at the end.
+    """Create the arm of a configuration; `with` enables the arm, and lowers it at the end.
 
-    Nothing is opened or moved before `with`. To use your own drive, or a model without a
-    configuration, construct `pliant.Arm(model, drive)`.
+    No port is opened before `with`. For a drive of your own, or a model without a configuration,
+    construct `pliant.Arm(model, drive)`.
 
     Args:
-        config: Name of a ready arm (`pliant.config.list_arms()`), path of a TOML file, or a
+        config: Name of a built-in arm (`pliant.config.list_arms()`), path of a TOML file, or a
             `Config`.
         backend: `"bus"`: real servos; `"emulator"`: emulated servos on a virtual serial port;
-            `"sim"`: the simulator without a bus; None: as in the file.
+            `"sim"`: the simulator without a bus; None: the value in the file.
         port: Serial device, overrides the file; or `"auto"`.
         urdf: URDF file, overrides the file.
         calibration: LeRobot calibration file, overrides the file.
         q: Initial joint positions (n,) [rad] of a simulated or emulated arm; None: near zero,
             clear of the table.
-        real_time: Run the simulator in real time; otherwise as fast as it can.
+        real_time: True runs the simulator in real time, False as fast as possible.
         **options: Options of `pliant.Arm`, which override the file; with ``backend="sim"`` also of
             `pliant.sim.Plant` (``scene=[...]``). `table` is the height of the table [m], or False
             for none.
@@ -120,8 +121,7 @@ def connect(
         The arm, with torque unchanged.
 
     Raises:
-        ConfigError: Unknown name or option, with the nearest known one; invalid file; conflicting
-            options.
+        ConfigError: A name or an option is unknown, the file is invalid, or options conflict.
         ServoError: The port is `auto`, and there is no serial port or more than one.
 
     Example:
@@ -151,10 +151,10 @@ def connect(
 
 
 def check_options(options: Iterable[str], known: Iterable[str]) -> None:
-    """Check option names before anything is opened.
+    """Check the names of options, before a port is opened.
 
     Raises:
-        ConfigError: Unknown option; the message lists the nearest and all known ones.
+        ConfigError: An option is unknown; the message lists the known options.
     """
     names = frozenset(known)
     for key in options:
@@ -162,7 +162,7 @@ def check_options(options: Iterable[str], known: Iterable[str]) -> None:
             raise ConfigError(f"an arm has no option {key!r} here; {suggest(key, names)}")
 
 
-#: Largest depth of a simulated arm inside the table at its start [m].
+#: Largest depth to which a simulated arm may start inside the table [m].
 INSIDE = 0.001
 
 
@@ -171,14 +171,14 @@ def make_arm(config: Config, **options: Any) -> Arm:
 
     Args:
         config: The configuration.
-        **options: Options of `pliant.Arm`, which override the file. On the simulator and the
-            emulator also `q` (n,) [rad], the initial joint positions; `table`, the height of its
-            table [m], or False for none; on the simulator also `real_time` and the options of
+        **options: Options of `pliant.Arm`, which override the file. `table` is the height of the
+            table [m], or False for no table. Simulator and emulator also accept `q` (n,) [rad], the
+            initial joint positions; the simulator also accepts `real_time` and the options of
             `pliant.sim.Plant`.
 
     Raises:
-        ConfigError, UrdfError: Unknown option; URDF, calibration and file do not match; or the rest
-            pose is not valid.
+        ConfigError, UrdfError: An option is unknown; URDF, calibration and file do not match; or
+            the rest pose is not valid.
         ServoError: The port is `auto`, and there is no serial port or more than one.
     """
     if "table" in options:
@@ -192,7 +192,7 @@ def make_arm(config: Config, **options: Any) -> Arm:
         "rate": config.loop.rate,
         "comm_timeout": config.loop.comm_timeout,
         "table": config.robot.table,
-        # The simulator without a bus has no currents.
+        # Backend "sim" does not simulate servo currents, so the supply current has no limit.
         "power_budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
         "grippers": gripper_configs(config),
         **{key: value for key, value in options.items() if key not in beside},
@@ -206,7 +206,10 @@ def make_arm(config: Config, **options: Any) -> Arm:
 
 
 def _fixed(model: Model, made: Drive) -> dict[str, GripperConfig]:
-    """Return joints off the chain whose travel the model does not give; they are held in place."""
+    """Return a `GripperConfig` that holds its joint in place, for joints without position limits.
+
+    Only joints that are not part of the controlled chain are considered.
+    """
     known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
     places = zip(made.names, made.read().position.tolist(), strict=True)
     return {
@@ -221,7 +224,7 @@ def _has_ends(*ends: float | None) -> bool:
 
 
 def _on_table(config: Config, height: float | bool | None) -> Config:
-    """Return the configuration with another table height [m], or without a table (False, None)."""
+    """Return a copy of the configuration with another table height [m]; False, None: no table."""
     if height is True:
         raise ConfigError("table is a height [m], or False for none; got True")
     there = None if height is None or height is False else real(height, "table [m]")
@@ -230,10 +233,10 @@ def _on_table(config: Config, height: float | bool | None) -> Config:
 
 
 def _backend_options(config: Config, options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options for the simulator or the emulator, which are not options of the arm.
+    """Return those options that are for the simulator or the emulator, not for `pliant.Arm`.
 
     Raises:
-        ConfigError: Unknown option on this backend.
+        ConfigError: The backend of the configuration does not have one of the options.
     """
     of_the_sim = {"q", "real_time", *PLANT_OPTIONS} - ARM_OPTIONS
     known = {"bus": set(), "emulator": {"q"}, "sim": of_the_sim}[config.backend]
@@ -248,7 +251,7 @@ def _backend_options(config: Config, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_rest(config: Config, model: Model) -> None:
-    """Check that the file's rest pose is a pose of this arm."""
+    """Check that `life.rest_q` of the file has one entry per joint, within the joint limits."""
     if config.life.rest_q is None:
         return
     try:
@@ -265,7 +268,7 @@ def make_drive(
     real_time: bool = False,
     **plant: Any,
 ) -> Drive:
-    """Create the drive of the file's backend: servo bus, emulated bus, or simulator."""
+    """Create the drive for the backend in the file: servo bus, emulated bus, or simulator."""
     if config.backend == "sim":
         return make_simulated(config, model, q=q, real_time=real_time, **plant)
     if config.backend == "emulator":
@@ -276,7 +279,7 @@ def make_drive(
 def make_simulated(
     config: Config, model: Model, *, q: ArrayLike | None, real_time: bool, **plant: Any
 ) -> Drive:
-    """Create the simulated arm with the file's servos, on its table."""
+    """Create the drive of a simulated arm, with the servos and the table of the file."""
     from pliant.sim import Plant, SimDrive
 
     options: dict[str, Any] = {"rate": config.loop.rate}
@@ -290,12 +293,12 @@ def make_simulated(
     made = Plant(model, **options)
     made.reset(start_pose(config, model) if q is None else vector(model, q, "q"))
     check_above_table(made)
-    # The arm gets the file's servo parameters, even if options give the plant other ones.
+    # The controller gets the file's servo parameters, even if options change the simulated servos.
     return SimDrive(made, servos=model.servos if config.servo else None, real_time=real_time)
 
 
 def table_fixtures(config: Config) -> list[Tabletop]:
-    """Return the table of the file's arm as scene objects; empty without a table."""
+    """Return a list with the table of the file, an object of the simulated scene; else empty."""
     if config.robot.table is None:
         return []
     from pliant.sim import Tabletop
@@ -307,7 +310,7 @@ def check_above_table(plant: Plant) -> None:
     """Check that a simulated arm starts above its table.
 
     Raises:
-        ConfigError: It starts inside the table.
+        ConfigError: The arm starts inside the table.
     """
     from pliant.sim import Tabletop
 
@@ -320,14 +323,14 @@ def check_above_table(plant: Plant) -> None:
 
 
 def make_bus(config: Config, ports: dict[str, str]) -> ServoBus:
-    """Create the servo bus; `ports` maps port names of the file to paths."""
+    """Create the servo bus; `ports` maps port names of the file to device paths."""
     return ServoBus(**_bus_options(config, ports))
 
 
 def _bus_options(
     config: Config, ports: dict[str, str], reply_timeout_min: float = 0.0
 ) -> dict[str, Any]:
-    """Return the arguments of the bus; the file's reply timeout counts from a minimum [s] on."""
+    """Return the arguments of `ServoBus`; its reply timeout is at least `reply_timeout_min` [s]."""
     return {
         "specs": servo_specs(config, ports),
         "baudrate": {ports[port.name]: port.baud for port in config.port},
@@ -337,16 +340,22 @@ def _bus_options(
 
 
 def servo_specs(config: Config, ports: dict[str, str]) -> list[ServoSpec]:
-    """Return the servo of each joint."""
-    files = calibrations(config)
+    """Return the `ServoSpec` of each joint; `ports` maps port names of the file to device paths."""
+    files, places = calibrations(config), zeros(config)
     return [
-        spec(joint, servo, port=ports[servo.port], calibration=files.get(joint))
+        spec(
+            joint,
+            servo,
+            port=ports[servo.port],
+            zero=places[joint],
+            calibration=files.get(joint),
+        )
         for joint, servo in servos(config).items()
     ]
 
 
 def port_paths(config: Config) -> dict[str, str]:
-    """Return the path of every port of the file; `auto` stands for the only serial port.
+    """Return device paths by port name; the path `auto` in the file means the only serial port.
 
     Raises:
         ServoError: There is no serial port, or more than one.
@@ -373,20 +382,22 @@ def _single_port(name: str) -> str:
 
 
 def gripper_configs(config: Config) -> dict[str, GripperConfig]:
-    """Return the gripper configuration of the file by joint; empty without a gripper."""
+    """Return the `GripperConfig` of the file by joint name; an empty dict without a gripper."""
     gripper = config.gripper
     if gripper is None:
         return {}
-    jaw = GripperConfig(
-        opened=gripper.opened, closed=gripper.closed, limit=gripper.limit, lever=gripper.lever
-    )
+    opened, closed = gripper.opened, gripper.closed
+    if gripper.joint in calibrations(config):
+        closed, opened = gripper_travel(config)
+    jaw = GripperConfig(opened=opened, closed=closed, limit=gripper.limit, lever=gripper.lever)
     return {gripper.joint: jaw}
 
 
 def start_pose(config: Config, model: Model) -> Any:
-    """Return the initial positions (n,) [rad] of a simulated or emulated arm: near zero.
+    """Return the default initial positions (n,) [rad] of a simulated or emulated arm.
 
-    If that pose is inside the table and there is a rest pose, return the rest pose.
+    The positions are zero, clipped to the joint limits. If the arm would then be inside the table
+    and the file has a rest pose, they are the rest pose.
     """
     zero = np.clip(np.zeros(model.n), model.lower, model.upper)
     table, rest = config.robot.table, config.life.rest_q
@@ -397,22 +408,23 @@ def start_pose(config: Config, model: Model) -> Any:
     return np.array(rest)
 
 
-#: Minimum reply timeout [s]: the emulator runs on the same machine as the program.
+#: Minimum timeout for replies of emulated servos [s]; the emulator shares the CPU with the program.
 REPLY_TIMEOUT_MIN = 0.05
-#: Emulator names of calibration registers, if they differ from pliant's; second: Protocol 1.0.
+#: Calibration registers that have another name in the emulator than in the driver: name in the
+#: driver to name in the emulator, for most servos and for servos with Protocol 1.0.
 REGISTERS = {"position_min": "min_position_limit", "position_max": "max_position_limit"}
 REGISTERS_P1 = {"position_min": "cw_angle_limit", "position_max": "ccw_angle_limit"}
 
 
 class EmulatedBus(ServoBus):
-    """Servo bus of a configuration on an emulator in a separate process.
+    """Servo bus with emulated servos; the emulator runs in a separate process.
 
     Attributes:
-        emulator: The emulator; `emulator.call("faults.inject", …)` calls its functions.
+        emulator: The process; `emulator.call("faults.inject", …)` calls a method of the emulator.
     """
 
     def __init__(self, config: Config, model: Model, *, q: ArrayLike | None = None) -> None:
-        """Start the emulator with the arm at q (n,) [rad], by default near zero."""
+        """Start the emulator with the arm at q (n,) [rad]; None: the pose of `start_pose`."""
         from pliant.emulator.process import EmulatorProcess
 
         at = None if q is None else vector(model, q, "q").tolist()
@@ -420,20 +432,20 @@ class EmulatedBus(ServoBus):
         super().__init__(**_bus_options(config, self.emulator.ports, REPLY_TIMEOUT_MIN))
 
     def close(self) -> None:
-        """Close the ports and end the emulator."""
+        """Close the ports and end the process of the emulator."""
         super().close()
         self.emulator.stop()
 
 
 def make_emulator(config: Config, *, q: ArrayLike | None = None, **options: Any) -> ArmEmulator:
-    """Return the emulator of a configuration's arm, in real time, not started yet.
+    """Return an emulator of the arm of a configuration, which runs in real time; do not start it.
 
-    The arm stands on the configuration's table, and is held until torque comes on. The supply has
-    the configuration's voltage.
+    The arm stands on the configuration's table, and is held in place until torque is switched on.
+    The supply has the configuration's voltage.
 
     Args:
         config: The configuration.
-        q: Initial joint positions (n,) [rad]; None: as in `start`.
+        q: Initial joint positions (n,) [rad]; None: those of `start_pose`.
         **options: Options of `pliant.emulator.emulate`: `timing`, `faults`, `clock`, `plant`, ...
     """
     from pliant.emulator import emulate
@@ -450,7 +462,7 @@ def make_emulator(config: Config, *, q: ArrayLike | None = None, **options: Any)
 
 
 def make_mounts(config: Config) -> list[Mount]:
-    """Return the mounting of each emulated servo."""
+    """Return the `Mount` (joint, id, sign, zero, gear ratio, ...) of each emulated servo."""
     from pliant.emulator import Mount
 
     places, files = zeros(config), calibrations(config)
@@ -476,7 +488,7 @@ def make_mounts(config: Config) -> list[Mount]:
 
 
 def _as_set_up(servo: Servo) -> dict[str, int]:
-    """Return EEPROM as after `pliant servos setup`: no return delay, current-based position."""
+    """Return initial EEPROM values by register, as after `pliant servos setup`, with the P gain."""
     row = get_model(servo.model)
     mode = {"operating_mode": 5} if row.limit_type == "current" else {}
     gain = {} if servo.gain is None else {"p_coefficient": servo.gain}
@@ -484,7 +496,7 @@ def _as_set_up(servo: Servo) -> dict[str, int]:
 
 
 def _calibrated(file: Calibration | None, servo: Servo) -> dict[str, int]:
-    """Return EEPROM as after LeRobot's calibration of the arm."""
+    """Return the EEPROM values that LeRobot's calibration writes, by register of the emulator."""
     if file is None:
         return {}
     family = get_model(servo.model).family

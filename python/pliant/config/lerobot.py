@@ -1,24 +1,25 @@
-"""Reading of LeRobot calibration files, so that no arm needs a second calibration.
+"""Reading of LeRobot's calibration files, so that a calibrated arm needs no second calibration.
 
-LeRobot writes one JSON file per robot. It maps the motor name to `id`, `drive_mode`,
-`homing_offset`, `range_min` and `range_max`. The range is in counts of the present position, which
-already includes the homing offset. LeRobot's zero angle is the middle of the range.
+LeRobot writes a JSON file per robot. The file maps each motor name to `id`, `drive_mode`,
+`homing_offset`, `range_min` and `range_max`. The range is in counts of the register *Present
+Position*, which includes the homing offset. LeRobot's zero angle is the middle of the range.
 """
 
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pliant._core import ConfigError
 from pliant._files import read_text
 from pliant.config._messages import suggest
 from pliant.servo.spec import Calibration
 
-__all__ = ["Calibration", "read_calibration"]
+__all__ = ["Calibration", "find_calibration", "read_calibration"]
 
-#: Number of keys that an error shows for a file of another kind.
+#: Maximum number of keys of an invalid file that an error message shows.
 SHOWN = 6
 #: Largest register value of a servo: four bytes, signed.
 LARGEST = 2**31 - 1
@@ -32,7 +33,7 @@ def read_calibration(path: str | Path) -> dict[str, Calibration]:
         path: The JSON file, usually in `~/.cache/huggingface/lerobot/calibration/robots/…`.
 
     Returns:
-        Motor name to calibration.
+        Calibration of each motor by name.
 
     Raises:
         ConfigError: The file is missing or invalid, or a motor's range is empty.
@@ -91,3 +92,45 @@ def _motor(file: Path, name: str, entry: object) -> Calibration:
             "calibrate it again, moving the joint from end to end"
         )
     return out
+
+
+#: Kinds of devices with a LeRobot calibration; the last word of the names of their folders.
+_KINDS = {"robots": "follower", "teleoperators": "leader"}
+#: Start of the names of LeRobot's calibration folders for each built-in arm, newest name first:
+#: LeRobot 0.6 has one folder for all SO arms, earlier versions one folder per arm.
+_FOLDERS = {arm: ("so", "so101", "so100") for arm in ("so101", "so100")} | {"koch": ("koch",)}
+
+
+def calibration_folder() -> Path:
+    """Return the folder that holds LeRobot's calibrations, from its environment variables."""
+    cache = os.environ.get("HF_HOME") or "~/.cache/huggingface"
+    home = os.environ.get("HF_LEROBOT_HOME") or f"{cache}/lerobot"
+    return Path(os.environ.get("HF_LEROBOT_CALIBRATION") or f"{home}/calibration").expanduser()
+
+
+def find_calibration(
+    name: str, arm: str, kind: Literal["robots", "teleoperators"] = "robots"
+) -> Path:
+    """Return the calibration file that LeRobot wrote for an arm.
+
+    Args:
+        name: The arm's id in LeRobot.
+        arm: Name of a built-in arm; for any other name, the folders of all built-in arms are
+            searched.
+        kind: `"robots"`: followers; `"teleoperators"`: leaders.
+
+    Raises:
+        ConfigError: There is no such file; the message names the folder and the ids found in it.
+    """
+    root = calibration_folder() / kind
+    known = _FOLDERS.get(arm) or dict.fromkeys(f for one in _FOLDERS.values() for f in one)
+    places = [root / f"{folder}_{_KINDS[kind]}" for folder in known]
+    for place in places:
+        if (file := place / f"{name}.json").is_file():
+            return file
+    there = sorted({file.stem for place in places for file in place.glob("*.json")})
+    ids = f"; there are {', '.join(there)}" if there else ""
+    raise ConfigError(
+        f"LeRobot has no calibration with id {name!r} in {root}/{places[0].name}{ids}: run "
+        "lerobot-calibrate, or name the file as `calibration`"
+    )

@@ -1,4 +1,4 @@
-"""Loading of a TOML file, or of a built-in one by name, into a checked `Config`."""
+"""Loading of a configuration, a TOML file or a built-in arm, into a validated `Config`."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 class Overrides(TypedDict, total=False):
-    """Values that replace those of a file.
+    """Values that replace values of a configuration file.
 
     Attributes:
         port: Serial device, for a file with a single port; or `auto`.
         backend: `bus`, `emulator` or `sim`.
         urdf: URDF file, relative to the working folder. Not allowed for a built-in model, because
-            the signs in the file belong to that model.
+            the joint signs in the configuration file belong to that model.
         calibration: LeRobot calibration file, relative to the working folder.
         table: Height of the table [m]; False: no table.
     """
@@ -39,21 +39,21 @@ class Overrides(TypedDict, total=False):
 
 
 def load(source: str | Path, **overrides: Unpack[Overrides]) -> Config:
-    """Read a configuration file.
+    """Return the configuration in a file.
 
     Args:
-        source: Path of a TOML file, or the name of a ready one (`pliant.config.list_arms()`).
+        source: Path of a TOML file, or name of a built-in file (`pliant.config.list_arms()`).
         **overrides: Values that replace those of the file: `port`, a serial device or `auto`;
             `backend`; `urdf` and `calibration`, relative to the working folder; `table`, a height
             [m] or False.
 
     Returns:
-        The configuration, checked as a whole.
+        The validated configuration.
 
     Raises:
-        ConfigError: The file is missing, is not TOML, or has errors. The message lists all wrong
-            keys and values, with the allowed ones. Conditions across tables (ids on a port, names
-            of ports) are checked once each table is valid by itself.
+        ConfigError: The file is missing, is not TOML, or has errors. The message lists all invalid
+            keys and values, with the allowed ones. Conditions between tables (unique ids on a port,
+            existing port names) are checked only if every single table is valid.
     """
     path = Path(source).expanduser()
     name = str(source)
@@ -80,7 +80,7 @@ def _override(
     calibration: str | Path | None = None,
     table: float | bool | None = None,
 ) -> None:
-    """Write the values into the tables of a file.
+    """Write the override values into `data`, the tables of a file; for arguments see `Overrides`.
 
     Raises:
         ConfigError: A port is given for a file with several ports or none, or a URDF for a
@@ -129,16 +129,16 @@ def parse(
     folder: str | Path = ".",
     **overrides: Unpack[Overrides],
 ) -> Config:
-    """Check the text of a configuration.
+    """Return the configuration in a string.
 
     Args:
-        text: TOML.
-        source: Name of the text in errors.
-        folder: Folder for relative paths.
-        **overrides: As in `load`.
+        text: Text in TOML.
+        source: Name of the text in error messages.
+        folder: Folder that relative paths in the text start from.
+        **overrides: Values that replace those of the text, see `load`.
 
     Raises:
-        ConfigError: As in `load`.
+        ConfigError: The text is not TOML, or has errors; see `load`.
     """
     if text.lstrip().startswith("<"):
         raise ConfigError(
@@ -161,16 +161,16 @@ def parse(
 
 
 def _all_wrong(source: str, wrong: list[str]) -> ConfigError:
-    """Create an error with all errors of a file, a line each."""
+    """Return a `ConfigError` with all errors of a file, one per line."""
     if len(wrong) == 1:
         return ConfigError(f"{source}: {wrong[0]}")
     return ConfigError("\n".join([f"{source} has {len(wrong)} mistakes:", *wrong]))
 
 
 def _settings(table: dict[str, Any]) -> list[str]:
-    """Return the errors of the settings, also if other parts of the table are wrong."""
+    """Return the errors in the file's table `settings`; invalid other tables are ignored."""
     fields, preset, loop = table.get("settings", {}), table.get("preset"), table.get("loop", {})
-    # Errors of loop and preset are reported already: check the settings without them.
+    # The schema already reports an invalid loop or preset, so use defaults in their place here.
     try:
         rate = Loop.model_validate(loop).rate
     except ValueError:
@@ -198,17 +198,17 @@ def _builtin_files() -> dict[str, Traversable]:
 
 
 def list_arms() -> tuple[str, ...]:
-    """Return the names of the ready files."""
+    """Return the names of the built-in configuration files, one per arm."""
     return tuple(_builtin_files())
 
 
 def builtin_text(name: str) -> str:
-    """Return the text of a ready file."""
+    """Return the text of a built-in configuration file."""
     return _builtin_files()[name].read_text(encoding="utf-8")
 
 
 def describe_arm(name: str) -> str:
-    """Return the description of a ready file: the comment at its top."""
+    """Return the description of a built-in configuration file: the comment at its top."""
     lines = []
     for line in builtin_text(name).splitlines():
         if not line.startswith("#"):

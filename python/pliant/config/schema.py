@@ -1,10 +1,11 @@
-"""Schema of a configuration file: its tables, and the checks within each table.
+"""Schema of a configuration file: its tables, and the validation of each table.
 
-Angles are in radians and torques in N·m, as in the whole package; counts are those of the servo.
+Angles are in radians, torques in N·m, and positions of servos in encoder counts.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from pliant.servo.spec import Calibration
 
 
-# Strict: a number in quotes is an error.
+# `strict=True` rejects a string that looks like a number, such as "0.5".
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -38,16 +39,16 @@ Id = Annotated[int, Field(ge=0, le=252, strict=True)]
 
 
 class StrictModel(BaseModel):
-    """A table that rejects unknown keys."""
+    """Base class of all tables of a configuration file; rejects unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Payload(StrictModel):
-    """A load in the tool frame.
+    """Table of a load at the tool.
 
     Attributes:
-        mass: [kg]
+        mass: Mass [kg].
         com: Centre of mass in the tool frame [m].
     """
 
@@ -56,18 +57,18 @@ class Payload(StrictModel):
 
 
 class Robot(StrictModel):
-    """Source of the kinematics: one of `urdf` and `builtin`.
+    """Table of the robot model; exactly one of `urdf` and `builtin` is given.
 
     Attributes:
         urdf: Path of a URDF file, relative to the configuration file.
         builtin: Name of an arm that ships with the package.
-        base, tip: Ends of the chain; optional if there is only one choice.
+        base, tip: First and last link of the controlled chain; optional if the URDF has only one.
         payload: Load at the tool.
-        gravity: Vector in base axes [m/s²].
-        locked: Fixed angles of joints off the chain [rad].
-        limits: Position limits by joint, override the URDF's [rad].
-        table: Height of the table under the arm, in base axes [m]; None: no table. Simulated and
-            emulated arms touch it, and the path to the rest pose stays above it.
+        gravity: Gravity vector in base axes [m/s²].
+        locked: Fixed angles by name of joints outside the controlled chain [rad].
+        limits: Position limits by joint name, in place of those of the URDF [rad].
+        table: Height of the table under the arm, in base axes [m]; None: no table. Simulated arms
+            collide with the table, and the path to the rest pose stays above it.
     """
 
     urdf: Path | None = None
@@ -89,12 +90,12 @@ class Robot(StrictModel):
 
 
 class Port(StrictModel):
-    """A serial port.
+    """Table of a serial port.
 
     Attributes:
         name: Name that servos refer to.
-        path: Device, or `auto` for the only serial port.
-        baud: [bit/s]
+        path: Path of the device, or `auto` for the only serial port.
+        baud: Baud rate [bit/s].
     """
 
     name: str = "main"
@@ -103,11 +104,11 @@ class Port(StrictModel):
 
 
 class Secondary(StrictModel):
-    """A second servo that drives the same joint; its zero is found at open.
+    """Table of a second servo on a joint; its zero count is determined when the bus is opened.
 
     Attributes:
-        id: Its id on the same port.
-        sign: +1 if its counts rise with the joint angle.
+        id: Id of the second servo, on the same port as the first servo.
+        sign: +1 if the counts of the second servo rise with the joint angle, else -1.
     """
 
     id: Id
@@ -115,26 +116,27 @@ class Secondary(StrictModel):
 
 
 class Servo(StrictModel):
-    """One servo of one joint.
+    """Table of the servo of a joint.
 
     Attributes:
-        model: Row of the servo table, e.g. `STS3215-7.4V` or `XM430-W350`.
-        id: Its id on the port.
+        model: Name of a servo model, e.g. `STS3215-7.4V` or `XM430-W350`.
+        id: Id of the servo on its port.
         port: Name of the port.
-        sign: +1 if counts rise with the joint angle.
-        zero: Count at zero joint angle; None: from the calibration file, else the middle of the
-            servo's range.
+        sign: +1 if encoder counts rise with the joint angle, else -1.
+        zero: Encoder count at zero joint angle; None: from the calibration file, or without one the
+            middle of the servo's range.
         gear_ratio: Turns of the servo per turn of the joint.
-        secondary: A second servo on the same joint.
-        lower, upper: Software position limits [rad]; None: those of the servo.
-        stall: Stall torque at the rated voltage, overrides the table [N·m].
-        torque_offset: Torque loss in the gears, subtracted from that of the register [N·m].
-        gain: P gain register, for the simulator and the emulator; only for servos that store it
-            without power (Feetech); None: the maker's default. On the bus it is read from the
-            servo.
-        kp: Identified stiffness [N·m/rad], overrides that of the gain register.
-        friction: Identified dry friction, overrides the table's [N·m].
-        damping: Identified viscous damping of the gears, overrides the table's [N·m·s/rad].
+        secondary: Second servo on the same joint.
+        lower, upper: Software position limits [rad]; None: the limits of the servo.
+        stall: Stall torque at the rated voltage [N·m]; None: that of the servo model.
+        torque_offset: Torque loss in the gears [N·m], subtracted from the torque of the torque
+            limit register.
+        gain: Value of the P gain register in the simulator and the emulator, only for servos that
+            keep it without power (Feetech); None: the maker's default. For a real servo, the gain
+            is read from the servo.
+        kp: Identified stiffness [N·m/rad]; None: the stiffness that follows from the gain register.
+        friction: Identified dry friction [N·m]; None: that of the servo model.
+        damping: Identified viscous damping of the gears [N·m·s/rad]; None: that of the servo model.
     """
 
     model: str
@@ -173,16 +175,17 @@ class Servo(StrictModel):
 
 
 class Gripper(StrictModel):
-    """A gripper: a joint off the chain that opens and closes.
+    """Table of a gripper: a joint outside the controlled chain that opens and closes.
 
     Attributes:
-        servo: Its servo.
-        joint: Joint name; if the model has this joint, it gives the gripper's weight and place.
-        opened, closed: Angles of the two ends [rad]; None: the limits of the model's joint.
-        limit: Default torque limit [N·m]; None: the lesser of 30 % of the largest torque and 0.9 of
-            the servo's overload threshold.
-        lever: Distance from its axis to the middle of the finger [m]; forces are then in newtons
-            at the finger.
+        servo: Servo of the gripper.
+        joint: Joint name; the model may have a joint of this name.
+        opened, closed: Joint positions when open and when closed [rad]; None: the upper and the
+            lower position limit of the joint in the model.
+        limit: Default torque limit [N·m]; None: the smaller of 30 % of the usable torque and 90 %
+            of the servo's overload threshold.
+        lever: Distance from the joint axis to the middle of the finger [m]; if given, grip forces
+            can be set in newtons at the finger.
     """
 
     servo: Servo
@@ -200,14 +203,14 @@ class Gripper(StrictModel):
 
 
 class Loop(StrictModel):
-    """The control loop.
+    """Table of the control loop.
 
     Attributes:
-        rate: [Hz]
-        comm_timeout: Time without positions or without commands after which `pliant.Loop` raises
-            [s], at most 60.
-        reply_timeout_min: Minimum reply timeout [s], at most 1; use more than the default on a busy
-            computer.
+        rate: Rate of the loop [Hz].
+        comm_timeout: Time without new positions or without commands after which `pliant.Loop`
+            raises an error [s], at most 60.
+        reply_timeout_min: Minimum time to wait for the reply of a servo [s], at most 1; increase it
+            on a busy computer.
     """
 
     rate: Annotated[float, Field(gt=0.0, le=2000.0, strict=True)] = 100.0
@@ -216,11 +219,12 @@ class Loop(StrictModel):
 
 
 class Life(StrictModel):
-    """Ending of the arm: behaviour at the end of `with`.
+    """Table of what the arm does at the end of its `with` block.
 
     Attributes:
-        rest_q: Pose to move to first (n,) [rad]; None: straight down.
-        on_exit: Action on leaving.
+        rest_q: Joint positions (n,) [rad] in which the arm rests without torque; the arm moves
+            there before torque off. None: the arm is lowered straight down.
+        on_exit: `lower`: lower the arm, then torque off; `leave_enabled`: torque stays on.
     """
 
     rest_q: list[Number] | None = None
@@ -228,10 +232,10 @@ class Life(StrictModel):
 
 
 class Supply(StrictModel):
-    """Power supply of the servos.
+    """Table of the servos' power supply.
 
     Attributes:
-        voltage: Nominal voltage [V], for the emulator and `doctor`; an arm measures its own.
+        voltage: Nominal voltage [V] for simulated and emulated servos; real servos measure it.
         current: Largest current of the supply [A]; None: no limit.
     """
 
@@ -240,21 +244,24 @@ class Supply(StrictModel):
 
 
 class Config(StrictModel):
-    """Configuration of an arm. Read one with `pliant.config.load`.
+    """Configuration of an arm; `pliant.config.load` reads it from a TOML file.
 
     Attributes:
-        backend: `bus`; `emulator`, an emulated bus with simulated physics; or `sim`, physics alone.
-        robot: Kinematics.
+        backend: `bus`: real servos; `emulator`: an emulated bus with simulated physics; `sim`:
+            simulated physics without a bus.
+        robot: Robot model, and table under the arm.
         port: Serial ports.
-        servo: Servo of each joint of the chain, by the joint's name.
-        gripper: Gripper, if there is one.
-        supply: Voltage and current of the supply.
-        calibration: LeRobot's calibration file, relative to this one; `~` is the home folder.
-        loop: Rate and deadlines.
-        life: Descent at the end.
-        preset: A preset of `pliant.Settings` by name, `"door"`, or with its arguments,
-            `{ name = "soft", axes = "y yaw" }`.
-        fields: The table `settings`: fields of `pliant.Settings`; `axes` is a table by axis key.
+        servo: Servo of each joint of the controlled chain, by joint name.
+        gripper: The gripper; None: the arm has no gripper.
+        supply: Voltage and current of the power supply.
+        calibration: LeRobot's calibration file, relative to the configuration file; `~` is the home
+            folder.
+        loop: Rate and timeouts of the control loop.
+        life: Behaviour of the arm at the end of its `with` block.
+        preset: Preset of `pliant.Settings`: a name such as `"door"`, or a table with name and
+            arguments, `{ name = "soft", axes = "y yaw" }`.
+        fields: The table `settings` with fields of `pliant.Settings`; its key `axes` is a table
+            with one entry per task axis.
     """
 
     backend: Literal["bus", "emulator", "sim"] = "bus"
@@ -269,7 +276,7 @@ class Config(StrictModel):
     preset: str | dict[str, Any] | None = None
     fields: dict[str, Any] = Field(default_factory=dict, alias="settings")
 
-    #: Folder for relative paths, and name of the file in errors.
+    #: Folder that relative paths start from, and name of the configuration in error messages.
     _folder: Path = PrivateAttr(default=Path())
     _source: str = PrivateAttr(default="configuration")
 
@@ -286,26 +293,27 @@ class Config(StrictModel):
 
     @property
     def folder(self) -> Path:
-        """Folder for relative paths."""
+        """Folder that relative paths in the configuration start from."""
         return self._folder
 
     @property
     def source(self) -> str:
-        """Name of the file in errors."""
+        """Name of the configuration in error messages, usually the path of its file."""
         return self._source
 
     def at(self, folder: Path, source: str) -> Self:
-        """Return a copy as if read from a file in `folder`, with the name `source` in errors."""
+        """Return a copy with relative paths from `folder`, named `source` in error messages."""
         out = self.model_copy()
         out._folder, out._source = folder, source
         return out
 
     def model(self) -> Model:
-        """Return the kinematic model.
+        """Return the robot model: kinematics, masses and servo parameters of the chain.
 
         Raises:
             UrdfError: The URDF is not usable.
-            ConfigError: Its joints do not match the servos of the file.
+            ConfigError: There is no such URDF file, or the joints of the chain do not match the
+                servos of the file.
         """
         robot = self.robot
         options: dict[str, Any] = {
@@ -332,10 +340,10 @@ class Config(StrictModel):
         return out.with_servos(chain_servos(self, out)) if self.servo else out
 
     def settings(self) -> Settings:
-        """Return the controller settings, validated by the same code as those created in Python.
+        """Return the settings of the controller, validated by `pliant.Settings`.
 
         Raises:
-            ConfigError: Invalid fields or values; the message lists all.
+            ConfigError: Fields or values are invalid; the message lists all errors.
         """
         made, wrong = resolve(self.fields, self.preset, self.loop.rate)
         if made is None:
@@ -343,7 +351,7 @@ class Config(StrictModel):
         return made
 
     def __repr__(self) -> str:
-        """Return a one-line description."""
+        """Return a description of the configuration in one line."""
         robot = self.robot.builtin or self.robot.urdf
         return f"<Config of {robot}, {len(self.servo)} servos, backend {self.backend!r}>"
 
@@ -351,10 +359,10 @@ class Config(StrictModel):
 
 
 def check_tables(config: Config) -> None:
-    """Check conditions across the tables of a configuration.
+    """Check conditions between the tables of a configuration, such as unique servo ids on a port.
 
     Raises:
-        ValueError: One sentence for each error, a line each.
+        ValueError: The tables contradict each other; the message has one line per error.
     """
     wrong = [*_ports(config), *_ids(config)]
     if config.backend != "sim" and not config.servo:
@@ -388,7 +396,7 @@ def _ids(config: Config) -> list[str]:
 
 
 def servos(config: Config) -> dict[str, Servo]:
-    """Return all servos of the file by joint name."""
+    """Return all servos of the file by joint name, including the servo of the gripper."""
     out = dict(config.servo)
     if config.gripper is not None:
         out[config.gripper.joint] = config.gripper.servo
@@ -396,12 +404,20 @@ def servos(config: Config) -> dict[str, Servo]:
 
 
 def spec(
-    joint: str, servo: Servo, *, port: str, calibration: Calibration | None = None
+    joint: str,
+    servo: Servo,
+    *,
+    port: str,
+    zero: float | None = None,
+    calibration: Calibration | None = None,
 ) -> ServoSpec:
-    """Return the `ServoSpec` of a joint; a calibration gives its zero."""
+    """Return the `ServoSpec` of a joint.
+
+    `zero` is the encoder count at joint angle 0; None: the middle of the servo's range.
+    """
     return ServoSpec(
         name=joint,
-        zero=servo.zero if calibration is None else calibration.middle,
+        zero=zero,
         port=port,
         calibration=calibration,
         secondary=None if servo.secondary is None else (servo.secondary.id, servo.secondary.sign),
@@ -410,9 +426,9 @@ def spec(
 
 
 def servo_table(config: Config) -> tuple[tuple[str, ...], Servos]:
-    """Return the joints of the file's servos, the gripper last, and their parameters (N,).
+    """Return the names of the N joints with a servo, the gripper last, and the servo parameters.
 
-    They equal those read from the registers on a bus, at the file's supply voltage and gains.
+    The parameters (N,) follow from the servo models, the supply voltage and the gains in the file.
     """
     own = servos(config)
     units = [
@@ -424,7 +440,10 @@ def servo_table(config: Config) -> tuple[tuple[str, ...], Servos]:
 
 
 def chain_servos(config: Config, model: Model) -> Servos:
-    """Return the servos (n,) of the chain; `stiffness_known` if the file gives every `kp`."""
+    """Return the servo parameters (n,) of the controlled chain.
+
+    `stiffness_known` is True if the file gives `kp` for every joint of the chain.
+    """
     names, table = servo_table(config)
     known = all(config.servo[joint].kp is not None for joint in model.joint_names)
     places = [names.index(joint) for joint in model.joint_names]
@@ -432,7 +451,7 @@ def chain_servos(config: Config, model: Model) -> Servos:
 
 
 def extra_servos(config: Config, model: Model) -> dict[str, Servos]:
-    """Return the servo parameters of joints off the chain, one entry each, by name."""
+    """Return, by joint name, the servo parameters of each joint outside the controlled chain."""
     names, table = servo_table(config)
     return {
         name: take(table, len(names), [i])
@@ -442,7 +461,7 @@ def extra_servos(config: Config, model: Model) -> dict[str, Servos]:
 
 
 def _match(config: Config, model: Model) -> None:
-    """Check that the joints of the chain and the servos of the file are the same."""
+    """Check that the file has one servo for each joint of the chain, and no other servos."""
     if not config.servo:
         return
     chain, named = set(model.joint_names), set(config.servo)
@@ -462,24 +481,67 @@ def _match(config: Config, model: Model) -> None:
 
 
 def zeros(config: Config) -> dict[str, float | None]:
-    """Return the count at zero angle of each joint, `gripper` included; None: mid-range.
+    """Return the encoder count at zero angle of each joint, including the gripper.
+
+    None means the middle of the servo's range. With a calibration file, zero is the middle of the
+    calibrated range, as in LeRobot; a gripper is closed at one end of its calibrated range.
 
     Raises:
-        ConfigError: The calibration file cannot be read, lacks a joint, or has another id or an
-            impossible range for its servo.
+        ConfigError: The calibration file cannot be read, lacks a joint, or has a wrong id or an
+            impossible range of a servo.
     """
     own = calibrations(config)
-    return {
+    out = {
         joint: own[joint].middle if joint in own else servo.zero
         for joint, servo in servos(config).items()
     }
+    gripper = config.gripper
+    if gripper is not None and gripper.joint in own:
+        closed, opened = gripper_travel(config)
+        unit = Units.of(spec(gripper.joint, gripper.servo, port=gripper.servo.port))
+        entry = own[gripper.joint]
+        grows = (opened > closed) == (unit.sign > 0)
+        end = entry.range_min if grows else entry.range_max
+        out[gripper.joint] = end - unit.sign * closed / unit.count
+    return out
+
+
+def gripper_travel(config: Config) -> tuple[float, float]:
+    """Return the positions of a file's gripper when closed and when opened [rad].
+
+    The closed position and the direction come from the configuration or the model; the distance
+    to the opened position comes from the calibration file, if there is one.
+
+    Raises:
+        ConfigError: The calibration is not usable; or neither the configuration nor the model gives
+            the closed or the opened position.
+    """
+    gripper = config.gripper
+    assert gripper is not None
+    closed, opened = gripper.closed, gripper.opened
+    if closed is None or opened is None:
+        joint = next((j for j in config.model().joints if j.name == gripper.joint), None)
+        closed = joint.lower if closed is None and joint is not None else closed
+        opened = joint.upper if opened is None and joint is not None else opened
+    if closed is None or opened is None or not math.isfinite(opened - closed):
+        raise ConfigError(
+            f"gripper {gripper.joint!r} has no limit in the model: give [gripper] `opened` and "
+            "`closed` [rad]"
+        )
+    entry = calibrations(config).get(gripper.joint)
+    if entry is not None:
+        unit = Units.of(spec(gripper.joint, gripper.servo, port=gripper.servo.port))
+        travel = (entry.range_max - entry.range_min) * unit.count
+        opened = closed + math.copysign(travel, opened - closed)
+    return closed, opened
 
 
 def calibrations(config: Config) -> dict[str, Calibration]:
     """Return the calibration of each joint that takes its zero from the calibration file.
 
     Raises:
-        ConfigError: As `zeros`.
+        ConfigError: The calibration file cannot be read, lacks a joint, or has a wrong id or an
+            impossible range of a servo.
     """
     if config.calibration is None:
         return {}
@@ -507,7 +569,10 @@ def calibrations(config: Config) -> dict[str, Calibration]:
 
 
 def inside(config: Config, path: Path | None) -> Path:
-    """Resolve a path of the file relative to its folder."""
+    """Return a path in the configuration as a path from the working folder or as an absolute one.
+
+    Relative paths in a configuration start from the folder of its file.
+    """
     assert path is not None
     path = path.expanduser()
     return path if path.is_absolute() else config.folder / path

@@ -1,10 +1,10 @@
-"""Emulated servos behind pseudo-terminals: three protocols over real bytes, for tests and trials.
+"""Servo emulator: three serial protocols on pseudo-terminals, for tests and trials.
 
 >>> from pliant.emulator import Device, Emulator
 >>> with Emulator([Device("STS3215", id=1), Device("STS3215", id=2)]) as bus:
 ...     print(bus.port)
 
-Register tables, checksums and conversions are independent of the drivers, so that the emulator can
+The emulator shares no register tables, checksums or conversions with the drivers, so that it can
 test them.
 """
 
@@ -12,6 +12,7 @@ from pliant.emulator.arm import ArmEmulator, ArmPhysics, Mount, emulate
 from pliant.emulator.device import Device
 from pliant.emulator.emulator import Emulator
 from pliant.emulator.faults import Faults
+from pliant.emulator.hand import JointHand, ranges, wave
 from pliant.emulator.log import Log, Transaction, Write
 from pliant.emulator.manual_clock import ManualClock
 from pliant.emulator.models import MODELS
@@ -31,6 +32,7 @@ __all__ = [
     "Emulator",
     "EmulatorProcess",
     "Faults",
+    "JointHand",
     "Joints",
     "Load",
     "Log",
@@ -44,4 +46,6 @@ __all__ = [
     "Transaction",
     "Write",
     "emulate",
+    "ranges",
+    "wave",
 ]

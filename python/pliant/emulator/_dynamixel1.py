@@ -1,4 +1,4 @@
-"""Dynamixel Protocol 1.0 servos: EX-106+, RX-64, MX-28, MX-64, MX-106."""
+"""Emulation of Dynamixel Protocol 1.0 servos: EX-106+, RX-64, MX-28, MX-64, MX-106."""
 
 from __future__ import annotations
 
@@ -9,22 +9,27 @@ from pliant.emulator import control_tables as tables
 from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_ANGLE, BIT_RANGE, BIT_INSTRUCTION = 0x02, 0x08, 0x40
-#: Duty per radian of error per count of P gain of an MX, from published oscilloscope measurements.
+#: Motor duty [1] per radian of position error and per unit of the register P Gain, for MX servos;
+#: from published oscilloscope measurements.
 DUTY_PER_P = 0.158
+#: Baud rates that do not follow the formula 2 000 000 / (register + 1), by register value [bit/s].
 FAST_BAUDS = {250: 2_250_000, 251: 2_500_000, 252: 3_000_000}
 
 
 class Dxl1Servo(Servo):
-    """A servo that limits its duty by Torque Limit, which an alarm shutdown sets to 0.
+    """Emulated Protocol 1.0 servo; the register Torque Limit bounds the motor duty.
 
-    Assumptions: a goal switches torque on; EEPROM is locked while torque is on; overload is three
-    seconds at the torque limit without motion.
+    A shutdown (a condition that the register Shutdown enables) sets Torque Limit to 0.
+
+
+    Assumptions: writing a goal switches torque on; the EEPROM is locked while torque is on; three
+    seconds at the torque limit without motion count as an overload.
     """
 
     protocol = 1
 
     def on_power(self) -> None:
-        """Set Torque Limit to Max Torque, and the goal to the present position."""
+        """At power-up, set Torque Limit to Max Torque, and the goal to the present position."""
         self._latched = 0
         self._mx = "p_gain" in self.table
         self._rpm = (0.114 if self._mx else 0.111) * 2.0 * math.pi / 60.0
@@ -33,7 +38,10 @@ class Dxl1Servo(Servo):
 
     @property
     def position(self) -> int:
-        """Return the present position [counts]: an MX wraps at a turn, a potentiometer ends."""
+        """Return the present position [counts] as the servo reports it.
+
+        Outside multi-turn mode, an MX wraps around after a turn; other models stop at the ends.
+        """
         top = self.model.top
         raw = round(self.shaft.angle / self.model.count)
         if self._multi_turn:
@@ -43,11 +51,11 @@ class Dxl1Servo(Servo):
 
     @property
     def direction(self) -> int:
-        """-1 in reverse mode."""
+        """Return -1 in reverse mode, in which reported counts fall as the shaft turns; else 1."""
         return -1 if self._reverse else 1
 
     def raw_of(self, count: float) -> float:
-        """Return the raw count; reverse mode counts from the other end."""
+        """Return the encoder count at which `count` is reported; reverse mode counts downward."""
         return self.model.top - count if self._reverse else count
 
     @property
@@ -64,12 +72,16 @@ class Dxl1Servo(Servo):
 
     @property
     def baud(self) -> int:
-        """2 Mbit/s over the register plus one, and three fast ones on an MX."""
+        """Return the baud rate [bit/s]: 2 000 000 / (register + 1), or one of `FAST_BAUDS`."""
         value = self.get("baud_rate")
         return FAST_BAUDS.get(value, round(2_000_000 / (value + 1)))
 
     def set_baud(self, baud: int) -> None:
-        """Store the nearest divider, if it is within 3 %."""
+        """Store the value of the register Baud Rate for `baud` [bit/s] in EEPROM.
+
+        Raises:
+            ConfigError: No register value gives a rate within 3 %.
+        """
         fast = {rate: value for value, rate in FAST_BAUDS.items() if self._mx}
         value = fast.get(baud, round(2_000_000 / baud) - 1)
         self.put("baud_rate", value)
@@ -78,15 +90,18 @@ class Dxl1Servo(Servo):
         self.keep(self.table["baud_rate"].address, 1)
 
     def status(self) -> int:
-        """Return the conditions: voltage, heat, overload."""
+        """Return the error bits of the present conditions: voltage, temperature, overload."""
         return self.faults() | self._latched
 
     def check_read(self, address: int, length: int) -> int:
-        """Reject reads outside the table."""
+        """Return 0 if the control table contains all bytes to read, else the range error bit."""
         return 0 if length and address + length <= self.table.size else BIT_RANGE
 
     def check_write(self, address: int, data: bytes) -> int:
-        """Check range, access, EEPROM lock, and goals against the angle limits."""
+        """Return the error bit of a write, 0 if it is accepted.
+
+        Addresses, access rights, EEPROM lock and values must fit, and goals the angle limits.
+        """
         end = address + len(data)
         if not data or end > self.table.size:
             return BIT_RANGE
@@ -109,17 +124,20 @@ class Dxl1Servo(Servo):
         return 0
 
     def on_write(self, address: int, data: bytes) -> None:
-        """Store EEPROM at once; a limit ends a shutdown; a goal switches torque on."""
+        """Apply side effects of a write: EEPROM is stored, a goal switches torque on.
+
+        A Torque Limit above 0 ends a shutdown.
+        """
         for register in self.table.span(address, len(data)):
             if register.area == "eeprom":
                 self.keep(register.address, register.size)
             elif register.name == "torque_limit" and self.get("torque_limit") > 0:
-                self._latched, self._strain = 0, 0.0
+                self._latched, self._overload_time = 0, 0.0
             elif register.name == "goal_position":
                 self.put("torque_enable", 1)
 
     def drive(self) -> Drive:
-        """Return a duty in proportion to the error, up to Torque Limit; none in wheel mode."""
+        """Return the motor request: duty proportional to position error, within Torque Limit."""
         limit = self.get("torque_limit")
         slave = "drive_mode" in self.table and self.get("drive_mode") & 2
         if not self.enabled or not limit or self._wheel or slave or not self.plugged:
@@ -149,30 +167,37 @@ class Dxl1Servo(Servo):
         return goal * self.model.count
 
     def protect(self, seconds: float) -> None:
-        """Latch an overload; every condition in Shutdown sets Torque Limit to 0."""
+        """Latch the bit of an overload; conditions that Shutdown enables set Torque Limit to 0.
+
+        `seconds` is the time since the last call [s].
+        """
         ceiling = self.stall * self.get("torque_limit") / 1023.0
-        if self.strained(seconds, 0.98 * ceiling):
+        if self.is_overloaded(seconds, 0.98 * ceiling):
             self._latched |= BIT_OVERLOAD
         if self.status() & self.get("shutdown"):
             self.put("torque_limit", 0)
         self.put("led", 1 if self.status() & self.get("alarm_led") else self.get("led"))
 
     def trip(self, bit: int) -> None:
-        """Latch a condition until Torque Limit is written."""
+        """Set the error bit `bit`, as if its condition was detected.
+
+        It stays set until Torque Limit is written.
+        """
         self._latched |= bit
         self.protect(0.0)
 
     def refresh(self) -> None:
-        """Update position, speed, load, voltage, temperature, current."""
+        """Update the registers of position, speed, load, voltage, temperature and current."""
         self.put("present_position", self.position)
         sign = self.direction
         self.put("present_speed", sign * self.shaft.speed / self._rpm)
-        # Bit 10 of the load means clockwise, as that of the speed: falling counts.
+        # Bit 10 of the registers load and speed is their sign: set in the direction of falling
+        # counts.
         self.put("present_load", sign * 1023.0 * self.duty)
         self.put("present_voltage", self.supply * 10.0)
         self.put("present_temperature", self.temperature)
         self.put("registered", self.registered is not None)
-        self.put("moving", abs(self.shaft.speed) > STILL)
+        self.put("moving", abs(self.shaft.speed) > MOVING_SPEED)
         amps = sign * self.current
         if self.table is tables.EX106:
             self.put("sensed_current", 512 + amps / self.model.unit)
@@ -180,5 +205,5 @@ class Dxl1Servo(Servo):
             self.put("present_current", 2048 + amps / self.model.unit)
 
 
-#: Speed below which a servo reports standstill [rad/s].
-STILL = 0.05
+#: Speed below which the register Moving reads 0 [rad/s].
+MOVING_SPEED = 0.05

@@ -1,4 +1,4 @@
-"""Feetech STS3215: Protocol 1.0 framing, its own table and rules."""
+"""Emulation of the Feetech STS3215: packets of Protocol 1.0, Feetech's control table and rules."""
 
 from __future__ import annotations
 
@@ -8,39 +8,44 @@ from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_CURRENT = 0x08
 _BAUDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400, 19_200)
-#: Duty per radian of error per count of P, and the largest duty, from published measurements.
+#: Motor duty [1] per radian of position error and per unit of P gain, and the largest duty [1];
+#: from published measurements.
 DUTY_PER_P, FULL_DUTY = 0.166, 0.97
-#: One count of speed: a step per second with the factory's Phase [rad/s].
+#: One count of the speed registers [rad/s]: an encoder step per second, as the factory value of the
+#: register Phase sets it.
 STEP = 2.0 * math.pi / 4096
-#: Torque Enable value that sets the present position as the middle.
+#: Value of the register Torque Enable that makes the present position count 2048, the middle.
 SET_MIDDLE = 128
 
 
 class StsServo(Servo):
-    """A servo that limits its duty by Torque Limit; an overload cuts to the protective torque.
+    """Emulated STS servo; Torque Limit bounds the motor duty, an overload lowers this bound.
 
-    Its error byte holds only conditions; rejected writes are ignored without an error.
-    Assumptions: a write of a goal or of the torque switch ends the overload protection; values out
-    of range are ignored, goals beyond the position limits are clipped.
+    The error byte of a reply reports only conditions such as overheating. A write that the servo
+    rejects has no effect and gives no error. Assumptions: writing a goal or Torque Enable ends the
+    overload protection; values out of range are rejected, goals beyond the position limits clipped.
     """
 
     protocol = 1
     bauds = _BAUDS
 
     def on_power(self) -> None:
-        """Set Torque Limit to its maximum, and the goal to the present position."""
+        """At power-up, set Torque Limit to its maximum, and the goal to the present position."""
         self._latched, self._over_current, self._overload = 0, 0.0, 0.0
         self.put("torque_limit", self.get("max_torque_limit"))
         self.put("goal_position", self.position)
 
     @property
     def position(self) -> int:
-        """Present position [counts]: raw minus Homing Offset, by default within a turn."""
+        """Return the present position [counts]: encoder count minus Homing Offset.
+
+        Outside multi-turn mode the position wraps to 0 to 4095.
+        """
         raw = round(self.shaft.angle / self.model.count) - self.get("homing_offset")
         return raw if self._multi_turn else raw % 4096
 
     def raw_of(self, count: float) -> float:
-        """Return the raw count; the reported one excludes Homing Offset."""
+        """Return the encoder count at which `count` is reported: `count` plus Homing Offset."""
         return count + self.get("homing_offset")
 
     @property
@@ -50,24 +55,24 @@ class StsServo(Servo):
 
     @property
     def level(self) -> int:
-        """Return the level: response level 1 answers all; 0 answers reads and pings."""
+        """Return the reply level: 2 if all instructions are answered, 1 if only reads and pings."""
         return 2 if self.get("response_level") else 1
 
     def status(self) -> int:
-        """Return the conditions: voltage, heat, current, overload."""
+        """Return the error bits of the present conditions: voltage, heat, current, overload."""
         return self.faults() | self._latched
 
     def check_read(self, address: int, length: int) -> int:
-        """Accept every read; addresses beyond the table read as 0."""
+        """Return 0, for every read is accepted; `resolve` handles addresses beyond the table."""
         return 0
 
     def resolve(self, address: int, length: int) -> list[int]:
-        """Map bytes beyond the table to its empty last byte."""
+        """Return the table address of each byte; beyond the table, of its unused last byte."""
         last = self.table.size - 1
         return [min(byte, last) for byte in range(address, address + length)]
 
     def check_write(self, address: int, data: bytes) -> int:
-        """Return -1, an error without a reply, if a block is ignored; else 0."""
+        """Return 0 if the written block is accepted; -1 if it is ignored without an error reply."""
         after = bytearray(self.memory)
         after[address : address + len(data)] = data
         for register in self.table.span(address, len(data)):
@@ -77,7 +82,7 @@ class StsServo(Servo):
         return 0
 
     def on_write(self, address: int, data: bytes) -> None:
-        """Store EEPROM while unlocked; a goal switches torque on."""
+        """Apply side effects of a write: a goal switches torque on, unlocked EEPROM is stored."""
         for register in self.table.span(address, len(data)):
             if register.area == "eeprom" and self.get("lock") == 0:
                 self.keep(register.address, register.size)
@@ -97,7 +102,10 @@ class StsServo(Servo):
             self.put("goal_position", max(low, min(self.get("goal_position"), high)))
 
     def drive(self) -> Drive:
-        """Return a duty in proportion to the error, up to Torque Limit or the protective torque."""
+        """Return the motor request: duty proportional to the position error, bounded.
+
+        The bound is Torque Limit, or Protective Torque after an overload if that is smaller.
+        """
         if not self.enabled or not self.plugged or self.get("operating_mode") != 0:
             return OFF
         stall, share = self.stall, self.get("torque_limit") / 1000.0
@@ -118,7 +126,11 @@ class StsServo(Servo):
         )
 
     def protect(self, seconds: float) -> None:
-        """Overload for Protection Time cuts to the protective torque; the rest unloads."""
+        """Latch the bits of overload and over-current after their protection times.
+
+        Conditions that the register Unloading Condition enables switch torque off, except overload,
+        which lowers the torque limit, see `drive`. `seconds` is the time since the last call [s].
+        """
         if abs(self.duty) * 100.0 > self.get("overload_torque"):
             self._overload += seconds
         else:
@@ -135,12 +147,15 @@ class StsServo(Servo):
             self.put("torque_enable", 0)
 
     def trip(self, bit: int) -> None:
-        """Latch a condition until a goal or the torque switch is written."""
+        """Set the error bit `bit`, as if its condition was detected.
+
+        It stays set until a goal or Torque Enable is written.
+        """
         self._latched |= bit
         self.protect(0.0)
 
     def refresh(self) -> None:
-        """Update position, velocity, load, voltage, temperature, status, current."""
+        """Write position, speed, load, voltage, temperature and current to their registers."""
         self.put("present_position", self.position)
         self.put("present_velocity", self.shaft.speed / STEP)
         self.put("present_load", self.duty * 1000.0)

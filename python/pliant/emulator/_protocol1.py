@@ -1,4 +1,4 @@
-"""Instructions of Dynamixel Protocol 1.0 and of Feetech, which shares its framing."""
+"""Instructions of Dynamixel Protocol 1.0 and of Feetech servos, which share the framing."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ NAMES = {
     BULK_READ: "bulk_read",
 }  # fmt: skip
 
-#: Simultaneous replies; those in one slot collide.
+#: Servos that send at the same time, with their replies; two or more replies collide on the wire.
 Slot = list[tuple["Servo", bytes]]
 
 
 def handle(servos: Sequence[Servo], frame: Frame) -> list[Slot]:
-    """Process a frame in the servos of this protocol and return their replies in order."""
+    """Let the servos execute a packet from the host; return their replies in order of sending."""
     if not frame.ok:
-        # A Feetech servo keeps silent; a Dynamixel that recognises its id reports an error.
+        # Only Dynamixel servos report a checksum error; a Feetech servo does not reply.
         return _slot(
             [
                 (servo, _status(servo, BIT_CHECKSUM))
@@ -54,13 +54,13 @@ def _slot(answers: Slot) -> list[Slot]:
 
 
 def _status(servo: Servo, error: int, data: bytes = b"") -> bytes:
-    # A Feetech servo's error byte has conditions only.
+    # The error byte of a Feetech servo reports conditions, not rejected instructions: omit `error`.
     refusal = 0 if isinstance(servo, StsServo) else error
     return packet_1(servo.id, servo.status() | refusal, data)
 
 
 def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
-    """Execute an instruction to one servo and return its reply; empty without one."""
+    """Let a servo execute an instruction; return its reply, empty if it does not reply."""
     id, data, error, level = servo.id, b"", 0, 2
     if instruction == PING:
         level = 0
@@ -78,7 +78,8 @@ def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
     elif instruction == REBOOT and isinstance(servo, StsServo):
         servo.power_up()
     else:
-        # A factory reset is refused: it would lose the id, and no driver needs it.
+        # Reject other instructions, also factory reset: it would clear the id, and no driver needs
+        # it.
         error = BIT_INSTRUCTION
     if servo.level < level:
         return b""
@@ -87,7 +88,7 @@ def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
 
 
 def act(servo: Servo) -> int:
-    """Carry out the registered write."""
+    """Execute the write that REG_WRITE stored; return its error code, 0 if nothing was stored."""
     waiting, servo.registered = servo.registered, None
     return servo.write(*waiting, "reg_write") if waiting else 0
 
@@ -135,7 +136,14 @@ def _sync_write(servos: Sequence[Servo], params: bytes) -> None:
 def _reads(
     servos: Sequence[Servo], wanted: list[tuple[int, int, int]], *, chain: bool
 ) -> list[Slot]:
-    """Return the replies to (id, address, length) in order; silence ends a chain."""
+    """Return the replies to a read of several servos, in the order of `wanted`.
+
+    Args:
+        servos: Servos on the bus.
+        wanted: Id, address and length [bytes] of each block to read.
+        chain: True if each servo waits for the reply of the previous one, so that a missing servo
+            ends the replies.
+    """
     slots: list[Slot] = []
     for id, address, length in wanted:
         slot: Slot = []

@@ -25,14 +25,14 @@ NAMES = {
 
 
 def handle(servos: Sequence[XServo], frame: Frame) -> list[Slot]:
-    """Process a frame in the servos and return their replies in order."""
+    """Let the servos execute a packet from the host; return their replies in order of sending."""
     if not frame.ok:
         slot: Slot = [
             (s, status_2(s.id, s.status() | CRC)) for s in servos if s.id == frame.id and s.level
         ]
         return [slot] if slot else []
     for servo in servos:
-        servo.heard()
+        servo.on_instruction()
     if frame.id == BROADCAST:
         return _broadcast(servos, frame)
     slot = []
@@ -50,7 +50,7 @@ def _identity(servo: XServo) -> bytes:
 
 
 def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
-    """Execute an instruction to one servo and return its reply; empty without one."""
+    """Let a servo execute an instruction; return its reply, empty if it does not reply."""
     id, data, error, level = servo.id, b"", 0, 2
     alert = servo.status()
     if instruction == PING:
@@ -70,7 +70,8 @@ def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
     elif instruction == REBOOT:
         servo.power_up()
     else:
-        # A factory reset is refused: it would lose the id, and no driver needs it.
+        # Reject other instructions, also factory reset: it would clear the id, and no driver needs
+        # it.
         error = INSTRUCTION
     if servo.level < level:
         return b""
@@ -126,7 +127,11 @@ def _write(servos: Sequence[XServo], id: int, address: int, data: bytes, how: st
 
 
 def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
-    """Return the replies in order; each servo waits for the previous, so silence ends the chain."""
+    """Return the replies to a read of several servos, in the order of `wanted`.
+
+    `wanted` is the id, address and length [bytes] of each block. Each servo waits for the reply of
+    the previous one, so a missing servo ends the replies.
+    """
     slots: list[Slot] = []
     for id, address, length in wanted:
         slot: Slot = []
@@ -142,9 +147,11 @@ def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list
 
 
 def _fast_reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
-    """Return one status packet that the servos write in turn, each ending with the CRC so far.
+    """Return the reply to a fast read: one status packet, of which each servo sends a part in turn.
 
-    It is not stuffed. MX(2.0) servos do not support the instruction.
+    `wanted` is the id, address and length [bytes] of each block to read. Each part ends with the
+    CRC of all bytes sent so far. The packet has no byte stuffing. MX(2.0) servos do not support the
+    instruction.
     """
     length = 1 + sum(4 + size for _, _, size in wanted)
     if length > LONGEST:

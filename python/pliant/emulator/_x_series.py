@@ -1,4 +1,4 @@
-"""Dynamixel X series and MX(2.0), Protocol 2.0."""
+"""Emulation of the Dynamixel X series and of MX(2.0) servos, Protocol 2.0."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ FAIL, INSTRUCTION, CRC, RANGE, LENGTH, LIMIT, ACCESS = range(1, 8)
 ALERT = 0x80
 _BAUDS = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
-#: Position counts per radian, over the 128 that the P gain is divided by.
-PER_P = 4096 / (2.0 * math.pi) / 128.0
-#: Full scale of PWM registers.
+#: Motor output [counts of PWM or current] per radian of position error and per unit of the register
+#: Position P Gain, which the servo divides by 128.
+OUTPUT_PER_P = 4096 / (2.0 * math.pi) / 128.0
+#: Value of the PWM registers at full duty.
 FULL_PWM = 885
 _RPM = 0.229 * 2.0 * math.pi / 60.0
 _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
@@ -21,27 +22,30 @@ _GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_g
 
 
 class XServo(Servo):
-    """A servo that limits current (mode 5) or duty; a shutdown lasts until reboot.
+    """Emulated X-series servo; it limits current (operating mode 5) or duty (other modes).
 
-    Velocity, current and PWM modes accept their registers but do not drive. Assumptions: a goal
-    written with torque off stays, and the servo jumps to it at torque-on; overload is three seconds
-    at the limit at standstill.
+    A shutdown, a condition that the register Shutdown enables, lasts until reboot.
+
+
+    Velocity, current and PWM modes accept their registers but do not drive the motor. Assumptions:
+    a goal written with torque off is kept, and the servo moves to it at torque-on; three seconds at
+    the limit at standstill count as an overload.
     """
 
     protocol = 2
     bauds = _BAUDS
 
     def on_power(self) -> None:
-        """Set goals to their limits and to the present position."""
-        self._shut = False
-        self._heard = self.now
-        self._within_a_turn()
+        """At power-up, set Goal Position to the present position, other goals to their limits."""
+        self._shut_down = False
+        self._last_instruction = self.now
+        self._reset_turns()
         self._reset_mode()
         if self.get("startup_configuration") & 1:
             self.put("torque_enable", 1)
 
-    def _within_a_turn(self) -> None:
-        """Drop whole turns, so that the position count starts within one turn.
+    def _reset_turns(self) -> None:
+        """Reset the turn counter, so that the position count is within one turn.
 
         Called at power-up, and in position mode when the mode or torque enable is written.
         """
@@ -51,40 +55,43 @@ class XServo(Servo):
         for name in (*_GAINS, "profile_acceleration", "profile_velocity"):
             self.put(name, self.table[name].initial)
         self.put("goal_pwm", self.get("pwm_limit"))
-        if self._senses:
+        if self._has_current_sensor:
             self.put("goal_current", self.get("current_limit"))
         self.put("goal_position", self.position)
 
     @property
-    def _senses(self) -> bool:
+    def _has_current_sensor(self) -> bool:
         return "goal_current" in self.table
 
     @property
     def direction(self) -> int:
-        """-1 in reverse mode."""
+        """Return -1 in reverse mode, in which reported counts fall as the shaft turns; else 1."""
         return -1 if self.get("drive_mode") & 1 else 1
 
     def raw_of(self, count: float) -> float:
-        """Return the raw count; Homing Offset is added after the reversal."""
+        """Return the encoder count at which `count` is reported.
+
+        A report adds Homing Offset after the reversal of reverse mode.
+        """
         raw = count - self.get("homing_offset")
         return raw if self.direction > 0 else 4096 - raw
 
     @property
     def position(self) -> int:
-        """Present position [counts], unwrapped since power-up, with homing offset."""
+        """Return the reported present position [counts], multi-turn, including Homing Offset."""
         raw = round(self.shaft.angle / self.model.count) + 4096 * self._turns
         return (raw if self.direction > 0 else 4096 - raw) + self.get("homing_offset")
 
-    def heard(self) -> None:
-        """Restart the watchdog: an instruction packet was on the bus."""
-        self._heard = self.now
+    def on_instruction(self) -> None:
+        """Restart the time of the bus watchdog, because an instruction packet is on the bus."""
+        self._last_instruction = self.now
 
     def status(self) -> int:
-        """The alert bit."""
+        """Return the alert bit if the register Hardware Error Status is not 0, else 0."""
         return ALERT if self.get("hardware_error_status") else 0
 
     def resolve(self, address: int, length: int) -> list[int]:
-        """Follow indirect addresses of block 1."""
+        """Return the address of each byte; an indirect data byte gives the address it refers to."""
         places: list[int] = []
         for byte in range(address, address + length):
             register = self.table.at(byte)
@@ -96,11 +103,14 @@ class XServo(Servo):
         return [min(place, self.table.size - 1) for place in places]
 
     def check_read(self, address: int, length: int) -> int:
-        """Accept gaps, which read as 0; reject reads beyond the table."""
+        """Return 0, or the access error for bytes beyond the table; gaps in it read as 0."""
         return 0 if length and address + length <= self.table.size else ACCESS
 
     def check_write(self, address: int, data: bytes) -> int:
-        """Check access, length, range and limits, in this order."""
+        """Return the first error of a write, 0 if it is accepted.
+
+        For each register, the checks are access, length, range and limits, in this order.
+        """
         end = address + len(data)
         if any(self.table.at(byte) is None for byte in range(address, end)):
             return ACCESS
@@ -115,19 +125,21 @@ class XServo(Servo):
                 register.name, value
             ):
                 return RANGE
-            if not self._within(register.name, value):
+            if not self._within_limits(register.name, value):
                 return LIMIT
         return 0
 
     def _allowed(self, name: str, value: int) -> bool:
         if name == "operating_mode":
             modes = {VELOCITY, POSITION, EXTENDED, PWM}
-            return value in (modes | {CURRENT, CURRENT_POSITION} if self._senses else modes)
+            return value in (
+                modes | {CURRENT, CURRENT_POSITION} if self._has_current_sensor else modes
+            )
         if name == "bus_watchdog":
             return value >= 0
         return not (name in _GOALS and self.get("bus_watchdog") == -1)
 
-    def _within(self, name: str, value: int) -> bool:
+    def _within_limits(self, name: str, value: int) -> bool:
         if name == "goal_pwm":
             return abs(value) <= self.get("pwm_limit")
         if name == "goal_current":
@@ -139,27 +151,37 @@ class XServo(Servo):
         return True
 
     def on_write(self, address: int, data: bytes) -> None:
-        """Store EEPROM at once; a mode resets goals and gains; a shutdown stays off."""
+        """Apply side effects of a write: EEPROM is stored, a new mode resets goals and gains.
+
+        A write of Torque Enable has no effect after a shutdown.
+        """
         for register in self.table.span(address, len(data)):
             if register.area == "eeprom":
                 self.keep(register.address, register.size)
             switched = register.name in {"operating_mode", "torque_enable"}
             if switched and self.get("operating_mode") == POSITION:
-                self._within_a_turn()
+                self._reset_turns()
             if register.name == "operating_mode":
                 self._reset_mode()
-            elif register.name == "torque_enable" and self._shut:
+            elif register.name == "torque_enable" and self._shut_down:
                 self.put("torque_enable", 0)
-            elif register.name == "goal_position" and self.get("drive_mode") & 8 and not self._shut:
+            elif (
+                register.name == "goal_position"
+                and self.get("drive_mode") & 8
+                and not self._shut_down
+            ):
                 self.put("torque_enable", 1)
 
     def drive(self) -> Drive:
-        """Return a current (mode 5) or duty in proportion to the error, up to the goals' limits."""
+        """Return the motor request: current (mode 5) or duty proportional to the position error.
+
+        Goal PWM, and in mode 5 also Goal Current, limit the torque.
+        """
         mode = self.get("operating_mode")
         if not self.enabled or not self.plugged or mode not in {POSITION, EXTENDED,
                                                                 CURRENT_POSITION}:  # fmt: skip
             return OFF
-        motor, gain = self.model.motor, PER_P * self.get("position_p_gain")
+        motor, gain = self.model.motor, OUTPUT_PER_P * self.get("position_p_gain")
         ceiling = self.stall * abs(self.get("goal_pwm")) / FULL_PWM
         profile = self.get("profile_velocity")
         speed = profile * _RPM if profile and not self.get("drive_mode") & 4 else math.inf
@@ -172,38 +194,42 @@ class XServo(Servo):
         stiffness = gain * per_count
         limit = abs(self.get("goal_current")) * per_count
         inertia = motor.inertia + self.load.inertia
-        # The firmware's own damping is not published; this value gives a settled step.
+        # ROBOTIS does not publish the damping of the current loop: assume a damping ratio of 0.7,
+        # which avoids oscillation.
         kv = 1.4 * math.sqrt(stiffness * inertia)
         return Drive(angle, stiffness, min(limit, ceiling), speed, kv=kv)
 
     def protect(self, seconds: float) -> None:
-        """Apply the watchdog, hardware errors, and the shutdown of those in the mask."""
+        """Stop at the present position if the bus watchdog expired; pass errors to `trip`.
+
+        `seconds` is the time since the last call [s].
+        """
         watchdog = self.get("bus_watchdog")
-        if watchdog > 0 and self.enabled and self.now - self._heard > watchdog * 0.020:
+        if watchdog > 0 and self.enabled and self.now - self._last_instruction > watchdog * 0.020:
             self.put("bus_watchdog", -1)
             self.put("goal_position", self.position)
         bits = self.faults()
-        if self.strained(seconds, 0.98 * self.drive().ceiling):
+        if self.is_overloaded(seconds, 0.98 * self.drive().ceiling):
             bits |= BIT_OVERLOAD
         if bits:
             self.trip(bits)
 
     def trip(self, bit: int) -> None:
-        """Set bits of Hardware Error Status; those in Shutdown cut torque until reboot."""
+        """Set bits of Hardware Error Status; bits enabled in Shutdown end torque until reboot."""
         self.put("hardware_error_status", self.get("hardware_error_status") | bit)
         if self.get("hardware_error_status") & self.get("shutdown"):
-            self._shut = True
+            self._shut_down = True
             self.put("torque_enable", 0)
             self.put("led", 1)
 
     def refresh(self) -> None:
-        """Update position, velocity, PWM, current or load, voltage, temperature."""
+        """Write the state of shaft, supply and temperature to the registers of present values."""
         sign = self.direction
         self.put("present_position", self.position)
         self.put("position_trajectory", self.position)
         self.put("present_velocity", sign * self.shaft.speed / _RPM)
         self.put("present_pwm", sign * self.duty * FULL_PWM)
-        if self._senses:
+        if self._has_current_sensor:
             self.put("present_current", sign * self.current / self.model.unit)
         else:
             self.put("present_load", sign * self.duty * 1000.0)

@@ -1,4 +1,4 @@
-"""An emulated arm: emulated servos on the joints of a simulated arm."""
+"""Emulated arm: emulated servos on the joints of a simulated arm."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from pliant._core import ConfigError, Servos
 from pliant.emulator.device import Device
 from pliant.emulator.emulator import Emulator
 from pliant.emulator.models import find
-from pliant.emulator.motion import walk
+from pliant.emulator.motion import profile_reference
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike
 
+    from pliant.emulator.hand import JointHand
     from pliant.emulator.servo import Drive, Servo
     from pliant.sim import Plant
     from pliant.sim._model_builder import Robot
@@ -25,18 +26,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Mount:
-    """Mounting of a servo on a joint: ``count = zero + sign · gear_ratio · q / count size``.
+    """Mounting of a servo on a joint: ``count = zero + sign · gear_ratio · q / step``.
+
+    ``q`` is the joint angle [rad], ``step`` the angle of one encoder count [rad].
 
     Attributes:
         joint: Name of the joint, on or off the chain (a gripper).
         model: Servo model.
         id: Id on the bus.
         sign: 1, or -1 if counts fall as the joint angle rises.
-        zero: Count at joint angle 0; default its middle.
+        zero: Count at joint angle 0; by default the middle of the servo's range.
         gear_ratio: Turns of the servo per turn of the joint.
         secondary: Id and sign of a second servo of the same model on the same joint.
         port: Port of the servo.
-        registers: EEPROM values that differ from a new servo's.
+        registers: EEPROM values that differ from the factory values.
     """
 
     joint: str
@@ -50,7 +53,7 @@ class Mount:
     registers: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check signs and gear."""
+        """Raise `ConfigError` unless signs are 1 or -1 and the gear ratio is above 0."""
         for sign in (self.sign, self.secondary[1] if self.secondary else 1):
             if sign not in {-1, 1}:
                 raise ConfigError(f"mount of {self.joint!r}: a sign is 1 or -1, got {sign!r}")
@@ -61,24 +64,26 @@ class Mount:
 
     @property
     def ids(self) -> list[tuple[int, int]]:
-        """Id and sign of its servos."""
+        """Id and sign of each servo of this mount."""
         return [(self.id, self.sign), *([self.secondary] if self.secondary else [])]
 
     def devices(self) -> list[Device]:
-        """Return the servos of this mount."""
+        """Return the emulated servos of this mount: one, or two with `secondary`."""
         return [Device(self.model, id, port=self.port, **self.registers) for id, _ in self.ids]
 
 
 @dataclass(slots=True)
 class Coupling:
-    """One live servo on its joint: shaft angle = ``offset + ratio · q``.
+    """Connection of an emulated servo to its joint: shaft angle = ``offset + ratio · q``.
 
     Attributes:
         servo: The servo.
-        ratio, offset: Of the shaft relative to the joint.
-        reference: Present reference of the servo's own profile [rad].
-        share: Share of the joint's torque.
-        slope: Present torque loss per speed [N·m·s/rad].
+        ratio: Shaft angle per joint angle q.
+        offset: Shaft angle at joint angle 0 [rad].
+        reference: Goal angle after the servo's velocity profile [rad]; None for a motor without
+            power.
+        share: Share of the joint's torque that this servo exerts, 0 to 1.
+        slope: Present torque loss per speed (back-EMF) [N·m·s/rad].
     """
 
     servo: Servo
@@ -90,15 +95,15 @@ class Coupling:
 
 
 class ArmPhysics:
-    """Drives a `pliant.sim.Plant` from the servos' registers.
+    """Physics of the emulated servos of an arm, computed by a `pliant.sim.Plant`.
 
-    Stiffness and damping of the plant's servos follow the emulated ones, tick by tick; friction,
-    scene and payload are the plant's own. A joint with torque off swings free, without back-EMF.
-    Servos on one joint share its torque in proportion to their ceilings.
+    Stiffness and damping of the joints follow the servos' registers at every call of `step`.
+    Friction, scene and payload come from the plant. A joint with torque off moves freely, without
+    back-EMF. Servos on one joint share its torque in proportion to their torque limits.
 
     Attributes:
         plant: The simulated arm.
-        dt: Its physics step [s].
+        dt: Physics step of the plant [s].
     """
 
     def __init__(self, plant: Plant, mounts: Sequence[Mount], *, held: bool = False) -> None:
@@ -126,7 +131,7 @@ class ArmPhysics:
             raise ConfigError(f"no servo is mounted on {', '.join(missing)}")
 
     def bind(self, servos: Sequence[Servo]) -> None:
-        """Set the shafts to the arm's pose; servos come in the order of the mounts."""
+        """Connect the servos, in the order of the mounts; set their shafts to the arm's pose."""
         self._joints: dict[str, list[Coupling]] = {}
         rest = iter(servos)
         for mount in self.mounts:
@@ -138,10 +143,13 @@ class ArmPhysics:
                 couplings.append(Coupling(servo, ratio, servo.angle_of(zero)))
             self._joints[mount.joint] = couplings
         self._set_inertia()
-        self._scatter()
+        self._update_shafts()
 
     def _set_inertia(self) -> None:
-        """Set the carried inertia of current-controlled servos, for their own damping."""
+        """Set the load inertia of each servo to that of the arm in its present pose.
+
+        Current-controlled servos compute their damping from it.
+        """
         from pliant.sim._mujoco import mujoco
 
         model, data = self.plant.mj_model, self.plant.mj_data
@@ -156,11 +164,14 @@ class ArmPhysics:
                 coupling.servo.load.inertia = max(carried - own, 0.0)
 
     def step(self, count: int) -> None:
-        """Apply the servos' drives to the plant, run it, and read the shafts back."""
+        """Apply the servos' motor requests to the plant, and run `count` physics steps.
+
+        The shafts of the servos then have the new angles, speeds and torques of the joints.
+        """
         goals, limits = self.plant.q, np.zeros(self.plant.n)
         extra: dict[str, tuple[float, float]] = {}
-        if self._held and not self._carried():
-            self._scatter()
+        if self._held and not self._all_powered():
+            self._update_shafts()
             return
         self._held = False
         for name, couplings in self._joints.items():
@@ -173,9 +184,9 @@ class ArmPhysics:
                 extra[name] = (goal, limit)
         self.plant.write(goals, limits, extra)
         self.plant.advance(count)
-        self._scatter()
+        self._update_shafts()
 
-    def _carried(self) -> bool:
+    def _all_powered(self) -> bool:
         """Return True if every joint of the chain has torque."""
         return all(
             drive.goal is not None and drive.ceiling > 0.0
@@ -186,13 +197,20 @@ class ArmPhysics:
     def _combine(
         self, name: str, couplings: list[Coupling], drives: list[Drive], seconds: float
     ) -> tuple[float, float]:
-        """Return goal and limit of a joint, and set its stiffness and damping."""
+        """Set stiffness and damping of a joint; return its goal [rad] and torque limit [N·m].
+
+        Args:
+            name: Joint name.
+            couplings: Connections of the joint to its servos.
+            drives: Motor request of each of these servos.
+            seconds: Duration of the step [s].
+        """
         stiffness = damping = pull = kv = limit = 0.0
         for coupling, drive in zip(couplings, drives, strict=True):
             square = coupling.ratio**2
             motor = coupling.servo.model.motor
             damping += (motor.damping + drive.slope) * square
-            coupling.reference = walk(
+            coupling.reference = profile_reference(
                 drive, coupling.reference, coupling.servo.shaft.angle, seconds
             )
             if coupling.reference is None:
@@ -214,8 +232,8 @@ class ArmPhysics:
         here = float(self.plant.mj_data.joint(name).qpos[0])
         return (pull / stiffness if stiffness > 0.0 else here), limit
 
-    def _scatter(self) -> None:
-        """Write angle, speed and torque of the joints to the shafts."""
+    def _update_shafts(self) -> None:
+        """Convert angle, speed and torque of the joints, and store them in the servos' shafts."""
         plant = self.plant
         q, dq, torque = plant.q, plant.dq, plant.torque
         for name, couplings in self._joints.items():
@@ -235,16 +253,16 @@ class ArmPhysics:
 
 
 class ArmEmulator(Emulator):
-    """An emulator with a simulated arm behind it; made by `emulate`.
+    """Emulator whose servos move a simulated arm; `emulate` makes one.
 
     Attributes:
-        plant: The arm, with its true state, scene and hands.
+        plant: The simulated arm, with its true state, scene and simulated hands.
     """
 
     def __init__(
         self, plant: Plant, mounts: Sequence[Mount], *, held: bool = False, **options: Any
     ) -> None:
-        """Mount the servos on the plant; options as for `ArmPhysics` and `Emulator`."""
+        """Mount the servos on the plant; `held`: see `ArmPhysics`, `options`: see `Emulator`."""
         self.plant = plant
         devices = [device for mount in mounts for device in mount.devices()]
         super().__init__(devices, physics=ArmPhysics(plant, mounts, held=held), **options)
@@ -257,18 +275,22 @@ def emulate(
     *,
     plant: Mapping[str, Any] | None = None,
     held: bool = False,
+    hand: JointHand | None = None,
     **options: Any,
 ) -> ArmEmulator:
-    """Make an emulator with a simulated arm behind it (extra `sim`).
+    """Make an emulator whose servos move a simulated arm (needs the extra `sim`).
 
     Args:
         model: The robot.
         mounts: A servo for every joint of the chain, and for off-chain joints as needed.
         q: Initial joint positions (n,) [rad].
-        plant: Keywords of `pliant.sim.Plant`: `scene`, `payload`, `friction`, `backlash`, `dt`, ...
-            Delay, losses and counts belong to the emulated bus and are rejected here.
+        plant: Keywords of `pliant.sim.Plant`: `scene`, `payload`, `friction`, `deadband`, `dt`, ...
+            Keywords of servos and bus (`delay`, `read_loss`, ...) are rejected, because the
+            emulated servos and bus take their place.
         held: True: the arm is held until all joints of the chain have torque; otherwise it falls
             from the start.
+        hand: A hand that moves the joints, also without torque; it carries the arm in place of
+            `held`.
         **options: Keywords of `Emulator`: `timing`, `faults`, `clock`, `baud`, `log`.
 
     Returns:
@@ -283,13 +305,15 @@ def emulate(
     for name in ("servos", "kind", "delay", "count", "read_loss", "write_loss", "overload", "rate"):
         if name in keywords:
             raise ConfigError(f"{name!r} of an emulated arm comes from its servos and its bus")
+    if hand is not None:
+        keywords["scene"] = [*keywords.get("scene", ()), hand]
     arm = Plant(model, _servos(model, mounts), **keywords)
     arm.reset(q)
-    return ArmEmulator(arm, mounts, held=held, **options)
+    return ArmEmulator(arm, mounts, held=held and hand is None, **options)
 
 
 def _servos(model: Robot, mounts: Sequence[Mount]) -> Servos:
-    """Motor numbers of the chain's joints, from this package's own tables."""
+    """Return the servo parameters of the chain, from `pliant.emulator.models` and gear ratios."""
     by_joint = {mount.joint: mount for mount in mounts}
     missing = [name for name in model.joint_names if name not in by_joint]
     if missing:
@@ -302,7 +326,8 @@ def _servos(model: Robot, mounts: Sequence[Mount]) -> Servos:
         friction.append(pair * gear * motor.friction)
         damping.append(pair * gear**2 * motor.damping)
         armature.append(pair * gear**2 * motor.inertia)
-    # Stiffness is set tick by tick; the ceiling leaves room for a supply above the nominal one.
+    # `kp` is a placeholder: `ArmPhysics` sets it at every step. `max_torque` is 1.5 times the stall
+    # torque, so that it does not bind at a higher supply voltage.
     return Servos(
         kp=[1.0] * len(torque),
         max_torque=torque,

@@ -1,4 +1,4 @@
-"""Control tables of the three families, from the makers' manuals, and their registers."""
+"""Control tables (registers) of the three servo families, from the makers' manuals."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ class Register:
 
     Attributes:
         name: Snake-case name; common registers have the same name in every family.
-        address: First byte.
-        size: Bytes, little-endian.
+        address: Address of the first byte.
+        size: Number of bytes, little-endian.
         area: `eeprom` or `ram`.
-        writable: True if the host may write it.
-        initial: Value of a new servo.
-        low, high: Values the servo accepts.
-        sign: None for unsigned, 0 for two's complement, else the sign bit of sign and magnitude.
+        writable: True if the host may write the register.
+        initial: Value in a new servo.
+        low, high: Smallest and largest value that the servo accepts.
+        sign: Coding of the sign. None: unsigned; 0: two's complement; else sign and magnitude, and
+            this is the number of the sign bit.
     """
 
     name: str
@@ -40,7 +41,7 @@ class Register:
     sign: int | None
 
     def decode(self, data: bytes | bytearray) -> int:
-        """Return the number that these bytes mean."""
+        """Return the value that these bytes of the register encode, with its sign."""
         raw = int.from_bytes(data[: self.size], "little")
         if self.sign is None:
             return raw
@@ -50,7 +51,7 @@ class Register:
         return -(raw & (bit - 1)) if raw & bit else raw & (bit - 1)
 
     def encode(self, value: int) -> bytes:
-        """Return the bytes of a number; what does not fit is cut at the end of the range."""
+        """Return the bytes that encode a value, clipped to what size and sign coding can hold."""
         if self.sign is None:
             raw = max(0, min(value, (1 << 8 * self.size) - 1))
         elif self.sign == 0:
@@ -66,11 +67,11 @@ class Table:
     """The control table of one servo model.
 
     Attributes:
-        size: Bytes from address 0 to the end of the last register.
+        size: Number of bytes from address 0 to the end of the last register.
     """
 
     def __init__(self, registers: Iterable[Register]) -> None:
-        """Index the registers; a later one replaces an earlier one of the same name."""
+        """Store the registers by name; a later register replaces an earlier one of its name."""
         self._by_name = {register.name: register for register in registers}
         self._at = {
             register.address + k: register
@@ -89,7 +90,7 @@ class Table:
         """Return a register by name.
 
         Raises:
-            ConfigError: The table has none of that name; the message lists those there are.
+            ConfigError: No register has this name; the message lists the known names.
         """
         try:
             return self._by_name[name]
@@ -98,11 +99,11 @@ class Table:
             raise ConfigError(f"no register {name!r} in this table; there are {known}") from None
 
     def at(self, address: int) -> Register | None:
-        """Return the register that holds this byte."""
+        """Return the register that contains the byte at `address`; None between registers."""
         return self._at.get(address)
 
     def span(self, address: int, length: int) -> list[Register]:
-        """Return the registers that these bytes touch, by address."""
+        """Return the registers that overlap `length` bytes from `address` on, by address."""
         found: list[Register] = []
         for byte in range(address, address + length):
             register = self._at.get(byte)
@@ -111,22 +112,28 @@ class Table:
         return found
 
     def changed(self, text: str = "", **initial: int) -> Table:
-        """Return a table with rows added or replaced, and other first values."""
+        """Return a copy of the table with other registers and other initial values.
+
+        Args:
+            text: Rows of registers to add or replace, in the format of `parse`.
+            **initial: New initial values by register name.
+        """
         rows = {**self._by_name, **{register.name: register for register in parse(text)}}
         for name, value in initial.items():
             rows[name] = replace(rows[name], initial=value)
         return Table(rows.values())
 
     def without(self, *names: str) -> Table:
-        """Return a table that lacks these registers."""
+        """Return a copy of the table without the registers of these names."""
         return Table(register for register in self if register.name not in names)
 
 
 def parse(text: str) -> list[Register]:
-    """Read rows of `address size area access initial range coding name`.
+    """Return the registers of rows `address size area access initial range coding name`.
 
-    Area is E or R, access r or rw, range `low..high` or `-` for all that the coding can hold,
-    coding `u` (unsigned), `t` (two's complement) or `sN` (sign and magnitude, sign in bit N).
+    Area is E (EEPROM) or R (RAM); access is r or rw; range is `low..high`, or `-` for the full
+    range of the coding; coding is `u` (unsigned), `t` (two's complement) or `sN` (sign and
+    magnitude, sign in bit N).
     """
     return [_row(line.split()) for line in text.strip().splitlines() if line.strip()]
 
@@ -232,7 +239,11 @@ MX106 = _P1.changed(_GAINS + _TORQUE_MODE + _DRIVE_MODE)
 
 
 def _indirect(data: int, count: int, low: int, high: int) -> str:
-    """Return rows of indirect addresses from 168 on, and of their data bytes."""
+    """Return the rows of `count` indirect addresses and their data bytes, in the format of `parse`.
+
+    The registers of the addresses start at 168, the data bytes at `data`. The addresses may refer
+    to bytes from `low` to `high`.
+    """
     rows = [
         f"{168 + 2 * k} 2 R rw {data + k} {low}..{high} u indirect_address_{k + 1}"
         for k in range(count)
@@ -298,7 +309,7 @@ _X = Table(parse(_X_COMMON + _indirect(224, 28, 64, 661)))
 
 
 def _with_current(table: Table, most: int) -> Table:
-    """Add the registers of a servo that senses its current; `most` is the largest limit."""
+    """Return a copy of `table` with Current Limit and Goal Current, up to `most` [counts]."""
     return table.changed(
         f"38 2 E rw {most} 0..{most} u current_limit\n"
         f"102 2 R rw {most} -{most}..{most} t goal_current\n"

@@ -1,4 +1,4 @@
-"""`Device`, the description of one emulated servo."""
+"""Description of one emulated servo: `Device`."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ BROADCAST_ID = 254
 
 
 class Device:
-    """One servo to emulate.
+    """Description of one servo to emulate.
 
     Args:
-        model: Maker's name: `STS3215`, `XM430-W350`, `MX-64`, `MX-64(2.0)`, ...
-        id: On the bus, below 253 (P1, Feetech: 254).
-        port: Name of its port; a new name creates a port.
-        angle: Initial shaft angle [rad], 0 at raw count 0; default the middle.
-        **registers: EEPROM values that differ from a new servo's, by name (`operating_mode=5`).
+        model: Name of the servo model: `STS3215`, `XM430-W350`, `MX-64`, `MX-64(2.0)`, ...
+        id: Id on the bus, below 253 (Protocol 1.0 and Feetech: below 254).
+        port: Name of the emulated port of the servo; a new name creates a port.
+        angle: Initial shaft angle [rad], 0 at encoder count 0; by default mid-range.
+        **registers: EEPROM values that differ from the factory values (`operating_mode=5`).
 
     Raises:
         ConfigError: The model or a register is unknown, or a value does not fit.
@@ -48,10 +48,14 @@ class Device:
         return f"Device({self.model.name!r}, id={self.id})"
 
     def build(self, baud: int | None) -> Servo:
-        """Make a live servo; without a `baud_rate` it gets this speed [bit/s].
+        """Return the emulated servo.
+
+        Args:
+            baud: Baud rate unless `registers` sets it [bit/s]; None keeps the factory value.
 
         Raises:
-            ConfigError: A register is unknown or does not fit, or the speed is not supported.
+            ConfigError: A register is unknown, its value does not fit, or the servo does not
+                support the baud rate.
         """
         if not 0 <= self.id < BROADCAST_ID:
             raise ConfigError(f"id must be 0 to {BROADCAST_ID - 1}, got {self.id}")

@@ -1,4 +1,4 @@
-"""Emulated servos behind serial ports, with an interface for tests."""
+"""Class `Emulator`: emulated servos behind pseudo-terminals, and methods for tests."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ class Emulator:
     thread.
 
     Args:
-        devices: The servos; `Device(..., port="name")` puts one on a port of its own.
-        physics: Physics of the shafts; by default each servo alone with its `load`.
-        timing: Latencies of the wire; default without.
-        faults: Injected faults; default without.
+        devices: The servos; `Device(..., port="name")` puts a servo on another port.
+        physics: Physics of the shafts; by default each servo moves independently with its `load`.
+        timing: Latencies of serial line and adapter; none by default.
+        faults: Injected faults; none by default.
         clock: `real`: physics follows the wall clock. `steps`: time advances only by `advance`
             and, with wire timing, by the duration of transactions.
-        baud: Speed of all servos without a `baud_rate` of their own [bit/s].
-        log: Longest log [transactions].
+        baud: Baud rate of all servos whose device sets no `baud_rate` [bit/s].
+        log: Capacity of the log [transactions].
 
     Attributes:
-        faults, log: Of all ports.
-        world: Servos, physics and clock.
-        lines: The wires by port name; `lines["main"].feed(...)` needs no port.
+        faults, log: Injected faults and log of all ports.
+        world: Simulation of all servos, with physics and time.
+        lines: The buses by port name; `lines["main"].feed(...)` works without a pseudo-terminal.
 
     Raises:
-        ConfigError: No devices, an unknown clock, or a speed that a servo does not support.
+        ConfigError: No devices, an unknown clock, or a baud rate that a servo does not support.
 
     Example:
         >>> with Emulator([Device("STS3215", id=1)]) as bus:
@@ -84,22 +84,22 @@ class Emulator:
         }
         self._server = Server(self.world, self.lines, clock)
 
-    # Start, stop and time.
+    # Methods that start and stop the emulator, and that read or advance its time.
 
     def start(self) -> Self:
-        """Open the ports and start to answer.
+        """Open the ports and start to answer requests; return this emulator.
 
         Raises:
-            ServoError: It runs already, or the system has no pseudo-terminals.
+            ServoError: The emulator runs already, or the system has no pseudo-terminals.
         """
         self._server.start()
         return self
 
     def stop(self) -> None:
-        """Close the ports; the log stays.
+        """Close the ports; the log of transactions can still be read.
 
         Raises:
-            ServoError: The emulator's thread had died; the cause is attached.
+            ServoError: The emulator's thread had ended with an error, which is attached as cause.
         """
         self._server.stop()
 
@@ -111,7 +111,7 @@ class Emulator:
 
     @property
     def port(self) -> str:
-        """Path of the first port; it stays the same when the port is pulled and put back."""
+        """Path of the first port; unplugging and replugging the adapter does not change it."""
         return next(iter(self.ports.values()))
 
     @property
@@ -125,21 +125,21 @@ class Emulator:
 
     @property
     def lag(self) -> float:
-        """Time dropped because the computer was too slow for the physics [s]."""
+        """Time that the emulation skipped because the computer was too slow for the physics [s]."""
         return self._server.lag
 
     @property
     def late(self) -> float:
-        """Largest latency of a reply due to a busy computer, under the real clock [s]."""
+        """Largest latency of a reply due to a busy computer [s]; measured with the clock `real`."""
         return self._server.late
 
     @property
     def time(self) -> float:
-        """Time of the emulated world [s]."""
+        """Emulated time since the start [s]."""
         return self.world.time
 
     def sync(self) -> None:
-        """Wait until everything the host has written so far has been acted on.
+        """Wait until the servos have processed all bytes that the host has written so far.
 
         Raises:
             ServoError: The emulator's thread does not respond.
@@ -147,10 +147,13 @@ class Emulator:
         self._server.sync()
 
     def advance(self, seconds: float) -> None:
-        """Advance the clock `steps`, after all bytes of the host so far have been processed.
+        """Let the servos process the bytes that the host has written, then advance the time.
+
+        Args:
+            seconds: Emulated time to add [s].
 
         Raises:
-            ConfigError: The clock is real, or the time is not a number.
+            ConfigError: The clock is not `steps`, or `seconds` is negative or not finite.
         """
         if self._clock != "steps":
             raise ConfigError("the real clock cannot be advanced: use Emulator(..., clock='steps')")
@@ -159,35 +162,35 @@ class Emulator:
             self.world.advance(seconds)
         self._server.wake()
 
-    # Test interface.
+    # Methods for tests: access to servos, and failures of servos, supply and bus.
 
     @property
     def servos(self) -> list[Servo]:
-        """All servos, in the order given."""
+        """All servos, in the order of the devices."""
         return self.world.servos
 
     def servo(self, id: int) -> Servo:
         """Return the first servo with this id.
 
         Raises:
-            ConfigError: No servo has it.
+            ConfigError: No servo has this id.
         """
         return self.world.servo(id)
 
     def unplug(self, id: int) -> None:
-        """Disconnect a servo: no replies and no torque."""
-        with self._each(id) as servo:
+        """Disconnect a servo from bus and supply: it neither replies nor exerts torque."""
+        with self._locked(id) as servo:
             servo.plugged = False
 
     def plug(self, id: int) -> None:
-        """Reconnect a servo: it boots, torque off, RAM at its initial values."""
-        with self._each(id) as servo:
+        """Reconnect a servo to bus and supply: it boots with torque off and initial RAM values."""
+        with self._locked(id) as servo:
             servo.plugged = True
             servo.power_up()
 
     def reboot(self, id: int) -> None:
-        """Restart one servo, as after a glitch of its supply."""
-        with self._each(id) as servo:
+        """Restart one servo, as after a brief interruption of its supply."""
+        with self._locked(id) as servo:
             servo.power_up()
 
     def brown_out(self) -> None:
@@ -197,7 +200,7 @@ class Emulator:
                 servo.power_up()
 
     def supply(self, volts: float) -> None:
-        """Set the supply of all servos [V]; outside a servo's limits it latches or reports."""
+        """Set the supply voltage of all servos [V]; servos report one outside their limits."""
         with self._server.lock:
             for servo in self.servos:
                 servo.supply = float(volts)
@@ -206,37 +209,46 @@ class Emulator:
         """Simulate an overload, overheating or a wrong voltage of a servo.
 
         Raises:
-            ConfigError: No such condition or servo.
+            ConfigError: The condition is unknown, or no servo has this id.
         """
         if condition not in _CONDITIONS:
             raise ConfigError(f"no condition {condition!r}; there are {', '.join(_CONDITIONS)}")
-        with self._each(id) as servo:
+        with self._locked(id) as servo:
             servo.trip(_CONDITIONS[condition])
 
     def stick(self, id: int, register: str, value: int | None) -> None:
-        """Make a register read a fixed value; None ends that."""
-        with self._each(id) as servo:
+        """Make a register of servo `id` read as the fixed `value`; None ends this fault."""
+        with self._locked(id) as servo:
             servo.table[register]
             servo.stuck.pop(register, None)
             if value is not None:
                 servo.stuck[register] = value
 
     def short(self, shorted: bool = True, port: str | None = None) -> None:
-        """Short the line so that no data pass, or end that."""
+        """Short-circuit the line of a port, so that no data pass; False ends the fault.
+
+        `port` is the name of the port; None: all ports.
+        """
         with self._server.lock:
             for name, line in self.lines.items():
                 if port in {None, name}:
                     line.dead = shorted
 
     def echo(self, echoing: bool = True, port: str | None = None) -> None:
-        """Make the adapter echo requests, as half-duplex ones without suppression do."""
+        """Make the adapter of a port echo requests, as half-duplex adapters may do; False ends it.
+
+        `port` is the name of the port; None: all ports.
+        """
         with self._server.lock:
             for name, line in self.lines.items():
                 if port in {None, name}:
                     line.echo = echoing
 
     def hum(self, noisy: bool = True, port: str | None = None) -> None:
-        """Start or stop continuous noise to the host, a few bytes every 5 ms."""
+        """Start (True) or stop continuous noise from a port to the host, 3 bytes every 5 ms.
+
+        `port` is the name of the port; None: all ports.
+        """
         with self._server.lock:
             for name, line in self.lines.items():
                 if port in {None, name}:
@@ -244,19 +256,25 @@ class Emulator:
         self._server.wake()
 
     def pull(self, port: str | None = None) -> None:
-        """Pull the adapter: the host's open port fails and its path is gone; servos keep power."""
+        """Unplug the adapter of a port: the host's open port fails, and its path vanishes.
+
+        The servos keep their power. `port` is the name of the port; None: all ports.
+        """
         self._server.hang_up(port)
 
     def put_back(self, port: str | None = None) -> None:
-        """Put the adapter back: the same path opens again."""
+        """Plug the adapter of a port in again: the host can open the same path as before.
+
+        `port` is the name of the port; None: all ports.
+        """
         self._server.put_back(port)
 
-    def _each(self, id: int) -> _Locked:
+    def _locked(self, id: int) -> _Locked:
         return _Locked(self._server.lock, self.servo(id))
 
 
 class _Locked:
-    """Access to a servo with the emulator's thread locked out."""
+    """Context manager that yields a servo and keeps the emulator's thread from changing it."""
 
     def __init__(self, lock: threading.RLock, servo: Servo) -> None:
         self._lock, self._servo = lock, servo

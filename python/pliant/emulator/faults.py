@@ -1,4 +1,4 @@
-"""Fault injection: ordered faults and random ones, seeded."""
+"""Fault injection on the bus: faults of given requests or replies, and seeded random faults."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 @dataclass(slots=True)
 class Order:
-    """An ordered fault.
+    """Fault that `Faults.inject` has requested.
 
     Attributes:
         kind: Kind of fault.
-        id: Servo whose replies (or requests) are affected, None for any.
-        count: Remaining repetitions.
-        skip: Opportunities to skip first.
-        seconds: Delay, for `late`; None is until the next request.
+        id: Id of the servo whose requests or replies are affected; None: any servo.
+        count: Remaining number of requests or replies to affect.
+        skip: Number of requests or replies to leave intact first.
+        seconds: Delay of a `late` reply [s]; None delays it until the next request.
     """
 
     kind: Kind
@@ -32,8 +32,11 @@ class Order:
     skip: int
     seconds: float | None
 
-    def strikes(self, id: int) -> bool:
-        """Return True if it acts now, on this servo."""
+    def affects(self, id: int) -> bool:
+        """Return True if the fault affects this request or reply of servo `id`.
+
+        Each call counts as one request or reply, and changes `skip` or `count`.
+        """
         if self.count <= 0 or (self.id is not None and self.id != id):
             return False
         if self.skip > 0:
@@ -44,8 +47,8 @@ class Order:
 
 
 @dataclass(frozen=True, slots=True)
-class Blow:
-    """A fault that affects one reply or request."""
+class ActiveFault:
+    """Fault that affects one reply or request; `seconds` is the delay of a `late` reply."""
 
     kind: Kind
     seconds: float | None = None
@@ -56,19 +59,19 @@ class Faults:
 
     - `deaf`: the request does not reach the servo
     - `lose`: the reply does not reach the host
-    - `late`: the reply arrives later, by default just before that to the next request
+    - `late`: the reply is delayed, by default until just before the reply to the next request
     - `corrupt`: one bit of the reply is flipped
-    - `truncate`: the reply breaks off
+    - `truncate`: the end of the reply is missing
     - `wrong_id`: the reply has another id, with a valid checksum
     - `noise`: a few bytes of noise precede the reply
 
     Args:
         seed: Seed of the random faults; equal seeds and requests give equal faults.
-        **shares: Share of transactions with each kind of random fault, by name; a transaction has
-            at most one, on one of its replies.
+        **shares: Share of transactions with each kind of random fault, by kind, in [0, 1]; a
+            transaction has at most one random fault, on one of its replies.
 
     Raises:
-        ConfigError: An unknown kind, or shares that are not in [0, 1] together.
+        ConfigError: A kind is unknown, a share is outside [0, 1], or the shares exceed 1 in sum.
     """
 
     def __init__(self, *, seed: int = 0, **shares: float) -> None:
@@ -80,7 +83,8 @@ class Faults:
         """Set the share of transactions with each kind of random fault; other kinds do not occur.
 
         Raises:
-            ConfigError: An unknown kind, or shares that are not in [0, 1] together.
+            ConfigError: A kind is unknown, a share is outside [0, 1], or the shares exceed 1 in
+                sum.
         """
         for kind, share in shares.items():
             _kind(kind)
@@ -99,29 +103,29 @@ class Faults:
         skip: int = 0,
         seconds: float | None = None,
     ) -> None:
-        """Order a fault for the next opportunities.
+        """Inject a fault into the next requests or replies.
 
         Args:
-            kind: See the table of the class.
-            id: The servo; None: the next one that replies (or is addressed).
-            count: Number of faults.
-            skip: Number of opportunities to skip first.
-            seconds: Delay of a `late` reply; None: until the next request.
+            kind: Kind of fault, as listed for the class `Faults`.
+            id: The affected servo; None: any servo that replies (for `deaf`: that is addressed).
+            count: Number of requests or replies to affect.
+            skip: Number of requests or replies to leave intact first.
+            seconds: Delay of a `late` reply [s]; None delays it until the next request.
 
         Raises:
-            ConfigError: An unknown kind, or a count or skip below 0.
+            ConfigError: The kind is unknown, or `count` or `skip` is negative.
         """
         if count < 0 or skip < 0:
             raise ConfigError(f"count and skip must be at least 0, got {count} and {skip}")
         self._orders.append(Order(_kind(kind), id, count, skip, seconds))
 
     def clear(self) -> None:
-        """Remove all pending orders and all shares."""
+        """Remove all injected and random faults."""
         self._orders.clear()
         self._shares.clear()
 
     def chance(self) -> Kind | None:
-        """Draw the random fault of this transaction."""
+        """Return the kind of the random fault of the next transaction; None: no random fault."""
         if not self._shares:
             return None
         draw = self._rng.random()
@@ -132,26 +136,26 @@ class Faults:
         return None
 
     def pick(self, among: int) -> int:
-        """Choose one of so many replies."""
+        """Return a random index from 0 to `among` - 1: the reply with the random fault."""
         return int(self._rng.integers(among))
 
     def deaf(self, id: int) -> bool:
-        """Return True if an ordered fault keeps a request from this servo."""
-        return self._struck(id, ("deaf",)) is not None
+        """Return True if an injected fault keeps this request from servo `id`."""
+        return self._take(id, ("deaf",)) is not None
 
-    def strike(self, id: int) -> Blow | None:
-        """Return the ordered fault of this servo's reply."""
-        return self._struck(id, KINDS[1:])
+    def reply_fault(self, id: int) -> ActiveFault | None:
+        """Return the injected fault of the next reply of servo `id`; None: no fault."""
+        return self._take(id, KINDS[1:])
 
-    def _struck(self, id: int, kinds: tuple[Kind, ...]) -> Blow | None:
+    def _take(self, id: int, kinds: tuple[Kind, ...]) -> ActiveFault | None:
         self._orders = [order for order in self._orders if order.count > 0]
         for order in self._orders:
-            if order.kind in kinds and order.strikes(id):
-                return Blow(order.kind, order.seconds)
+            if order.kind in kinds and order.affects(id):
+                return ActiveFault(order.kind, order.seconds)
         return None
 
-    def spoil(self, kind: Kind, packet: bytes) -> bytes:
-        """Return the damaged reply."""
+    def damage(self, kind: Kind, packet: bytes) -> bytes:
+        """Return the bytes of the reply `packet` after a fault; empty for `lose` and `late`."""
         rng = self._rng
         if kind == "corrupt":
             at, bit = int(rng.integers(len(packet))), 1 << int(rng.integers(8))
@@ -175,10 +179,10 @@ def _kind(kind: str) -> Kind:
 
 
 def collide(first: bytes, second: bytes) -> bytes:
-    """Return the bytes on the line when two servos send at once.
+    """Return the bytes on the line when two servos send their replies at once.
 
-    The line is low when either pulls it low; the second sends one bit later, so the headers agree
-    and the rest does not.
+    The line is low when either servo pulls it low, so the bits are combined with AND. The second
+    servo is assumed to start one bit later.
     """
     late = int.from_bytes(second, "little") << 1 | 1
     shifted = (late & ((1 << 8 * len(second)) - 1)).to_bytes(len(second), "little")

@@ -1,4 +1,4 @@
-"""Log of all bytes on the wire, raw and decoded, for assertions after a run."""
+"""Log of all bytes on the emulated bus, raw and decoded, for assertions after a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from pliant.emulator.control_tables import Table
 
-#: Registers that carry a goal, a torque limit, and the torque switch, in every family.
+#: Names of the registers with position goal, torque limit and torque switch, in all families.
 GOALS = frozenset({"goal_position"})
 LIMITS = frozenset({"torque_limit", "goal_current", "goal_pwm"})
 SWITCH = "torque_enable"
@@ -19,16 +19,17 @@ SWITCH = "torque_enable"
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """One write to one servo, done or rejected.
+    """One write to one servo, accepted or rejected.
 
     Attributes:
-        time: Emulator time [s].
-        id: The servo's id at that time.
-        instruction: `write`, `reg_write` (done at the action), `sync_write` or `bulk_write`.
-        address: First byte.
-        data: The bytes.
+        time: Emulated time of the write [s].
+        id: Id of the servo at that time.
+        instruction: `write`, `reg_write` (executed by ACTION), `sync_write` or `bulk_write`.
+        address: Address of the first byte.
+        data: The bytes written.
         enabled: True if torque was on before this write.
-        error: 0 if accepted, else the family's error; a sync write is rejected without a reply.
+        error: 0 if the servo accepted the write, else the error code of its protocol, also if the
+            servo does not reply to this instruction.
     """
 
     time: float
@@ -42,7 +43,7 @@ class Write:
 
     @property
     def values(self) -> dict[str, int]:
-        """Registers written, by name, in the order of their addresses."""
+        """Written values by register name, in order of address, of registers written completely."""
         found: dict[str, int] = {}
         for register in self._table.span(self.address, len(self.data)):
             start = register.address - self.address
@@ -52,7 +53,7 @@ class Write:
 
     @property
     def eeprom(self) -> bool:
-        """True if the write touches the EEPROM area."""
+        """True if the write includes a byte of EEPROM."""
         return any(r.area == "eeprom" for r in self._table.span(self.address, len(self.data)))
 
 
@@ -63,13 +64,13 @@ class Transaction:
     Attributes:
         time: Emulator time of the request [s].
         port: Name of the port.
-        request: Its bytes.
-        instruction: Its name.
-        id: Addressed servo; 254 is broadcast.
-        replies: Bytes put on the wire towards the host, after faults.
-        faults: Injected faults.
-        writes: Writes of the request.
-        duration: From the first byte of the request to the last of the replies, on the wire [s].
+        request: Bytes of the request.
+        instruction: Name of the instruction in the request.
+        id: Id of the addressed servo; 254 is broadcast.
+        replies: Bytes of each reply as sent to the host, after faults.
+        faults: Kind of each fault, and id of the affected servo.
+        writes: Writes to registers that the request caused, accepted or rejected.
+        duration: Time on the wire from the first byte of the request to the last reply byte [s].
     """
 
     time: float
@@ -84,13 +85,13 @@ class Transaction:
 
 
 class Log:
-    """The last transactions, oldest first; older ones are dropped but counted.
+    """Log of the last transactions, oldest first; older ones are dropped but counted.
 
     Attributes:
-        count: Transactions since the start.
-        faulty: Transactions with an injected fault.
-        watch: Called with every transaction as it ends, for runs longer than the log; in the
-            emulator's thread.
+        count: Number of transactions since the start or `clear`.
+        faulty: Number of transactions with an injected or random fault.
+        watch: Function that the emulator's thread calls with every transaction as it ends, for runs
+            that exceed the capacity of the log; None: no call.
     """
 
     def __init__(self, longest: int = 20_000) -> None:
@@ -110,7 +111,7 @@ class Log:
         return self._kept[index]
 
     def add(self, transaction: Transaction) -> None:
-        """Append a transaction."""
+        """Append a transaction, count it, and pass it to `watch`."""
         self._kept.append(transaction)
         self.count += 1
         self.faulty += bool(transaction.faults)
@@ -118,19 +119,19 @@ class Log:
             self.watch(transaction)
 
     def clear(self) -> None:
-        """Clear the log and its counters."""
+        """Remove all transactions and set the counters to 0."""
         self._kept.clear()
         self.count = self.faulty = 0
 
     def writes(
         self, register: str | None = None, id: int | None = None, *, refused: bool | None = None
     ) -> list[Write]:
-        """Return writes in order, filtered.
+        """Return the logged register writes in order, filtered.
 
         Args:
-            register: Only those that touch this register.
-            id: Only those to this servo.
-            refused: Only refused (True) or only done ones (False).
+            register: Return only writes that contain this register.
+            id: Return only writes to this servo.
+            refused: True returns only rejected writes, False only accepted ones.
         """
         return [
             write
@@ -142,18 +143,18 @@ class Log:
         ]
 
     def eeprom_writes(self) -> list[Write]:
-        """Return writes to the EEPROM area; there should be none outside set-up."""
+        """Return the logged writes to EEPROM; a correct host makes none after set-up."""
         return [write for write in self.writes() if write.eeprom]
 
     def goals_while_disabled(self) -> list[Write]:
-        """Return goals written while torque was off: at most those of an enable sequence."""
+        """Return the writes of goals while torque was off; switching torque on starts with one."""
         return [w for w in self.writes() if not w.enabled and GOALS & w.values.keys()]
 
     def order(self, id: int) -> list[str]:
-        """Return `limit`, `goal`, `torque on` and `torque off` of a servo as they were done.
+        """Return the order in which servo `id` accepted limits, goals and torque switches.
 
-        A block that carries several counts them limit first: the servo takes it as one. Repetitions
-        in a row are one entry.
+        Entries are `limit`, `goal`, `torque on` and `torque off`. A block write with several of
+        these gives them in this order. Consecutive repetitions are one entry.
         """
         steps: list[str] = []
         for write in self.writes(id=id, refused=False):

@@ -1,4 +1,4 @@
-"""Clock of an emulator whose time advances only during waits."""
+"""Clock for a host program that advances the emulated time instead of waiting."""
 
 from __future__ import annotations
 
@@ -9,25 +9,26 @@ if TYPE_CHECKING:
 
 
 class ManualClock:
-    """Time of an emulator with the clock `steps`, for `ServoBus(..., clock=...)`.
+    """Clock for `ServoBus(..., clock=...)` on an emulator with the clock `steps`.
 
-    Waiting advances the emulated time, so a program over real bytes runs as fast as the computer
-    allows. The computer's load matters only if a reply exceeds the host's timeout.
+    Waiting advances the emulated time, so a program on the emulated bus runs as fast as the
+    computer allows. A busy computer affects the program only if a reply takes longer than the
+    host's reply timeout.
 
     Args:
-        bus: The emulator, in this process.
+        bus: The emulator, in the same process as the program.
     """
 
     def __init__(self, bus: Emulator) -> None:
         self._bus = bus
 
     def now(self) -> float:
-        """Return the emulated time [s], after all bytes of the host so far."""
+        """Let the servos process all bytes that the host has written; return the time [s]."""
         self._bus.sync()
         return self._bus.time
 
     def wait_until(self, deadline: float) -> None:
-        """Advance the time to `deadline` [s]."""
+        """Advance the emulated time to `deadline` [s], instead of waiting."""
         left = deadline - self.now()
         if left > 0.0:
             self._bus.advance(left)

@@ -1,4 +1,4 @@
-"""Servo models: control table, encoder, motor and limit kind of each."""
+"""Servo models that can be emulated: control table, encoder and motor data of each model."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _RPM = 2.0 * math.pi / 60.0
 
 @dataclass(frozen=True, slots=True)
 class Motor:
-    """Motor and gear seen at the output, from the maker's stall point and no-load speed.
+    """Motor and gear as seen at the output shaft, from the maker's data sheet.
 
     Attributes:
-        volts: Supply at which the other numbers hold [V].
+        volts: Supply voltage at which the other values hold [V].
         stall: Stall torque [N·m].
-        amps: Current at stall [A].
+        amps: Current at stall torque [A].
         speed: No-load speed [rad/s].
     """
 
@@ -36,45 +36,45 @@ class Motor:
 
     @property
     def slope(self) -> float:
-        """Torque lost per speed, at any voltage [N·m·s/rad]."""
+        """Torque lost per speed (back-EMF): stall torque over no-load speed [N·m·s/rad]."""
         return self.stall / self.speed
 
     @property
     def torque_per_amp(self) -> float:
-        """Secant of the stall point [N·m/A]."""
+        """Torque constant: stall torque over current at stall [N·m/A]."""
         return self.stall / self.amps
 
-    # Friction, gear damping and rotor inertia are not published. With these assumed shares a free
-    # servo settles as in published videos.
+    # Friction, gear damping and rotor inertia are not published. They are assumed as shares of
+    # `stall` and `slope`, so that an unloaded servo settles as in published videos.
 
     @property
     def friction(self) -> float:
-        """Dry friction of the gears [N·m]."""
+        """Assumed dry friction of the gears [N·m]."""
         return 0.03 * self.stall
 
     @property
     def damping(self) -> float:
-        """Viscous friction of the gears [N·m·s/rad]."""
+        """Assumed viscous friction of the gears [N·m·s/rad]."""
         return 0.15 * self.slope
 
     @property
     def inertia(self) -> float:
-        """Rotor inertia seen at the output [kg·m²]: full speed in 0.05 s from stall torque."""
+        """Assumed rotor inertia at the output [kg·m²], for a motor time constant of 0.05 s."""
         return 0.05 * self.slope
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """One servo type.
+    """Data of one servo type.
 
     Attributes:
-        name: Maker's name.
+        name: Model name of the maker.
         family: `dxl1` (Dynamixel Protocol 1.0), `x` (Protocol 2.0) or `sts` (Feetech).
-        number: Model number.
+        number: Content of the register Model Number.
         table: Control table.
-        count: One position count [rad].
+        count: Shaft angle of one position count [rad].
         motor: Motor and gear.
-        unit: Current of one count of the current registers [A], 0 where current is not sensed.
+        unit: Current of one count of the current registers [A]; 0 without a current sensor.
     """
 
     name: str
@@ -126,21 +126,22 @@ _MODELS = (
     Model("STS3215-7.4V", "sts", 777, tables.STS, _TURN, _motor(7.4, 1.91, 2.5, 52.0), 0.0065),
     Model("STS3215-12V", "sts", 777, tables.STS.changed(max_voltage_limit=140), _TURN,
           _motor(12.0, 2.94, 2.7, 45.0), 0.0065),
-    # The leader arm's gears, 1:191 and 1:147 for 1:345: torque and speed scaled by the ratio.
+    # Variants for leader arms, with gear ratios 1:191 and 1:147 instead of 1:345: torque and speed
+    # are scaled from the 1:345 variant.
     Model("STS3215-C044", "sts", 777, tables.STS, _TURN, _motor(7.4, 1.06, 2.5, 94.0), 0.0065),
     Model("STS3215-C046", "sts", 777, tables.STS, _TURN, _motor(7.4, 0.81, 2.5, 122.0), 0.0065),
 )  # fmt: skip
 
 MODELS: dict[str, Model] = {model.name: model for model in _MODELS}
-#: Aliases of common variants.
+#: Name in `MODELS` of each alias.
 ALIASES = {"STS3215": "STS3215-7.4V", "STS3215-C001": "STS3215-7.4V", "STS3215-C018": "STS3215-12V"}
 
 
 def find(name: str) -> Model:
-    """Return a model by the maker's name.
+    """Return the servo model with the maker's model name `name` or this alias.
 
     Raises:
-        ConfigError: Unknown; the message has the nearest names, or all.
+        ConfigError: No model has this name; the message lists the nearest names.
     """
     model = MODELS.get(ALIASES.get(name, name))
     if model is None:

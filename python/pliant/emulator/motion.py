@@ -1,4 +1,4 @@
-"""Physics of the shafts: independent servos, or any object with a `step`."""
+"""Physics of the servo shafts: the interface `Physics` and independent servos, `Joints`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Physics(Protocol):
-    """Moves the shafts of servos.
+    """Interface of the physics that moves the servo shafts.
 
     Attributes:
         dt: Physics step [s].
@@ -21,36 +21,38 @@ class Physics(Protocol):
     dt: float
 
     def bind(self, servos: Sequence[Servo]) -> None:
-        """Take over these servos and set their shafts."""
+        """Store the servos whose shafts this physics moves, and set their initial shaft states."""
 
     def step(self, count: int) -> None:
-        """Run so many steps: read every servo's `drive()`, write the result to its `shaft`."""
+        """Run `count` steps: read every servo's `drive()`, write the result to its `shaft`."""
 
 
 class Joints:
-    """Independent servos, each with its `load`: rotor, gears, a pendulum, hard stops.
+    """Physics of independent servos, each with its `load`: inertia, pendulum, hard stops.
 
-    ``J dω = clip(k e − kv ω, ±ceiling) − slope ω + outer torque − damping ω``, dry friction as an
-    impulse that only brakes, all at `dt`.
+    ``J dω/dt = clip(k e − kv ω, ±ceiling) − slope ω + τ − d ω`` is integrated with step `dt`. J is
+    the inertia of rotor and load [kg·m²], ω the shaft speed [rad/s], e the position error outside
+    the dead zone [rad], k (`stiffness`), kv, ceiling and slope are attributes of `Drive`, τ is the
+    load torque [N·m], d the gear damping [N·m·s/rad]. Dry friction reduces the speed of each step.
     """
 
     def __init__(self, dt: float = 0.001) -> None:
-        """Choose the step [s]."""
+        """Set the physics step `dt` [s]."""
         self.dt = dt
         self._servos: list[Servo] = []
         self._references: list[float | None] = []
 
     def bind(self, servos: Sequence[Servo]) -> None:
-        """Take over these servos."""
+        """Store the servos to move; they start without a velocity profile."""
         self._servos = list(servos)
         self._references = [None] * len(self._servos)
 
     def step(self, count: int) -> None:
-        """Run so many steps."""
+        """Run `count` physics steps of all servos."""
         for index, servo in enumerate(self._servos):
             drive, reference = servo.drive(), self._references[index]
             for _ in range(count):
-                reference = walk(drive, reference, servo.shaft.angle, self.dt)
+                reference = profile_reference(drive, reference, servo.shaft.angle, self.dt)
                 self._move(servo, drive, reference)
             self._references[index] = reference
 
@@ -65,7 +67,7 @@ class Joints:
             torque = max(-drive.ceiling, min(torque, drive.ceiling))
         outer = load.torque - load.pendulum * math.sin(shaft.angle - load.down)
         resist = motor.damping + drive.slope
-        # Damping is integrated implicitly, so that a light rotor cannot oscillate with the step.
+        # Integrate damping implicitly: this is stable for a light rotor at any step size.
         speed = (shaft.speed + dt * (torque + outer) / inertia) / (1.0 + dt * resist / inertia)
         brake = dt * motor.friction / inertia
         speed = math.copysign(max(abs(speed) - brake, 0.0), speed)
@@ -77,8 +79,20 @@ class Joints:
         shaft.torque = torque - drive.slope * speed
 
 
-def walk(drive: Drive, reference: float | None, angle: float, seconds: float) -> float | None:
-    """Return the reference of the servo's profile after `seconds`; None without power."""
+def profile_reference(
+    drive: Drive, reference: float | None, angle: float, seconds: float
+) -> float | None:
+    """Return the goal angle that the servo's velocity profile reaches after `seconds` [rad].
+
+    Args:
+        drive: Motor request with goal angle and profile speed.
+        reference: Goal angle of the profile at present [rad]; None: the profile starts now.
+        angle: Present shaft angle, at which a profile starts [rad].
+        seconds: Duration of the step [s].
+
+    Returns:
+        The new goal angle of the profile; None for a motor without power.
+    """
     if drive.goal is None:
         return None
     if math.isinf(drive.speed):

@@ -1,6 +1,6 @@
-"""Packets on the wire: checksum, CRC, byte stuffing, and splitting a byte stream into frames.
+"""Packets on the bus: checksum, CRC, byte stuffing, and splitting a byte stream into frames.
 
-Written from the makers' protocol pages, independent of the drivers, so that it can test them.
+This code follows the makers' protocol documents and is independent of the drivers, to test them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ BROADCAST = 0xFE
 STATUS = 0x55
 HEADER_1 = b"\xff\xff"
 HEADER_2 = b"\xff\xff\xfd\x00"
-#: Longest frame of Protocol 2.0 that a servo takes [bytes after the length field].
+#: Length of the longest packet of Protocol 2.0 that a servo accepts [bytes after the length field].
 LONGEST = 2048
 
 _POLYNOMIAL = 0x8005
@@ -31,14 +31,14 @@ _CRC_TABLE = [_crc_row(byte) for byte in range(256)]
 
 
 def crc16(data: bytes, crc: int = 0) -> int:
-    """CRC-16 of Protocol 2.0: polynomial 0x8005, start 0, no reflection.
+    """Return the CRC-16 of Protocol 2.0: polynomial 0x8005, initial value 0, no reflection.
 
     Args:
-        data: The bytes.
-        crc: Value to continue from.
+        data: Bytes to check.
+        crc: CRC of the bytes before `data`, to continue from.
 
     Returns:
-        The remainder, 16 bits.
+        The 16-bit CRC of all bytes.
     """
     for byte in data:
         crc = ((crc << 8) & 0xFF00) ^ _CRC_TABLE[(crc >> 8) ^ byte]
@@ -46,28 +46,28 @@ def crc16(data: bytes, crc: int = 0) -> int:
 
 
 def checksum(body: bytes) -> int:
-    """Checksum of Protocol 1.0 and Feetech: the inverted low byte of the sum, from id on."""
+    """Return the checksum of Protocol 1.0 and Feetech: inverted low byte of the sum of `body`."""
     return ~sum(body) & 0xFF
 
 
 def stuff(body: bytes) -> bytes:
-    """Add bytes that keep the header pattern out of instruction and parameters."""
+    """Return `body` with byte stuffing, so that it does not contain the packet header."""
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 
 
 def unstuff(body: bytes) -> bytes:
-    """Remove the bytes added by `stuff`."""
+    """Return `body` without the bytes that `stuff` inserts."""
     return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
 
 def packet_1(id: int, code: int, params: bytes = b"") -> bytes:
-    """Return a packet of Protocol 1.0 or Feetech; `code` is the instruction or the error byte."""
+    """Return a packet of Protocol 1.0 or Feetech; `code` is its instruction or error byte."""
     body = bytes((id, len(params) + 2, code)) + params
     return HEADER_1 + body + bytes((checksum(body),))
 
 
 def packet_2(id: int, instruction: int, params: bytes = b"") -> bytes:
-    """Return a packet of Protocol 2.0, stuffed."""
+    """Return an instruction packet of Protocol 2.0, with byte stuffing."""
     body = stuff(bytes((instruction,)) + params)
     head = HEADER_2 + bytes((id,)) + (len(body) + 2).to_bytes(2, "little") + body
     return head + crc16(head).to_bytes(2, "little")
@@ -86,9 +86,9 @@ class Frame:
         protocol: 1 (Dynamixel 1.0 and Feetech) or 2.
         id: Addressed servo.
         instruction: The instruction byte.
-        params: Parameters, unstuffed.
-        ok: True if checksum or CRC is valid.
-        raw: All its bytes.
+        params: Parameters, without byte stuffing.
+        ok: True if the checksum (Protocol 1.0) or the CRC (Protocol 2.0) is valid.
+        raw: All bytes of the packet.
     """
 
     protocol: Protocol
@@ -100,17 +100,17 @@ class Frame:
 
 
 class Framer:
-    """Splits a byte stream into frames; other bytes are dropped, as by a servo."""
+    """Splits the host's bytes into packets (`Frame`); drops bytes between packets, like a servo."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def reset(self) -> None:
-        """Discard an unfinished frame."""
+        """Discard the bytes of an unfinished packet."""
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Return the frames completed by these bytes."""
+        """Return the packets that `data` completes; keep the bytes of an unfinished packet."""
         buffer, at = self._rest + data, 0
         frames: list[Frame] = []
         while True:
@@ -133,7 +133,10 @@ class Framer:
 
     @staticmethod
     def _length(buffer: bytes, at: int) -> int | None:
-        """Return the length of the frame here; None if incomplete, 0 if there is no frame."""
+        """Return the length of the packet that starts at index `at` of `buffer` [bytes].
+
+        None: more bytes are needed to know it. 0: no valid packet starts there.
+        """
         have = len(buffer) - at
         if have < 4:
             return None

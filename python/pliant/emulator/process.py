@@ -1,4 +1,4 @@
-"""An emulator in a process of its own, so that it shares no interpreter with the host."""
+"""Emulator in a child process, so that emulator and host program do not share an interpreter."""
 
 from __future__ import annotations
 
@@ -18,21 +18,19 @@ if TYPE_CHECKING:
 
     from pliant.emulator.emulator import Emulator
 
-#: Timeout for the child to import and open its ports [s].
+#: Timeout for the child process to import its modules and open its ports [s].
 START_TIME = 60.0
-#: Timeout for its end [s].
+#: Timeout for the child process to exit before it is killed [s].
 STOP_TIME = 5.0
 
 
 class EmulatorProcess:
-    """An emulator in another process.
-
-    It ends with this object, or when the process that made it ends.
+    """Emulator in a child process, which also exits when the parent process ends.
 
     Args:
-        factory: Makes the emulator; a function or class that can be imported by name.
-        *args: For the factory.
-        **kwargs: For the factory.
+        factory: Function or class that returns the emulator; the child process imports it by name.
+        *args: Positional arguments of the factory.
+        **kwargs: Keyword arguments of the factory.
 
     Raises:
         PliantError, ImportError: Raised by the factory.
@@ -61,16 +59,18 @@ class EmulatorProcess:
 
     @property
     def port(self) -> str:
-        """Path of the first port."""
+        """Path of the emulator's first serial port."""
         return next(iter(self.ports.values()))
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
-        """Call a method of the emulator, or return an attribute.
+        """Call a method of the emulator in the child process and return its result.
+
+        If `name` is an attribute, return its value.
 
         Args:
-            name: Dotted, from the emulator on: `advance`, `faults.inject`, `log.writes`, `time`.
-            *args: For a method.
-            **kwargs: For a method.
+            name: Dotted name, relative to the emulator: `advance`, `faults.inject`, `time`.
+            *args: Positional arguments of the method.
+            **kwargs: Keyword arguments of the method.
 
         Raises:
             PliantError: Raised by the method.
@@ -83,14 +83,14 @@ class EmulatorProcess:
         return self._answer()
 
     def kill(self) -> None:
-        """Kill the process, as a crash would: the ports hang up."""
+        """Kill the child process, to simulate a crash: its ports hang up."""
         self._process.kill()
         self._process.join()
         for path in self.ports.values():
             shutil.rmtree(Path(path).parent, ignore_errors=True)
 
     def stop(self) -> None:
-        """Close its ports and end it."""
+        """Close the ports and end the child process."""
         self._pipe.close()
         self._process.join(STOP_TIME)
         if self._process.is_alive():
@@ -114,7 +114,10 @@ class EmulatorProcess:
 
 @contextmanager
 def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
-    """Prevent the child from importing the host's script."""
+    """Return a context in which a started child process does not import the host's main script.
+
+    If the main script defines `factory`, the child process has to import it.
+    """
     main = sys.modules["__main__"]
     hidden = {} if factory.__module__ == "__main__" else {"__spec__": None, "__file__": None}
     kept = {name: getattr(main, name) for name in hidden if hasattr(main, name)}
@@ -130,8 +133,9 @@ def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
 def _serve(
     pipe: Connection, factory: Callable[..., Emulator], args: Any, kwargs: dict[str, Any]
 ) -> None:
-    """Run the emulator in the child and carry out calls from the pipe."""
-    # A terminal sends these to all its processes; the servos must outlive them for the descent.
+    """Run the emulator in the child process, and execute the calls that `pipe` delivers."""
+    # Ignore these signals: a terminal sends them to all its processes, and the host still needs the
+    # emulated servos to lower the arm.
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -158,6 +162,6 @@ def _serve(
 
 
 def _portable(error: Exception) -> Exception:
-    """Return an error that can be sent to the other process."""
+    """Return `error`, or an equivalent error if it cannot be pickled for the parent process."""
     explained = isinstance(error, PliantError | ImportError)
     return error if explained else ServoError(f"{error!r}")

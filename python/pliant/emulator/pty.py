@@ -1,4 +1,4 @@
-"""A pseudo-terminal in place of a serial port; its path survives unplugging."""
+"""Pseudo-terminal in place of a serial port; unplugging does not change its path."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ try:
 except ImportError:  # Windows
     fcntl = termios = tty = None  # type: ignore[assignment]
 
-#: `struct termios2` of Linux: four flags, line, 19 characters, two speeds; and its ioctl.
+#: Linux' `struct termios2` as a format of `struct` (four flags, line discipline, 19 characters, two
+#: speeds), and the number of the ioctl TCGETS2 that reads it.
 _TERMIOS2, _TCGETS2 = "=4IB19B2I", 0x802C542A
 
 
 class Pty:
-    """One port.
+    """Pseudo-terminal of one port.
 
     Attributes:
-        path: Path for the host; a link to the present pseudo-terminal.
-        master: The emulator's end, None while the port is gone.
+        path: Path for the host: a symbolic link to the present pseudo-terminal.
+        master: File descriptor of the emulator's end, None while the port is unplugged.
     """
 
     def __init__(self, name: str) -> None:
-        """Open it.
+        """Open the pseudo-terminal.
 
         Raises:
             ServoError: This system has no pseudo-terminals.
@@ -45,16 +46,16 @@ class Pty:
         self.open()
 
     def open(self) -> None:
-        """Make a fresh pseudo-terminal under the same path."""
+        """Open a new pseudo-terminal, and make the link `path` refer to it."""
         self.hang_up()
-        # The slave stays open here; otherwise the host's first close would hang up the line.
+        # Keep the slave end open: otherwise the line hangs up when the host closes its port.
         self.master, self._slave = os.openpty()
         os.set_blocking(self.master, False)
         tty.setraw(self._slave)
         Path(self.path).symlink_to(os.ttyname(self._slave))
 
     def hang_up(self) -> None:
-        """Pull the cable: the host's open port fails, and the path is gone."""
+        """Close both ends of the pseudo-terminal: the host's open port fails, its path vanishes."""
         for end in (self.master, self._slave):
             if end is not None:
                 os.close(end)
@@ -62,12 +63,12 @@ class Pty:
         Path(self.path).unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Hang up and remove the path."""
+        """Close the pseudo-terminal, and remove the folder of its path."""
         self.hang_up()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def baud(self) -> int | None:
-        """Return the host's speed [bit/s]; None where the system does not report it."""
+        """Return the baud rate that the host has set [bit/s]; None if the system hides it."""
         if self._slave is None:
             return None
         try:
@@ -77,7 +78,7 @@ class Pty:
         return int(struct.unpack(_TERMIOS2, answer)[-1])
 
     def read(self) -> bytes:
-        """Return the bytes from the host; may be empty."""
+        """Return the bytes received from the host, without waiting; may be empty."""
         if self.master is None:
             return b""
         try:
@@ -88,7 +89,7 @@ class Pty:
             raise
 
     def write(self, data: bytes) -> None:
-        """Send to the host; a host that does not read loses bytes, as with a real port."""
+        """Send bytes to the host; they are lost when the host's buffer is full, as on a port."""
         if self.master is not None:
             try:
                 os.write(self.master, data)
@@ -96,6 +97,6 @@ class Pty:
                 return
 
     def mark(self, marker: bytes) -> None:
-        """Put a mark behind all bytes of the host so far."""
+        """Append `marker` to the host's bytes: it is read after all bytes sent so far."""
         if self._slave is not None:
             os.write(self._slave, marker)

@@ -1,4 +1,4 @@
-"""One wire with its servos: bytes of the host in, bytes for the host out. No clock, no thread."""
+"""Half-duplex bus with its servos: turns request bytes into reply bytes; no clock, no thread."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pliant.emulator import _protocol1, _protocol2
 from pliant.emulator._x_series import XServo
-from pliant.emulator.faults import Blow, Faults, collide
+from pliant.emulator.faults import ActiveFault, Faults, collide
 from pliant.emulator.log import Log, Transaction
 from pliant.emulator.packets import BROADCAST, Framer
 from pliant.emulator.timing import Timing
@@ -18,18 +18,19 @@ if TYPE_CHECKING:
     from pliant.emulator.packets import Frame
     from pliant.emulator.servo import Servo
 
-#: A servo listens if its speed is within this share of the host's.
+#: Largest relative difference of baud rates at which a servo understands the host.
 BAUD_TOLERANCE = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """Bytes on their way to the host.
+    """Bytes for the host, with their time of arrival.
 
     Attributes:
-        after: Time after the request's first byte [s]; None: just before the next reply.
+        after: Time from the request's first byte to the arrival [s]; None: just before the replies
+            to the next request.
         data: The bytes.
-        late: True if a fault delays them in addition to the wire.
+        late: True if an injected fault delays the bytes, in addition to the bus latency.
     """
 
     after: float | None
@@ -38,17 +39,18 @@ class Delivery:
 
 
 class SerialLine:
-    """A half-duplex bus.
+    """Half-duplex bus with its servos.
 
     Attributes:
         name: Name of the port.
-        servos: All servos on the wire.
-        dead: True: no data pass, as on a shorted or stuck line.
-        echo: True: the adapter returns every request before its reply.
-        noisy: True: the host receives random bytes continuously.
-        occupied: Time for which the last `feed` keeps the wire busy [s].
-        answered: Time after which the host has the last undelayed reply to it [s].
-        faults, timing, log: As given.
+        servos: All servos on the bus.
+        dead: True if no data pass, as on a shorted line.
+        echo: True if the adapter returns every request before the reply.
+        noisy: True if the host receives noise bytes continuously.
+        occupied: Time for which the transactions of the last `feed` keep the bus busy [s].
+        answered: Time from the last `feed` until the host has received the last of the replies that
+            no fault delays [s].
+        faults, timing, log: Injected faults, latencies and log of the bus.
     """
 
     def __init__(
@@ -60,7 +62,7 @@ class SerialLine:
         faults: Faults | None = None,
         log: Log | None = None,
     ) -> None:
-        """Connect the servos to the wire."""
+        """Connect the servos to the bus; by default without latencies and faults."""
         self.servos, self.name = list(servos), name
         self.dead = self.echo = self.noisy = False
         self.occupied = self.answered = self._took = 0.0
@@ -73,17 +75,17 @@ class SerialLine:
         self._framer.reset()
 
     def feed(self, data: bytes, baud: int | None = None, now: float = 0.0) -> list[Delivery]:
-        """Take bytes of the host and return those for it, in the order they leave the servos.
+        """Process bytes from the host and return the replies, in the order of sending.
 
         Args:
-            data: Bytes from the host, split anywhere.
-            baud: Its speed [bit/s]; None matches every servo.
-            now: Time [s], for the log.
+            data: Bytes from the host; a packet may be split over several calls.
+            baud: Baud rate of the host [bit/s]; None matches every servo.
+            now: Present time [s], for the log.
         """
         deliveries: list[Delivery] = []
         self.occupied = self.answered = 0.0
         for frame in self._framer.feed(data):
-            # A request that comes while the wire is busy goes out behind the one before.
+            # Start each transaction after the previous one has left the bus.
             start, made = self.occupied, self._transact(frame, baud, now)
             for one in made:
                 after = None if one.after is None else start + one.after
@@ -114,18 +116,18 @@ class SerialLine:
             servo, packet = slot[0]
             for _, other in slot[1:]:
                 packet = collide(packet, other)
-            blow = faults.strike(servo.id)
-            if blow is None and index == unlucky and chance is not None:
-                blow = Blow(chance)
+            fault = faults.reply_fault(servo.id)
+            if fault is None and index == unlucky and chance is not None:
+                fault = ActiveFault(chance)
             if self.timing.wire:
                 time += self.timing.turnaround + self._pause(frame, index, servo)
             begin, time = time, time + self.timing.span(len(packet), rate)
-            if blow is not None:
-                struck.append(f"{blow.kind} {servo.id}")
-                if blow.kind == "late":
-                    after = None if blow.seconds is None else time + blow.seconds
+            if fault is not None:
+                struck.append(f"{fault.kind} {servo.id}")
+                if fault.kind == "late":
+                    after = None if fault.seconds is None else time + fault.seconds
                     held.append(Delivery(after, packet, late=True))
-                packet = faults.spoil(blow.kind, packet)
+                packet = faults.damage(fault.kind, packet)
             if packet:
                 packets.append((begin, time, packet))
         self._took = time
@@ -152,14 +154,14 @@ class SerialLine:
             prompt = [Delivery(0.0, b"".join(sent))] if sent else []
         else:
             prompt = [Delivery(when, part) for when, part in self.timing.deliveries(packets)]
-        heard = [Delivery(0.0, frame.raw)] if self.echo else []
-        return heard + prompt + held
+        echoed = [Delivery(0.0, frame.raw)] if self.echo else []
+        return echoed + prompt + held
 
     def _listening(self, frame: Frame, baud: int | None) -> list[Servo]:
         return [
             servo
             for servo in self.servos
-            if servo.hears
+            if servo.is_listening
             and servo.protocol == frame.protocol
             and (baud is None or abs(servo.baud - baud) <= BAUD_TOLERANCE * baud)
         ]
@@ -172,7 +174,10 @@ class SerialLine:
 
     @staticmethod
     def _pause(frame: Frame, index: int, servo: Servo) -> float:
-        """Return delay; in a fast read only the first servo waits."""
+        """Return the delay of a servo before the reply number `index` [s].
+
+        In a fast read (Protocol 2.0) only the first servo delays its reply.
+        """
         fast = {_protocol2.FAST_SYNC_READ, _protocol2.FAST_BULK_READ}
         chained = frame.protocol == 2 and frame.instruction in fast and index > 0
         return 0.0 if chained else servo.return_delay

@@ -1,4 +1,4 @@
-"""The thread between pseudo-terminals and the emulated lines."""
+"""Thread that connects the pseudo-terminals to the emulated buses."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 
 Clock = Literal["real", "steps"]
 
-#: Period of the physics while there are no requests, in real time [s].
+#: Period of the physics updates while no request arrives, with the clock `real` [s].
 TICK = 0.005
-#: Largest lag of the physics; a longer one is dropped [s].
+#: Largest lag of the physics behind the wall clock [s]; the emulated time skips the excess.
 LARGEST_LAG = 0.1
-#: Bytes of a noisy line to the host per tick, without a header.
+#: Bytes that a noisy line sends to the host every `TICK`; they contain no packet header.
 NOISE = b"\x55\x12\xfd"
-#: A pause after which servos forget an unfinished request [s].
+#: Pause after which servos discard an unfinished request [s].
 GAP = 0.020
-#: Timeout of `sync` [s].
+#: Time after which a call that waits for the emulator's thread fails [s].
 SYNC_TIME = 10.0
 
 
 @dataclass
 class Port:
-    """A port with its line and pseudo-terminal."""
+    """State of one port: bus, pseudo-terminal, and bytes that are not processed or sent yet."""
 
     line: SerialLine
     pty: Pty
@@ -50,30 +50,31 @@ class Port:
 
 
 class Server:
-    """Serves lines on pseudo-terminals from a thread of its own.
+    """Connects emulated buses to pseudo-terminals in a separate thread.
 
     Attributes:
-        lock: Held while lines, servos or physics run.
-        lag: Time dropped because the computer was too slow [s].
-        late: Largest latency of a reply due to a busy computer, under the real clock [s].
+        lock: Lock held while buses, servos or physics run.
+        lag: Time that the emulation skipped because the computer was too slow [s].
+        late: Largest latency of a reply that a busy computer caused [s]; only with the clock
+            `real`.
     """
 
     def __init__(self, world: Simulation, lines: Mapping[str, SerialLine], clock: Clock) -> None:
-        """Store the lines to serve."""
+        """Store simulation `world`, buses by port name and clock; `start` opens the ports."""
         self._world, self._lines, self._clock = world, dict(lines), clock
         self._ports: dict[str, Port] = {}
         self._thread: threading.Thread | None = None
         self._failed: BaseException | None = None
-        self._errand: Callable[[], None] | None = None
+        self._pending_call: Callable[[], None] | None = None
         self._done = threading.Event()
         self.lock, self.lag, self.late = threading.RLock(), 0.0, 0.0
         self._marking = threading.Lock()
 
     def start(self) -> None:
-        """Open the ports and start to answer.
+        """Open the ports, and start the thread that answers requests.
 
         Raises:
-            ServoError: It runs already, or the system has no pseudo-terminals.
+            ServoError: The server runs already, or the system has no pseudo-terminals.
         """
         if self._thread is not None:
             raise ServoError("the emulator runs already")
@@ -81,14 +82,16 @@ class Server:
         self._wake_r, self._wake_w = os.pipe()
         self._stopping = False
         self._began = time.perf_counter() - self._world.time
-        self._thread = threading.Thread(target=self._guarded, name="pliant-emulator", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run_guarded, name="pliant-emulator", daemon=True
+        )
         self._thread.start()
 
     def stop(self) -> None:
-        """Close the ports.
+        """End the thread and close the ports.
 
         Raises:
-            ServoError: The thread had died; the cause is attached.
+            ServoError: The thread had ended with an error, which is attached as cause.
         """
         if self._thread is None:
             return
@@ -107,19 +110,19 @@ class Server:
         """Return the paths of all ports by name.
 
         Raises:
-            ServoError: It is not running.
+            ServoError: The server is not running.
         """
         if self._thread is None:
             raise ServoError("the emulator is not running: use `with Emulator(...) as bus:`")
         return {name: port.pty.path for name, port in self._ports.items()}
 
     def sync(self) -> None:
-        """Wait until everything the host has written so far has been acted on.
+        """Wait until the servos have processed all bytes that the host has written so far.
 
         Raises:
-            ServoError: The thread does not answer.
+            ServoError: The server's thread does not answer.
         """
-        # One at a time: a second mark on the same port would hide the first.
+        # Admit only one caller at a time: a second marker would overwrite the first.
         with self._marking:
             for port in list(self._ports.values()):
                 with self.lock:
@@ -132,7 +135,10 @@ class Server:
                     raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
 
     def hang_up(self, name: str | None) -> None:
-        """Pull the adapter of one port, or of all; on return, hosts have noticed."""
+        """Unplug the adapter of the port `name`, or of all ports if it is None.
+
+        Return when the pseudo-terminals are closed.
+        """
         self.sync()
 
         def pull() -> None:
@@ -142,10 +148,10 @@ class Server:
                     port.due.clear()
                     port.stale.clear()
 
-        self._do(pull)
+        self._run_in_thread(pull)
 
     def put_back(self, name: str | None) -> None:
-        """Open pulled ports again, under the same path."""
+        """Open the unplugged port `name`, or all if it is None, under the same path as before."""
 
         def put() -> None:
             for key, port in self._ports.items():
@@ -153,26 +159,28 @@ class Server:
                     port.line.reset()
                     port.pty.open()
 
-        self._do(put)
+        self._run_in_thread(put)
 
-    def _do(self, errand: Callable[[], None]) -> None:
-        """Run a function in the thread: a port cannot be closed while the thread waits on it.
+    def _run_in_thread(self, errand: Callable[[], None]) -> None:
+        """Run the function `errand` in the server's thread, and wait for its end.
+
+        Only that thread may close a port, because it polls the ports.
 
         Raises:
-            ServoError: The thread does not answer.
+            ServoError: The server's thread does not answer.
         """
         self._done.clear()
-        self._errand = errand
+        self._pending_call = errand
         self.wake()
         if self._thread is not None and not self._done.wait(SYNC_TIME):
             raise ServoError(f"the emulator does not answer: {self._failed or 'too slow'}")
 
     def wake(self) -> None:
-        """Wake the thread."""
+        """Make the server's thread return from its wait for data."""
         with suppress(OSError, AttributeError):
             os.write(self._wake_w, b"!")
 
-    def _guarded(self) -> None:
+    def _run_guarded(self) -> None:
         try:
             self._run()
         except BaseException as error:
@@ -194,22 +202,27 @@ class Server:
             if self._wake_r in ready:
                 os.read(self._wake_r, 4096)
             with self.lock:
-                self._follow()
-                if self._errand is not None:
-                    self._errand()
-                    self._errand = None
+                self._advance_to_wall_clock()
+                if self._pending_call is not None:
+                    self._pending_call()
+                    self._pending_call = None
                     self._done.set()
                 for end in ready:
                     if end in masters and masters[end].pty.master == end:
-                        self._note(looked, pause)
+                        self._record_latency(looked, pause)
                         self._serve(masters[end])
                 for port in self._ports.values():
                     self._flush(port)
                     if port.line.noisy:
                         port.pty.write(NOISE)
 
-    def _note(self, looked: float, pause: float | None) -> None:
-        """Record how long a request may have waited since the last poll."""
+    def _record_latency(self, looked: float, pause: float | None) -> None:
+        """Update `late` by the delay of the request that has ended the wait for data.
+
+        Args:
+            looked: Start of the wait for data [s].
+            pause: Time for which the thread intended to wait [s]; None: without limit.
+        """
         if pause is not None:
             self.late = max(self.late, time.perf_counter() - looked - pause)
 
@@ -218,7 +231,7 @@ class Server:
         return time.perf_counter() - self._began if real else self._world.time
 
     def _pause(self) -> float | None:
-        """Return the time for which the thread may sleep [s]."""
+        """Return the longest time for which the thread may sleep [s]; None for no limit."""
         due = [when for port in self._ports.values() for when, _ in port.due]
         if any(port.line.noisy for port in self._ports.values()):
             return TICK
@@ -226,8 +239,8 @@ class Server:
             return None
         return max(min([*(when - self._now() for when in due), TICK]), 0.0)
 
-    def _follow(self) -> None:
-        """Bring physics up to the wall clock."""
+    def _advance_to_wall_clock(self) -> None:
+        """With the clock `real`, advance the physics to the present wall clock time."""
         if self._clock == "real":
             behind = self._now() - self._world.time
             if behind > LARGEST_LAG:
@@ -237,7 +250,7 @@ class Server:
             self._world.advance(max(behind, 0.0), settle=False)
 
     def _serve(self, port: Port) -> None:
-        """Process the bytes of a host."""
+        """Pass the bytes that the host has sent to the bus; report a marker of `sync` in them."""
         data = port.held + port.pty.read()
         port.held = b""
         while port.marker and data:
@@ -258,15 +271,16 @@ class Server:
     def _feed(self, port: Port, data: bytes) -> None:
         if not data:
             return
-        # In emulated time: while it stands still, a computer that is busy between the two
-        # halves of a packet must not lose the first.
+        # Measure the pause in emulated time: with the clock `steps`, a busy computer then cannot
+        # make the servos discard half a packet.
         if self._now() - port.last > GAP:
             port.line.reset()
         port.last = self._now()
         baud, start = port.pty.baud(), max(self._now(), port.busy)
         deliveries = port.line.feed(data, baud, self._world.time)
         port.busy = start + port.line.occupied
-        # Time advances before the reply leaves: a host that has it sees the later time.
+        # Advance the time before the replies are sent, so that a host that has received them reads
+        # the time of their arrival.
         if self._clock == "steps":
             self._world.advance(max(port.line.occupied, port.line.answered))
         stale, port.stale = port.stale, []
@@ -282,7 +296,7 @@ class Server:
         self._flush(port)
 
     def _flush(self, port: Port) -> None:
-        """Send the deliveries that are due."""
+        """Send the replies of a port whose time of arrival has come."""
         if port.due:
             now = self._now()
             ready = sorted((item for item in port.due if item[0] <= now), key=lambda item: item[0])

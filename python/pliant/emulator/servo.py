@@ -1,4 +1,4 @@
-"""Base class of emulated servos: memory, shaft, supply, temperature, motor request."""
+"""Base class of emulated servos: registers, shaft, supply, temperature, motor request."""
 
 from __future__ import annotations
 
@@ -15,26 +15,27 @@ if TYPE_CHECKING:
     from pliant.emulator.models import Model
     from pliant.emulator.packets import Protocol
 
-#: Winding temperature rise above ambient at continuous stall [K], and its time constant [s]: a
-#: guess that overheats a stalled servo in half a minute and allows 30 % of the stall torque
-#: continuously.
+#: Temperature rise above ambient at continuous stall [K] and its time constant [s]. Both are
+#: assumed, so that a stalled servo overheats in half a minute, and at 30 % of its stall torque
+#: never.
 HEAT_AT_STALL, HEAT_TIME = 400.0, 200.0
-#: Duration of saturation at standstill that counts as overload [s]; not published by the makers.
+#: Time at standstill with the torque at its limit that counts as overload [s]; assumed, because
+#: makers do not publish it.
 OVERLOAD_TIME = 3.0
 #: Speed below which a servo counts as at rest [rad/s].
 STANDSTILL = 0.1
-#: Boot time without replies after power-up or reboot [s].
+#: Time without replies after power-up or reboot [s].
 BOOT_TIME = 0.3
 BIT_VOLTAGE, BIT_HEAT, BIT_OVERLOAD = 0x01, 0x04, 0x20
 
 
 @dataclass(slots=True)
 class Shaft:
-    """State of the output shaft after a physics step; angle 0 is raw count 0.
+    """State of the output shaft after a physics step.
 
     Attributes:
-        angle: [rad], unwrapped.
-        speed: [rad/s].
+        angle: Multi-turn angle, 0 at encoder count 0 [rad].
+        speed: Angular velocity [rad/s].
         torque: Motor torque at the output, before gear friction [N·m].
     """
 
@@ -45,14 +46,14 @@ class Shaft:
 
 @dataclass(slots=True)
 class Load:
-    """Load on the shaft of an emulated servo without a plant.
+    """Load on the shaft of an emulated servo that moves independently of other servos.
 
     Attributes:
-        inertia: In addition to the rotor's [kg·m²].
+        inertia: Inertia of the load, in addition to the rotor inertia [kg·m²].
         torque: Constant external torque [N·m].
         pendulum: Weight times lever arm of a hanging mass [N·m].
-        down: Angle at which the mass hangs straight down [rad].
-        stops: Hard stops [rad].
+        down: Shaft angle at which the mass hangs straight down [rad].
+        stops: Lowest and highest shaft angle, at hard stops [rad].
     """
 
     inertia: float = 0.0
@@ -64,16 +65,16 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Request of a servo's firmware to its motor.
+    """Motor request: position loop of a servo's firmware, as the registers set it at present.
 
     Attributes:
-        goal: Angle to hold [rad], None for a motor without power.
-        stiffness: [N·m/rad].
+        goal: Goal angle of the shaft [rad]; None for a motor without power.
+        stiffness: Torque per position error [N·m/rad].
         ceiling: Largest torque at standstill [N·m].
-        speed: Speed of the motion to the goal [rad/s].
-        dead: Error below which the torque is 0 [rad].
-        slope: Torque lost per speed, outside the ceiling (back-EMF of a duty limit) [N·m·s/rad].
-        kv: Damping inside the ceiling, of a current loop [N·m·s/rad].
+        speed: Speed of the motion profile [rad/s].
+        dead: Dead zone: position error below which the torque is 0 [rad].
+        slope: Torque loss per speed (back-EMF), which the ceiling does not clip [N·m·s/rad].
+        kv: Damping of the current loop, which the ceiling clips [N·m·s/rad].
     """
 
     goal: float | None = None
@@ -89,30 +90,37 @@ OFF = Drive()
 
 
 class Servo(ABC):
-    """A live servo: registers, rules and protections of its family.
+    """Emulated servo: registers, access rules and protections; one subclass per family.
 
     Attributes:
         model: Servo model.
-        memory: Present control table.
-        shaft, load: Its output shaft and the load on it.
+        memory: Present bytes of the control table.
+        stored: Bytes that the control table has after the next power-up.
+        shaft, load: Output shaft and the load on it.
         supply: Supply voltage [V].
-        temperature: [°C].
+        temperature: Winding temperature [°C].
         plugged: True if bus and power are connected.
         now: Time of the emulator [s].
-        registered: Registered write that waits for an action.
-        stuck: Registers that read a fixed value.
-        journal: Writes since it was last emptied.
+        registered: Address and bytes of a REG_WRITE that waits for ACTION; None: no such write.
+        stuck: Fixed values that registers read as, by register name, for tests.
+        journal: Register writes that the log of the bus does not contain yet.
     """
 
     protocol: ClassVar[Protocol]
-    #: Speeds by the value of the register, in a family that has a list of them [bit/s].
+    #: Baud rates by value of the register Baud Rate [bit/s]; empty if the family uses a formula.
     bauds: ClassVar[tuple[int, ...]] = ()
 
     def __init__(self, model: Model, id: int, *, angle: float | None, **registers: int) -> None:
-        """Make a servo in factory state, except for these EEPROM values.
+        """Create a booted servo in factory state, except for the EEPROM values `registers`.
+
+        Args:
+            model: Servo model.
+            id: Id on the bus.
+            angle: Shaft angle [rad]; None: the middle of the encoder's range.
+            **registers: EEPROM values by register name.
 
         Raises:
-            ConfigError: A register is unknown, in RAM, or the value does not fit.
+            ConfigError: A register is unknown or in RAM, or its value does not fit.
         """
         self.model, self.table = model, model.table
         self._fields = {r.name: (r.address, r.address + r.size, r.sign) for r in self.table}
@@ -128,8 +136,8 @@ class Servo(ABC):
         self.registered: tuple[int, bytes] | None = None
         self.stuck: dict[str, int] = {}
         self.journal: list[Write] = []
-        self._deaf_until = -math.inf
-        self._strain = 0.0
+        self._boot_end = -math.inf
+        self._overload_time = 0.0
         for register in self.table:
             self._store(register, register.initial)
         for name, value in {"model_number": model.number, "id": id, **registers}.items():
@@ -146,17 +154,17 @@ class Servo(ABC):
     def __repr__(self) -> str:
         return f"<{self.model.name} id {self.id}>"
 
-    # Memory.
+    # Access to the control table.
 
     def get(self, name: str) -> int:
-        """Return a register's value in memory."""
-        # Called thousands of times a second, so it avoids `Table` objects if unsigned.
+        """Return the present value of the register `name`."""
+        # Decode unsigned registers without `Table`: this is called thousands of times a second.
         start, stop, sign = self._fields[name]
         raw = int.from_bytes(self.memory[start:stop], "little")
         return raw if sign is None else self.table[name].decode(self.memory[start:stop])
 
     def put(self, name: str, value: float) -> None:
-        """Set a register without any checks, rounded and clipped to its range."""
+        """Set a register without access checks; the value is rounded and clipped to its range."""
         register = self.table[name]
         self.memory[register.address : register.address + register.size] = register.encode(
             round(value)
@@ -167,41 +175,41 @@ class Servo(ABC):
         self.stored[register.address : register.address + register.size] = data
 
     def keep(self, address: int, length: int) -> None:
-        """Store EEPROM bytes, so that they survive power off."""
+        """Copy bytes of the control table to `stored`, so that they survive a power cycle."""
         self.stored[address : address + length] = self.memory[address : address + length]
 
     @property
     def id(self) -> int:
-        """Its id on the bus."""
+        """Id on the bus."""
         return self.get("id")
 
     @property
-    def hears(self) -> bool:
-        """True if it is plugged in and has booted."""
-        return self.plugged and self.now >= self._deaf_until
+    def is_listening(self) -> bool:
+        """True if the servo is connected and has booted, so that it receives requests."""
+        return self.plugged and self.now >= self._boot_end
 
-    # Power.
+    # Power-up, and conversion of positions.
 
     def power_up(self) -> None:
-        """Restart: EEPROM as stored, RAM at initial values, torque off, booting."""
-        self._deaf_until = self.now + BOOT_TIME
+        """Restart the servo with stored EEPROM and initial RAM values; start the boot time."""
+        self._boot_end = self.now + BOOT_TIME
         self.memory[:] = self.stored
-        self.registered, self._strain = None, 0.0
+        self.registered, self._overload_time = None, 0.0
         self.on_power()
         self.refresh()
 
     def wake(self) -> None:
         """End the boot time immediately."""
-        self._deaf_until = -math.inf
+        self._boot_end = -math.inf
 
     def angle_of(self, count: float) -> float:
-        """Return the shaft angle at which this count is reported, whole turns aside [rad]."""
+        """Return the shaft angle at which the servo reports `count`, within one turn [rad]."""
         return self.raw_of(count) * self.model.count
 
-    # Bus.
+    # Requests from the bus.
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Return error and bytes of a block; no bytes after an error."""
+        """Return error code and bytes of a read of `length` bytes; no bytes after an error."""
         self.refresh()
         for name, value in self.stuck.items():
             self.put(name, value)
@@ -210,9 +218,9 @@ class Servo(ABC):
         return error, bytes(self.memory[byte] for byte in places)
 
     def write(self, address: int, data: bytes, instruction: str = "write") -> int:
-        """Write a block if the rules allow it, record it, and return the error.
+        """Write `data` from `address` on if every register accepts it; return the error code.
 
-        A block with one rejected register is rejected as a whole.
+        The write is recorded in `journal` as `instruction`, also if it is rejected.
         """
         enabled = self.enabled
         places = self.resolve(address, len(data))
@@ -230,37 +238,40 @@ class Servo(ABC):
         return error
 
     def resolve(self, address: int, length: int) -> list[int]:
-        """Return the real addresses of these bytes (indirect addressing)."""
+        """Return the table addresses of `length` bytes from `address` on.
+
+        Servos with indirect addressing or addresses beyond the table override this method.
+        """
         return list(range(address, address + length))
 
-    # Physics.
+    # Motor state, and updates after physics steps.
 
     @property
     def stall(self) -> float:
-        """Stall torque at the present voltage [N·m]."""
+        """Stall torque at the present supply voltage [N·m]."""
         return self.model.motor.stall * self.supply / self.model.motor.volts
 
     @property
     def duty(self) -> float:
-        """Duty of the motor as a share of the supply, signed."""
+        """Duty of the motor voltage with sign, -1 to 1; 0 with torque off."""
         motor, speed = self.model.motor, self.shaft.speed
         share = (self.shaft.torque + motor.slope * speed) / max(self.stall, 1e-9)
         return max(-1.0, min(share, 1.0)) if self.enabled else 0.0
 
     @property
     def current(self) -> float:
-        """Motor current, signed [A]."""
+        """Motor current with sign [A]; 0 with torque off."""
         return self.shaft.torque / self.model.motor.torque_per_amp if self.enabled else 0.0
 
     def update(self, seconds: float) -> None:
-        """Update temperature, overload time and protections after a physics step."""
+        """Update temperature and protections after physics steps of `seconds` [s] in total."""
         share = self.shaft.torque / self.model.motor.stall
         target = self.ambient + HEAT_AT_STALL * share * share
         self.temperature += (target - self.temperature) * min(seconds / HEAT_TIME, 1.0)
         self.protect(seconds)
 
     def faults(self) -> int:
-        """Return the present bits of voltage and heat, from the limits in EEPROM."""
+        """Return the error bits for a voltage or temperature outside the limits in EEPROM."""
         low, high = self.get("min_voltage_limit"), self.get("max_voltage_limit")
         bits = (
             0
@@ -269,28 +280,33 @@ class Servo(ABC):
         )
         return bits | (BIT_HEAT if self.temperature > self.get("temperature_limit") else 0)
 
-    def strained(self, seconds: float, threshold: float) -> bool:
-        """Count the time at or above a torque at standstill; return True for an overload."""
+    def is_overloaded(self, seconds: float, threshold: float) -> bool:
+        """Return True after `OVERLOAD_TIME` at standstill with a torque of at least `threshold`.
+
+        Args:
+            seconds: Time since the last call [s].
+            threshold: Motor torque from which on the time counts [N·m].
+        """
         at_limit = self.enabled and abs(self.shaft.torque) >= threshold > 0.0
         still = abs(self.shaft.speed) < STANDSTILL
-        self._strain = self._strain + seconds if at_limit and still else 0.0
-        return self._strain > OVERLOAD_TIME
+        self._overload_time = self._overload_time + seconds if at_limit and still else 0.0
+        return self._overload_time > OVERLOAD_TIME
 
     # Members that a servo family implements, or overrides if its registers differ.
 
     @property
     def baud(self) -> int:
-        """Baud rate [bit/s]."""
+        """Baud rate that the servo's registers set [bit/s]."""
         return self.bauds[self.get("baud_rate")]
 
     @property
     def enabled(self) -> bool:
-        """True if torque is on; 2 of a Feetech (damping) gives no torque here."""
+        """True if torque is on; the damping mode of Feetech (value 2) counts as off."""
         return self.get("torque_enable") == 1
 
     @property
     def level(self) -> int:
-        """Reply level: 0 pings only, 1 also reads, 2 everything."""
+        """Instructions that the servo replies to: 0 pings, 1 also reads, 2 all."""
         return self.get("status_return_level")
 
     @property
@@ -300,18 +316,18 @@ class Servo(ABC):
 
     @abstractmethod
     def raw_of(self, count: float) -> float:
-        """Return the raw count behind a reported one, whole turns aside."""
+        """Return the encoder count at which the servo reports `count`, within one turn."""
 
     @property
     def return_delay(self) -> float:
-        """Pause before a reply [s]."""
+        """Delay between a request and the reply [s]."""
         return self.get("return_delay_time") * 2e-6
 
     def set_baud(self, baud: int) -> None:
-        """Store a speed in EEPROM.
+        """Store the register value of the baud rate `baud` [bit/s] in EEPROM.
 
         Raises:
-            ConfigError: The family has no such speed.
+            ConfigError: The servo does not support this baud rate.
         """
         bauds = self.bauds[: self.table["baud_rate"].high + 1]
         if baud not in bauds:
@@ -322,7 +338,7 @@ class Servo(ABC):
 
     @abstractmethod
     def status(self) -> int:
-        """Return the condition bits of every reply."""
+        """Return the bits of present conditions (overheating, ...), which every reply carries."""
 
     @abstractmethod
     def check_read(self, address: int, length: int) -> int:
@@ -330,35 +346,38 @@ class Servo(ABC):
 
     @abstractmethod
     def check_write(self, address: int, data: bytes) -> int:
-        """Return the error code of a write: 0 if accepted, -1 if ignored without a reply."""
+        """Return the error code of a write: 0 if accepted, -1 if ignored without an error reply."""
 
     @abstractmethod
     def on_write(self, address: int, data: bytes) -> None:
-        """Apply the side effects of an accepted write."""
+        """Apply the side effects of an accepted write of `data` from `address` on."""
 
     @abstractmethod
     def on_power(self) -> None:
-        """Set the RAM registers whose initial values are not constant."""
+        """At power-up, set the RAM registers whose initial values are not constant."""
 
     @abstractmethod
     def refresh(self) -> None:
-        """Update the present-value registers."""
+        """Write position, speed, load, voltage and temperature to the registers for them."""
 
     @abstractmethod
     def drive(self) -> Drive:
-        """Return the request to the motor."""
+        """Return the motor request that follows from the present registers."""
 
     @abstractmethod
     def protect(self, seconds: float) -> None:
-        """Apply the protections: trips, latches, timeouts."""
+        """Apply the servo's protections, such as overload, `seconds` [s] after the last call."""
 
     @abstractmethod
     def trip(self, bit: int) -> None:
-        """Simulate the detection of a condition (overload, heat, voltage), for tests."""
+        """React as if the servo had detected the condition with the error bit `bit`."""
 
 
 def _runs(places: list[int], data: bytes) -> list[tuple[int, bytes]]:
-    """Group bytes by contiguous addresses."""
+    """Group `data`, whose bytes have the addresses `places`, into blocks (first address, bytes).
+
+    Addresses within a block are contiguous.
+    """
     runs: list[tuple[int, bytearray]] = []
     for place, byte in zip(places, data, strict=True):
         if runs and place == runs[-1][0] + len(runs[-1][1]):

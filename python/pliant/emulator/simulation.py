@@ -1,4 +1,4 @@
-"""Servos, their physics and the clock, without ports or threads."""
+"""Simulation of the servos: physics, protections and time, without ports or threads."""
 
 from __future__ import annotations
 
@@ -13,72 +13,72 @@ if TYPE_CHECKING:
     from pliant.emulator.motion import Physics
     from pliant.emulator.servo import Servo
 
-#: Longest period of protections and watchdogs [s].
+#: Longest emulated time between updates of the servos' protections and watchdogs [s].
 SLICE = 0.010
 
 
 class Simulation:
-    """Advances the physics, then updates every servo.
+    """Advances the physics of all servos, and updates their protections.
 
     Attributes:
         servos: All servos of all ports.
-        physics: Physics of their shafts.
-        time: Since the start [s], a whole number of physics steps.
+        physics: Physics of the servo shafts.
+        time: Emulated time since the start [s], a whole number of physics steps.
     """
 
     def __init__(self, servos: Sequence[Servo], physics: Physics | None = None) -> None:
-        """Bind the servos to `physics`; by default they are independent."""
+        """Connect the servos to `physics` and boot them; None: the servos move independently."""
         self.servos = list(servos)
         self.physics: Physics = Joints() if physics is None else physics
         self.time = 0.0
-        self._steps, self._owed, self._unseen = 0, 0.0, 0
+        self._steps, self._remainder, self._steps_since_update = 0, 0.0, 0
         self.physics.bind(self.servos)
         for servo in self.servos:
             servo.power_up()
             servo.wake()
 
     def advance(self, seconds: float, *, settle: bool = True) -> None:
-        """Advance the time; a remainder below one physics step is kept for the next call.
+        """Run the physics; a remainder below one physics step is kept for the next call.
 
         Args:
-            seconds: Duration [s].
-            settle: True: the servos are also updated at the end, not only every 10 ms.
+            seconds: Emulated time to add [s].
+            settle: True: update the servos' protections at the end too, not only every `SLICE`.
 
         Raises:
-            ConfigError: Not a number, or negative.
+            ConfigError: `seconds` is negative or not finite.
         """
         if not 0.0 <= seconds < float("inf"):
             raise ConfigError(f"time can advance by 0 s or more, got {seconds!r}")
         dt = self.physics.dt
-        self._owed += seconds
-        steps = int(self._owed / dt + 1e-6)
-        self._owed = max(self._owed - steps * dt, 0.0)
+        self._remainder += seconds
+        steps = int(self._remainder / dt + 1e-6)
+        self._remainder = max(self._remainder - steps * dt, 0.0)
         most = max(round(SLICE / dt), 1)
         while steps > 0:
-            now = min(steps, most - self._unseen)
+            now = min(steps, most - self._steps_since_update)
             self.physics.step(now)
             self._steps += now
-            self._unseen += now
+            self._steps_since_update += now
             steps -= now
             self.time = self._steps * dt
             for servo in self.servos:
                 servo.now = self.time
-            if self._unseen >= most:
-                self._look()
-        if settle and self._unseen:
-            self._look()
+            if self._steps_since_update >= most:
+                self._update_servos()
+        if settle and self._steps_since_update:
+            self._update_servos()
 
-    def _look(self) -> None:
-        """Update every servo."""
+    def _update_servos(self) -> None:
+        """Update temperature and protections of every servo for the steps since the last update."""
         for servo in self.servos:
-            servo.update(self._unseen * self.physics.dt)
-        self._unseen = 0
+            servo.update(self._steps_since_update * self.physics.dt)
+        self._steps_since_update = 0
 
     def servo(self, id: int) -> Servo:
         """Return the first servo with this id.
 
         Raises:
-            ConfigError: No servo has it; the message lists the known ones.
+            ConfigError: No servo has this id; the message lists the servos.
         """
         for servo in self.servos:
             if servo.id == id:

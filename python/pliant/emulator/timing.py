@@ -1,4 +1,4 @@
-"""Latency of bytes to the host: wire, servo delays, USB adapter."""
+"""Latency of replies on the emulated bus: wire, servo delays, USB adapter."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ from dataclasses import dataclass
 
 from pliant._core import ConfigError
 
-#: Payload of one packet of a full-speed FTDI adapter [bytes].
+#: Payload of one USB packet of a full-speed FTDI adapter [bytes].
 USB_PACKET = 62
 
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """Latencies between servos and host; default without.
+    """Latencies between servos and host; by default there are none.
 
     Attributes:
-        wire: True: bytes take ten bits each at the port's speed, and servos their return delay.
-        turnaround: A servo's own pause before its reply, in addition to its return delay [s].
-        usb_latency: Latency timer of the adapter [s], for which a short reply waits. The default of
-            an FTDI adapter is 0.016, often set to 0.001; 0 is an adapter without one.
+        wire: True: each byte takes the time of ten bits at the baud rate, and servos delay their
+            replies. False: both take no time.
+        turnaround: Delay of a reply in addition to the register Return Delay Time [s].
+        usb_latency: Latency timer of the adapter [s], which delays short replies. The default of
+            an FTDI adapter is 0.016, often set to 0.001; 0: an adapter without latency timer.
     """
 
     wire: bool = False
@@ -26,7 +27,7 @@ class Timing:
     usb_latency: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         for name in ("turnaround", "usb_latency"):
             value = getattr(self, name)
             if not 0.0 <= value < 1.0:
@@ -38,11 +39,15 @@ class Timing:
         return not self.wire and self.usb_latency == 0.0
 
     def span(self, length: int, baud: int) -> float:
-        """Return how long so many bytes take on the wire [s]."""
+        """Return the time that `length` bytes take on the wire [s] at `baud` [bit/s]."""
         return 10.0 * length / baud if self.wire else 0.0
 
     def deliveries(self, packets: list[tuple[float, float, bytes]]) -> list[tuple[float, bytes]]:
-        """Turn (first byte, last byte, bytes) on the wire into (time, bytes) at the host."""
+        """Return the portions of the replies that reach the host: time of arrival [s] and bytes.
+
+        Args:
+            packets: Start and end of each reply on the wire [s], and its bytes.
+        """
         if self.usb_latency == 0.0:
             return [(end, data) for _, end, data in packets]
         arrivals = [

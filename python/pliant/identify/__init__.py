@@ -1,4 +1,4 @@
-"""Identification of gravity offset, payload, servos and delay; and hand guiding.
+"""Identification of servos, delay, payload and gravity offset on the arm; and hand guiding.
 
     >>> found = pliant.identify.identify_servos(arm, arm.model, arm.servos)       # 2 minutes
     >>> print(found)
@@ -6,9 +6,10 @@
     >>> pliant.identify.capture_gravity(arm, controller)                      # 4 s, moves nothing
     >>> pliant.identify.estimate_payload(arm, controller)                      # 30 s
 
-They need only positions, goals and torque limits, of any arm with `read` and `write`, connected or
-simulated. Each function has `.procedure(...)`, which makes a `Procedure` with `step(q)` for a loop
-of your own.
+The procedures need only joint positions, goals and torque limits, so they accept any real or
+simulated arm with `read` and `write`. To use another control loop, call the attribute `procedure`
+of a function, as in `capture_gravity.procedure(controller)`: it returns a `Procedure`, whose
+`step(q)` is called once per cycle.
 """
 
 from pliant.identify.gravity import GravityCapture, capture_gravity

@@ -1,4 +1,4 @@
-"""Safe motions of an arm in joint space, with a record of orders and readings."""
+"""Slow joint motions for identification, with bounded torque; each control cycle is recorded."""
 
 from __future__ import annotations
 
@@ -20,38 +20,41 @@ if TYPE_CHECKING:
 
     Motion = Generator[Command, Array, Array]
 
-#: Peak speed of a joint between poses [rad/s].
+#: Largest speed of a joint on the way between two poses [rad/s].
 TRAVEL_SPEED = 0.4
-#: Share of a sweep's period for a reversal.
-CORNER = 0.2
-#: Lag behind the plan, beyond the slack, at which a joint counts as blocked [rad].
+#: Duration of each reversal of a swing, as a share of the swing's period [1].
+REVERSAL_SHARE = 0.2
+#: A joint counts as blocked if it lags behind its planned position by `tracking_tolerance` plus
+#: this angle [rad].
 BLOCKED_LAG = 0.2
-#: Spring toward the plan for a joint driven by its limit, as a share of k_p.
-SPRING = 0.15
-#: Share of the assumed friction that is fed forward.
+#: While a joint is driven by its torque limit: stiffness of the spring in that limit toward the
+#: planned position, as a share of the servo's stiffness k_p [1].
+SPRING_SHARE = 0.15
+#: Share of the assumed friction that is fed forward while a joint is driven by its torque limit.
 FRICTION_SHARE = 0.8
-#: Least and largest distance beyond its swing at which the joint is stopped [rad].
-OVERSHOOT = (0.06, 0.25)
-#: Least lead of its goal [rad].
+#: A joint driven by its torque limit is stopped if it leaves its swing by a distance that grows
+#: with its friction, between these bounds [rad].
+OVERSHOOT_RANGE = (0.06, 0.25)
+#: Minimum lead (goal minus position) of a joint driven by its torque limit [rad].
 MIN_LEAD = 0.05
-#: Settling time after a step of the goal [s].
+#: Time between two step changes of a joint's goal [s].
 STEP_TIME = 0.5
-#: Margin to the position limits [rad].
+#: Minimum distance of all motions from the position limits [rad].
 LIMIT_MARGIN = 0.02
 
 
 @dataclass
 class Record:
-    """Ticks of one motion.
+    """Positions and commands in the N ticks (control cycles) of one motion.
 
-    The goal of row k was sent after q of row k had been read, and holds until row k + 1.
+    The goal of row k was sent after the positions of row k had been read.
 
     Attributes:
-        q: Positions read (N, n) [rad].
-        goal: Goals sent, rounded to counts (N, n) [rad].
+        q: Measured positions (N, n) [rad].
+        goal: Goals sent, rounded to encoder counts (N, n) [rad].
         limit: Torque limits sent (N, n) [N·m].
-        speed: Planned speed (N, n) [rad/s].
-        driven: Joint driven by its limit, -1 for none.
+        speed: Planned speeds (N, n) [rad/s].
+        driven: Index of the joint that is driven by its torque limit; -1: all joints follow goals.
     """
 
     q: list[Array] = field(default_factory=list)
@@ -61,24 +64,24 @@ class Record:
     driven: int = -1
 
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """Positions, goals, limits and speeds, (N, n) each."""
+        """Return positions, goals, limits and speeds as arrays, (N, n) each."""
         return np.array(self.q), np.array(self.goal), np.array(self.limit), np.array(self.speed)
 
 
 class Excitation:
-    """An arm with an assumed servo table, moved slowly and with bounded torque.
+    """Generators of slow joint motions for identification; each motion is recorded.
 
     Args:
         model: The arm.
-        servos: Assumed servo table.
+        servos: Assumed servo parameters.
         period: Control period [s].
-        torque_share: Torque allowed on top of gravity, as a share of the usable torque.
+        torque_share: Torque allowed in addition to gravity, as a share of the maximum torque [1].
         stiffness_uncertainty: Factor by which the true stiffness may be smaller than assumed.
 
     Attributes:
-        extra_torque: Identified torque at the pose in addition to the model's (n,) [N·m].
+        extra_torque: Gravity torque of a payload that the model lacks (n,) [N·m].
         records: Records of all motions.
-        undriven: Joints that could not be driven by their limits.
+        undriven: Indices of joints for which the motion by torque limit was stopped.
     """
 
     def __init__(
@@ -110,32 +113,41 @@ class Excitation:
             self.back_emf: Array = self.torque / np.asarray(servos.no_load_speed)
         else:
             self.back_emf = np.zeros(n)
-        self._share, self.stiffness_uncertainty = torque_share, stiffness_uncertainty
-        self._grid = np.where(self.count > 0.0, self.count, 1.0)
+        self._torque_share, self.stiffness_uncertainty = torque_share, stiffness_uncertainty
+        self._count_or_one = np.where(self.count > 0.0, self.count, 1.0)
         self.extra_torque: Array = np.zeros(n)
         self.records: list[Record] = []
         self.undriven: list[int] = []
 
     def start_record(self, driven: int = -1) -> Record:
-        """Start a new record for all orders from now on."""
+        """Start and return a new record; `driven` is the joint driven by its torque limit."""
         self.records.append(Record(driven=driven))
         return self.records[-1]
 
     def gravity_lead(self, q: ArrayLike) -> Array:
-        """Return the lead of the goals that carries the arm at q, by the table (n,) [rad]."""
+        """Return the leads (goal minus position) that hold the arm against gravity (n,) [rad].
+
+        The leads are those at positions q (n,) [rad] for the assumed servo stiffness.
+        """
         return (np.asarray(self.model.gravity(q)) + self.extra_torque) / self.kp
 
     def limits(self, q: ArrayLike) -> Array:
-        """Return torque limits that carry the arm at q plus `torque_share` (n,) [N·m]."""
-        needed = 1.3 * np.abs(self.model.gravity(q) + self.extra_torque) + self._share * self.torque
+        """Return the torque limits at positions q (n,) [N·m], at most the maximum torque.
+
+        They are 1.3 times the gravity torque plus `torque_share` times the maximum torque.
+        """
+        needed = (
+            1.3 * np.abs(self.model.gravity(q) + self.extra_torque)
+            + self._torque_share * self.torque
+        )
         out: Array = np.minimum(self.torque, needed)
         return out
 
     def fit_within_limits(self, q: Array, size: Array) -> Array:
-        """Return the pose nearest to q whose swing of ±size fits into the position limits.
+        """Return the pose nearest to q whose swing of ±size stays within the position limits.
 
         Raises:
-            OutOfRangeError: It fits nowhere.
+            OutOfRangeError: The swing of a joint is wider than the range between its limits.
         """
         margin = LIMIT_MARGIN + size
         low, high = self.model.lower + margin, self.model.upper - margin
@@ -146,10 +158,10 @@ class Excitation:
         return out
 
     def check_range(self, low: ArrayLike, high: ArrayLike) -> None:
-        """Check that a range [rad] keeps its margin to the position limits.
+        """Check that motions from `low` to `high` (n,) [rad] stay within the position limits.
 
         Raises:
-            OutOfRangeError: It does not; names the joint, the range and its limits.
+            OutOfRangeError: The motion of a joint comes closer to a limit than `LIMIT_MARGIN`.
         """
         low, high = np.asarray(low), np.asarray(high)
         bad = (low < self.model.lower + LIMIT_MARGIN) | (high > self.model.upper - LIMIT_MARGIN)
@@ -161,8 +173,13 @@ class Excitation:
             )
 
     def send(self, q: Array, goal: Array, limit: Array, speed: Array) -> Motion:
-        """Run one tick: send, record, and return the next positions."""
-        goal = np.where(self.count > 0.0, np.round(goal / self._grid) * self._grid, goal)
+        """Run one tick, and return the positions read in the next tick (n,) [rad].
+
+        The goal is rounded to encoder counts, recorded with the other arguments, and sent.
+        """
+        goal = np.where(
+            self.count > 0.0, np.round(goal / self._count_or_one) * self._count_or_one, goal
+        )
         record = self.records[-1]
         for rows, value in (
             (record.q, q),
@@ -174,7 +191,14 @@ class Excitation:
         return (yield Command(goal, limit))
 
     def follow(self, q: Array, path: Array, speed: Array) -> Motion:
-        """Follow positions (N, n) [rad] with planned speeds (N, n) [rad/s]."""
+        """Move through planned positions (N, n) [rad], one per tick.
+
+        `speed` (N, n) [rad/s] is the planned speed, which is only recorded. The last measured
+        positions are returned.
+
+        Raises:
+            ServoError: A joint is farther from its planned position than `BLOCKED_LAG` allows.
+        """
         for planned, rate in zip(path, speed, strict=True):
             lag = np.abs(planned - q)
             joint = int(np.argmax(lag - self.tracking_tolerance))
@@ -190,16 +214,19 @@ class Excitation:
         return q
 
     def hold(self, q: Array) -> Motion:
-        """Hold the present positions."""
+        """Hold the measured positions q (n,) [rad] for one tick; return the next positions."""
         return (yield from self.send(q, q + self.gravity_lead(q), self.limits(q), np.zeros(self.n)))
 
     @property
     def tracking_tolerance(self) -> Array:
-        """Lag that friction and gravity errors may cause (n,) [rad]."""
+        """Largest lag of a joint that friction and a wrong gravity model may cause (n,) [rad]."""
         return (8.0 * self.friction + 0.5 * self.torque) / self.kp
 
     def travel(self, q: Array, start: Array, end: Array) -> Motion:
-        """Move from a planned pose to another one and come to rest."""
+        """Move from pose `start` to pose `end` (n,) [rad] and rest there for 0.4 s.
+
+        q are the measured positions; the last positions read are returned.
+        """
         seconds = max(0.5 * np.pi * np.abs(end - start).max() / TRAVEL_SPEED, self.period)
         count = max(int(np.ceil(seconds / self.period)), 1)
         phase = np.arange(1, count + 1) / count
@@ -209,33 +236,38 @@ class Excitation:
         path = np.concatenate([path, rest])
         return (yield from self.follow(q, path, np.zeros_like(path)))
 
-    def sweep(self, q: Array, pose: Array, size: Array, seconds: float, turns: float) -> Motion:
-        """Swing all joints about a pose by ±size (n,) [rad], at constant speed between turns."""
-        time = np.arange(1, round(turns * seconds / self.period) + 1) * self.period
+    def sweep(self, q: Array, pose: Array, size: Array, seconds: float, swings: float) -> Motion:
+        """Swing all joints about a pose by ±size (n,) [rad], at constant speed between reversals.
+
+        One swing takes `seconds`; `swings` is the number of swings, which may be fractional.
+        """
+        time = np.arange(1, round(swings * seconds / self.period) + 1) * self.period
         wave, slope = triangle(time / seconds)
         path = pose + wave[:, None] * size
         return (yield from self.follow(q, path, slope[:, None] * size / seconds))
 
-    def push(
+    def drive_by_limit(
         self, q: Array, pose: Array, joint: int, size: float, timing: tuple[float, float]
     ) -> Motion:
-        """Swing one joint by the torque of its limit alone; the others hold the pose.
+        """Swing one joint by setting its torque limit; the other joints hold the pose.
 
-        The goal stays far ahead, so that the servo torque equals its limit. The limit is gravity,
-        friction and damping by the table, plus a soft spring toward the plan that corrects errors.
-        The pace is a period [s] and a number of swings.
+        The goal is so far from the position that the servo's torque equals its limit. The limit is
+        the modelled torque of gravity, friction and damping, plus a soft spring toward the planned
+        position. `size` is the amplitude [rad]; `timing` is the period [s] and number of swings.
         """
-        seconds, turns = timing
-        time = np.arange(1, round(turns * seconds / self.period) + 1) * self.period
+        seconds, swings = timing
+        time = np.arange(1, round(swings * seconds / self.period) + 1) * self.period
         wave, slope = triangle(time / seconds)
-        spring = SPRING * self.kp[joint]
+        spring = SPRING_SHARE * self.kp[joint]
         viscous = self.damping[joint] + self.back_emf[joint]
         max_torque = self.limits(pose)[joint]
-        overshoot = min(OVERSHOOT[0] + 2.0 * self.friction[joint] / spring, OVERSHOOT[1])
+        overshoot = min(
+            OVERSHOOT_RANGE[0] + 2.0 * self.friction[joint] / spring, OVERSHOOT_RANGE[1]
+        )
         for w, rate in zip(wave, slope * size / seconds, strict=True):
             planned = pose[joint] + w * size
             if abs(pose[joint] - q[joint]) > size + overshoot:
-                # Load or friction differ from the result of the swings: stop, without data.
+                # The joint leaves its swing, as load or friction are wrong: stop, drop the record.
                 self.records.pop()
                 self.undriven.append(joint)
                 self.start_record()
@@ -255,7 +287,7 @@ class Excitation:
         return q
 
     def steps(self, q: Array, pose: Array, joint: int, size: float, count: int) -> Motion:
-        """Step the goal of one joint to and fro, `count` times, with time to settle."""
+        """Step the goal of one joint by ±size [rad] `count` times, every `STEP_TIME`."""
         rest = round(STEP_TIME / self.period)
         for k in range(count):
             target = pose.copy()
@@ -268,19 +300,20 @@ class Excitation:
 
 
 def triangle(phase: ArrayLike) -> tuple[Array, Array]:
-    """Return a triangle wave of period 1 with rounded corners, rising from 0, and its slope.
+    """Return a triangle wave of period 1 and amplitude 1 with rounded corners, and its slope.
 
-    The speed is constant except within `CORNER` of the period around each reversal.
+    The wave rises from 0 at phase 0. Its slope is constant except around the reversals, each of
+    which takes `REVERSAL_SHARE` of the period.
     """
     phase = np.asarray(phase, dtype=np.float64)
     grid = np.linspace(0.0, 1.0, 2001)
-    distance = np.abs((grid - 0.25 + 0.25) % 0.5 - 0.25)  # to the next turn, in periods
-    speed = np.clip(distance / (0.5 * CORNER), 0.0, 1.0)
+    distance = np.abs((grid - 0.25 + 0.25) % 0.5 - 0.25)  # to the nearest reversal, in periods
+    speed = np.clip(distance / (0.5 * REVERSAL_SHARE), 0.0, 1.0)
     sign = np.where((grid > 0.25) & (grid < 0.75), -1.0, 1.0)
     slope = sign * speed
     wave = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
-    top = wave.max()
-    if top <= 0.0:
+    peak = wave.max()
+    if peak <= 0.0:
         raise ConfigError("a triangle needs a phase")
     cycle = phase % 1.0
-    return np.interp(cycle, grid, wave / top), np.interp(cycle, grid, slope / top)
+    return np.interp(cycle, grid, wave / peak), np.interp(cycle, grid, slope / peak)

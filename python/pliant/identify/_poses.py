@@ -1,4 +1,4 @@
-"""Choice of poses near the present one that separate stiffness, payload and friction."""
+"""Choice of poses near the present one, from which stiffness and payload can both be identified."""
 
 from __future__ import annotations
 
@@ -20,19 +20,21 @@ if TYPE_CHECKING:
     from pliant.identify._excitation import Excitation
 
 
-#: Number of candidates, and largest share of the usable torque that may hold one of them.
+#: Number of random candidate poses, and largest gravity torque of a servo in a candidate, as a
+#: share of its maximum torque [1].
 CANDIDATES, MAX_HOLDING_SHARE = 200, 0.6
-#: Largest distance of a chosen pose from the present one, least and largest swing [rad].
+#: Largest allowed argument `span` [rad], and smallest and largest allowed `amplitude` [rad].
 SPAN, SWING = np.pi, (0.01, 0.5)
-#: Largest descent of the tool below its first height [m].
+#: Largest distance by which the tool may be below its present height in a chosen pose [m].
 MAX_DROP = 0.05
 
 
 def check_poses(poses: int | ArrayLike, n: int) -> int | Array:
-    """Check a number of poses, or postures (K, n) [rad].
+    """Check and return a number of poses, or joint positions of poses (K, n) [rad].
 
     Raises:
-        OutOfRangeError: Fewer than one. ShapeError: Postures have another length or are not finite.
+        OutOfRangeError: The number is below 1.
+        ShapeError: The positions have another shape or are not finite.
     """
     if isinstance(poses, (int, np.integer)):
         if poses < 1:
@@ -53,27 +55,33 @@ def check_poses(poses: int | ArrayLike, n: int) -> int | Array:
 def pose_list(
     rig: Excitation, q: Array, poses: int | Array, span: float, size: Array
 ) -> list[Array]:
-    """Return the poses to visit, the present one first unless the poses are given.
+    """Return the poses in `poses` as a list; if it is a number, choose that many poses near q.
 
-    Chosen poses keep each joint within `span` [rad] of q; `size` (n,) [rad] is their swing.
+    Args:
+        rig: Model and servo parameters of the arm.
+        q: Present joint positions (n,) [rad].
+        poses: Number of poses, or joint positions of poses (K, n) [rad].
+        span: Maximum distance of chosen poses from q, per joint [rad].
+        size: Swing of each joint about a pose (n,) [rad].
 
     Raises:
-        OutOfRangeError: A pose and its swing leave the position limits.
+        OutOfRangeError: A swing leaves the position limits.
     """
     if isinstance(poses, int):
         rig.check_range(q - size, q + size)
-        return choose(rig, q, poses, span, size)
+        return choose_poses(rig, q, poses, span, size)
     for pose in poses:
         rig.check_range(pose - size, pose + size)
     return list(poses)
 
 
-def choose(rig: Excitation, q: Array, count: int, span: float, size: Array) -> list[Array]:
-    """Return `count` poses within ±span of q that are most informative together, q first.
+def choose_poses(rig: Excitation, q: Array, count: int, span: float, size: Array) -> list[Array]:
+    """Return `count` poses within ±span [rad] of q, q first, that determine stiffness and payload.
 
-    Greedy choice: each step adds the candidate that raises the determinant of the information on
-    stiffness and payload most. Candidates that lower the tool by more than `MAX_DROP`, or need more
-    than `MAX_HOLDING_SHARE` of a servo, are excluded.
+    Poses are added one by one from random candidates: each time the one that raises the determinant
+    of the information matrix of stiffness and payload most. Candidates are excluded if they lower
+    the tool by more than `MAX_DROP` or load a servo with more than `MAX_HOLDING_SHARE` of its
+    maximum torque. The poses are sorted so that the path through them is short.
     """
     model, rng = rig.model, np.random.default_rng(0)
     low = np.maximum(q - span, model.lower + LIMIT_MARGIN + size)
@@ -97,7 +105,7 @@ def choose(rig: Excitation, q: Array, count: int, span: float, size: Array) -> l
 
 
 def _height(rig: Excitation, q: Array) -> float:
-    """Return the height of the tool against gravity [m]."""
+    """Return the height of the tool above the base [m]; height is measured against gravity."""
     down = np.asarray(rig.model.gravity_vector)
     size = float(np.linalg.norm(down))
     tool = rig.model.forward_kinematics(q)[:3, 3]
@@ -105,7 +113,11 @@ def _height(rig: Excitation, q: Array) -> float:
 
 
 def _information(rig: Excitation, q: Array) -> Array:
-    """Return the information of one pose on the shares of k_p (n) and φ in kg and 0.1 kg m (4)."""
+    """Return the information matrix (n + 4, n + 4) of one pose for the least-squares fit.
+
+    The unknowns are the relative errors of the n servo stiffnesses, the mass of the payload [kg],
+    and its three first moments (mass times centre) in units of 0.1 kg·m.
+    """
     gravity, rows = bare_gravity(rig.model, q), payload_rows(rig.model, q)
     design = np.hstack([np.diag(gravity), -rows * np.array([1.0, 0.1, 0.1, 0.1])])
     design /= (0.04 * rig.friction + 1e-3 * rig.torque)[:, None]
@@ -114,7 +126,7 @@ def _information(rig: Excitation, q: Array) -> Array:
 
 
 def _ordered(poses: Sequence[Array]) -> list[Array]:
-    """Order the poses along a short path: always the nearest one next."""
+    """Return the poses sorted: the first, then always the nearest of those that remain."""
     remaining, path = list(poses[1:]), [poses[0]]
     while remaining:
         nearest = int(np.argmin([np.abs(pose - path[-1]).max() for pose in remaining]))

@@ -1,8 +1,8 @@
-"""Weighted least-squares fit over all segments: stiffness, friction, damping and payload at once.
+"""Least-squares fit of stiffness, friction, damping and payload together; fit of the loop's delay.
 
-Multiplying the stiffness by the lead makes the equation linear in every unknown. The assumed values
-enter as priors, one more row per unknown with its own error. An unknown that the poses cannot
-determine thus keeps its assumed value and error.
+The first fit solves the equation of module `_segments`, linearised around the previous iteration,
+for all segments at once. The assumed values are Gaussian priors: an unknown that the data do not
+determine keeps its assumed value and standard deviation.
 """
 
 from __future__ import annotations
@@ -20,30 +20,34 @@ if TYPE_CHECKING:
     from pliant.identify._segments import Segment
 
 
-#: Unknowns of each joint, in the order of their columns: k_p [N·m/rad], f [N·m], l and m [1],
-#: D and d [N·m·s/rad], M [kg·m²], dead band b [rad], and ratio of true to commanded torque of a
-#: limit, minus one [1].
+#: Unknowns of each joint, in the order of their columns, with the symbols of module `_segments`:
+#: stiffness k_p [N·m/rad], dry friction f [N·m], its growth l and m with load and motor torque [1],
+#: resistance D in normal motion ("total") and in motion driven by the torque limit ("outer")
+#: [N·m·s/rad], inertia M [kg·m²], dead band b [rad], and true over commanded torque limit minus 1.
 NAMES = ("kp", "friction", "load", "motor", "total", "outer", "inertia", "deadband", "scale")
-#: Prior of a servo's dead band: 0 with this standard deviation [rad].
-DEAD = 1e-3
-#: Iterations of the linearised fit.
-ROUNDS = 8
-#: Prior of the distance of a payload's centre from the tool's origin: standard deviation [m].
-LEVER = 0.1
-#: Prior of a payload's mass: standard deviation, as a share of the mass that the arm can lift.
-MASS = 0.5
+#: Standard deviation of the prior of the servo's dead band [rad]; its mean is 0.
+DEADBAND_SIGMA = 1e-3
+#: Number of iterations of the linearised fit.
+ITERATIONS = 8
+#: Standard deviation of the prior of the payload's centre of mass, per axis of the tool frame [m].
+COM_SIGMA = 0.1
+#: Standard deviation of the prior of the payload's mass, as a share of the mass that the arm can
+#: lift at half of its reach [1].
+MASS_SIGMA_SHARE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Priors:
-    """Standard deviations of the priors.
+    """Standard deviations of the Gaussian priors of the fit.
 
     Attributes:
-        kp: Of the stiffness, relative.
-        friction, damping: Of friction and damping, relative.
-        limit: Of the true torque at a limit, relative.
-        load: Of the share of the load that adds to friction [1]; 0 leaves it out.
-        payload: True if there may be a payload.
+        kp: Standard deviation of the stiffness, relative to the assumed stiffness [1].
+        friction, damping: Standard deviations of friction and damping, relative to the assumed
+            values [1].
+        limit: Standard deviation of the ratio of true to commanded torque limit [1].
+        load: Standard deviation of the growth of friction with load, per joint or for all [1]; 0:
+            friction does not grow with load.
+        payload: True: the payload is fitted; False: it keeps the value of the model.
     """
 
     kp: float = 0.5
@@ -56,17 +60,18 @@ class Priors:
 
 @dataclass(frozen=True)
 class Solution:
-    """Result of the fit.
+    """Result of the least-squares fit.
 
     Attributes:
-        value: Unknowns of each joint by name, (n,) each; scaled as in `NAMES`.
-        sigma: Their standard deviations.
-        payload: φ = (m, m c) (4,) [kg, kg m].
+        value: Fitted unknowns of all joints (n,) by name, in the units of `NAMES`; `scale` is the
+            ratio of true to commanded torque limit.
+        sigma: Standard deviations of the unknowns (n,) by name.
+        payload: Payload φ = (m, m c) (4,): mass m [kg], and mass times centre of mass c [kg·m].
         payload_covariance: Covariance of φ (4, 4).
-        separated: Reduction of the error of each direction of φ by the data alone (4,): 0 none, 1
-            complete.
-        spread: Ratio of the residuals to their assumed noise.
-        rows: Slides used.
+        separated: Share by which the data reduce the prior standard deviation of φ, along the four
+            principal directions (4,): 0: not at all; 1: to zero.
+        spread: Root mean square of the residuals over their assumed standard deviations [1].
+        rows: Number of fitted segments.
     """
 
     value: dict[str, Array]
@@ -78,32 +83,35 @@ class Solution:
     rows: int
 
 
-def noise(rig: Excitation, segment: Segment, kp: Array, friction: Array, dead: Array) -> float:
-    """Return the standard deviation of one row [N·m]: varying friction, counts, model errors.
+def noise(rig: Excitation, segment: Segment, kp: Array, friction: Array, deadband: Array) -> float:
+    """Return the standard deviation of one segment's torque [N·m].
 
-    A torque just above the dead band may have crossed it within the slide.
+    It combines varying friction, encoder resolution, model errors and the servo's dead band. The
+    dead band adds more noise to small torques, which may change sign within the segment.
     """
     i = segment.joint
     counts = kp[i] * max(rig.count[i], 1e-4) * 0.5 / np.sqrt(segment.samples)
-    band = 0.0
+    deadband_error = 0.0
     if not segment.by_limit:
-        edge = kp[i] * abs(dead[i])
-        band = (0.5 if kp[i] * abs(segment.drive) < 4.0 * edge else 0.1) * edge
+        deadband_torque = kp[i] * abs(deadband[i])
+        deadband_error = (
+            0.5 if kp[i] * abs(segment.drive) < 4.0 * deadband_torque else 0.1
+        ) * deadband_torque
     known = (0.04 * friction[i]) ** 2 + (1e-3 * rig.torque[i]) ** 2
-    return float(np.sqrt(known + counts**2 + band**2))
+    return float(np.sqrt(known + counts**2 + deadband_error**2))
 
 
 def solve(rig: Excitation, segments: Sequence[Segment], priors: Priors) -> Solution:
-    """Fit all unknowns, in `ROUNDS` iterations with updated linearisation and noise."""
+    """Return the last of `ITERATIONS` fits of all unknowns, each linearised around the previous."""
     solution = None
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         solution = _fit(rig, segments, priors, solution)
     assert solution is not None
     return solution
 
 
-def predicted(segment: Segment, solution: Solution) -> float:
-    """Return the torque [N·m] of a servo in a segment, by the present solution."""
+def predict_torque(segment: Segment, solution: Solution) -> float:
+    """Return the mean servo torque that a solution predicts for a segment [N·m]."""
     i, value = segment.joint, solution.value
     load = segment.gravity + float(segment.payload @ solution.payload)
     motor = abs(segment.drive) * (1.0 if segment.by_limit else value["kp"][i])
@@ -123,9 +131,9 @@ def _fit(
     n = rig.n
     kp = rig.kp if last is None else np.clip(last.value["kp"], 0.1 * rig.kp, 10.0 * rig.kp)
     friction = rig.friction if last is None else np.maximum(last.value["friction"], 0.0)
-    dead = np.zeros(n) if last is None else last.value["deadband"]
+    deadband = np.zeros(n) if last is None else last.value["deadband"]
     width = len(NAMES) * n + 4
-    at = {name: k * n for k, name in enumerate(NAMES)}
+    column = {name: k * n for k, name in enumerate(NAMES)}
     design, right = np.zeros((len(segments), width)), np.zeros(len(segments))
     for k, segment in enumerate(segments):
         i, row = segment.joint, design[k]
@@ -133,100 +141,103 @@ def _fit(
         if last is not None:
             load += float(segment.payload @ last.payload)
         if segment.by_limit:
-            row[at["scale"] + i] = segment.drive
-            row[at["outer"] + i] = -segment.speed
+            row[column["scale"] + i] = segment.drive
+            row[column["outer"] + i] = -segment.speed
             right[k] = segment.gravity - segment.drive
         else:
-            # Linear around the last values. The lead is the predicted one: a noisy regressor would
-            # bias the stiffness of joints without gravity toward zero.
-            torque = kp[i] * segment.drive if last is None else predicted(segment, last)
-            row[at["kp"] + i] = torque / kp[i]
-            row[at["deadband"] + i] = -kp[i] * np.sign(torque)
-            row[at["total"] + i] = -segment.speed
+            # Multiply k_p by the predicted, not the measured lead (goal minus position): noise of
+            # the measured lead would bias the stiffness of joints without gravity load toward zero.
+            torque = kp[i] * segment.drive if last is None else predict_torque(segment, last)
+            row[column["kp"] + i] = torque / kp[i]
+            row[column["deadband"] + i] = -kp[i] * np.sign(torque)
+            row[column["total"] + i] = -segment.speed
             right[k] = segment.gravity + torque - kp[i] * segment.drive
-        row[at["friction"] + i] = -segment.direction
-        row[at["load"] + i] = -segment.direction * abs(load)
-        row[at["motor"] + i] = -segment.direction * abs(
+        row[column["friction"] + i] = -segment.direction
+        row[column["load"] + i] = -segment.direction * abs(load)
+        row[column["motor"] + i] = -segment.direction * abs(
             segment.drive * (1.0 if segment.by_limit else kp[i])
         )
-        row[at["inertia"] + i] = -segment.acceleration
+        row[column["inertia"] + i] = -segment.acceleration
         row[-4:] = -segment.payload
-        sigma = noise(rig, segment, kp, friction, dead)
+        sigma = noise(rig, segment, kp, friction, deadband)
         row /= sigma
         right[k] /= sigma
-    mean, sd = _prior(rig, priors, width, at)
+    mean, sd = _prior(rig, priors, width, column)
     if last is not None:
-        # Prior of the centre for a payload of the present mass.
+        # Prior of mass times centre: that of the centre, scaled by the mass of the last iteration.
         sd[-3:] = (
-            np.maximum(LEVER * max(last.payload[0], 0.05), 1e-6) if priors.payload else sd[-3:]
+            np.maximum(COM_SIGMA * max(last.payload[0], 0.05), 1e-6) if priors.payload else sd[-3:]
         )
-    # Scaled by the priors, so that the information is comparable between unknowns.
+    # Scale the unknowns by their prior standard deviations: the prior then adds an identity matrix.
     scaled = design * sd
     information = scaled.T @ scaled
     covariance = np.linalg.inv(information + np.eye(width))
     delta = covariance @ (scaled.T @ (right - design @ mean))
     x = mean + sd * delta
     residual = right - design @ x
-    used = float(np.trace(information @ covariance))
-    spread = float(np.sqrt(residual @ residual / max(len(segments) - used, 1.0)))
+    effective_parameters = float(np.trace(information @ covariance))
+    spread = float(np.sqrt(residual @ residual / max(len(segments) - effective_parameters, 1.0)))
     covariance = covariance * max(spread, 1.0) ** 2
     deviation = sd * np.sqrt(np.minimum(np.diag(covariance), 1.0))
-    value = {name: x[at[name] : at[name] + n] for name in NAMES}
+    value = {name: x[column[name] : column[name] + n] for name in NAMES}
     value["scale"] = 1.0 + value["scale"]
-    own = np.linalg.eigvalsh(covariance[-4:, -4:])[::-1]
+    eigenvalues = np.linalg.eigvalsh(covariance[-4:, -4:])[::-1]
     return Solution(
         value=value,
-        sigma={name: deviation[at[name] : at[name] + n] for name in NAMES},
+        sigma={name: deviation[column[name] : column[name] + n] for name in NAMES},
         payload=x[-4:],
         payload_covariance=covariance[-4:, -4:] * np.outer(sd[-4:], sd[-4:]),
-        separated=1.0 - np.sqrt(np.clip(own, 0.0, 1.0)),
+        separated=1.0 - np.sqrt(np.clip(eigenvalues, 0.0, 1.0)),
         spread=spread,
         rows=len(segments),
     )
 
 
-def _prior(rig: Excitation, priors: Priors, width: int, at: dict[str, int]) -> tuple[Array, Array]:
-    """Return means and standard deviations of the priors of all unknowns."""
+def _prior(
+    rig: Excitation, priors: Priors, width: int, column: dict[str, int]
+) -> tuple[Array, Array]:
+    """Return means and standard deviations of the priors of all unknowns (width,) each."""
     n = rig.n
     mean, sd = np.zeros(width), np.full(width, 1e-9)
     outer = rig.damping + rig.back_emf
-    for name, middle, error in (
+    for name, centre, error in (
         ("kp", rig.kp, priors.kp * rig.kp),
         ("friction", rig.friction, priors.friction * np.maximum(rig.friction, 0.01 * rig.torque)),
         ("load", 0.0, np.maximum(priors.load, 1e-9)),
         ("motor", 0.0, np.maximum(priors.load, 1e-9)),
-        ("deadband", 0.0, DEAD),
+        ("deadband", 0.0, DEADBAND_SIGMA),
         ("total", outer + rig.kv, priors.damping * (outer + rig.kv + 0.02 * rig.torque)),
         ("outer", outer, priors.damping * (outer + 0.02 * rig.torque)),
         ("inertia", 0.0, 0.01 * rig.kp),
         ("scale", 0.0, priors.limit),
     ):
-        columns = slice(at[name], at[name] + n)
-        mean[columns], sd[columns] = middle, error
+        columns = slice(column[name], column[name] + n)
+        mean[columns], sd[columns] = centre, error
     if priors.payload:
         model = rig.model
         weight = float(np.linalg.norm(model.gravity_vector)) or 1.0
-        lift = MASS * float(rig.torque.max()) / (0.5 * model.reach) / weight
-        sd[-4], sd[-3:] = lift, LEVER * lift
+        lift = MASS_SIGMA_SHARE * float(rig.torque.max()) / (0.5 * model.reach) / weight
+        sd[-4], sd[-3:] = lift, COM_SIGMA * lift
         known = model.payload
         if known is not None:
             mean[-4], mean[-3:] = known.mass, known.mass * np.asarray(known.com)
     return mean, sd
 
 
-#: Longest delay tried [s], physics step [s], and compared length of each response [s].
-MAX_DELAY, STEP, COMPARED_TIME = 0.08, 0.001, 0.06
-#: Inertias tried, as k_p times the square of a time [s].
+#: For the fit of the delay: largest delay tried, time step of the simulation and of the tried
+#: delays, and duration over which simulated and measured step responses are compared, all [s].
+MAX_DELAY, TIME_STEP, COMPARED_TIME = 0.08, 0.001, 0.06
+#: Joint inertias that are tried in the fit of the delay, divided by the stiffness k_p [s²].
 INERTIAS = np.geomspace(0.008, 0.12, 28) ** 2
 
 
 @dataclass(frozen=True)
 class Delay:
-    """A measured delay.
+    """A measured delay of the control loop.
 
     Attributes:
-        seconds: Time from the reading to the arrival of the goal, T_d [s].
-        sigma: Its standard deviation [s].
+        seconds: Time from reading the positions to the arrival of the goal at the servos [s].
+        sigma: Standard deviation of the delay [s].
         joints: Delay estimated from each joint alone (n,) [s].
     """
 
@@ -238,8 +249,15 @@ class Delay:
 def fit_delay(
     rig: Excitation, records: Sequence[Record], solution: Solution, gravity: Array
 ) -> Delay:
-    """Fit the delay to the steps of all joints, one record each, under `gravity` (n,) [N·m]."""
-    grid = np.arange(0.0, MAX_DELAY + STEP / 2, STEP)
+    """Return the delay for which simulated step responses of all joints fit the measured ones best.
+
+    Args:
+        rig: Model and servo parameters of the arm.
+        records: Recorded step responses, one record per joint.
+        solution: Fitted stiffness, friction and damping.
+        gravity: Torques that hold the arm against gravity (n,) [N·m].
+    """
+    grid = np.arange(0.0, MAX_DELAY + TIME_STEP / 2, TIME_STEP)
     misfit = np.array(
         [
             _misfit(rig, record, j, solution, gravity=float(gravity[j]), grid=grid)
@@ -247,17 +265,17 @@ def fit_delay(
         ]
     )
     floor = misfit.min(axis=1, keepdims=True)
-    # Weight each joint by its best fit.
+    # Divide the misfit of each joint by its minimum, so that all joints have the same weight.
     total = (misfit / floor).sum(axis=0)
-    each = grid[np.argmin(misfit, axis=1)]
-    best = _vertex(grid, total)
-    middle = np.median(np.abs(each - np.median(each)))
-    sigma = max(1.5 * middle / np.sqrt(len(each)), STEP)
-    return Delay(best, float(sigma), each)
+    joint_delays = grid[np.argmin(misfit, axis=1)]
+    best = _parabola_minimum(grid, total)
+    spread_of_delays = np.median(np.abs(joint_delays - np.median(joint_delays)))
+    sigma = max(1.5 * spread_of_delays / np.sqrt(len(joint_delays)), TIME_STEP)
+    return Delay(best, float(sigma), joint_delays)
 
 
-def _vertex(grid: Array, cost: Array) -> float:
-    """Return the minimum of a sampled curve, by a parabola through its lowest three samples."""
+def _parabola_minimum(grid: Array, cost: Array) -> float:
+    """Return where a sampled curve is lowest, by a parabola through the three lowest neighbours."""
     k = int(np.argmin(cost))
     if not 0 < k < len(grid) - 1:
         return float(grid[k])
@@ -271,29 +289,29 @@ def _vertex(grid: Array, cost: Array) -> float:
 def _misfit(
     rig: Excitation, record: Record, joint: int, solution: Solution, *, gravity: float, grid: Array
 ) -> Array:
-    """Return the mean squared position error of a joint's simulated step responses [rad²].
+    """Return the mean squared difference of simulated and measured step responses [rad²].
 
-    One value for each delay in `grid` [s]: the smallest over the trial inertias. Each includes the
-    variance of the encoder's resolution, which is the same for all delays.
+    The result has one value per delay in `grid` [s]: the smallest over all inertias of `INERTIAS`.
+    Each value includes the variance due to the resolution of the encoder.
     """
     q, goal, limit, _ = (rows[:, joint] for rows in record.arrays())
     value = {name: float(array[joint]) for name, array in solution.value.items()}
-    late, inertia = (x.ravel() for x in np.meshgrid(grid, INERTIAS * value["kp"], indexing="ij"))
+    delay, inertia = (x.ravel() for x in np.meshgrid(grid, INERTIAS * value["kp"], indexing="ij"))
     outer = max(value["outer"], 0.0)
-    inner = np.maximum(value["total"] - outer - value["kp"] * late, 0.0)
+    inner = np.maximum(value["total"] - outer - value["kp"] * delay, 0.0)
     dry = max(value["friction"], 0.0)
     jumps = np.flatnonzero(np.abs(np.diff(goal)) > 0.0) + 1
-    cost, ticks = np.zeros(late.size), max(round(COMPARED_TIME / rig.period), 5)
-    per_tick = max(round(rig.period / STEP), 1)
+    cost, ticks = np.zeros(delay.size), max(round(COMPARED_TIME / rig.period), 5)
+    per_tick = max(round(rig.period / TIME_STEP), 1)
     dt = rig.period / per_tick
     for k in jumps:
         if k + ticks >= len(q):
             continue
-        position, speed = np.full(late.size, q[k]), np.zeros(late.size)
+        position, speed = np.full(delay.size, q[k]), np.zeros(delay.size)
         for tick in range(ticks):
             for sub in range(per_tick):
                 now = (tick * per_tick + sub) * dt
-                target = np.where(now >= late - 1e-9, goal[k], goal[k - 1])
+                target = np.where(now >= delay - 1e-9, goal[k], goal[k - 1])
                 torque = value["kp"] * (target - position) - inner * speed
                 torque = np.clip(torque, -limit[k], limit[k]) - gravity
                 speed = (speed + dt / inertia * torque) / (1.0 + dt / inertia * outer)

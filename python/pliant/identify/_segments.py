@@ -1,14 +1,14 @@
-"""Division of records into slides: stretches of steady motion of a joint, averaged to one row each.
+"""Division of records into segments of steady joint motion, each averaged to one regression row.
 
-While joint i slides with speed v, direction s = ±1 and acceleration a, its servo torque is
+While joint i moves with speed v, direction s = ±1 and acceleration a, its servo torque τ_i is
 
     k_p,i (lead_i − b_i sign τ_i) = τ_i = τ_e,i + s (f_i + l_i |τ_e,i| + m_i |τ_i|) + D_i v + M_i a,
 
-where τ_e = g(q) + Y(q) φ is the load, φ = (m, m c) the payload, lead = goal − q averaged over the
-stretch, b the servo's dead band, and D the total speed-dependent resistance: gears, back-EMF, the
-servo's own damping, and k_p T_d for the delay of the bus. For a joint whose torque is set by its
-limit, that torque replaces k_p lead, and its D contains neither the servo's own damping nor the
-delay.
+with the servo stiffness k_p, lead = goal − q (joint positions) averaged over the segment, the dead
+band b, the load τ_e = g(q) + Y(q) φ of gravity g and payload φ = (mass, mass times centre), the dry
+friction f, its growth l with load and m with motor torque, the inertia M, and D, the resistance per
+speed of gears, back-EMF, the servo's own damping, and k_p T_d for the delay T_d of the bus. If the
+torque limit drives the joint, τ_i is that limit, and D lacks the servo's damping and the delay.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ if TYPE_CHECKING:
     from pliant.identify._excitation import Excitation, Record
 
 
-#: Time window of the speed measurement, and least length of a slide [s].
-WINDOW, MIN_LENGTH = 0.12, 0.16
-#: Ratio of measured to planned speed within which a joint slides steadily.
-STEADY = (0.5, 1.6)
-#: Share of the torque limit above which the limit may have cut the torque.
+#: Time over which a speed is measured, and minimum duration of a segment, both [s].
+SPEED_WINDOW, MIN_LENGTH = 0.12, 0.16
+#: A motion counts as steady if measured over planned speed is between these bounds [1].
+STEADY_RATIO = (0.5, 1.6)
+#: Segments are dropped if the torque exceeds this share of its limit: it may have been limited [1].
 LIMIT_SHARE = 0.7
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One row of the regression.
+    """Means over a steady motion of one joint: one row of the regression.
 
     Attributes:
-        joint: Index.
-        by_limit: True if the torque was set by the limit.
-        drive: Mean lead [rad], or torque [N·m] if `by_limit`.
-        gravity: Torque that holds the arm there without payload [N·m].
-        payload: Row Y (4,), the torque of a payload per (m, m c) [N·m/kg, N/kg].
+        joint: Index of the joint.
+        by_limit: True if the torque limit drove the joint.
+        drive: Mean lead (goal minus position) [rad]; if `by_limit`, mean signed torque limit [N·m].
+        gravity: Torque that holds the joint at the mean positions without payload [N·m].
+        payload: Row of `payload_rows` (4,): torque per mass [N·m/kg] and per first moment [N/kg].
         speed: Mean speed [rad/s].
         acceleration: Mean acceleration [rad/s²].
-        samples: Ticks averaged.
+        samples: Number of averaged ticks (control cycles).
     """
 
     joint: int
@@ -60,15 +60,16 @@ class Segment:
 
     @property
     def direction(self) -> float:
-        """Sign of the speed."""
+        """Sign of the mean speed: +1 or -1."""
         return float(np.sign(self.speed))
 
 
 def payload_rows(model: Model, q: ArrayLike) -> Array:
-    """Return Y(q) (n, 4): Y φ is the torque that holds a payload φ = (m, m c), tool frame.
+    """Return Y(q) (n, 4): Y φ are the joint torques that hold a payload φ = (m, m c) at the tool.
 
-    ``Y_m = −J_vᵀ g`` for the mass at the tool's origin, and ``−J_ωᵀ (R m c × g)`` for its lever
-    arm.
+    m is the mass [kg] and c the centre of mass in the tool frame [m]. The torques are ``−J_vᵀ g m −
+    J_ωᵀ (R m c × g)``, with the linear and angular rows J_v and J_ω of the Jacobian, the gravity
+    vector g and the rotation R of the tool.
     """
     pose, jacobian = model.kinematics(q)
     g = np.asarray(model.gravity_vector)
@@ -77,7 +78,7 @@ def payload_rows(model: Model, q: ArrayLike) -> Array:
 
 
 def bare_gravity(model: Model, q: ArrayLike) -> Array:
-    """Return the torques (n,) [N·m] that hold the arm without its model's payload."""
+    """Return the torques (n,) [N·m] that hold the arm, with the payload of the model left out."""
     gravity = np.asarray(model.gravity(q))
     if model.payload is None:
         return gravity
@@ -85,16 +86,16 @@ def bare_gravity(model: Model, q: ArrayLike) -> Array:
 
 
 def first_moments(mass: float, com: ArrayLike) -> Array:
-    """Return φ = (m, m c) (4,) [kg, kg m]."""
+    """Return mass and first moments (mass times centre) of a payload as array (4,) [kg, kg·m]."""
     return np.concatenate([[mass], mass * np.asarray(com, dtype=np.float64)])
 
 
 def find_segments(rig: Excitation, record: Record) -> list[Segment]:
-    """Return all steady segments of a record, joint by joint."""
+    """Return all segments of steady motion in a record, joint by joint."""
     q, goal, limit, planned = record.arrays()
     if len(q) < 3:
         return []
-    half = max(round(0.5 * WINDOW / rig.period), 1)
+    half = max(round(0.5 * SPEED_WINDOW / rig.period), 1)
     speed = np.zeros_like(q)
     speed[half:-half] = (q[2 * half :] - q[: -2 * half]) / (2.0 * half * rig.period)
     joints = range(rig.n) if record.driven < 0 else [record.driven]
@@ -105,16 +106,16 @@ def find_segments(rig: Excitation, record: Record) -> list[Segment]:
             continue
         full = np.abs(planned[:, joint]) > 0.98 * top
         ratio = speed[:, joint] / np.where(full, planned[:, joint], 1.0)
-        good = full & (ratio > STEADY[0]) & (ratio < STEADY[1])
-        for start, end in runs(good):
+        good = full & (ratio > STEADY_RATIO[0]) & (ratio < STEADY_RATIO[1])
+        for start, end in true_ranges(good):
             row = _average(rig, record, joint, (start, end), (q, goal, limit))
             if row is not None:
                 out.append(row)
     return out
 
 
-def runs(mask: Mask) -> list[tuple[int, int]]:
-    """Return start and end (exclusive) of each stretch of True."""
+def true_ranges(mask: Mask) -> list[tuple[int, int]]:
+    """Return first index and end index (exclusive) of each run of True values in a mask."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -126,7 +127,10 @@ def _average(
     ticks: tuple[int, int],
     data: tuple[Array, Array, Array],
 ) -> Segment | None:
-    """Average ticks start … end of one joint; None if too short or cut by the limit."""
+    """Return the means of one joint over the range `ticks` (first, end) of a record.
+
+    Return None if the range is too short, or if the torque limit may have reduced the torque.
+    """
     (start, end), (q, goal, limit) = ticks, data
     if (end - start) * rig.period < MIN_LENGTH:
         return None

@@ -1,4 +1,7 @@
-"""Guided capture of the gravity offset: hold stiffly, read the lead, check that the arm stays."""
+"""Measurement of the gravity offset: hold the pose stiffly, average the leads, check the result.
+
+The lead is the joint goal minus the joint position [rad]; servo stiffness turns it into torque.
+"""
 
 from __future__ import annotations
 
@@ -19,35 +22,38 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Rate at which the goal integrates while holding [1/s], and the share of the time averaged.
-INTEGRATE, AVERAGED_SHARE = 4.0, 0.25
-#: Shares of the feed-forward that are tried if the arm moves with all of it, and the time for which
-#: it is held stiffly in between [s].
+#: Integral gain of the goals while the arm is held [1/s], and last share of the holding time in
+#: which positions and goals are averaged [1].
+INTEGRATION_RATE, AVERAGED_SHARE = 4.0, 0.25
+#: If the check fails: shares of the friction and damping feed-forward that are tried instead [1],
+#: and time for which the arm is held stiffly before each try [s].
 REDUCED_SHARES, HOLD_TIME = (0.5, 0.0), 0.5
 #: Speed of the tool below which the arm counts as at rest [m/s].
 REST_SPEED = 2e-3
-#: Least and largest share of the assumed k_p that `Controller.capture_gravity` accepts.
-CLIP = (0.3, 3.0)
+#: Bounds to which `Controller.capture_gravity` clips the ratio of measured to assumed stiffness.
+CLIP_RATIOS = (0.3, 3.0)
 
 
 @dataclass(frozen=True)
 class GravityCapture:
-    """Result of a capture, per joint.
+    """Result of `capture_gravity`.
 
     Attributes:
-        stiffness: k_g (n,) used for the gravity offset from now on [N·m/rad].
-        assumed: Assumed k_p of the table (n,) [N·m/rad].
+        stiffness: Stiffness k_g (n,) [N·m/rad] by which the controller now divides the gravity
+            torques to get the gravity offset of the goals.
+        assumed: Assumed stiffness k_p of the servo parameters (n,) [N·m/rad].
         lead: Goal minus position that held the arm (n,) [rad].
         gravity: Torque that holds the arm, by the model (n,) [N·m].
-        captured: Joints whose k_g was measured (n,).
-        clipped: Joints whose measured k_g was outside 0.3 … 3 × the assumed k_p (n,).
-        still: True if the arm was at rest when its lead was read.
-        drift: Motion of the tool in the check, under the settings in force [m]; NaN without a
-            check. The check ends once this exceeds the bound.
-        bound: Largest motion allowed [m].
-        joint_names: Names for the summary.
-        remedy: If the check failed: the same settings with less feed-forward of friction and
-            damping, under which the arm stayed; else None.
+        captured: True for joints whose k_g was measured (n,); the others keep the assumed k_p.
+        clipped: True for joints whose measured k_g was outside 0.3 to 3 times k_p (n,).
+        still: True if the arm was at rest while its leads were read.
+        drift: Largest motion of the tool in the check, under the controller's settings [m]; NaN
+            without a check. The check ends once the motion exceeds `bound`.
+        bound: Maximum allowed motion of the tool in the check [m].
+        joint_names: Names of the joints.
+        remedy: If the check failed, the settings with less feed-forward of friction and damping
+            under which the arm stayed; None if the arm stayed under no such settings, or if the
+            check passed.
     """
 
     stiffness: Array
@@ -64,7 +70,7 @@ class GravityCapture:
 
     @property
     def stays(self) -> bool:
-        """True if the arm was at rest, nothing was clipped, and the check passed."""
+        """True if the arm was at rest, no stiffness was clipped, and the check did not fail."""
         return self.still and not self.clipped.any() and not self.drift > self.bound
 
     def summary(self) -> list[str]:
@@ -119,7 +125,7 @@ class GravityCapture:
 def _make_procedure(
     controller: Controller, *, seconds: float = 2.0, check: float = 2.0, bound: float = 2e-3
 ) -> Procedure[GravityCapture]:
-    """Make the procedure of `capture_gravity`."""
+    """Return the `Procedure` that `capture_gravity` runs, to be stepped by another control loop."""
     servos = instance(controller, Controller, "controller").servos
     if servos is None:
         raise ConfigError(
@@ -143,27 +149,27 @@ def capture_gravity(
     bound: float = 2e-3,
     loop: Iterable[Tick] | None = None,
 ) -> GravityCapture:
-    """Capture the gravity offset at the present pose; 4 to 9 s, without touching the arm.
+    """Measure the gravity offset at the present pose, in 4 to 9 s. Do not touch the arm.
 
-    It holds every axis with an integrating goal and without feed-forward of friction and damping
-    (together they oscillate), and averages the lead for `Controller.capture_gravity`. It restores
-    the settings, also after an error, and lets the controller hold the arm under them as a check.
-    If the arm moves, it is stopped, and the check is repeated with half of that feed-forward and
-    with none.
+    The controller holds every task axis with an integrator in the goals, without feed-forward of
+    friction and damping (with feed-forward, the integrator would oscillate). The mean positions and
+    goals go to `Controller.capture_gravity`. Then the settings are restored, also after an error,
+    and the controller holds the arm as a check. If the arm moves, it is stopped, and the check is
+    repeated with half of the feed-forward and without feed-forward.
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
-        controller: Gets the offset; is reset to the present positions.
-        seconds: Time to hold [s], at least 1.
-        check: Duration of the check [s]; 0 for none.
-        bound: Largest motion of the tool in the check [m].
-        loop: Ticks of a loop of your own; None: a loop at the controller's rate.
+        controller: Controller that gets the offset; it is reset to the present positions.
+        seconds: Time to hold the arm [s], at least 1.
+        check: Duration of the check [s]; 0 for no check.
+        bound: Maximum motion of the tool in the check [m].
+        loop: Your own control loop, which yields its ticks; None: a loop at the controller's rate.
 
     Raises:
-        ConfigError: The controller has no servo table.
-        OutOfRangeError: A number is out of range. TypeError: `arm` or `controller` is of the wrong
-            type.
-        ShapeError: The arm has other joints than the controller's model.
+        ConfigError: The controller has no servo parameters.
+        OutOfRangeError: A number is out of range.
+        TypeError: `arm` or `controller` has the wrong type.
+        ShapeError: The number of joints differs from the controller's model.
     """
     procedure = _make_procedure(controller, seconds=seconds, check=check, bound=bound)
     return run_procedure(arm, procedure, loop, rate=controller.settings.rate)
@@ -178,7 +184,7 @@ def _capture(
         task=before.task,
         rate=before.rate,
         delay=before.delay,
-        tracking=Tracking(integrate=INTEGRATE),
+        tracking=Tracking(integrate=INTEGRATION_RATE),
         compensation=Compensation(friction=0.0, damping=0.0),
     )
     controller.reset(q)
@@ -217,7 +223,7 @@ def _capture(
         lead=lead,
         gravity=gravity,
         captured=measured,
-        clipped=measured & ((ratio < CLIP[0] * 1.001) | (ratio > CLIP[1] * 0.999)),
+        clipped=measured & ((ratio < CLIP_RATIOS[0] * 1.001) | (ratio > CLIP_RATIOS[1] * 0.999)),
         still=still,
         drift=float(drift),
         bound=bound,
@@ -229,7 +235,11 @@ def _capture(
 def _find_remedy(
     controller: Controller, q: Array, numbers: tuple[float, float], stiff: Settings
 ) -> Steps[Settings | None]:
-    """Find settings with less feed-forward under which the arm stays; restore those in force."""
+    """Return settings with less feed-forward of friction and damping that keep the arm still.
+
+    Return None if the arm moves with all of `REDUCED_SHARES`. The previous settings of the
+    controller are restored at the end.
+    """
     check, bound = numbers
     before = controller.settings
     ticks, rest = round(check * before.rate), round(HOLD_TIME * before.rate)
@@ -257,9 +267,9 @@ def _find_remedy(
 def _hold_and_measure(
     controller: Controller, q: Array, ticks: int, bound: float = np.inf
 ) -> Steps[tuple[float, Array]]:
-    """Hold the present pose under the settings in force; return the tool's motion [m] and q.
+    """Hold the present pose; return the largest motion of the tool [m] and the last positions.
 
-    It ends once the motion exceeds `bound`.
+    The hold ends after `ticks` control cycles, or once the motion exceeds `bound` [m].
     """
     model = controller.model
     target = model.forward_kinematics(q)

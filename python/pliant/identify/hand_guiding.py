@@ -1,16 +1,21 @@
 """Hand guiding: the arm feels weightless and rests when released; k_p need not be exact.
 
-The arm first swings a little. The mean of the leads that move it up and down is lead₀, which
-carries it at gravity g₀; half their difference is its friction ρ. Both are in rad and independent
-of k_p. Then the goals follow the arm with backlash-like play. Per joint:
+k_p [N·m/rad] is the stiffness of the servos. The arm first swings each joint a little up and down.
+The lead (goal minus position, [rad]) differs between the two directions: its mean lead₀ holds the
+joint against the gravity torque g₀ [N·m], and half the difference is the friction ρ [rad]. Neither
+depends on k_p. Then the goals follow the arm with a play w [rad], like a drive with backlash. For
+each joint with predicted position q̂ and filtered speed v:
 
-    anchor = clip(anchor, q̂ − w, q̂ + w)                         moves only when dragged by its
-    play goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
+    anchor = clip(anchor, q̂ − w, q̂ + w)
+    goal   = anchor + lead₀ + c (g(q̂) − g₀) + b_f ρ tanh(v/v₀) + c_low b_d d v
     w      = w₀ (1 − 0.9 tanh |v|/v₀) + ½ (c_high − c_low) |g − g₀|
 
-[c_low, c_high] is the interval of the compliance 1/k_p. The play w grows by the possible error of
-the lead, so a wrong k_p can let the arm sag within the play but cannot make it drift. Whenever the
-arm rests after a motion, its lead is right within ρ; that narrows the interval and the play.
+with gravity torque g, viscous damping d [N·m·s/rad], the shares b_f, b_d = 0.8 of friction and
+damping that are fed forward, v₀ = 0.05 rad/s, and the least play w₀ of the joint (at least 2 mrad).
+[c_low, c_high] is the interval of possible compliances 1/k_p [rad/(N·m)], and c its middle. The
+play grows with the possible error of the lead, so a wrong k_p can let the arm sag within the play
+but cannot make it drift. When the arm rests after a motion, its lead is right within ρ; that
+narrows the interval, and so the play.
 """
 
 from __future__ import annotations
@@ -33,11 +38,12 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Steps
 
 
-#: Factor by which a stiffness may be wrong in either direction: if known, and if not.
-KNOWN, UNKNOWN = 1.1, 2.2
-#: Time at rest after the first swing [s].
+#: Factor by which the assumed stiffness may be too small or too large [1], with and without
+#: `stiffness_known` of the servo parameters.
+KNOWN_STIFFNESS_FACTOR, UNKNOWN_STIFFNESS_FACTOR = 1.1, 2.2
+#: Time for which the arm rests after the first swing [s].
 REST_TIME = 0.4
-#: Play of a joint before the first swing [rad].
+#: Value of `HandGuiding.play`, the backlash between arm and goal, before the first swing [rad].
 INITIAL_PLAY = 2e-3
 
 
@@ -46,19 +52,20 @@ class HandGuiding:
 
     Args:
         model: The arm.
-        servos: Assumed servo table; None for the model's. With `stiffness_known=True` k_p is
-            assumed right within 10 %, else within a factor of 2.
+        servos: Assumed servo parameters; None: those of the model. The true stiffness may differ by
+            10 % with `stiffness_known=True`, else by a factor of 2.2.
         rate: Control rate [Hz] if `step` gets no `dt`.
-        delay: Time from the reading to the arrival of the goal [s].
-        payload: Payload in addition to the model's: a `pliant.Payload` or (mass, com).
-        swing: Size of the first swing [rad], without the part that friction takes.
-        torque_share: Torque allowed on top of gravity, as a share of the usable torque. A hand must
-            overcome this torque if the arm resists.
+        delay: Time from reading the positions to the arrival of the goal at the servos [s].
+        payload: Payload in addition to that of the model: a `pliant.Payload` or (mass, com).
+        swing: Amplitude of the joints in the first swing [rad]; the goals swing more, because
+            friction absorbs a part.
+        torque_share: Torque allowed in addition to gravity, as a share of the maximum torque [1].
+            It bounds the torque with which a joint can resist a hand.
 
     Raises:
-        ConfigError: There is no servo table, or `payload` is invalid.
-        OutOfRangeError: A number is out of range. TypeError: `model` or `servos` is of the wrong
-            type.
+        ConfigError: There are no servo parameters, or `payload` is invalid.
+        OutOfRangeError: A number is out of range.
+        TypeError: `model` or `servos` has the wrong type.
 
     Example:
         >>> guiding = pliant.HandGuiding(arm.model, arm.servos)
@@ -95,10 +102,14 @@ class HandGuiding:
             model,
             table,
             self._dt,
-            stiffness_uncertainty=KNOWN if table.stiffness_known else UNKNOWN,
+            stiffness_uncertainty=KNOWN_STIFFNESS_FACTOR
+            if table.stiffness_known
+            else UNKNOWN_STIFFNESS_FACTOR,
         )
         self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
-        self._stiffness_factor = KNOWN if table.stiffness_known else UNKNOWN
+        self._stiffness_factor = (
+            KNOWN_STIFFNESS_FACTOR if table.stiffness_known else UNKNOWN_STIFFNESS_FACTOR
+        )
         self._moments = np.zeros(4)
         if payload is not None:
             load = as_payload(payload)
@@ -116,21 +127,21 @@ class HandGuiding:
 
     @property
     def play(self) -> Array:
-        """Play of each joint in this tick (n,) [rad]."""
+        """Present play (backlash) of each joint: the goal follows beyond ±play only (n,) [rad]."""
         return np.full(self._n, INITIAL_PLAY) if self._law is None else self._law.play
 
     @property
     def stiffness(self) -> Array:
-        """Interval of k_p after all rests so far (2, n) [N·m/rad]."""
+        """Lower and upper bounds of the servo stiffness, as known so far (2, n) [N·m/rad]."""
         if self._law is not None:
             return self._law.stiffness
         factor = self._stiffness_factor
         return np.array([self._rig.kp / factor, self._rig.kp * factor])
 
     def reset(self, q: ArrayLike) -> None:
-        """Restart at q (n,) [rad] with a swing; all learnt values are cleared."""
+        """Restart at positions q (n,) [rad] with the first swing; all learned values are lost."""
         q = self._positions(q)
-        # The first tick may be early or late, with a period that the rig would reject.
+        # Clip the period: `Excitation` would reject that of a very early or late first tick.
         period = min(max(self._dt, 1e-3), 0.1)
         self._rig = Excitation(
             self._model, self._table, period, stiffness_uncertainty=self._stiffness_factor
@@ -142,14 +153,14 @@ class HandGuiding:
     def step(self, q: ArrayLike, *, dt: float | None = None) -> Command:
         """Return goals and torque limits for measured positions q (n,) [rad].
 
-        The first call resets to q. The swing keeps the `dt` of its first tick.
+        The first call starts the first swing, whose period is the `dt` of this call.
 
         Args:
             q: Measured positions (n,) [rad].
             dt: Time since the last step [s], at most 1; None: 1/rate.
 
         Raises:
-            ShapeError: q is not n finite positions; nothing has changed.
+            ShapeError: q is not n finite numbers; nothing has changed.
             OutOfRangeError: `dt` is out of range, or the first swing would leave the position
                 limits.
             ServoError: A joint does not follow the first swing.
@@ -168,7 +179,7 @@ class HandGuiding:
         return self._command
 
     def _swing_procedure(self, q: Array) -> Steps[Array]:
-        """Swing slowly, return to the start, and rest."""
+        """Swing all joints slowly, move back to the start and rest; return the last positions."""
         rig, home = self._rig, q
         _, q = yield from widen_swing(rig, q, self._swing)
         for _ in range(round(REST_TIME / rig.period)):
@@ -178,13 +189,13 @@ class HandGuiding:
         return q
 
     def _finish_swing(self, q: Array) -> None:
-        """Compute each joint's carrying lead and friction from the swing, and start to follow."""
+        """Compute the holding lead and the friction of each joint [rad]; start the control law."""
         rig, n = self._rig, self._n
         factor = self._stiffness_factor
         middle = 0.5 * (1.0 / (factor * rig.kp) + factor / rig.kp)
-        base = self._holding(q)
+        base = self._holding_torque(q)
         rows = [segment for record in rig.records for segment in find_segments(rig, record)]
-        # A joint that did not swing uses the table, with its full uncertainty.
+        # Initial values, for joints that did not swing: friction of the servo parameters.
         lead, friction = np.zeros(n), rig.friction * middle
         swung = np.zeros(n, dtype=bool)
         for i in range(n):
@@ -194,7 +205,7 @@ class HandGuiding:
             if not all(sides):
                 continue
             up, down = (
-                np.mean([s.drive - middle[i] * (self._load(s) - base[i]) for s in side])
+                np.mean([s.drive - middle[i] * (self._segment_load(s) - base[i]) for s in side])
                 for side in sides
             )
             speed = np.mean([abs(s.speed) for side in sides for s in side])
@@ -216,12 +227,12 @@ class HandGuiding:
             payload_moments=self._moments.tolist(),
         )
 
-    def _load(self, segment: Segment) -> float:
-        """Return the torque that holds the arm in a segment with the given payload [N·m]."""
+    def _segment_load(self, segment: Segment) -> float:
+        """Return the gravity torque of a segment's joint, with all payloads [N·m]."""
         return segment.gravity + float(segment.payload @ self._total_moments)
 
-    def _holding(self, q: Array) -> Array:
-        """Return the torques that hold the arm with its payload (n,) [N·m]."""
+    def _holding_torque(self, q: Array) -> Array:
+        """Return the torques that hold the arm at q, with all payloads (n,) [N·m]."""
         gravity = np.asarray(self._model.gravity(q))
         if self._moments[0] > 0.0:
             gravity = gravity + payload_rows(self._model, q) @ self._moments
@@ -232,10 +243,10 @@ class HandGuiding:
 
 
 def as_payload(value: Payload | tuple[float, ArrayLike]) -> Payload:
-    """Convert a payload, or its mass [kg] and centre (3,) [m] in the tool frame, to a `Payload`.
+    """Return a `Payload` unchanged, or create it from mass [kg] and centre [m] in the tool frame.
 
     Raises:
-        ConfigError: The value is neither.
+        ConfigError: The value is neither a `Payload` nor a pair (mass, centre).
     """
     if isinstance(value, Payload):
         return value

@@ -1,4 +1,4 @@
-"""Estimation of the tool's payload from the leads that hold the arm in several poses."""
+"""Estimation of the payload at the tool from slow swings of the joints in several poses."""
 
 from __future__ import annotations
 
@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Relative standard deviation of the prior of the stiffness k_p: `KNOWN` if the servo table has
-#: `stiffness_known=True`, else `UNKNOWN`.
-KNOWN, UNKNOWN = 0.05, 0.3
+#: Assumed relative standard deviation of the servo stiffness, with and without `stiffness_known`.
+KNOWN_STIFFNESS_SIGMA, UNKNOWN_STIFFNESS_SIGMA = 0.05, 0.3
 
 
 def _make_procedure(
@@ -35,7 +34,7 @@ def _make_procedure(
     span: float = 0.3,
     amplitude: float = 0.05,
 ) -> Procedure[PayloadEstimate]:
-    """Make the procedure of `estimate_payload`."""
+    """Return the `Procedure` that `estimate_payload` runs, to be stepped by another loop."""
     servos = instance(controller, Controller, "controller").servos
     if servos is None:
         raise ConfigError(
@@ -59,24 +58,25 @@ def estimate_payload(
 ) -> PayloadEstimate:
     """Estimate the payload at the tool; if one is found, set it in the controller.
 
-    A slow swing approaches every pose from both sides, so that friction and delay cancel; a few
-    seconds per pose. Do not touch the arm.
+    A slow swing about every pose, a few seconds each, passes the pose in both directions, so that
+    friction and delay cancel. Do not touch the arm.
 
     Args:
         arm: The arm, at rest; simulated or connected and enabled.
-        controller: If a payload is found, `set_payload` gets it, in place of the model's payload;
-            in any case the controller is reset at the final positions.
-        poses: Number of poses to choose within `span`, or postures (K, n) [rad].
-        span: Largest distance of chosen poses from the present one, per joint [rad].
-        amplitude: Swing about each pose [rad], without the part that friction takes.
-        loop: Ticks of a loop of your own; None: a loop at the controller's rate.
+        controller: Controller that gets the payload, in place of that of the model, if one is
+            found. The controller is reset at the final positions in any case.
+        poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
+        span: Maximum distance of chosen poses from the present pose, per joint [rad].
+        amplitude: Amplitude of the joints about each pose [rad]; the goals swing more, because
+            friction absorbs a part.
+        loop: Your own control loop, which yields its ticks; None: a loop at the controller's rate.
 
     Raises:
-        ConfigError: The controller has no servos.
+        ConfigError: The controller has no servo parameters.
         OutOfRangeError: The motion would leave the position limits, or the servos cannot hold the
             payload.
-        ServoError: A joint does not follow, and the arm keeps holding its position; or no joint
-            moved steadily.
+        ServoError: A joint does not follow its goal (the arm keeps holding its position), or no
+            joint moved steadily.
     """
     procedure = _make_procedure(controller, poses=poses, span=span, amplitude=amplitude)
     return run_procedure(arm, procedure, loop, rate=controller.settings.rate)
@@ -99,7 +99,7 @@ def _estimate(
     rows = [segment for record in rig.records for segment in find_segments(rig, record)]
     if not rows:
         raise ServoError("no joint ever moved steadily: raise amplitude")
-    kp = KNOWN if rig.servos.stiffness_known else UNKNOWN
+    kp = KNOWN_STIFFNESS_SIGMA if rig.servos.stiffness_known else UNKNOWN_STIFFNESS_SIGMA
     found = PayloadEstimate.of(solve(rig, rows, Priors(kp=kp)))
     if found.found:
         controller.set_payload(found.mass, found.com)

@@ -1,8 +1,8 @@
-"""Interface of a procedure and an arm: positions in, goals and torque limits out, tick by tick.
+"""Procedures that move an arm, as generators of commands, and functions that run them.
 
-A procedure is a generator that starts with the first positions, yields commands, and receives the
-next positions. `Procedure` wraps it as `step(q) -> Command`, which any loop can call;
-`run_procedure` runs it to its end on a connected or simulated arm.
+A generator starts with the first positions, yields a command per tick, and receives the next
+positions. `Procedure` wraps it as `step(q) -> Command`, which any loop can call; `run_procedure`
+runs a procedure to its end on a connected or simulated arm.
 """
 
 from __future__ import annotations
@@ -31,40 +31,40 @@ T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
 
-#: A generator that yields commands, receives positions (n,), and returns its result.
+#: Generator of a procedure: yields commands, receives joint positions (n,) [rad], returns a result.
 Steps = Generator[Command, "Array", T]
 
 
 class Arm(Protocol):
-    """Interface of an arm that a procedure needs, simulated or real."""
+    """Protocol of an arm, simulated or real, on which procedures can run."""
 
     def read(self) -> Any:
-        """Return a state with positions `q` (n,)."""
+        """Return an object with the measured joint positions as attribute `q` (n,) [rad]."""
 
     def write(self, goal: Any, limit: Any) -> None:
-        """Send goals [rad] and torque limits [N·m]."""
+        """Send goals (n,) [rad] and torque limits (n,) [N·m]."""
 
 
 class Tick(Protocol):
-    """One tick of a loop that does its own waiting."""
+    """Protocol of one cycle of a control loop; the loop itself waits for the next period."""
 
     @property
     def q(self) -> Array:
-        """Positions (n,) [rad]."""
+        """Joint positions measured in this cycle (n,) [rad]."""
 
     def write(self, command: Command) -> Any:
-        """Send an order."""
+        """Send goals and torque limits of a command to the arm."""
 
 
 class Procedure(Generic[T]):
-    """A guided procedure that any loop can run.
+    """A procedure on an arm, such as an identification, that any loop can run: one `step` per tick.
 
     Args:
-        start: Makes the generator for the first positions (n,) [rad].
+        start: Function that returns the generator of commands for the first positions (n,) [rad].
         n: Number of joints.
 
     Attributes:
-        done: True once it has ended; the last order then keeps holding the arm.
+        done: True once the procedure has ended; its last command keeps holding the arm.
 
     Example:
         >>> procedure = pliant.identify.capture_gravity.procedure(controller)
@@ -83,12 +83,12 @@ class Procedure(Generic[T]):
         self.done = False
 
     def step(self, q: ArrayLike, *, dt: float | None = None) -> Command:
-        """Return the order for the positions q (n,) [rad]; the last order once done.
+        """Return the command of this tick; once the procedure has ended, its last command.
 
         Args:
             q: Measured joint positions (n,) [rad].
-            dt: Not used: a procedure has a fixed period. The argument lets `pliant.Tick.step` drive
-                a procedure like a controller.
+            dt: Ignored, because a procedure has a fixed period. The argument lets
+                `pliant.Tick.step` run a procedure like a controller.
 
         Raises:
             ShapeError, ServoError: q is invalid, or the procedure failed. A failed procedure has
@@ -98,7 +98,7 @@ class Procedure(Generic[T]):
             q = vector(q, self._n, "q", "rad")
         except ShapeError:
             if self._steps is not None and np.shape(q) != (self._n,):
-                self.close()  # positions of another arm: no way to continue
+                self.close()  # another number of joints means another arm
             raise
         try:
             if self._steps is None:
@@ -132,24 +132,24 @@ class Procedure(Generic[T]):
 
 
 class Guided(Generic[P, Q, T_co]):
-    """A function that runs a procedure on an arm, with `procedure` to make only the procedure."""
+    """A function that runs a procedure on an arm; its method `procedure` makes the procedure."""
 
     def __init__(self, function: Callable[P, T_co], make: Callable[Q, Procedure[T_co]]) -> None:
-        """Store the function and its maker; called by `guided`."""
+        """Wrap `function`, which runs a procedure, and `make`, which returns that procedure."""
         self._function, self._make = function, make
         update_wrapper(self, function)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T_co:
-        """Run it on the arm; arguments, result and errors as documented for the function."""
+        """Run the procedure on an arm with the wrapped function, and return its result."""
         return self._function(*args, **kwargs)
 
     def procedure(self, *args: Q.args, **kwargs: Q.kwargs) -> Procedure[T_co]:
-        """Make the procedure for a loop of your own; takes the function's arguments but no arm."""
+        """Return the procedure for your own loop; takes the same arguments except for the arm."""
         return self._make(*args, **kwargs)
 
 
 def guided(make: Callable[Q, Procedure[T]]) -> Callable[[Callable[P, T]], Guided[P, Q, T]]:
-    """Return a decorator that adds the attribute `procedure`, made by `make`."""
+    """Return a decorator that turns a function into a `Guided` with the procedure of `make`."""
     return lambda function: Guided(function, make)
 
 
@@ -165,13 +165,13 @@ def run_procedure(
     Args:
         arm: An object with `read` and `write`.
         procedure: The procedure.
-        loop: Ticks of a loop that does its own waiting. None: an arm with `advance()`, such as the
-            simulated one, is advanced; any other runs in a `pliant.Loop`.
-        rate: Rate of that loop [Hz]; None for the arm's.
+        loop: Your own control loop, which yields its ticks. None: an arm with `advance()`, such as
+            `pliant.sim.Plant`, is advanced once per tick; any other arm runs in a `pliant.Loop`.
+        rate: Rate of the `pliant.Loop` [Hz]; None: the rate of the arm.
 
     Raises:
-        TypeError: `arm` has no `read` or `write`. ServoError: The loop ended first. Also errors of
-            the procedure and the loop.
+        TypeError: `arm` has no `read` or `write`.
+        ServoError: The loop ended before the procedure, or the procedure failed.
     """
     if not (callable(getattr(arm, "read", None)) and callable(getattr(arm, "write", None))):
         raise TypeError(
@@ -199,7 +199,7 @@ class _PlantTick:
 
 
 def _ticks(arm: Any, rate: float | None) -> Iterator[Tick]:
-    """Yield ticks of an arm, by `advance()` if it has one, else by a `Loop`."""
+    """Yield ticks: of a `pliant.Loop`, or for an arm with `advance()` one per simulated period."""
     if hasattr(arm, "advance"):
         while True:
             yield _PlantTick(np.asarray(arm.read().q), arm)

@@ -1,4 +1,4 @@
-"""Results of an identification, as numbers and as sentences."""
+"""Results of identification: payload, servos and delay, with error bars and a summary."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
     from pliant.identify._regression import Delay, Solution
 
 
-#: Share of its standard deviation that a payload direction must lose to count as separated.
-SEPARATED = 0.5
+#: Direction of the payload's moments counts as determined by the data if `separated` is above this.
+MIN_SEPARATION = 0.5
 
 
 @dataclass(frozen=True)
 class PayloadEstimate:
-    """A payload with error bars.
+    """An estimated payload with error bars.
 
     Attributes:
         mass: Mass [kg], at least 0.
-        mass_sigma: Its standard deviation [kg].
-        com: Centre (3,) in the tool frame [m]; 0 if the mass does not differ from 0.
-        com_sigma: Its standard deviations (3,) [m].
-        moments: (m, m c) (4,) [kg, kg m], as fitted.
-        covariance: Covariance of the moments (4, 4).
-        separated: Reduction of the assumed error by the poses, along four directions in descending
-            order (4,): 0 none, 1 complete.
+        mass_sigma: Standard deviation of the mass [kg].
+        com: Centre of mass (3,) in the tool frame [m]; 0 if no payload was found.
+        com_sigma: Standard deviations of the centre (3,) [m].
+        moments: Fitted mass, and mass times centre of mass (4,) [kg, kg·m].
+        covariance: Covariance of `moments` (4, 4).
+        separated: Share by which the data reduce the standard deviation that was assumed before the
+            fit, along four directions of `moments` (4,): 0: not at all; 1: to zero.
     """
 
     mass: float
@@ -47,7 +47,7 @@ class PayloadEstimate:
 
     @classmethod
     def of(cls, solution: Solution) -> PayloadEstimate:
-        """Return the estimate of a fit; the centre's errors are to first order."""
+        """Return the payload of a fit; `com_sigma` follows from the covariance to first order."""
         moments, covariance = solution.payload, solution.payload_covariance
         sigma = float(np.sqrt(covariance[0, 0]))
         mass = max(float(moments[0]), 0.0)
@@ -67,11 +67,11 @@ class PayloadEstimate:
 
     @property
     def payload(self) -> Payload:
-        """The `pliant.Payload`; of mass 0 if none was found."""
+        """Payload for `Controller.set_payload`, with mass 0 if no payload was found."""
         return Payload(self.mass if self.found else 0.0, self.com)
 
     def summary(self) -> list[str]:
-        """Return sentences on mass, centre, and directions that the poses could not determine."""
+        """Return sentences on mass and centre, and on directions that the data do not determine."""
         if not self.found:
             out = [f"no payload found: {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg (95 %)."]
         else:
@@ -83,7 +83,7 @@ class PayloadEstimate:
                 f"payload {self.mass:.3f} ± {2 * self.mass_sigma:.3f} kg, centre {where} mm in the "
                 "tool frame (95 %)."
             ]
-        weak = int((self.separated < SEPARATED).sum())
+        weak = int((self.separated < MIN_SEPARATION).sum())
         if weak:
             out.append(
                 f"{weak} of the 4 numbers of the payload (mass and centre) cannot be told from "
@@ -95,23 +95,24 @@ class PayloadEstimate:
 
 @dataclass(frozen=True)
 class Identification:
-    """Identified servos, bus and payload, with standard deviations.
+    """Identified servos, delay and payload, with standard deviations.
 
     Attributes:
-        servos: The table for a `Controller`: `kp`, `friction`, `load_friction` if the data show
-            that the load adds to friction, `damping` and `kv` as found in slow motion. The part of
-            the friction that vanishes in fast motion (`stribeck`) is not identified.
-        errors: Standard deviation of `kp`, of the friction at the load of the pose (`friction`), of
-            `load_friction`, `damping` and `kv`, (n,) each, in their units.
-        load: Load at the pose (n,) [N·m].
-        delay: Time from the reading to the arrival of the goal, T_d [s].
-        delay_sigma: Its standard deviation [s].
-        payload: Payload of the tool.
-        spread: Ratio of the residuals to the noise of friction and encoder. Well above 1, the model
-            misses an effect.
-        undriven: Joints that could not be driven by their limits: only gravity gives their k_p.
-        joint_names: Names for the summary.
-        assumed: The table assumed at the start.
+        servos: Servo parameters for a `Controller`, with the identified `kp`, `friction`, `damping`
+            and `kv`, and `load_friction` if it is significant. `stribeck` is not identified and is
+            0.
+        errors: Standard deviations (n,) of `kp`, of `friction` at the load of the pose, and of
+            `load_friction`, `damping` and `kv`, in the units of `Servos`.
+        load: Absolute gravity torque at the present pose (n,) [N·m].
+        delay: Time from reading the positions to the arrival of the goal at the servos [s].
+        delay_sigma: Standard deviation of the delay [s].
+        payload: Estimated payload of the tool.
+        spread: Root mean square of the residuals over the assumed noise of friction and encoder
+            [1]. A value well above 1 means that the model misses an effect.
+        undriven: Names of joints that could not be driven by their torque limits; their stiffness
+            follows from gravity alone.
+        joint_names: Names of the joints.
+        assumed: Servo parameters assumed at the start.
     """
 
     servos: Servos
@@ -129,10 +130,10 @@ class Identification:
     def of(
         cls, rig: Excitation, home: ArrayLike, solution: Solution, delay: Delay
     ) -> Identification:
-        """Convert a fit to a servo table.
+        """Return the servo parameters, delay and payload of a fit at positions `home` (n,) [rad].
 
-        `damping` acts outside the limit. It excludes the back-EMF of PWM-limited servos, which is
-        in their `no_load_speed`. `kv` is the remainder of D = d + k_v + k_p T_d.
+        `damping` excludes the back-EMF of PWM-limited servos, which `no_load_speed` covers. `kv` is
+        the total resistance [N·m·s/rad] minus damping, back-EMF, and `kp` times the delay.
         """
         value, sigma = solution.value, solution.sigma
         outer = np.maximum(value["outer"], 0.0)
@@ -143,7 +144,7 @@ class Identification:
         share = np.where(share > 1e-6, share, 0.0)
         speed = rig.servos.no_load_speed
         if speed is not None:
-            # Less damping than the table's back-EMF: the no-load speed is higher than in the table.
+            # Measured damping below the assumed back-EMF: the assumed no-load speed is too low.
             min_speed = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
             speed = np.where(outer < rig.back_emf, min_speed, np.asarray(speed))
         servos = rig.servos.replace(
@@ -181,7 +182,7 @@ class Identification:
 
     @property
     def friction(self) -> Array:
-        """Dry friction at the load of the pose (n,) [N·m]."""
+        """Dry friction of each joint at the gravity load of the present pose (n,) [N·m]."""
         servos = self.servos
         return np.asarray(servos.friction) + np.asarray(servos.load_friction) * self.load
 
@@ -194,7 +195,7 @@ class Identification:
         return controller
 
     def summary(self) -> list[str]:
-        """Return one sentence per joint, then bus, payload and warnings."""
+        """Return one sentence per joint, then sentences on delay, payload and warnings."""
         out = []
         servos, old = self.servos, self.assumed
         n = len(self.joint_names)

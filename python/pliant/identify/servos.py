@@ -1,4 +1,4 @@
-"""Guided identification of an arm's servos, payload and delay."""
+"""Identification of an arm's servos, payload and delay by slow motions of its joints."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Swing in slow motion on top of the amplitude, as a multiple of friction over stiffness [1].
+#: Amplitude of a goal minus the wanted amplitude of its joint, in units of friction/stiffness [1].
 FRICTION_SWING = 4.0
-#: Largest swing [rad], and how often it may grow if friction is higher than assumed.
+#: Largest amplitude of a goal [rad], and largest number of times that the amplitude is widened.
 MAX_SWING, MAX_WIDENINGS = 0.4, 2
-#: Periods [s] and numbers of swings: at every pose, and at two more speeds at the first pose.
+#: Period [s] and number of swings at every pose; periods and numbers of two more swings, which are
+#: made at the first pose only.
 SLOW_SWING, FASTER_SWINGS = (2.6, 1.75), ((1.8, 2.25), (5.0, 1.25))
-#: Periods [s] and numbers of swings of one joint driven by its limit.
+#: Periods [s] and numbers of swings of one joint that is driven by its torque limit.
 LIMIT_SWINGS = ((1.8, 2.25), (5.0, 1.25))
-#: Steps of each joint's goal.
+#: Number of step changes of each joint's goal, from which the delay is identified.
 STEP_COUNT = 7
 
 
@@ -49,20 +50,22 @@ def _make_procedure(
     torque_share: float = 0.6,
     limit_error: float = 0.05,
 ) -> Procedure[Identification]:
-    """Make the procedure of `identify_servos`.
+    """Return the `Procedure` that `identify_servos` runs, to be stepped by another control loop.
 
     Args:
-        model: Description of the arm.
-        servos: Assumed servo table; None for the model's.
+        model: Model of the arm.
+        servos: Assumed servo parameters; None: those of the model.
         period: Control period [s].
-        poses: Number of poses to choose within `span`, or postures (K, n) [rad].
-        span: Largest distance of chosen poses from the present one, per joint [rad].
-        amplitude: Swing about each pose [rad], without the part that friction takes.
-        torque_share: Torque allowed on top of gravity, as a share of the usable torque.
-        limit_error: Relative standard deviation of the true torque at a torque limit.
+        poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
+        span: Maximum distance of chosen poses from the present pose, per joint [rad].
+        amplitude: Amplitude of the joints about each pose [rad]; the goals swing more, because
+            friction absorbs a part.
+        torque_share: Torque allowed in addition to gravity, as a share of the maximum torque [1].
+        limit_error: Assumed standard deviation of the ratio of true to commanded torque limit [1].
 
     Raises:
-        ConfigError: There is no servo table. OutOfRangeError: A number is out of range.
+        ConfigError: Neither `servos` nor the model gives servo parameters.
+        OutOfRangeError: A number is out of range.
     """
     own = instance(model, Model, "model").servos
     assumed = own if servos is None else instance(servos, Servos, "servos")
@@ -93,25 +96,27 @@ def identify_servos(
     loop: Iterable[Tick] | None = None,
     **options: float,
 ) -> Identification:
-    """Identify stiffness, friction, damping, payload and delay on the arm; about 1.5 minutes.
+    """Identify stiffness, friction, damping, payload and delay on the arm, in about 2 minutes.
 
-    It swings all joints slowly at a few poses, then each joint by the torque of its limit, then
-    steps each goal. Do not touch the arm. Arguments as `identify_servos.procedure`.
+    All joints swing slowly at a few poses; then each joint is moved by changing its torque limit;
+    then the goal of each joint makes small steps. Do not touch the arm.
 
     Args:
         arm: The arm, at rest, simulated or connected and enabled.
-        model: Its description.
-        servos: Assumed servo table; None for the model's.
-        poses: Number of poses to choose within `span`, or postures (K, n) [rad].
-        span: Largest distance of chosen poses from the present one, per joint [rad].
-        amplitude: Swing about each pose [rad], without the part that friction takes.
-        rate: Control rate [Hz]; None for the arm's, or 100.
-        loop: Ticks of a loop of your own; None: a loop at this rate.
-        **options: As `identify_servos.procedure`.
+        model: Model of the arm.
+        servos: Assumed servo parameters; None: those of the model.
+        poses: Number of poses to choose within `span`, or joint positions of poses (K, n) [rad].
+        span: Maximum distance of chosen poses from the present pose, per joint [rad].
+        amplitude: Amplitude of the joints about each pose [rad]; the goals swing more, because
+            friction absorbs a part.
+        rate: Control rate [Hz]; None: the rate of the arm, or 100 Hz if it has none.
+        loop: Your own control loop, which yields its ticks; None: a loop at this rate.
+        **options: `torque_share` and `limit_error` of `identify_servos.procedure`.
 
     Raises:
-        OutOfRangeError: The motion would leave the position limits. Nothing is sent.
-        ServoError: A joint does not follow. The arm keeps holding its position.
+        OutOfRangeError: The motion would leave the position limits.
+        ServoError: A joint does not follow its goal (the arm keeps holding its position), or no
+            joint moved steadily.
     """
     own = rate if rate is not None else getattr(arm, "rate", 100.0)
     period = 1.0 / number(own, "rate", 10.0, 1000.0, "Hz")
@@ -122,15 +127,18 @@ def identify_servos(
 
 
 def swing(rig: Excitation, amplitude: float) -> Array:
-    """Return the swing of each joint that overcomes its friction (n,) [rad]."""
+    """Return the amplitude of the goals (n,) [rad] that moves the joints by `amplitude` [rad]."""
     return amplitude + FRICTION_SWING * rig.friction / rig.kp
 
 
 def widen_swing(rig: Excitation, q: Array, amplitude: float) -> Steps[tuple[Array, Array]]:
-    """Swing near q, wider until every joint moves by the amplitude; return swing and positions.
+    """Swing all joints near q, with growing goals, until they move by about `amplitude` [rad].
 
-    A goal that reverses must first cross the friction of the joint, 2 f/k_p, before the joint
-    moves.
+    A goal must swing more than its joint: after a reversal, the joint moves only when the goal has
+    moved by 2 f/k_p, with the friction f [N·m] and the servo stiffness k_p [N·m/rad].
+
+    Returns:
+        Amplitude of the goals (n,) [rad] and the last positions (n,) [rad].
 
     Raises:
         OutOfRangeError: The swing would leave the position limits.
@@ -154,7 +162,10 @@ def widen_swing(rig: Excitation, q: Array, amplitude: float) -> Steps[tuple[Arra
 
 
 def swing_at_poses(rig: Excitation, q: Array, route: list[Array], size: Array) -> Steps[Array]:
-    """Swing slowly at each pose of the route, in order."""
+    """Swing all joints slowly about each pose of a route; return the last positions (n,) [rad].
+
+    `size` is the amplitude of the goals (n,) [rad].
+    """
     at = route[0]
     for pose in route:
         rig.start_record()
@@ -175,9 +186,9 @@ def _identify(
     q = yield from rig.travel(q, start, route[-1])
     q = yield from swing_at_poses(rig, q, route[::-1], size)
     home = route[0]
-    for seconds, turns in FASTER_SWINGS:
+    for seconds, swings in FASTER_SWINGS:
         rig.start_record()
-        q = yield from rig.sweep(q, home, size, seconds, turns)
+        q = yield from rig.sweep(q, home, size, seconds, swings)
     rig.start_record()
     q = yield from rig.travel(q, home, home)
 
@@ -189,7 +200,7 @@ def _identify(
     for joint in range(rig.n):
         for pace in LIMIT_SWINGS:
             rig.start_record(joint)
-            q = yield from rig.push(q, home, joint, float(size[joint]), pace)
+            q = yield from rig.drive_by_limit(q, home, joint, float(size[joint]), pace)
             rig.start_record()
             q = yield from rig.travel(q, home, home)
     steps = []
@@ -203,7 +214,10 @@ def _identify(
 def fit_all(
     rig: Excitation, home: Array, steps: list[Record], limit_error: float
 ) -> Identification:
-    """Fit all unknowns to all records."""
+    """Return the fit of servo parameters, payload and delay to all records.
+
+    Growth of friction with load is fitted only for joints where it is significant.
+    """
     first_fit = _fit(rig, Priors(limit=limit_error, load=0.3))
     by_load = first_fit.value["load"] + first_fit.value["motor"]
     significant = by_load > 3.0 * np.hypot(first_fit.sigma["load"], first_fit.sigma["motor"])
@@ -213,7 +227,7 @@ def fit_all(
 
 
 def holding_torque(rig: Excitation, q: Array, solution: Solution) -> Array:
-    """Return the torques that hold the arm with the identified payload (n,) [N·m]."""
+    """Return the torques that hold the arm at q with the identified payload (n,) [N·m]."""
     return bare_gravity(rig.model, q) + payload_rows(rig.model, q) @ solution.payload
 
 

@@ -1,4 +1,7 @@
-"""Logs in MCAP files with ROS 2 messages, complete enough to recompute every command.
+"""Logs of runs in MCAP files with ROS 2 messages: recording, reading, and verification.
+
+A log holds every call of the controller, so that `verify` can recompute the commands with the same
+version of pliant, unless the writer process was too slow and dropped calls (`Log.missing`).
 
 >>> for tick in pliant.Loop(arm, controller, recorder=pliant.log.Recorder("run.mcap")):
 ...     tick.step(target)

@@ -1,4 +1,4 @@
-"""Import MCAP in one place, with a clear error if the extra is not installed."""
+"""Imports of the MCAP libraries; if they are missing, the error contains the install command."""
 
 from __future__ import annotations
 

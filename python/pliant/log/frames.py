@@ -1,4 +1,4 @@
-"""Frames from the loop to the writer process, by a pipe that never blocks the loop."""
+"""Binary frames of a log, sent by a pipe from the control loop to the writer without blocking."""
 
 from __future__ import annotations
 
@@ -8,69 +8,74 @@ import struct
 import time
 from typing import IO
 
-HEAD = struct.Struct("<BI")
-#: Kinds of frames: description of the run, tick, step, other call, counters at the end.
+#: Header of a frame: kind of the frame, and length of its body [bytes].
+HEADER = struct.Struct("<BI")
+#: Kinds of frames: description of the run, control cycle, step of the controller, other call of the
+#: controller, counters at the end.
 RUN, TICK, STEP, CALL, END = range(5)
-#: Largest backlog for the writer [bytes]; further frames are dropped.
-MOST = 8_000_000
+#: Maximum size of frames that wait for the writer process [bytes]; further frames are dropped.
+MAX_BACKLOG = 8_000_000
 
 
 class Sender:
-    """Sending end, in the loop: sends what fits, buffers up to a bound, drops and counts the rest.
+    """End of the pipe in the control loop: buffers frames up to a bound, drops further ones.
 
     Attributes:
-        dropped: Frames that were not sent.
-        broken: True if the writer has ended.
+        dropped: Number of dropped frames.
+        broken: True if the writer process has ended, so that the pipe is broken.
     """
 
-    def __init__(self, descriptor: int, most: int = MOST) -> None:
-        """Set the pipe to non-blocking."""
+    def __init__(self, descriptor: int, max_backlog: int = MAX_BACKLOG) -> None:
+        """Create a sender for the file descriptor of a pipe, which becomes non-blocking.
+
+        `max_backlog` is the maximum size of the buffer [bytes].
+        """
         os.set_blocking(descriptor, False)
-        self._descriptor, self._most = descriptor, most
-        self._rest = bytearray()
+        self._descriptor, self._max_backlog = descriptor, max_backlog
+        self._backlog = bytearray()
         self.dropped, self.broken = 0, False
 
     def send(self, kind: int, *parts: bytes) -> bool:
-        """Send a frame; return False if it is dropped."""
+        """Send or buffer a frame; return False if it is dropped."""
         size = sum(map(len, parts))
         if self.broken:
             self.dropped += 1
             return False
-        if len(self._rest) + size > self._most:
-            self._push()
-            if len(self._rest) + size > self._most:
+        if len(self._backlog) + size > self._max_backlog:
+            self._flush()
+            if len(self._backlog) + size > self._max_backlog:
                 self.dropped += 1
                 return False
-        self._rest += HEAD.pack(kind, size)
+        self._backlog += HEADER.pack(kind, size)
         for part in parts:
-            self._rest += part
-        self._push()
+            self._backlog += part
+        self._flush()
         return True
 
-    def _push(self) -> None:
-        """Write as much as the pipe accepts now."""
+    def _flush(self) -> None:
+        """Write as many buffered bytes as the pipe accepts without blocking."""
         try:
-            while self._rest:
-                del self._rest[: os.write(self._descriptor, self._rest)]
+            while self._backlog:
+                del self._backlog[: os.write(self._descriptor, self._backlog)]
         except BlockingIOError:
             pass
         except OSError:
             self.broken = True
 
-    def finish(self, patience: float) -> None:
-        """Send the backlog; wait for the writer for at most `patience` [s]."""
-        end = time.monotonic() + patience
-        self._push()
-        while self._rest and not self.broken and (left := end - time.monotonic()) > 0.0:
+    def finish(self, timeout: float) -> None:
+        """Send all buffered frames; wait at most `timeout` [s] until the pipe accepts them."""
+        end = time.monotonic() + timeout
+        self._flush()
+        while self._backlog and not self.broken and (left := end - time.monotonic()) > 0.0:
             select.select([], [self._descriptor], [], left)
-            self._push()
+            self._flush()
 
 
 def receive(stream: IO[bytes]) -> tuple[int, bytes] | None:
-    """Return the next frame; None at the end, also in the middle of a frame."""
-    head = stream.read(HEAD.size)
-    if len(head) < HEAD.size:
+    """Return kind and body of the next frame; None at the end, or if the rest is incomplete."""
+    header = stream.read(HEADER.size)
+    if len(header) < HEADER.size:
         return None
-    kind, size = HEAD.unpack(head)
+    kind, size = HEADER.unpack(header)
     body = stream.read(size)
     return (kind, body) if len(body) == size else None

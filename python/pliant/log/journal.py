@@ -1,4 +1,4 @@
-"""A controller wrapper that records all calls."""
+"""Controller wrapper that records all calls which change the controller."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from pliant import functional
 from pliant._core import Settings
-from pliant.log import frames, layout, words
+from pliant.log import frames, layout, serialization
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from pliant.log.frames import Sender
 
 
-#: Header of a recorded step: number of the call, then 1 for `step_joints` or 0 for `step`.
+#: Header of a recorded step: number of the call; True for `step_joints`, False for `step`.
 STEP = struct.Struct("<QB")
 
 
 class StepInputs(TypedDict, total=False):
-    """Inputs of a step that may be left out; see `Controller.step`."""
+    """Optional arguments of `Controller.step`."""
 
     dt: float | None
     dq: ArrayLike | None
@@ -33,24 +33,24 @@ class StepInputs(TypedDict, total=False):
 
 
 class Journal:
-    """Wraps a controller, and records each successful call that changes its state.
+    """Wrapper of a controller; records each successful call that changes the controller's state.
 
-    Recorded calls, such as `step`, `reset` and `update`, return what the controller returns. All
-    other attributes are forwarded to the controller and not recorded. Pass `journal.inner` to code
-    that requires a `pliant.Controller`, such as `ContactEstimator`.
+    Each method of this class calls the method of the controller with that name and records the
+    call. All other attributes are forwarded without a record. Pass `journal.inner` to code that
+    requires a `pliant.Controller`, such as `ContactEstimator`.
 
     Attributes:
-        inner: The controller.
+        inner: The wrapped controller.
         calls: Number of recorded calls.
-        delay: The last delay set in the controller [s].
+        delay: Last delay set in the controller [s].
     """
 
     def __init__(self, controller: Controller, sender: Sender) -> None:
-        """Wrap a controller; called by `Recorder`."""
+        """Wrap a controller; `sender` sends the records to the writer of the log."""
         self.inner, self._sender = controller, sender
         self.calls, self.delay = 0, float(controller.settings.delay)
         self._target: Array | None = None
-        self._joints = False
+        self._has_joint_target = False
         n = controller.model.n
         vector = layout.step(n)
         self._row = np.empty(vector.size)
@@ -64,10 +64,10 @@ class Journal:
         out: Command | None = None,
         **inputs: Unpack[StepInputs],
     ) -> Command:
-        """`Controller.step`."""
-        target = _pose(target)
+        """Call and record `Controller.step`."""
+        target = _target_array(target)
         command = self.inner.step(q, target, out=out, **inputs)
-        self._note("target", q, target, inputs, command)
+        self._record_step("target", q, target, inputs, command)
         return command
 
     def step_joints(
@@ -78,44 +78,44 @@ class Journal:
         out: Command | None = None,
         **inputs: Unpack[StepInputs],
     ) -> Command:
-        """`Controller.step_joints`."""
+        """Call and record `Controller.step_joints`."""
         q_target = np.array(q_target, dtype=np.float64)
         command = self.inner.step_joints(q, q_target, out=out, **inputs)
-        self._note("q_target", q, q_target, inputs, command)
+        self._record_step("q_target", q, q_target, inputs, command)
         return command
 
     def reset(self, q: ArrayLike) -> None:
-        """`Controller.reset`."""
+        """Call and record `Controller.reset`."""
         q = np.array(q, dtype=np.float64)
         self.inner.reset(q)
-        self._call("reset", q=q)
+        self._record_call("reset", q=q)
 
     def update(self, settings: Settings) -> None:
-        """`Controller.update`."""
+        """Call and record `Controller.update`."""
         self.inner.update(settings)
-        self._call("update", settings=settings)
+        self._record_call("update", settings=settings)
 
     def set_payload(self, mass: float, com: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """`Controller.set_payload`."""
+        """Call and record `Controller.set_payload`."""
         self.inner.set_payload(mass, com)
-        self._call("set_payload", mass=mass, com=np.asarray(com, dtype=np.float64))
+        self._record_call("set_payload", mass=mass, com=np.asarray(com, dtype=np.float64))
 
     def set_gravity(self, vector: ArrayLike) -> None:
-        """`Controller.set_gravity`."""
+        """Call and record `Controller.set_gravity`."""
         self.inner.set_gravity(vector)
-        self._call("set_gravity", vector=np.asarray(vector, dtype=np.float64))
+        self._record_call("set_gravity", vector=np.asarray(vector, dtype=np.float64))
 
     def set_delay(self, delay: float) -> None:
-        """`Controller.set_delay`."""
+        """Call and record `Controller.set_delay`."""
         self.inner.set_delay(delay)
         self.delay = delay
-        self._call("set_delay", delay=delay)
+        self._record_call("set_delay", delay=delay)
 
     def capture_gravity(self, q: ArrayLike, goal: ArrayLike) -> Array:
-        """`Controller.capture_gravity`."""
+        """Call and record `Controller.capture_gravity`."""
         q, goal = np.array(q, dtype=np.float64), np.array(goal, dtype=np.float64)
         stiffness = self.inner.capture_gravity(q, goal)
-        self._call("capture_gravity", q=q, goal=goal)
+        self._record_call("capture_gravity", q=q, goal=goal)
         return stiffness
 
     def __getattr__(self, name: str) -> Any:
@@ -123,11 +123,14 @@ class Journal:
 
     @property
     def target(self) -> Array | None:
-        """Target of the last step (4, 4); a target position takes the reference's rotation."""
+        """Target pose of the last step (4, 4); None before the first step.
+
+        If the target was a position, the rotation is that of the controller's reference.
+        """
         given = self._target
         if given is None:
             return None
-        if self._joints:
+        if self._has_joint_target:
             return self.inner.model.forward_kinematics(given)
         if given.shape == (4, 4):
             return given
@@ -135,14 +138,14 @@ class Journal:
         pose[:3, 3] = given
         return pose
 
-    def _note(
+    def _record_step(
         self, slot: str, q: ArrayLike, target: Array, inputs: StepInputs, command: Command
     ) -> None:
         """Record a successful call of `step` or `step_joints`."""
         slots = self._slots
         self._row.fill(np.nan)
-        joints = slot == "q_target"
-        self._target, self._joints = target, joints
+        is_joint_target = slot == "q_target"
+        self._target, self._has_joint_target = target, is_joint_target
         slots["q"][:] = q
         slots[slot][: target.size] = target.reshape(-1)
         for name, value in inputs.items():
@@ -151,18 +154,18 @@ class Journal:
         slots["goal"][:] = command.goal
         slots["torque_limit"][:] = command.torque_limit
         slots["speed_limit"][:] = command.speed_limit
-        self._sender.send(frames.STEP, STEP.pack(self.calls, joints), self._row.tobytes())
+        self._sender.send(frames.STEP, STEP.pack(self.calls, is_joint_target), self._row.tobytes())
         self.calls += 1
 
-    def _call(self, what: str, **arguments: Any) -> None:
+    def _record_call(self, what: str, **arguments: Any) -> None:
         """Record a successful call other than `step` and `step_joints`."""
-        text = words.write({"sequence": self.calls, "what": what, "arguments": arguments})
+        text = serialization.write({"sequence": self.calls, "what": what, "arguments": arguments})
         self._sender.send(frames.CALL, text.encode())
         self.calls += 1
 
 
-def _pose(target: Any) -> Array:
-    """Return the array of a target, or the pose matrix of an object."""
+def _target_array(target: Any) -> Array:
+    """Return a target as array: a copy of an array or a list, or the matrix of a pose object."""
     if isinstance(target, np.ndarray | list | tuple):
         return np.array(target, dtype=np.float64)
     return np.asarray(functional.as_pose(target).matrix)

@@ -1,4 +1,4 @@
-"""Topics and messages of a log, and the vectors that carry a tick and a step to the writer."""
+"""Layout of a log: ROS 2 message definitions, and the vectors that the loop sends to the writer."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Format version; changes when older files can no longer be read.
+#: Version of the layout; logs of another version cannot be read.
 VERSION = "1"
-#: Names of the attachments.
+#: Names of the attachments (files inside the MCAP file): description of the run, robot model,
+#: settings, configuration, and bus counters at the end.
 RUN, URDF, SETTINGS = "run.json", "robot.urdf", "settings.txt"
 CONFIG, END = "config.json", "end.json"
 
@@ -47,12 +48,14 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
+#: ROS 2 definition of a sensor_msgs/JointState.
 JOINTS = f"""std_msgs/Header header
 string[] name
 float64[] position
 float64[] velocity
 float64[] effort
 {_HEADER}{_TIME}"""
+#: ROS 2 definition of a geometry_msgs/PoseStamped.
 POSE = f"""std_msgs/Header header
 geometry_msgs/Pose pose
 {_LINE}
@@ -60,6 +63,7 @@ MSG: geometry_msgs/Pose
 geometry_msgs/Point position
 geometry_msgs/Quaternion orientation
 {_GEOMETRY}{_HEADER}{_TIME}"""
+#: ROS 2 definition of a tf2_msgs/TFMessage.
 TF = f"""geometry_msgs/TransformStamped[] transforms
 {_LINE}
 MSG: geometry_msgs/TransformStamped
@@ -71,12 +75,13 @@ MSG: geometry_msgs/Transform
 geometry_msgs/Vector3 translation
 geometry_msgs/Quaternion rotation
 {_GEOMETRY}{_HEADER}{_TIME}"""
+#: ROS 2 definition of a std_msgs/String.
 TEXT = "string data\n"
 
-#: Joint columns (n,): readings, and commands.
+#: Columns of a log with one value per joint (n,): readings of the servos, and commands to them.
 STATE = ("q", "dq", "load", "current", "voltage", "temperature", "age")
 COMMAND = ("goal", "torque_limit", "speed_limit")
-#: Columns of the task axes (k,), named as in the controller.
+#: Columns of a log with one value per task axis (k,), named as in `Controller.diagnostics`.
 AXES = (
     "deviation",
     "adapted_deviation",
@@ -87,35 +92,42 @@ AXES = (
     "wrench",
     "deviation_limited",
 )
-#: Joint columns from the controller.
+#: Columns of a log from `Controller.diagnostics` with one value per joint (n,).
 JOINT = ("saturated", "locked", "gravity", "feed_forward")
+#: Columns of a log from `Controller.diagnostics` with a single value per tick.
 SCALARS = ("sigma_min", "sigma_max", "damping", "gamma", "gain_factor")
 
 
 @dataclass(frozen=True)
 class Vector:
-    """Named pieces of a float64 vector, in a fixed order.
+    """Layout of a float64 vector that consists of named pieces, such as "q" with n entries.
 
     Attributes:
-        pieces: Name and length of each piece.
+        pieces: Name and length of each piece, in order.
     """
 
     pieces: tuple[tuple[str, int], ...]
 
     @property
     def size(self) -> int:
-        """Total length."""
+        """Total length of the vector."""
         return sum(length for _, length in self.pieces)
 
     def split(self, whole: Array) -> dict[str, Array]:
-        """Return the pieces of the last axis, by name."""
+        """Return the pieces of an array by name, as views; the last axis of the array is split."""
         ends = np.cumsum([length for _, length in self.pieces])[:-1]
         names = [name for name, _ in self.pieces]
         return dict(zip(names, np.split(whole, ends, axis=-1), strict=True))
 
 
 def tick(n: int, k: int | None, extra: int) -> Vector:
-    """Return the layout of a tick: n joints, k axes (None: no controller), `extra` joints."""
+    """Return the layout of the vector with all recorded values of a tick (control cycle).
+
+    Args:
+        n: Number of joints of the chain.
+        k: Number of task axes; None: the run has no `Controller`.
+        extra: Number of joints outside the chain.
+    """
     pieces = [("time", 1), ("dt", 1), ("index", 1), ("lag", 1), ("delay", 1)]
     pieces += [(name, n) for name in (*STATE, *COMMAND)] + [("extra", extra)]
     if k is not None:
@@ -126,31 +138,35 @@ def tick(n: int, k: int | None, extra: int) -> Vector:
 
 
 def step(n: int) -> Vector:
-    """Return the layout of a step: arguments and command; NaN for an omitted argument."""
+    """Return the layout of the vector of a recorded `Controller.step`, for n joints.
+
+    It holds the arguments (NaN if omitted) and the resulting command.
+    """
     sizes = {"dt": 1, "target": 16, "twist": 6}
     names = ("dt", "q", "target", "q_target", "dq", "twist", "gradient", *COMMAND)
     return Vector(tuple((name, sizes.get(name, n)) for name in names))
 
 
 def tick_message(vector: Vector) -> str:
-    """Return the ROS 2 definition of a tick."""
+    """Return the ROS 2 message definition of a tick with the fields of `vector`."""
     return "".join(
         f"float64{'' if length == 1 and name in SINGLE else '[]'} {name}\n"
         for name, length in vector.pieces
     )
 
 
-#: Pieces that are a single number.
+#: Names of pieces of a vector that are a single number, not a list.
 SINGLE = frozenset(("time", "dt", "index", "lag", "delay", *SCALARS))
 
-#: ROS 2 definition of a call of the controller; `arguments` is JSON.
+#: ROS 2 message definition of a recorded call of the controller. The arguments of a step have their
+#: own fields; those of other calls are JSON in `arguments`.
 CALL = "uint64 sequence\nstring what\nstring arguments\nfloat64 dt\n" + "".join(
     f"float64[] {name}\n" for name, _ in step(1).pieces[1:]
 )
 
 
 def numbers(pieces: dict[str, Array], names: Iterable[str]) -> dict[str, Any]:
-    """Return the fields of a message: numbers or lists; a list of NaN only becomes empty."""
+    """Return the named pieces as message fields by name; a list of only NaN becomes empty."""
     out: dict[str, Any] = {}
     for name in names:
         values = pieces[name]
@@ -162,7 +178,7 @@ def numbers(pieces: dict[str, Array], names: Iterable[str]) -> dict[str, Any]:
 
 
 def row(values: Sequence[float] | Array | None, length: int) -> Array:
-    """Return a piece of a vector; NaN for None."""
+    """Return values as a flat array; for None, return `length` times NaN."""
     if values is None:
         return np.full(length, np.nan)
     return np.asarray(values, dtype=np.float64).reshape(-1)

@@ -1,4 +1,4 @@
-"""Pictures of a log (extra `plot`): compliance, torque limits, loop and servos."""
+"""Figures of the report on a log (extra `plot`): compliance, torque limits, loop and servos."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant._report import style
-from pliant.log.findings import Span, health, since, unit
+from pliant.log.findings import Span, elapsed_time, health, unit
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -15,47 +15,51 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from pliant._typing import Array
-    from pliant.log.felt import Felt
+    from pliant.log.forces import ForceEstimates
     from pliant.log.reader import Log
 
 
-#: Height of a row of axes [inch].
-ROW = 1.45
-#: Colours of joints, base to tip; they repeat after the last one.
+#: Height of a row of plots [inch].
+ROW_HEIGHT = 1.45
+#: Colours of the joints' curves, from base to tip; after the last colour they start again.
 COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.RED, style.PURPLE, style.SKY, style.MUTED)
-#: Least plotted range of a deviation and of a force, so that noise at rest stays small.
-LEAST = {"mm": 2.0, "mrad": 8.0, "N": 2.0, "N·m": 0.4}
+#: Minimum plotted range of deviations and forces, by unit, so that noise at rest fills no plot.
+MIN_RANGE = {"mm": 2.0, "mrad": 8.0, "N": 2.0, "N·m": 0.4}
 
 
-def softness(folder: Path, log: Log, felt: Felt | None) -> None:
-    """Plot deviation with thresholds, and estimated force with its cap, per axis."""
-    axes, time = log.run["axes"], since(log)
-    few = style.thin(time, rate=50.0)
-    with style.canvas(len(axes), 2, size=(style.WIDE, ROW * len(axes)), sharex=True) as (
+def softness(folder: Path, log: Log, forces: ForceEstimates | None) -> None:
+    """Write a figure to `folder`: for each task axis, deviation with thresholds, force with cap."""
+    axes, time = log.run["axes"], elapsed_time(log)
+    thinned = style.thin(time, rate=50.0)
+    with style.canvas(len(axes), 2, size=(style.WIDE, ROW_HEIGHT * len(axes)), sharex=True) as (
         figure,
         grid,
     ):
         for k, name in enumerate(axes):
             left, right = grid[k]
-            _deviation(left, name, time[few], 1e3 * log.deviation[few, k])
-            if felt is not None and log.softness[:, k].max() > 0.0:
-                for side in felt.report.axes[name].thresholds:
-                    for at in (-1e3 * side, 1e3 * side):
-                        left.axhline(at, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
-            cap, newton = log.axis_strength[few, k], unit(name, force=True)
-            right.fill_between(time[few], -cap, cap, color=style.MUTED, alpha=0.15, linewidth=0)
-            most = float(cap.max())
-            if felt is not None:
-                force, bound = felt.force[few, k], felt.bound[few, k]
+            _deviation(left, name, time[thinned], 1e3 * log.deviation[thinned, k])
+            if forces is not None and log.softness[:, k].max() > 0.0:
+                for side in forces.report.axes[name].thresholds:
+                    for threshold in (-1e3 * side, 1e3 * side):
+                        left.axhline(
+                            threshold, color=style.MUTED, linewidth=0.8, linestyle=(0, (4, 3))
+                        )
+            cap, newton = log.axis_strength[thinned, k], unit(name, force=True)
+            right.fill_between(time[thinned], -cap, cap, color=style.MUTED, alpha=0.15, linewidth=0)
+            largest = float(cap.max())
+            if forces is not None:
+                force, bound = forces.force[thinned, k], forces.bound[thinned, k]
                 colour = style.AXIS_COLOURS[name]
-                right.plot(time[few], force, color=colour)
-                seen = np.isfinite(bound)
+                right.plot(time[thinned], force, color=colour)
+                known = np.isfinite(bound)
                 right.fill_between(
-                    time[few][seen], (force - bound)[seen], (force + bound)[seen],
+                    time[thinned][known], (force - bound)[known], (force + bound)[known],
                     color=colour, alpha=0.15, linewidth=0,
                 )  # fmt: skip
-                most = max(most, float(np.abs(force).max()))
-            right.set_ylim(-1.15 * max(most, LEAST[newton]), 1.15 * max(most, LEAST[newton]))
+                largest = max(largest, float(np.abs(force).max()))
+            right.set_ylim(
+                -1.15 * max(largest, MIN_RANGE[newton]), 1.15 * max(largest, MIN_RANGE[newton])
+            )
             right.set_ylabel(f"{name} [{newton}]")
         grid[0, 0].set_title("deviation, with the thresholds of its strength")
         grid[0, 1].set_title("force felt with its bound, in the band of the cap")
@@ -65,17 +69,17 @@ def softness(folder: Path, log: Log, felt: Felt | None) -> None:
         style.save(figure, folder, "softness")
 
 
-def _deviation(ax: Axes, name: str, time: Array, off: Array) -> None:
-    ax.plot(time, off, color=style.AXIS_COLOURS[name])
-    most = 1.15 * max(float(np.abs(off).max()), LEAST[unit(name)])
-    ax.set_ylim(-most, most)
+def _deviation(ax: Axes, name: str, time: Array, deviation: Array) -> None:
+    ax.plot(time, deviation, color=style.AXIS_COLOURS[name])
+    largest = 1.15 * max(float(np.abs(deviation).max()), MIN_RANGE[unit(name)])
+    ax.set_ylim(-largest, largest)
     ax.set_ylabel(f"{name} [{unit(name)}]")
 
 
 def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
-    """Plot torque limits as shares of the usable torque, and the spans at a bound."""
-    joints, time = log.run["joints"], since(log)
-    few = style.thin(time)
+    """Write a figure to `folder`: torque limits as shares of maximum torque, spans at a limit."""
+    joints, time = log.run["joints"], elapsed_time(log)
+    thinned = style.thin(time)
     usable = np.asarray(log.servos.max_torque) if log.servos is not None else np.nan
     share = 100.0 * log.torque_limit / usable
     ratios = {"height_ratios": (3.0, max(0.22 * len(joints), 1.0))}
@@ -83,7 +87,7 @@ def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
     with style.canvas(2, 1, size=size, sharex=True, gridspec_kw=ratios) as (figure, grid):
         top, bottom = grid[:, 0]
         for j in range(len(joints)):
-            top.plot(time[few], share[few, j], color=COLOURS[j % len(COLOURS)])
+            top.plot(time[thinned], share[thinned, j], color=COLOURS[j % len(COLOURS)])
         top.set_ylim(0.0, 105.0)
         top.set_xlim(0.0, time[-1])
         top.set_ylabel("torque limit [% of usable]")
@@ -103,9 +107,9 @@ def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
 
 
 def loop(folder: Path, log: Log) -> None:
-    """Plot the time between ticks, and supply and temperature if reported."""
-    time, of = since(log), health(log)
-    told: list[tuple[str, Array, Any]] = [
+    """Write a figure to `folder`: time between ticks; voltage and temperature if reported."""
+    time, timing = elapsed_time(log), health(log)
+    reported: list[tuple[str, Array, Any]] = [
         (label, values, log.run["joints"])
         for label, values in (
             ("supply [V]", log.voltage),
@@ -113,15 +117,17 @@ def loop(folder: Path, log: Log) -> None:
         )
         if np.isfinite(values).any()
     ]
-    size = (style.WIDE, 1.8 * (1 + len(told)) + 0.3)
-    with style.canvas(1 + len(told), 1, size=size, sharex=True) as (figure, grid):
+    size = (style.WIDE, 1.8 * (1 + len(reported)) + 0.3)
+    with style.canvas(1 + len(reported), 1, size=size, sharex=True) as (figure, grid):
         ax = grid[0, 0]
-        ax.plot(time[1:], 1e3 * of.gaps, color=style.BLUE, linewidth=0.8)
-        style.level(ax, 1e3 * of.period, "as asked")
-        ax.set_ylim(0.0, max(2.0 * 1e3 * of.period, 1.1e3 * float(of.gaps.max(initial=0.0))))
+        ax.plot(time[1:], 1e3 * timing.gaps, color=style.BLUE, linewidth=0.8)
+        style.level(ax, 1e3 * timing.period, "as asked")
+        ax.set_ylim(
+            0.0, max(2.0 * 1e3 * timing.period, 1.1e3 * float(timing.gaps.max(initial=0.0)))
+        )
         ax.set_ylabel("tick to tick [ms]")
         ax.set_xlim(0.0, time[-1])
-        for (label, values, joints), row in zip(told, grid[1:, 0], strict=True):
+        for (label, values, joints), row in zip(reported, grid[1:, 0], strict=True):
             for j in range(len(joints)):
                 row.plot(time, values[:, j], color=COLOURS[j % len(COLOURS)], linewidth=1.0)
             last = [

@@ -1,4 +1,4 @@
-"""Reading a log into arrays, also an incomplete one."""
+"""Reader of logs: ticks as arrays, and calls of the controller. It also reads incomplete logs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pliant._core import ConfigError, Controller, Model, Servos, Settings
-from pliant.log import layout, words
+from pliant.log import layout, serialization
 from pliant.log._mcap import Attachment, Channel, DecoderFactory, Message, Schema
 from pliant.log.records import CutShortError, DamagedError, records
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Fields of the description of a run: name, types, and True if it may be None.
-RUN: tuple[tuple[str, Any, bool], ...] = (
+#: Fields of the description of a run: name, type, and True if the value can be None.
+RUN_FIELDS: tuple[tuple[str, Any, bool], ...] = (
     ("pliant", str, False),
     ("note", str, False),
     ("rate", (int, float), False),
@@ -33,28 +33,29 @@ RUN: tuple[tuple[str, Any, bool], ...] = (
     ("settings", Settings, True),
     ("config", str, True),
 )
-#: Errors that a malformed file can raise.
-FOREIGN = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+#: Errors that the parser can raise for a malformed file.
+PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 @dataclass
 class Log:
-    """A run of N ticks, n joints and k axes; NaN for missing measurements.
+    """A logged run of N ticks (control cycles) with n joints and k task axes.
 
-    Every column of a tick is an attribute and an entry of `columns`: `time` (N,) [s] of the
-    positions (0 at the beginning of the first tick), `q`, `dq`, `load`, `goal`, `torque_limit`
-    (N, n), `target`, `reference` (N, 4, 4), `deviation`, `compliance` (N, k), `activation`
-    (N, n, k + 1), and the others listed in docs/logs.md.
+    Each column is an attribute and an entry of `columns`; missing values are NaN. Columns: `time`
+    (N,) [s], when the positions were sampled (0 at the beginning of the first tick); `q`, `dq`,
+    `load`, `goal`, `torque_limit` (N, n); `target`, `reference` (N, 4, 4); `deviation`,
+    `compliance` (N, k); `activation` (N, n, k + 1); and those listed in docs/logs.md.
 
     Attributes:
         run: Description of the run: joints, axes, rate, settings, servos, version, note.
-        columns: Arrays by name.
-        calls: All calls of the controller in order: messages with the fields of a call.
-        whole: True if the file was completed and is undamaged. If False, the program or the
-            machine died, or see `damage`.
-        damage: Description of the damage, empty if none; the data before it are here.
-        end: Counts when the recorder was closed: `counters` of the bus and records `dropped`;
-            empty if the program died before.
+        columns: Arrays of all columns by name.
+        calls: Recorded calls of the controller in order, as decoded messages.
+        whole: True if the file is complete and undamaged. False if the program or the machine died,
+            or the file is damaged.
+        damage: Description of the damage; empty if there is none. The log contains the data before
+            the damage.
+        end: `counters` of the bus and number of `dropped` records when the recorder was closed;
+            empty if it was not closed.
     """
 
     run: dict[str, Any]
@@ -84,31 +85,32 @@ class Log:
 
     @property
     def settings(self) -> Settings | None:
-        """Settings at the beginning."""
+        """Settings at the beginning of the run; None if the run had no `Controller`."""
         settings: Settings | None = self.run["settings"]
         return settings
 
     @property
     def servos(self) -> Servos | None:
-        """Servo table of the controller."""
+        """Servo parameters of the run; None if there were none."""
         servos: Servos | None = self.run["servos"]
         return servos
 
     def model(self) -> Model:
-        """The arm, from the attached URDF."""
-        return words.model(self.run["model"])
+        """Return the model of the arm, created from the recorded URDF and options."""
+        return serialization.model(self.run["model"])
 
 
 def read(path: str | Path) -> Log:
-    """Read a log of `Recorder`, up to its end or its damage.
+    """Read a log written by `Recorder`; an incomplete or damaged log up to its last valid record.
 
     Raises:
-        ConfigError: The file is no log, or ends before the first record.
-        OSError: It cannot be read.
+        ConfigError: The file is not a log, is of another layout version, or ends before the first
+            record.
+        OSError: The file cannot be read.
     """
     try:
         return _read(Path(path))
-    except FOREIGN as error:
+    except PARSE_ERRORS as error:
         kind = type(error).__name__
         raise ConfigError(f"{path} is no log of pliant: {kind}: {error}") from error
 
@@ -124,17 +126,17 @@ def _read(path: Path) -> Log:
         try:
             for record in records(stream, path.stat().st_size):
                 if isinstance(record, Attachment) and record.name == layout.RUN:
-                    run = words.read(record.data.decode())
+                    run = serialization.read(record.data.decode())
                 elif isinstance(record, Attachment) and record.name == layout.END:
-                    end = words.read(record.data.decode())
+                    end = serialization.read(record.data.decode())
                 elif isinstance(record, Schema):
                     decode.schemas[record.id] = record
                 elif isinstance(record, Channel):
                     decode.channels[record.id] = record
                 elif isinstance(record, Message):
-                    wanted = rows.get(decode.channels[record.channel_id].topic)
-                    if wanted is not None:
-                        wanted.append(decode(record))
+                    messages = rows.get(decode.channels[record.channel_id].topic)
+                    if messages is not None:
+                        messages.append(decode(record))
             whole = True
         except (CutShortError, DamagedError) as error:
             if run is None:
@@ -157,13 +159,13 @@ def _read(path: Path) -> Log:
         raise ConfigError(f"{path} is no log of pliant: {error}") from error
     columns = _columns(run, ticks)
     if len(columns["time"]):
-        # As `Tick.time`: 0 at the beginning of the first tick.
+        # Shift the times so that 0 is the beginning of the first tick, as in `pliant.loop.Tick`.
         columns["time"] -= columns["time"][0] + columns["lag"][0]
     return Log(run, columns, calls, whole, end, damage)
 
 
 class _Decoder:
-    """Decodes the messages of the channels read so far."""
+    """Decoder of MCAP messages; it uses the schema and channel records that were read before."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -172,36 +174,36 @@ class _Decoder:
         self._decoders: dict[int, Callable[[bytes], Any]] = {}
 
     def __call__(self, message: Message) -> Any:
-        made = self._decoders.get(message.channel_id)
-        if made is None:
+        decoder = self._decoders.get(message.channel_id)
+        if decoder is None:
             channel = self.channels[message.channel_id]
             found = self._factory.decoder_for("cdr", self.schemas[channel.schema_id])
             if found is None:
                 raise ConfigError(f"no decoder for {channel.topic}")
-            made = self._decoders[message.channel_id] = found
-        return made(message.data)
+            decoder = self._decoders[message.channel_id] = found
+        return decoder(message.data)
 
 
 def _check(run: Any) -> None:
-    """Check that the description of a run has all fields used later.
+    """Check the fields of the description of a run.
 
     Raises:
-        ConfigError: A field is missing or has a wrong type.
+        ConfigError: A field is missing, has the wrong type, or contradicts another.
     """
     if not isinstance(run, dict):
         raise ConfigError(f"the description of the run is no table, but {type(run).__name__}")
-    for name, kinds, optional in RUN:
+    for name, kinds, optional in RUN_FIELDS:
         value = run.get(name)
         fits = value is None if optional and value is None else isinstance(value, kinds)
         if not fits or isinstance(value, bool):
-            said = "has no" if value is None else f"has {type(value).__name__} for"
-            raise ConfigError(f"the description of the run {said} {name!r}")
+            problem = "has no" if value is None else f"has {type(value).__name__} for"
+            raise ConfigError(f"the description of the run {problem} {name!r}")
     for name in ("joints", "extra", "axes"):
-        if not all(isinstance(one, str) for one in run[name] or ()):
+        if not all(isinstance(entry, str) for entry in run[name] or ()):
             raise ConfigError(f"the description of the run has {name!r} that are no names")
     if not 0.0 < run["rate"] < math.inf:
         raise ConfigError(f"the description of the run has a rate of {run['rate']} Hz")
-    model = words.model(run["model"])
+    model = serialization.model(run["model"])
     if tuple(run["joints"]) != model.joint_names:
         raise ConfigError("the description of the run has other joints than its model")
     if run["axes"] is not None and run["settings"] is None:
@@ -215,7 +217,7 @@ def _check(run: Any) -> None:
 
 
 def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
-    """Return the arrays of all ticks."""
+    """Return the columns of a log by name: arrays with one row per tick message."""
     n, axes = len(run["joints"]), run["axes"]
     vector = layout.tick(n, None if axes is None else len(axes), len(run["extra"]))
     out: dict[str, Array] = {}
@@ -239,8 +241,8 @@ def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
 
 
 def arguments(call: Any) -> dict[str, Any]:
-    """Return the arguments of a call other than a step."""
-    read = words.read(call.arguments) if call.arguments else {}
+    """Return the arguments, by name, of a recorded controller call that is not a step."""
+    read = serialization.read(call.arguments) if call.arguments else {}
     if not (isinstance(read, dict) and all(isinstance(name, str) for name in read)):
         raise ConfigError(f"the arguments of the call {call.what!r} are no table of names")
     return read

@@ -1,4 +1,4 @@
-"""The recorder: sends the data of each tick to the writer process within microseconds."""
+"""Recorder of a run: sends the data of each control cycle to a process that writes the log."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from pliant._core import ConfigError, Controller, __version__
 from pliant._files import check_output
 from pliant._validation import format_value, instance
-from pliant.log import frames, layout, words
+from pliant.log import frames, layout, serialization
 from pliant.log.journal import Journal
 
 if TYPE_CHECKING:
@@ -24,31 +24,30 @@ if TYPE_CHECKING:
     from pliant.config import Config
     from pliant.loop import Commanded, Tick
 
-#: Time that `close` waits for the writer to take the backlog, and then to finish [s]; an arm may be
-#: held meanwhile.
-PATIENCE = 5.0
+#: In `close`: timeout for sending buffered data, and another one for the end of the writer [s].
+CLOSE_TIMEOUT = 5.0
 
 
 class Recorder:
-    """Writes a run to an MCAP file in a separate process; the loop only fills a pipe.
+    """Writes a run to an MCAP file in another process, so that the loop never waits for a disk.
 
-    Pass it to `pliant.Loop`, which starts it, adds every tick and closes it. The writer outlives
-    the program: if the program is killed, the file is still completed.
+    Pass the recorder to `pliant.Loop`, which starts it, adds every tick and closes it. If the
+    program is killed, the writer process still completes the file.
 
     Args:
-        path: The file. An existing log is replaced, another file is not overwritten.
-        config: The arm's configuration, to be attached.
-        note: A line of your own.
+        path: Path of the log. An existing log is replaced; another file is not overwritten.
+        config: Configuration of the arm, to be stored in the log.
+        note: Comment to be stored in the log.
 
     Attributes:
-        path: The file.
-        ticks: Ticks so far.
+        path: Path of the log.
+        ticks: Number of recorded ticks (control cycles) so far.
 
     Raises:
         ConfigError: The file exists and is not a log.
         TypeError: An argument has the wrong type.
         OSError: The file cannot be written.
-        ImportError: The extra is missing.
+        ImportError: The extra `log` is not installed.
 
     Example:
         >>> loop = pliant.Loop(arm, controller, recorder=pliant.log.Recorder("run.mcap"))
@@ -72,17 +71,17 @@ class Recorder:
         check_output(self.path, "log")
 
     def start(self, arm: Arm, controller: Any | None, rate: float) -> Any:
-        """Open the file; called by `pliant.Loop`.
+        """Start the writer process; `pliant.Loop` calls this method.
 
         Args:
             arm: The arm.
-            controller: The controller, before its first step. Any other object is not recorded, and
-                the log holds only ticks and commands.
-            rate: Expected ticks per second [Hz]. A crash of the machine may cost the last half
-                second.
+            controller: A `pliant.Controller` before its first step, whose calls are recorded. For
+                None or another object, such as `HandGuiding`, the log has only ticks and commands.
+            rate: Control rate [Hz], from which the writer computes the size of its buffer.
 
         Returns:
-            The controller to use instead, which records every call.
+            A wrapper of the `pliant.Controller` that records every call; any other object is
+            returned unchanged.
 
         Raises:
             ConfigError: The recorder has been started already, or the controller has made steps
@@ -90,7 +89,7 @@ class Recorder:
         """
         if self._process is not None:
             raise ConfigError(f"{self.path} belongs to another loop: make a Recorder for each")
-        given_controller = controller
+        original = controller
         controller = controller if isinstance(controller, Controller) else None
         if controller is not None and controller.commands_made:
             raise ConfigError(
@@ -113,7 +112,7 @@ class Recorder:
             "joints": arm.model.joint_names,
             "extra": self._extra,
             "axes": axes,
-            "model": words.describe(arm.model if controller is None else controller.model),
+            "model": serialization.describe(arm.model if controller is None else controller.model),
             "servos": arm.servos if controller is None else controller.servos,
             "settings": None if controller is None else controller.settings,
             "config": None if self._config is None else self._config.model_dump_json(by_alias=True),
@@ -123,24 +122,24 @@ class Recorder:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "pliant.log.writer", str(self.path)],
             stdin=subprocess.PIPE,
-            # Ctrl-C and the end of the terminal must not end the writer; it ends with its pipe.
+            # Protect the writer from Ctrl-C and a closed terminal; it ends when its pipe closes.
             start_new_session=True,
         )
         assert self._process.stdin is not None
         self._sender = frames.Sender(self._process.stdin.fileno())
-        self._sender.send(frames.RUN, words.write(run).encode())
+        self._sender.send(frames.RUN, serialization.write(run).encode())
         if controller is None:
-            return given_controller
+            return original
         self._journal = Journal(controller, self._sender)
         return self._journal
 
     @property
     def dropped(self) -> int:
-        """Number of dropped records: the writer was too far behind, or has ended."""
+        """Number of records dropped because the writer process was too slow or has ended."""
         return 0 if self._process is None else self._sender.dropped
 
     def add(self, tick: Tick, command: Commanded | None = None) -> None:
-        """Record a tick and its command; called by `pliant.Loop`. Does not wait for the writer."""
+        """Record a tick and its command, without waiting; `pliant.Loop` calls this method."""
         slots, state = self._slots, tick.state
         self._row.fill(np.nan)
         slots["time"][0] = state.time
@@ -159,12 +158,12 @@ class Recorder:
         if self._extra:
             slots["extra"][:] = [state.extra.get(name, np.nan) for name in self._extra]
         if self._journal is not None:
-            self._look(self._journal)
+            self._store_controller_state(self._journal)
         self._sender.send(frames.TICK, self._row.tobytes())
         self.ticks += 1
 
-    def _look(self, journal: Journal) -> None:
-        """Store the state of the controller after its step."""
+    def _store_controller_state(self, journal: Journal) -> None:
+        """Copy the controller's state after its step into the record of the present tick."""
         target, slots = journal.target, self._slots
         if target is None:  # no step in this tick
             return
@@ -181,21 +180,22 @@ class Recorder:
             slots[name][0] = getattr(last, name)
 
     def close(self) -> None:
-        """Send the backlog and wait until the file is complete.
+        """Send all buffered data and wait until the writer process has completed the file.
 
         Raises:
-            OSError: The writer failed, or did not finish within ten seconds; its file can be read.
+            OSError: The writer process failed, or did not end within `CLOSE_TIMEOUT`. The file can
+                be read up to its last record.
         """
         process = self._process
         if self._closed or process is None or process.stdin is None:
             return
         self._closed = True
         counted = {"counters": self._counters(), "dropped": self.dropped}
-        self._sender.send(frames.END, words.write(counted).encode())
-        self._sender.finish(PATIENCE)
+        self._sender.send(frames.END, serialization.write(counted).encode())
+        self._sender.finish(CLOSE_TIMEOUT)
         process.stdin.close()
         try:
-            code = process.wait(PATIENCE)
+            code = process.wait(CLOSE_TIMEOUT)
         except subprocess.TimeoutExpired:
             raise OSError(f"{self.path}: the disk is slow; the writer goes on by itself") from None
         if code != 0:

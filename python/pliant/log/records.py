@@ -1,7 +1,7 @@
-"""Records of an MCAP file, with all checks that the format offers: lengths, CRCs, counts.
+"""Reader of MCAP records that checks all lengths, checksums and counts.
 
-MCAP's own reader trusts lengths, skips unknown records and does not check the CRCs of attachments.
-A damaged byte could thus become a wrong number, or an error of a library.
+The reader of the `mcap` package trusts lengths, skips unknown records and does not check the CRCs
+of attachments, so a damaged byte could become a wrong number in a log.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ if TYPE_CHECKING:
 
 #: First and last bytes of an MCAP file.
 MAGIC = b"\x89MCAP0\r\n"
-#: Largest chunk [bytes]; a recorder's holds half a second.
-LARGEST_CHUNK = 1 << 26
-#: Largest sum of the chunks: in bytes, or as a multiple of the file's size.
-MOST_UNPACKED, RATIO = 1 << 28, 200
-#: Largest expansion factor of LZ4.
-LZ4_RATIO = 255
-_HEAD = struct.Struct("<BQ")
+#: Maximum unpacked size of a chunk [bytes]; chunks of a `Recorder`, of half a second, are smaller.
+MAX_CHUNK = 1 << 26
+#: Maximum unpacked size of all chunks: the larger of `MAX_UNPACKED` [bytes] and `MAX_EXPANSION`
+#: times the size of the file.
+MAX_UNPACKED, MAX_EXPANSION = 1 << 28, 200
+#: Largest possible ratio of unpacked to packed size with LZ4 compression [1].
+LZ4_EXPANSION = 255
+_HEADER = struct.Struct("<BQ")
 _CRC = struct.Struct("<I")
-_KINDS = frozenset(map(int, Opcode))
+_OPCODES = frozenset(map(int, Opcode))
 
 
 class CutShortError(Exception):
@@ -50,11 +51,11 @@ class DamagedError(Exception):
 
 
 def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
-    """Yield attachments and the records of the chunks, in file order.
+    """Yield all attachments, and all records inside chunks, in the order of the file.
 
     Args:
-        stream: The file, at its beginning.
-        size: Its length [bytes].
+        stream: The open file, at its beginning.
+        size: Size of the file [bytes].
 
     Raises:
         CutShortError: The file ends early.
@@ -63,13 +64,13 @@ def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
     if stream.read(len(MAGIC)) != MAGIC:
         raise DamagedError("it does not begin as MCAP does")
     messages = attachments = unpacked = 0
-    counted: Statistics | None = None
-    for place, opcode, body in _bodies(stream, size):
+    statistics: Statistics | None = None
+    for offset, opcode, body in _bodies(stream, size):
         try:
             if opcode == Opcode.CHUNK:
                 chunk = Chunk.read(_stream(body))
                 unpacked += _unpacked(chunk)
-                if unpacked > max(MOST_UNPACKED, RATIO * size):
+                if unpacked > max(MAX_UNPACKED, MAX_EXPANSION * size):
                     raise DamagedError(f"it unpacks to more than {unpacked / 1e6:.0f} MB")
                 for record in breakup_chunk(chunk, validate_crc=True):
                     if isinstance(record, Message):
@@ -79,14 +80,14 @@ def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
                     yield record
             elif opcode == Opcode.ATTACHMENT:
                 if _CRC.unpack(body[-_CRC.size :])[0] != zlib.crc32(body[: -_CRC.size]):
-                    raise DamagedError(f"the attachment at byte {place} has another checksum")
+                    raise DamagedError(f"the attachment at byte {offset} has another checksum")
                 attachments += 1
                 yield Attachment.read(_stream(body))
             elif opcode == Opcode.STATISTICS:
-                counted = Statistics.read(_stream(body))
+                statistics = Statistics.read(_stream(body))
         except (McapError, ValueError, struct.error, MemoryError, ZstdError) as error:
-            raise DamagedError(f"the record at byte {place}: {error}") from error
-    if counted is None or (counted.message_count, counted.attachment_count) != (
+            raise DamagedError(f"the record at byte {offset}: {error}") from error
+    if statistics is None or (statistics.message_count, statistics.attachment_count) != (
         messages,
         attachments,
     ):
@@ -94,41 +95,41 @@ def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
 
 
 def _bodies(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
-    """Yield position, kind and bytes of every record up to the footer."""
+    """Yield offset [bytes], opcode and body of every record up to the footer."""
     stream.seek(max(size - len(MAGIC), 0))
-    complete = size >= 2 * len(MAGIC) and stream.read(len(MAGIC)) == MAGIC
+    has_end = size >= 2 * len(MAGIC) and stream.read(len(MAGIC)) == MAGIC
     stream.seek(len(MAGIC))
     opcode = None
     while opcode != Opcode.FOOTER:
-        place = stream.tell()
-        head = stream.read(_HEAD.size)
+        offset = stream.tell()
+        header = stream.read(_HEADER.size)
         length = 0
-        if len(head) == _HEAD.size:
-            opcode, length = _HEAD.unpack(head)
-        if len(head) < _HEAD.size or place + _HEAD.size + length > size:
-            if complete:
-                raise DamagedError(f"the record at byte {place} is longer than the file")
-            raise CutShortError(f"it ends within the record at byte {place}")
-        if opcode not in _KINDS:
-            raise DamagedError(f"the record at byte {place} is of no kind, {opcode}")
-        yield place, opcode, stream.read(length)
+        if len(header) == _HEADER.size:
+            opcode, length = _HEADER.unpack(header)
+        if len(header) < _HEADER.size or offset + _HEADER.size + length > size:
+            if has_end:
+                raise DamagedError(f"the record at byte {offset} is longer than the file")
+            raise CutShortError(f"it ends within the record at byte {offset}")
+        if opcode not in _OPCODES:
+            raise DamagedError(f"the record at byte {offset} is of no kind, {opcode}")
+        yield offset, opcode, stream.read(length)
 
 
 def _unpacked(chunk: Chunk) -> int:
-    """Return the unpacked size of a chunk [bytes]: the larger of its header's and its data's.
+    """Return a bound on the unpacked size of a chunk [bytes], before unpacking it.
+
+    It is the larger of the size in the chunk's header and the size that the packed data imply.
 
     Raises:
-        DamagedError: It is larger than any chunk of a recorder.
+        DamagedError: The size exceeds `MAX_CHUNK`.
     """
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":
         size = max(size, frame_content_size(chunk.data))
     elif chunk.compression == "lz4":
-        size = max(size, LZ4_RATIO * len(chunk.data))
-    if size > LARGEST_CHUNK:
-        raise DamagedError(
-            f"a chunk unpacks to {size / 1e6:.0f} MB, at most {LARGEST_CHUNK / 1e6:.0f}"
-        )
+        size = max(size, LZ4_EXPANSION * len(chunk.data))
+    if size > MAX_CHUNK:
+        raise DamagedError(f"a chunk unpacks to {size / 1e6:.0f} MB, at most {MAX_CHUNK / 1e6:.0f}")
     return size
 
 

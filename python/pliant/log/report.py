@@ -1,8 +1,4 @@
-"""`pliant log report`: a log as one self-contained HTML page, and its pictures.
-
-It shows the compliance of the axes, caps against estimated forces, saturated joints, loop and bus,
-and the configuration.
-"""
+"""HTML report on a log: compliance of axes, forces, joints at limits, timing, configuration."""
 
 from __future__ import annotations
 
@@ -17,34 +13,34 @@ import numpy as np
 from pliant._core import ConfigError, __version__
 from pliant._report import page
 from pliant._report.page import Table
-from pliant.log import felt as feeling
 from pliant.log import findings, pictures
+from pliant.log.forces import estimate_forces
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pliant.log.felt import Felt
     from pliant.log.findings import Span
+    from pliant.log.forces import ForceEstimates
     from pliant.log.reader import Log
 
-#: Spans shown in the table, the longest first.
-MOST_SPANS = 20
+#: Maximum number of rows in the table of time spans in which joints were at a limit.
+MAX_SPANS = 20
 
 
 def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
-    """Write `report.html` and PNG and SVG of its pictures.
+    """Write `report.html` on a log, and its figures as PNG and SVG.
 
     Args:
         log: The log.
-        folder: Created if it does not exist.
+        folder: Folder for the files; it is created if it does not exist.
         title: Title of the page, e.g. the name of the log.
 
     Returns:
-        The page.
+        Path of `report.html`.
 
     Raises:
         ConfigError: The log has no ticks, or was made without a controller.
-        PliantError: Matplotlib is missing.
+        PliantError: Matplotlib is not installed.
     """
     if not len(log):
         raise ConfigError("the log has no ticks: nothing to report")
@@ -54,10 +50,10 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
             "`pliant log plot` draws its joints"
         )
     notes = _notes(log)
-    felt: Felt | None = None
+    forces: ForceEstimates | None = None
     try:
-        felt = feeling.feel(log)
-        if felt is None:
+        forces = estimate_forces(log)
+        if forces is None:
             notes.append(
                 "Forces are not shown: they need exactly one step of the controller per tick."
             )
@@ -65,11 +61,11 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
         notes.append(f"Forces are not shown: {error}.")
     bounds = findings.spans(log)
     folder.mkdir(parents=True, exist_ok=True)
-    pictures.softness(folder, log, felt)
+    pictures.softness(folder, log, forces)
     pictures.strength(folder, log, bounds)
     pictures.loop(folder, log)
     sections = (
-        ("soft", "Why it was soft, or not", _soft(log, felt, folder)),
+        ("soft", "Why it was soft, or not", _soft(log, forces, folder)),
         ("strength", "Where strength ended", _strength(log, bounds, folder)),
         ("loop", "Loop and servos", _loop(log, folder)),
         ("settings", "Configuration", _settings(log)),
@@ -91,7 +87,7 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
 
 
 def _about(log: Log) -> str:
-    span = float(findings.since(log)[-1])
+    span = float(findings.elapsed_time(log)[-1])
     note = f" {log.run['note']}" if log.run["note"] else ""
     return (
         f"{log.model().name}: {len(log)} ticks in {span:.1f} s at {log.run['rate']:g} Hz, "
@@ -100,7 +96,7 @@ def _about(log: Log) -> str:
 
 
 def _notes(log: Log) -> list[str]:
-    """Return notes for the top of the page."""
+    """Return the notes at the top of the report: damage, missing calls and changed settings."""
     notes = []
     if log.damage:
         notes.append(
@@ -126,9 +122,9 @@ def _list(sentences: list[str]) -> str:
     return "<ul>" + "".join(f"<li>{page.text(one)}</li>" for one in sentences) + "</ul>"
 
 
-def _soft(log: Log, felt: Felt | None, folder: Path) -> str:
+def _soft(log: Log, forces: ForceEstimates | None, folder: Path) -> str:
     axes = log.run["axes"]
-    parts = [_list([findings.sentence(log, felt, k) for k in range(len(axes))])]
+    parts = [_list([findings.sentence(log, forces, k) for k in range(len(axes))])]
     parts.append(
         _figure(
             folder,
@@ -140,35 +136,41 @@ def _soft(log: Log, felt: Felt | None, folder: Path) -> str:
             "gears comes on top of a cap.",
         )
     )
-    parts.append(page.table(_caps(log, felt)))
-    if felt is not None:
-        when = findings.since(log)[felt.worst]
+    parts.append(page.table(_caps(log, forces)))
+    if forces is not None:
+        when = findings.elapsed_time(log)[forces.worst]
         parts.append(
             f'<p><b class="head">What the controller says of the pose at {when:.2f} s</b>, where '
             "the tool was farthest off:</p>"
         )
-        parts.append(_list(felt.report.summary()))
+        parts.append(_list(forces.report.summary()))
     return "".join(parts)
 
 
-def _caps(log: Log, felt: Felt | None) -> Table:
-    """Return the table of caps and forces."""
+def _caps(log: Log, forces: ForceEstimates | None) -> Table:
+    """Return the table with force caps and estimated forces of all task axes."""
     rows = []
     for k, name in enumerate(log.run["axes"]):
-        cap, strengths = log.axis_strength[:, k], None if felt is None else felt.strengths
-        row = [name, findings.asked(None if strengths is None else strengths.get(name), name)]
+        cap, strengths = log.axis_strength[:, k], None if forces is None else forces.strengths
+        row = [
+            name,
+            findings.describe_setting(None if strengths is None else strengths.get(name), name),
+        ]
         low, high = f"{cap.min():.3g}", f"{cap.max():.3g}"
         row += [low if low == high else f"{low} to {high}"]
-        if felt is None:
+        if forces is None:
             row += ["–", "–", "–"]
         else:
-            tick = findings.most_felt(felt, k)
+            tick = findings.largest_force_tick(forces, k)
             if tick is None:
                 row += ["below its uncertainty"]
             else:
-                force, bound = felt.force[tick, k], felt.bound[tick, k]
-                row += [f"{force:+.2g} ± {bound:.2g} at {findings.since(log)[tick]:.2f} s"]
-            row += [f"{felt.report.axes[name].friction:.2g}", f"{findings.above(log, felt, k):.1%}"]
+                force, bound = forces.force[tick, k], forces.bound[tick, k]
+                row += [f"{force:+.2g} ± {bound:.2g} at {findings.elapsed_time(log)[tick]:.2f} s"]
+            row += [
+                f"{forces.report.axes[name].friction:.2g}",
+                f"{findings.exceeded_share(log, forces, k):.1%}",
+            ]
         rows.append((*row, findings.unit(name, force=True)))
     return Table(
         caption="Caps against estimated forces. The last column is the share of ticks in which cap "
@@ -189,17 +191,17 @@ def _strength(log: Log, bounds: list[Span], folder: Path) -> str:
     )
     if not bounds:
         return "<p>No joint was at its torque ceiling or at a position limit.</p>" + figure
-    total = float(findings.since(log)[-1]) or 1.0
+    total = float(findings.elapsed_time(log)[-1]) or 1.0
     sums: dict[tuple[str, str], float] = {}
     for span in bounds:
         key = (span.joint, span.why)
         sums[key] = sums.get(key, 0.0) + span.end - span.start
     words = {"torque": "at its torque ceiling", "position": "at a position limit"}
-    told = [
+    sentences = [
         f"{joint} was {words[why]} for {seconds:.2f} s in all ({seconds / total:.0%})."
         for (joint, why), seconds in sorted(sums.items(), key=lambda item: -item[1])
     ]
-    longest = sorted(bounds, key=lambda span: span.start - span.end)[:MOST_SPANS]
+    longest = sorted(bounds, key=lambda span: span.start - span.end)[:MAX_SPANS]
     table = Table(
         caption=f"The {len(longest)} longest of {len(bounds)} stretches.",
         columns=("joint", "what", "from [s]", "for [s]", "main axis"),
@@ -214,43 +216,48 @@ def _strength(log: Log, bounds: list[Span], folder: Path) -> str:
             for s in longest
         ),
     )
-    return _list(told) + figure + page.table(table)
+    return _list(sentences) + figure + page.table(table)
 
 
 def _loop(log: Log, folder: Path) -> str:
-    of = findings.health(log)
-    told = []
-    if of.gaps.size:
-        middle, high, most = np.percentile(of.gaps, [50.0, 99.0, 100.0])
-        told.append(
-            f"From tick to tick {1e3 * middle:.2f} ms in the median, {1e3 * high:.2f} ms for 99 %, "
-            f"{1e3 * most:.2f} ms at most; {of.late} of {len(log)} came more than "
-            f"{findings.LATE:g} periods of {1e3 * of.period:g} ms after the previous one."
+    timing = findings.health(log)
+    sentences = []
+    if timing.gaps.size:
+        median, p99, largest = np.percentile(timing.gaps, [50.0, 99.0, 100.0])
+        sentences.append(
+            f"From tick to tick {1e3 * median:.2f} ms in the median, {1e3 * p99:.2f} ms for 99 %, "
+            f"{1e3 * largest:.2f} ms at most; {timing.late} of {len(log)} came more than "
+            f"{findings.LATE_PERIODS:g} periods of {1e3 * timing.period:g} ms "
+            "after the previous one."
         )
-    told.append(
-        f"Positions were {_age(*of.lag)}; the controller assumed a delay of "
-        f"{1e3 * of.delay:.1f} ms."
+    sentences.append(
+        f"Positions were {_age(*timing.lag)}; the controller assumed a delay of "
+        f"{1e3 * timing.delay:.1f} ms."
     )
-    for name, count in of.old.items():
-        told.append(f"{name}: positions older than {findings.LATE:g} periods in {count} ticks.")
-    if of.voltage is not None:
-        told.append(f"Supply between {of.voltage[0]:.1f} and {of.voltage[1]:.1f} V.")
-    if of.temperature:
-        name = max(of.temperature, key=lambda joint: of.temperature[joint])
-        told.append(f"Warmest: {name}, {of.temperature[name]:.0f} °C.")
-    if of.counters:
-        counted = ", ".join(f"{name} {count}" for name, count in of.counters.items())
-        told.append(f"Counted by the bus: {counted}.")
+    for name, count in timing.old.items():
+        sentences.append(
+            f"{name}: positions older than {findings.LATE_PERIODS:g} periods in {count} ticks."
+        )
+    if timing.voltage is not None:
+        sentences.append(f"Supply between {timing.voltage[0]:.1f} and {timing.voltage[1]:.1f} V.")
+    if timing.temperature:
+        name = max(timing.temperature, key=lambda joint: timing.temperature[joint])
+        sentences.append(f"Warmest: {name}, {timing.temperature[name]:.0f} °C.")
+    if timing.counters:
+        counted = ", ".join(f"{name} {count}" for name, count in timing.counters.items())
+        sentences.append(f"Counted by the bus: {counted}.")
     else:
-        told.append("The log has no counters of the bus: it was not closed, or is an older one.")
+        sentences.append(
+            "The log has no counters of the bus: it was not closed, or is an older one."
+        )
     caption = "Time from one tick to the next" + (
-        "; values reported by the servos" if of.voltage or of.temperature else ""
+        "; values reported by the servos" if timing.voltage or timing.temperature else ""
     )
-    return _list(told) + _figure(folder, "loop", "Loop and servos", f"{caption}.")
+    return _list(sentences) + _figure(folder, "loop", "Loop and servos", f"{caption}.")
 
 
 def _age(median: float, largest: float) -> str:
-    """Describe when positions were sampled, relative to the beginning of a tick."""
+    """Return a phrase with median and largest age [s] of positions at the beginning of a tick."""
     if median < 0.0:
         return f"sampled {-1e3 * median:.2f} ms after a tick began (median)"
     return f"{1e3 * median:.2f} ms old when a tick began (median; at most {1e3 * largest:.2f} ms)"

@@ -1,4 +1,4 @@
-"""Repetition of a logged run: the same inputs must give the same commands, bit for bit."""
+"""Verification of a log: a new controller with the logged inputs must compute the same commands."""
 
 from __future__ import annotations
 
@@ -16,21 +16,23 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Calls of a controller other than steps.
-CALLS = ("reset", "update", "set_payload", "set_gravity", "set_delay", "capture_gravity")
+#: Methods of `Controller`, besides `step` and `step_joints`, whose calls a log may contain.
+REPLAYED_CALLS = ("reset", "update", "set_payload", "set_gravity", "set_delay", "capture_gravity")
+#: Fields of a command that are compared with the log.
 COMMAND = ("goal", "torque_limit", "speed_limit")
 
 
 @dataclass(frozen=True)
 class Verification:
-    """Commands of a run and of its repetition, M steps of n joints.
+    """Result of `verify`: recomputed commands of M steps with n joints.
 
     Attributes:
-        steps: Steps that were repeated.
-        differing: Steps whose goal, limit or velocity differ in any bit.
-        goal, torque_limit: Of the repetition (M, n) [rad, N·m].
+        steps: Number of steps M.
+        differing: Number of steps whose goals, torque limits or speed limits differ in any bit.
+        goal, torque_limit: Recomputed goals and torque limits (M, n) [rad, N·m].
         largest: Largest difference of a goal [rad].
-        missing: Calls missing from the log; commands after the first of them can differ.
+        missing: Number of controller calls missing from the log; commands after a missing call may
+            differ.
     """
 
     steps: int
@@ -42,20 +44,21 @@ class Verification:
 
     @property
     def same(self) -> bool:
-        """True if every step gave the same command, bit for bit."""
+        """True if no call is missing and every command is equal, bit for bit."""
         return self.differing == 0 and self.missing == 0
 
 
 def verify(log: Log, settings: Settings | None = None) -> Verification:
-    """Repeat all logged calls on a new controller.
+    """Repeat all logged calls on a new controller, and compare the commands with the log.
 
     Args:
         log: The log.
-        settings: Replace the initial settings, to see the commands for the same inputs. The log's
-            own changes of settings are then left out.
+        settings: Settings that replace the logged ones, to see which commands they would have
+            given for the logged inputs. Logged changes of settings are then ignored.
 
     Raises:
-        ConfigError: The log was made without a controller, or by another version of pliant.
+        ConfigError: The log was made without a controller; or, if `settings` is None, by another
+            version of pliant.
     """
     goals, limits, differing, largest = [], [], 0, 0.0
     for call, _, command in steps(log, settings):
@@ -80,12 +83,15 @@ def steps(
     settings: Settings | None = None,
     before: Callable[[Any, Controller], None] | None = None,
 ) -> Iterator[tuple[Any, Controller, Command]]:
-    """Repeat the calls one by one: yield each step's call, the controller, and its command.
+    """Repeat the logged calls on a new controller; yield call, controller and command per step.
 
-    `before` is called with call and controller before every step, e.g. for a `ContactEstimator`.
+    Args:
+        log: The log.
+        settings: Settings that replace the logged ones; see `verify`.
+        before: Function that is called before every step with the call and the controller.
 
     Raises:
-        ConfigError: As `verify`.
+        ConfigError: The log cannot be repeated; see `verify`.
     """
     if log.settings is None:
         raise ConfigError("the log was made without a controller: there is nothing to run again")
@@ -99,7 +105,7 @@ def steps(
     for call in log.calls:
         if not call.what.startswith("step"):
             if not (settings is not None and call.what == "update"):
-                if call.what not in CALLS:
+                if call.what not in REPLAYED_CALLS:
                     raise ConfigError(f"the log has a call {call.what!r} that pliant does not know")
                 try:
                     getattr(controller, call.what)(**arguments(call))
@@ -112,16 +118,16 @@ def steps(
 
 
 def _step(controller: Controller, call: Any) -> Command:
-    """Run one step with the recorded arguments."""
-    given: dict[str, Any] = {
+    """Repeat a recorded call of `step` or `step_joints`, and return the new command."""
+    inputs: dict[str, Any] = {
         name: np.array(value) if len(value) else None
         for name in ("dq", "twist", "gradient")
         for value in (getattr(call, name),)
     }
-    given["dt"] = None if np.isnan(call.dt) else call.dt
+    inputs["dt"] = None if np.isnan(call.dt) else call.dt
     q = np.array(call.q)
     if call.what == "step_joints":
-        return controller.step_joints(q, np.array(call.q_target), **given)
+        return controller.step_joints(q, np.array(call.q_target), **inputs)
     target = np.array(call.target)
-    whole = not np.isnan(target).any()
-    return controller.step(q, target.reshape(4, 4) if whole else target[:3], **given)
+    is_pose = not np.isnan(target).any()
+    return controller.step(q, target.reshape(4, 4) if is_pose else target[:3], **inputs)

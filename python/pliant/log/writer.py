@@ -1,7 +1,7 @@
-"""The writer process: ``python -m pliant.log.writer FILE``, frames on standard input.
+"""Writer process of a log: ``python -m pliant.log.writer FILE``, with frames on standard input.
 
-It buffers at most half a second: the chunks are sized for that from the first tick, and are written
-when full. The end of the input completes the file, also if the loop has died.
+The process writes chunks of about half a second. When the input ends, also because the program that
+runs the loop has died, it completes the file.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from pliant._core import PliantError, Pose
 from pliant._files import replacing
 from pliant._priority import lower_priority
-from pliant.log import frames, layout, words
+from pliant.log import frames, layout, serialization
 from pliant.log._mcap import Writer
 from pliant.log.journal import STEP
 
@@ -27,28 +27,29 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Duration of a chunk [s].
-CHUNK = 0.5
-#: Number of messages per tick besides its numbers, and their size without them [bytes].
+#: Time span of the ticks in one chunk of the MCAP file [s].
+CHUNK_TIME = 0.5
+#: For the estimated size of a chunk: number of messages per tick, and size of a message without its
+#: numbers [bytes].
 MESSAGES, OVERHEAD = 8, 150
 
 
-class Log:
-    """An MCAP file with the layout of `layout`.
+class LogFile:
+    """An MCAP file that is being written, in the layout that module `layout` defines.
 
     Attributes:
-        run: Description of the run.
+        run: Description of the run: joints, axes, rate, model, settings, servos, ...
     """
 
     def __init__(self, stream: BinaryIO, run: dict[str, Any]) -> None:
-        """Write attachments and definitions."""
+        """Write the message definitions and the attachments of a run."""
         self.run = run
-        self._model = words.model(run["model"])
+        self._model = serialization.model(run["model"])
         n, axes = len(run["joints"]), run["axes"]
         self._tick = layout.tick(n, None if axes is None else len(axes), len(run["extra"]))
         self._step = layout.step(n)
         size = 16 * (self._tick.size + self._step.size) + MESSAGES * (OVERHEAD + 12 * n)
-        self._writer = Writer(stream, chunk_size=round(CHUNK * run["rate"] * size / 2))
+        self._writer = Writer(stream, chunk_size=round(CHUNK_TIME * run["rate"] * size / 2))
         self._count = itertools.count()
         self._begin = round(run["wall"] * 1e9)
         self._now = self._begin
@@ -66,9 +67,9 @@ class Log:
         self._attach(run)
 
     def _attach(self, run: dict[str, Any]) -> None:
-        """Attach robot, settings and configuration."""
+        """Write attachments: description of the run, URDF, settings and configuration."""
         texts = {
-            layout.RUN: ("application/json", words.write(run)),
+            layout.RUN: ("application/json", serialization.write(run)),
             layout.URDF: ("application/xml", run["model"]["urdf"]),
             layout.SETTINGS: ("text/plain", f"{run['settings']!r}\n{run['servos']!r}\n"),
             layout.CONFIG: ("application/json", run["config"]),
@@ -76,15 +77,20 @@ class Log:
         for name, (kind, text) in texts.items():
             if text is not None:
                 self._writer.add_attachment(self._begin, self._begin, name, kind, text.encode())
-        self._put("/robot_description", "std_msgs/msg/String", {"data": run["model"]["urdf"]})
+        self._write_message(
+            "/robot_description", "std_msgs/msg/String", {"data": run["model"]["urdf"]}
+        )
 
     def tick(self, body: bytes) -> None:
-        """Write a tick, in full and as standard ROS messages."""
+        """Write a tick: a message with all numbers, and standard ROS messages for viewers.
+
+        `body` is the body of the frame of the tick.
+        """
         pieces = self._tick.split(np.frombuffer(body))
         passed = float(pieces["time"][0]) - self.run["clock"]
         self._now = self._begin + round(passed * 1e9)
         names = [name for name, _ in self._tick.pieces]
-        self._put("/pliant/tick", "pliant_msgs/msg/Tick", layout.numbers(pieces, names))
+        self._write_message("/pliant/tick", "pliant_msgs/msg/Tick", layout.numbers(pieces, names))
         joints = [*self.run["joints"], *self.run["extra"]]
         positions = np.concatenate((pieces["q"], pieces["extra"]))
         self._joints("/joint_states", joints, positions, pieces["dq"], pieces["load"])
@@ -101,44 +107,46 @@ class Log:
             poses["intermediate"] = pieces["reference"].reshape(4, 4)
         for name, pose in poses.items():
             message = {"header": self._header(self._model.base), "pose": _pose(pose)}
-            self._put(f"/tcp/{name}", "geometry_msgs/msg/PoseStamped", message)
-        self._put("/tf", "tf2_msgs/msg/TFMessage", {"transforms": [self._transform(actual)]})
+            self._write_message(f"/tcp/{name}", "geometry_msgs/msg/PoseStamped", message)
+        self._write_message(
+            "/tf", "tf2_msgs/msg/TFMessage", {"transforms": [self._transform(actual)]}
+        )
 
     def step(self, body: bytes) -> None:
-        """Write a step of the controller."""
+        """Write a message with a call of `step` or `step_joints`, from the body of its frame."""
         sequence, joints = STEP.unpack_from(body)
         pieces = self._step.split(np.frombuffer(body, offset=STEP.size))
         message = {"sequence": sequence, "what": "step_joints" if joints else "step"}
         self._call({**message, "arguments": "", **layout.numbers(pieces, pieces)})
 
     def call(self, body: bytes) -> None:
-        """Write any other call of the controller."""
-        called = words.read(body.decode())
+        """Write a message with another call of the controller, from the body of its frame."""
+        called = serialization.read(body.decode())
         empty: dict[str, Any] = {name: [] for name, _ in self._step.pieces}
-        arguments = words.write(called.pop("arguments"))
+        arguments = serialization.write(called.pop("arguments"))
         self._call({**empty, **called, "dt": np.nan, "arguments": arguments})
 
     def end(self, body: bytes) -> None:
-        """Write the counters of the run."""
+        """Write the counters at the end of the run, `body`, as an attachment."""
         self._writer.add_attachment(self._now, self._now, layout.END, "application/json", body)
 
     def finish(self) -> None:
-        """Complete the file."""
+        """Write the index and the end of the MCAP file."""
         self._writer.finish()  # type: ignore[no-untyped-call]
 
     def _call(self, message: dict[str, Any]) -> None:
-        self._put("/pliant/call", "pliant_msgs/msg/Call", message)
+        self._write_message("/pliant/call", "pliant_msgs/msg/Call", message)
 
     def _joints(
         self, topic: str, names: Any, position: Array, velocity: Array, effort: Array
     ) -> None:
         values = {"position": position, "velocity": velocity, "effort": effort}
         lists = {
-            key: [] if np.isnan(value).all() else _fill(value, len(names)).tolist()
+            key: [] if np.isnan(value).all() else _pad(value, len(names)).tolist()
             for key, value in values.items()
         }
         message = {"header": self._header(""), "name": list(names), **lists}
-        self._put(topic, "sensor_msgs/msg/JointState", message)
+        self._write_message(topic, "sensor_msgs/msg/JointState", message)
 
     def _transform(self, pose: Array) -> dict[str, Any]:
         made = _pose(pose)
@@ -152,14 +160,14 @@ class Log:
         seconds, rest = divmod(self._now, 1_000_000_000)
         return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame}
 
-    def _put(self, topic: str, kind: str, message: dict[str, Any]) -> None:
+    def _write_message(self, topic: str, kind: str, message: dict[str, Any]) -> None:
         self._writer.write_message(
             topic, self._schemas[kind], message, self._now, sequence=next(self._count)
         )
 
 
-def _fill(value: Array, length: int) -> Array:
-    """Pad with NaN: off-chain joints have only a position."""
+def _pad(value: Array, length: int) -> Array:
+    """Pad values with NaN to a given length, for joints outside the chain, which lack the value."""
     return np.concatenate((value, np.full(length - value.size, np.nan)))
 
 
@@ -170,7 +178,7 @@ def _pose(matrix: Array) -> dict[str, dict[str, float]]:
 
 
 def _quaternion(matrix: Array) -> list[float]:
-    """Return the quaternion x y z w; a target is a rotation only within rounding."""
+    """Return the quaternion x y z w of the rotation nearest to that of a matrix (4, 4)."""
     u, _, v = np.linalg.svd(matrix[:3, :3])
     pose = np.eye(4)
     pose[:3, :3] = u @ v
@@ -182,7 +190,7 @@ def _quaternion(matrix: Array) -> list[float]:
 
 
 def main() -> None:
-    """Write frames until the end of the input."""
+    """Write the frames from standard input to the log `sys.argv[1]`, until the input ends."""
     lower_priority()
     source = sys.stdin.buffer
     first = frames.receive(source)
@@ -192,10 +200,10 @@ def main() -> None:
     with ExitStack() as stack:
         with replacing(path) as beside:
             stream = stack.enter_context(beside.open("wb"))
-            log = Log(stream, words.read(first[1].decode()))
+            log = LogFile(stream, serialization.read(first[1].decode()))
             stream.flush()
-        # The file gets its name with its first record, so that a crash leaves a readable file.
-        take = {
+        # From here on, the file has its final name: after a crash, it can be read as a log.
+        handlers = {
             frames.TICK: log.tick,
             frames.STEP: log.step,
             frames.CALL: log.call,
@@ -203,7 +211,7 @@ def main() -> None:
         }
         while (frame := frames.receive(source)) is not None:
             kind, body = frame
-            take[kind](body)
+            handlers[kind](body)
             stream.flush()
         log.finish()
 

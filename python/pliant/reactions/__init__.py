@@ -6,7 +6,8 @@
     >>> for tick in loop:
     ...     command = controller.step(tick.q, monitor.update(tick.q, target))
 
-Call `update` before the step of its tick: it returns the target for the step.
+In each control cycle, call `update` before the step of the controller: `update` returns the target
+for that step.
 """
 
 from pliant.reactions.actions import Action, Call, Follow, Hold, Retract, Running, Stop, Yield

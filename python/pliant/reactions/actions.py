@@ -1,7 +1,7 @@
 """Actions of a reaction: hold, yield, follow, retract, stop, call.
 
-An action is a description; `begin` creates the running action. A running action changes the target
-of the step, the settings, or nothing. Goals and limits stay with the controller.
+An `Action` is an immutable description. Its method `begin` returns a `Running` action, which
+changes the target pose or the settings of the controller while the reaction is in force.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def offset_pose(pose: Array, shift: Array, turn: Array) -> Array:
-    """Move a pose (4, 4) by `shift` (3,) [m] and turn it by `turn` (3,) [rad], in base axes."""
+    """Return a pose (4, 4) moved by `shift` (3,) [m] and turned by `turn` (3,) [rad], base axes."""
     out = pose.copy()
     out[:3, 3] += shift
     out[:3, :3] = Pose.from_rotvec(np.zeros(3), turn).rotation @ pose[:3, :3]
@@ -32,7 +32,7 @@ def offset_pose(pose: Array, shift: Array, turn: Array) -> Array:
 
 
 def step_toward(pose: Array, target: Array, distance: float, angle: float) -> Array:
-    """Return a pose (4, 4) nearer to a target, by at most `distance` [m] and `angle` [rad]."""
+    """Return a pose (4, 4) moved toward a target, by at most `distance` [m] and `angle` [rad]."""
     error = functional.pose_error(pose, target)
     shift, turn = error[:3], error[3:]
     shares = [
@@ -45,48 +45,48 @@ def step_toward(pose: Array, target: Array, distance: float, angle: float) -> Ar
 
 
 class Running:
-    """An action in force."""
+    """State of an action that is in force; this base class changes nothing."""
 
     def target(self, now: TickContext, target: Array) -> Array:
-        """Return the pose (4, 4) that replaces `target` in the step."""
+        """Return the target pose (4, 4) for the controller's step, which replaces `target`."""
         return target
 
     def over(self, now: TickContext) -> bool | None:
-        """Return True once the action is complete; None: its condition decides."""
+        """Return True once the action is complete; None: the reaction's condition decides when."""
         return None
 
     def end(self, now: TickContext) -> None:
-        """Undo temporary changes."""
+        """Undo temporary changes of the controller's settings at the end of the reaction."""
 
 
 class Action(ABC):
-    """An action that starts when a condition becomes true."""
+    """Base class of actions; an action begins when the condition of its reaction becomes true."""
 
-    #: True if, without `until`, it stays in force until `ReactionMonitor.resume()`.
+    #: True if in a reaction without `until`, only `ReactionMonitor.resume()` ends the action.
     is_latching = False
-    #: True if it completes immediately.
+    #: True if the action is complete as soon as it has begun.
     is_one_shot = False
 
     @property
     def needs_force(self) -> bool:
-        """True if it needs a force estimate."""
+        """True if the action needs an estimate of the contact force."""
         return False
 
     def validate(self, controller: Controller) -> None:  # noqa: B027 - optional for a subclass
-        """Check that the action is possible with this controller.
+        """Check that the action is possible with a controller.
 
         Raises:
-            ConfigError, OutOfRangeError: It is not; the message names a valid choice.
+            ConfigError, OutOfRangeError: The action is impossible; the message says what is valid.
         """
 
     @abstractmethod
     def begin(self, now: TickContext) -> Running:
-        """Put the action in force."""
+        """Begin the action; return the `Running` action, in force until the reaction ends."""
 
 
 @dataclass
 class _FixedTarget(Running):
-    """A constant target pose."""
+    """Running action with a constant target pose (4, 4)."""
 
     pose: Array
 
@@ -96,56 +96,56 @@ class _FixedTarget(Running):
 
 @dataclass(frozen=True)
 class Hold(Action):
-    """Set the target to the present tool pose: the arm stops pushing and stays.
+    """Set the target to the present tool pose, so that the arm stops pushing and stays.
 
-    It ends once the condition has been false for the reaction's `clear`. The target then returns
-    to the caller's at the monitor's `resume_speed`.
+    In a reaction without `until`, the action ends once the condition has been false for the time
+    `Reaction.clear`.
     """
 
     def begin(self, now: TickContext) -> Running:
-        """Store the pose."""
+        """Return a running action whose target is the present tool pose."""
         return _FixedTarget(now.tool.copy())
 
 
 @dataclass(frozen=True)
 class Stop(Action):
-    """Act as `Hold` until `ReactionMonitor.resume()`; `ReactionMonitor.stopped` is then True."""
+    """Hold the present tool pose until `ReactionMonitor.resume()`."""
 
     is_latching = True
 
     def begin(self, now: TickContext) -> Running:
-        """Store the pose."""
+        """Return a running action whose target is the present tool pose."""
         return _FixedTarget(now.tool.copy())
 
 
 class _ChangedSettings(Running):
-    """Changed settings until the end."""
+    """Running action that changes the controller's settings and restores them at its end."""
 
     def __init__(self, controller: Controller, settings: Settings) -> None:
         self._before, self._changed = controller.settings, settings
         controller.update(settings)
 
     def end(self, now: TickContext) -> None:
-        # Do not undo settings that were changed elsewhere in the meantime.
+        # Restore the settings only if the program has not changed them in the meantime.
         if now.controller.settings == self._changed:
             now.controller.update(self._before)
 
 
 @dataclass(frozen=True, repr=False)
 class Yield(Action):
-    """Let axes of the task yield in both directions while in force; the target stays.
+    """Let task axes yield in both directions; the target stays unchanged.
 
     Args:
-        axes: Axis key of the task.
-        fields: Other attributes of `pliant.Axis` for this time, e.g. ``{"soft": 2.0, "adaptation":
-            0.9}``.
+        axes: Names of the task axes, e.g. "x yaw".
+        fields: Other fields of `pliant.Axis` for these axes while the action is in force, e.g.
+            ``{"soft": 2.0, "adaptation": 0.9}``.
     """
 
     axes: str
     fields: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the arguments once."""
+        """Check the arguments."""
         indices(self.axes)
         if not isinstance(self.fields, Mapping):
             raise ConfigError(
@@ -163,70 +163,71 @@ class Yield(Action):
         return settings.replace(axes=axes)
 
     def validate(self, controller: Controller) -> None:
-        """Try the settings on a controller of the same arm."""
+        """Check the changed settings by creating another controller of the arm with them."""
         settings = self._settings(controller.settings)
         Controller(controller.model, settings, controller.servos)
 
     def begin(self, now: TickContext) -> Running:
-        """Apply the settings."""
+        """Apply the changed settings to the controller; return the action that restores them."""
         return _ChangedSettings(now.controller, self._settings(now.controller.settings))
 
     def __repr__(self) -> str:
-        more = f", {dict(self.fields)!r}" if self.fields else ""
-        return f"Yield({self.axes!r}{more})"
+        fields_text = f", {dict(self.fields)!r}" if self.fields else ""
+        return f"Yield({self.axes!r}{fields_text})"
 
 
 @dataclass
 class _FollowingTool(Running):
-    """A target that follows the tool on some axes."""
+    """Running action whose target follows the tool along some axes."""
 
     axes: tuple[int, ...]
     max_deviation: float
-    back: float
+    end_deviation: float
 
-    def _off(self, now: TickContext, target: Array) -> tuple[Array, Array]:
+    def _task_error(self, now: TickContext, target: Array) -> tuple[Array, Array]:
         frame = now.base_from_task
         error = functional.pose_error(now.tool, target)
         return frame, np.concatenate((frame.T @ error[:3], frame.T @ error[3:]))
 
     def target(self, now: TickContext, target: Array) -> Array:
-        frame, error = self._off(now, target)
+        frame, error = self._task_error(now, target)
         chosen = list(self.axes)
         error[chosen] = np.clip(error[chosen], -self.max_deviation, self.max_deviation)
         return offset_pose(now.tool, frame @ error[:3], frame @ error[3:])
 
     def over(self, now: TickContext) -> bool | None:
-        _, error = self._off(now, now.target)
-        return bool(np.all(np.abs(error[list(self.axes)]) <= self.back))
+        _, error = self._task_error(now, now.target)
+        return bool(np.all(np.abs(error[list(self.axes)]) <= self.end_deviation))
 
 
 @dataclass(frozen=True)
 class Follow(Action):
-    """Let the target follow the tool on some axes, at most `max_deviation` away from it.
+    """Let the target follow the tool along some axes, at a distance of at most `max_deviation`.
 
-    A stiff axis pushed farther than `max_deviation` thus yields at the force it has there. The
-    action ends when the tool is within nine tenths of `max_deviation` of the caller's target.
+    A stiff axis that is pushed farther than `max_deviation` thus yields, with the force that it
+    exerts at this deviation. In a reaction without `until`, the action ends when the tool is within
+    0.9 times `max_deviation` of the caller's target along these axes.
 
     Args:
-        axes: Axis key of the task frame.
-        max_deviation: Largest deviation [m], for rotations [rad].
+        axes: Names of axes of the task frame, e.g. "x yaw".
+        max_deviation: Maximum deviation [m], for rotations [rad].
     """
 
     axes: str
     max_deviation: float
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Check the arguments."""
         indices(self.axes)
         positive(self.max_deviation, "Follow.max_deviation", "m, rad")
 
     def begin(self, now: TickContext) -> Running:
-        """Start following."""
+        """Return a running action whose target follows the tool."""
         return _FollowingTool(indices(self.axes), self.max_deviation, 0.9 * self.max_deviation)
 
 
 class _MovingAway(Running):
-    """A target that moves away from a pose in one direction."""
+    """Running action whose target moves from a pose by a distance in one direction, then stays."""
 
     def __init__(self, pose: Array, direction: Array, distance: float, speed: float) -> None:
         self._pose, self._direction = pose, direction
@@ -239,12 +240,12 @@ class _MovingAway(Running):
 
 @dataclass(frozen=True)
 class Retract(Action):
-    """Move the target away from the present tool pose, and keep it at the end.
+    """Move the target away from the present tool pose by a distance, and keep it there.
 
     Args:
         distance: Length of the motion [m].
         speed: Speed of the target [m/s]; the controller's `max_tool_speed` also limits it.
-        along: Direction (3,) in base axes; None: direction of the estimated contact force.
+        along: Direction (3,) in base axes; None: the direction of the estimated contact force.
     """
 
     distance: float
@@ -253,7 +254,7 @@ class Retract(Action):
     is_latching = True
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Check the arguments."""
         positive(self.distance, "Retract.distance", "m")
         positive(self.speed, "Retract.speed", "m/s")
         if self.along is not None:
@@ -262,11 +263,11 @@ class Retract(Action):
 
     @property
     def needs_force(self) -> bool:
-        """True if the direction comes from the force estimate."""
+        """True if no direction is given, so that the force estimate gives the direction."""
         return self.along is None
 
     def begin(self, now: TickContext) -> Running:
-        """Choose the direction; without a force the arm holds."""
+        """Return a running action whose target moves; with an estimated force of 0, it stays."""
         push = now.force().force_base[:3] if self.along is None else np.asarray(self.along, float)
         size = float(np.linalg.norm(push))
         direction = push / size if size > 0.0 else np.zeros(3)
@@ -275,13 +276,13 @@ class Retract(Action):
 
 @dataclass(frozen=True)
 class Call(Action):
-    """Call a function once, with the `TickContext`."""
+    """Call a function once with the `TickContext` when the condition becomes true."""
 
     function: Callable[[TickContext], object]
     is_one_shot = True
 
     def __post_init__(self) -> None:
-        """Check that it is callable."""
+        """Check that the function is callable."""
         if not callable(self.function):
             raise TypeError(
                 "Call.function must be a function of a TickContext, got "
@@ -289,6 +290,6 @@ class Call(Action):
             )
 
     def begin(self, now: TickContext) -> Running:
-        """Call the function."""
+        """Call the function with `now`; return a running action that changes nothing."""
         self.function(now)
         return Running()

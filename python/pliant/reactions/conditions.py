@@ -1,7 +1,8 @@
-"""Conditions on measured quantities, combined with ``&``, ``|`` and ``~``, and their duration.
+"""Conditions on measured quantities; ``&``, ``|``, ``~`` and `for_seconds` combine them.
 
-A condition is a description: it can be printed, compared and used in several reactions. Its state,
-e.g. how long it has held, is in the function that `evaluator()` returns.
+A `Condition` is an immutable description that can be printed, compared and used in several
+reactions. Its method `evaluator()` returns a function that evaluates the condition once per tick
+and keeps the state, such as the time for which the condition has been true.
 """
 
 from __future__ import annotations
@@ -31,17 +32,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TickContext:
-    """Data of one tick.
+    """Data of one tick (control cycle), for conditions and actions.
 
     Attributes:
         controller: Controller of the arm.
-        time: Time since the monitor started [s].
+        time: Time since the first update of the monitor [s].
         dt: Time since the last tick [s].
         q: Measured joint positions (n,) [rad].
         tool: Measured pose of the tool (4, 4).
         target: The caller's target pose (4, 4).
-        wrench: Estimated wrench on the tool; None if no condition needs it.
-        guard: Multiple of the uncertainty that a force must exceed to count.
+        wrench: Estimated wrench on the tool; None: the monitor has no contact estimator.
+        guard: A force counts only if it exceeds its uncertainty times this factor [1].
     """
 
     controller: Controller
@@ -55,17 +56,17 @@ class TickContext:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the task's axes."""
+        """Names of the k task axes."""
         return self.controller.settings.task.names
 
     @property
     def deviation(self) -> Array:
-        """Target minus actual (k,) [m, rad] at the last step, task frame."""
+        """Target minus actual pose along the task axes, at the last step (k,) [m, rad]."""
         return self.controller.diagnostics.deviation
 
     @property
     def speed(self) -> Array:
-        """Velocity of the tool (k,) [m/s, rad/s] along the task's axes."""
+        """Velocity of the tool along the task axes (k,) [m/s, rad/s]."""
         velocity = (
             self.controller.diagnostics.velocity if self.wrench is None else self.wrench.velocity
         )
@@ -86,7 +87,7 @@ class TickContext:
 
     @property
     def base_from_task(self) -> Array:
-        """Axes of the task (3, 3) as columns, in base axes."""
+        """Rotation matrix (3, 3) that turns vectors from task-frame axes to base axes."""
         frame = self.controller.settings.task.frame
         if isinstance(frame, str):
             return self.tool[:3, :3] if frame == "tool" else np.eye(3)
@@ -94,10 +95,10 @@ class TickContext:
 
 
 def indices(axes: str, names: Sequence[str] = AXES) -> tuple[int, ...]:
-    """Return the indices of an axis key's axes in `names`.
+    """Return the indices in `names` of the axes in a text such as "x yaw".
 
     Raises:
-        ConfigError: The key is invalid, or an axis is not among the names.
+        ConfigError: The text is invalid, or an axis is not in `names`.
     """
     requested = Task(axes).names
     absent = [name for name in requested if name not in names]
@@ -108,58 +109,62 @@ def indices(axes: str, names: Sequence[str] = AXES) -> tuple[int, ...]:
     return tuple(list(names).index(name) for name in requested)
 
 
-#: Evaluates a condition at a tick; to be called exactly once per tick.
+#: Function that returns True if a condition is true; it must be called exactly once per tick.
 Evaluator = Callable[["TickContext"], bool]
 
 
 class Condition(ABC):
-    """A condition that is evaluated once per tick."""
+    """Base class of conditions, which are evaluated once per tick (control cycle)."""
 
     @property
     def needs_force(self) -> bool:
-        """True if it needs a force estimate."""
+        """True if the condition needs an estimate of the contact force."""
         return False
 
     @abstractmethod
     def evaluator(self) -> Evaluator:
-        """Return a new evaluator of this condition, a function called once per tick."""
+        """Return a new function that evaluates the condition; it is called once per tick."""
 
     def validate(  # noqa: B027 - optional for a subclass
         self, contact: ContactEstimator | None, controller: Controller
     ) -> None:
-        """Check that this arm can evaluate the condition.
+        """Check that the condition can be evaluated for the arm of a controller.
 
         Raises:
             ConfigError: An axis or joint does not exist.
-            OutOfRangeError: A threshold is below the uncertainty.
+            OutOfRangeError: A threshold is below the uncertainty of the force estimate.
         """
 
     def __and__(self, other: Condition) -> Condition:
-        """Return a condition that holds if both hold."""
+        """Return a condition that is true while both conditions are true."""
         return Joined("&", self, condition(other, "what follows &"))
 
     def __or__(self, other: Condition) -> Condition:
-        """Return a condition that holds if at least one holds."""
+        """Return a condition that is true while at least one of the two conditions is true."""
         return Joined("|", self, condition(other, "what follows |"))
 
     def __invert__(self) -> Condition:
-        """Return a condition that holds if this one does not."""
+        """Return a condition that is true while this condition is false."""
         return Not(self)
 
     def __bool__(self) -> bool:
-        """Reject `and`, `or` and `not`, which Python would evaluate immediately."""
+        """Reject `and`, `or` and `not`, which cannot be overloaded in Python.
+
+        Raises:
+            TypeError: In any case.
+        """
         raise TypeError("join conditions with &, | and ~, not with and, or, not")
 
     def for_seconds(self, seconds: float) -> Condition:
-        """Return a condition that holds once this one has held without a break for so long [s]."""
+        """Return a condition that is true once this one has been true for `seconds` [s] on end."""
         return Lasting(self, seconds)
 
 
 def condition(value: object, name: str) -> Condition:
-    """Return the value if it is a condition.
+    """Return `value` if it is a condition; `name` is the name of the value in the error message.
 
     Raises:
-        TypeError: It is not; the message names valid conditions.
+        TypeError: The value is not a condition.
     """
     if not isinstance(value, Condition):
         wanted = "a condition, as Force('z', above=8.0) or After(1.0)"
@@ -171,98 +176,104 @@ def condition(value: object, name: str) -> Condition:
 class Joined(Condition):
     """Two conditions joined by ``&`` or ``|``."""
 
-    how: Literal["&", "|"]
-    one: Condition
+    operator: Literal["&", "|"]
+    first: Condition
     other: Condition
 
     @property
     def needs_force(self) -> bool:
-        """True if one of them needs a force estimate."""
-        return self.one.needs_force or self.other.needs_force
+        """True if one of the two conditions needs an estimate of the contact force."""
+        return self.first.needs_force or self.other.needs_force
 
     def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
-        """Check both conditions; see `Condition.validate`."""
-        self.one.validate(contact, controller)
+        """Check that both conditions can be evaluated for the arm of the controller."""
+        self.first.validate(contact, controller)
         self.other.validate(contact, controller)
 
     def evaluator(self) -> Evaluator:
-        """Return an evaluator that calls both at every tick, so that both track durations."""
-        one, other, both = self.one.evaluator(), self.other.evaluator(), self.how == "&"
+        """Return a function that combines both conditions.
+
+        It evaluates both in every tick, because a condition may measure how long it has been true.
+        """
+        first, other, both = self.first.evaluator(), self.other.evaluator(), self.operator == "&"
 
         def holds(now: TickContext) -> bool:
-            first, second = one(now), other(now)
-            return (first and second) if both else (first or second)
+            a, b = first(now), other(now)
+            return (a and b) if both else (a or b)
 
         return holds
 
     def __repr__(self) -> str:
-        return f"({self.one!r} {self.how} {self.other!r})"
+        return f"({self.first!r} {self.operator} {self.other!r})"
 
 
 @dataclass(frozen=True, repr=False)
 class Not(Condition):
     """The negation of a condition."""
 
-    one: Condition
+    inner: Condition
 
     @property
     def needs_force(self) -> bool:
-        """True if it needs a force estimate."""
-        return self.one.needs_force
+        """True if the inner condition needs a force estimate."""
+        return self.inner.needs_force
 
     def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
-        """Check the condition."""
-        self.one.validate(contact, controller)
+        """Check the inner condition."""
+        self.inner.validate(contact, controller)
 
     def evaluator(self) -> Evaluator:
-        """Return a judge of the negation."""
-        one = self.one.evaluator()
-        return lambda now: not one(now)
+        """Return a function that evaluates the negation."""
+        inner = self.inner.evaluator()
+        return lambda now: not inner(now)
 
     def __repr__(self) -> str:
-        return f"~{self.one!r}"
+        return f"~{self.inner!r}"
 
 
 @dataclass(frozen=True, repr=False)
 class Lasting(Condition):
-    """A condition that has held without a break; at its first tick the duration is 0."""
+    """True once the condition `inner` has been true without a break for `seconds` [s].
 
-    one: Condition
+    In the first tick in which `inner` is true, the duration is 0.
+    """
+
+    inner: Condition
     seconds: float
 
     def __post_init__(self) -> None:
-        """Check the time."""
+        """Check that `seconds` is a number and not negative."""
         number(self.seconds, "for_seconds", 0.0, unit="s")
 
     @property
     def needs_force(self) -> bool:
-        """True if it needs a force estimate."""
-        return self.one.needs_force
+        """True if the inner condition needs a force estimate."""
+        return self.inner.needs_force
 
     def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
-        """Check the condition."""
-        self.one.validate(contact, controller)
+        """Check the inner condition."""
+        self.inner.validate(contact, controller)
 
     def evaluator(self) -> Evaluator:
-        """Return a judge that measures the duration."""
-        one, lasted = self.one.evaluator(), -1.0
+        """Return a function that measures for how long `inner` has been true."""
+        inner, duration = self.inner.evaluator(), -1.0
 
         def holds(now: TickContext) -> bool:
-            nonlocal lasted
-            if not one(now):
-                lasted = -1.0
+            nonlocal duration
+            if not inner(now):
+                duration = -1.0
                 return False
-            lasted = 0.0 if lasted < 0.0 else lasted + now.dt
-            return lasted >= self.seconds - 1e-9
+            duration = 0.0 if duration < 0.0 else duration + now.dt
+            return duration >= self.seconds - 1e-9
 
         return holds
 
     def __repr__(self) -> str:
-        return f"{self.one!r}.for_seconds({self.seconds:g})"
+        return f"{self.inner!r}.for_seconds({self.seconds:g})"
 
 
-def _one_side(above: float | None, below: float | None, what: str) -> None:
-    """Check that exactly one threshold is given, and that it is positive."""
+def _check_thresholds(above: float | None, below: float | None, what: str) -> None:
+    """Check that `above` or `below` of the condition `what` is given, not both, and is positive."""
     sides = {"above": above, "below": below}
     thresholds = {name: value for name, value in sides.items() if value is not None}
     if len(thresholds) != 1:
@@ -275,16 +286,17 @@ def _one_side(above: float | None, below: float | None, what: str) -> None:
 
 @dataclass(frozen=True, repr=False)
 class Force(Condition):
-    """The force on some axis is above `above`, or on all axes below `below`.
+    """True while the contact force on any axis is above `above`, or on all axes below `below`.
 
-    A force counts only above its present uncertainty (times the contact's `guard`): near a
-    singular pose, where the force on an axis cannot be estimated, the condition does not hold.
+    With `above`, a force must also exceed its uncertainty times `ContactEstimator.guard`. Near a
+    singular pose, where a force cannot be estimated, the condition is therefore false.
 
     Args:
-        axes: Axis key of the task frame.
-        above, below: Threshold [N], for rotations [N·m]; exactly one of them.
-        toward: Direction of the pushes that count.
-        accept_thresholds: Use the threshold without regard to the uncertainty.
+        axes: Names of axes of the task frame, e.g. "x yaw".
+        above, below: Threshold [N], for rotations [N·m]; exactly one of them is given.
+        toward: Direction of the forces that count: "+", "-" or "both".
+        accept_thresholds: True: compare the force with the threshold only, not with the
+            uncertainty, and accept any threshold.
     """
 
     axes: str
@@ -297,12 +309,12 @@ class Force(Condition):
     def __post_init__(self) -> None:
         """Check the arguments once."""
         indices(self.axes)
-        _one_side(self.above, self.below, "Force")
+        _check_thresholds(self.above, self.below, "Force")
         if self.toward not in {"both", "+", "-"}:
             raise ConfigError(f"Force.toward is 'both', '+' or '-', not {self.toward!r}")
 
     def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
-        """Reject a threshold that the arm at rest cannot distinguish from its own friction."""
+        """Reject a threshold `above` that is below the typical force uncertainty at rest."""
         if contact is None:
             return
         indices(self.axes, contact.axes)
@@ -320,7 +332,7 @@ class Force(Condition):
                 )
 
     def evaluator(self) -> Evaluator:
-        """Return a judge that compares with the larger of threshold and uncertainty."""
+        """Return a function that compares the estimated force with threshold and uncertainty."""
         chosen = list(indices(self.axes))
         sign = {"both": 0.0, "+": 1.0, "-": -1.0}[self.toward]
 
@@ -338,16 +350,16 @@ class Force(Condition):
     def __repr__(self) -> str:
         side = "" if self.toward == "both" else f", toward={self.toward!r}"
         accept = ", accept_thresholds=True" if self.accept_thresholds else ""
-        return f"Force({_threshold(self.axes, self.above, self.below)}{side}{accept})"
+        return f"Force({_format_threshold(self.axes, self.above, self.below)}{side}{accept})"
 
 
 @dataclass(frozen=True, repr=False)
 class ContactEvent(Condition):
-    """The contact estimate reports `touch` or `stop` on one of these axes.
+    """True while the contact estimator reports an event, `touch` or `stop`, on one of the axes.
 
     Args:
-        axes: Axis key of the task frame.
-        kind: Which of the two events.
+        axes: Names of axes of the task frame, e.g. "x yaw".
+        kind: Name of the event, an attribute of `WrenchEstimate`.
     """
 
     axes: str = "all"
@@ -361,7 +373,7 @@ class ContactEvent(Condition):
             raise ConfigError(f"ContactEvent.kind is 'touch' or 'stop', not {self.kind!r}")
 
     def evaluator(self) -> Evaluator:
-        """Return a judge of the events."""
+        """Return a function that returns True if the event is reported on one of the axes."""
         chosen, stop = list(indices(self.axes)), self.kind == "stop"
 
         def holds(now: TickContext) -> bool:
@@ -376,21 +388,20 @@ class ContactEvent(Condition):
 
 @dataclass(frozen=True, repr=False)
 class ResidualAbove(Condition):
-    """The residual of some joint exceeds `above` times its uncertainty: a contact somewhere.
+    """True while the residual (external torque) of any joint exceeds `above` times its uncertainty.
 
-    It detects a contact earlier than any axis does, anywhere on the arm, but gives neither its
-    place nor its force.
+    This condition detects a contact anywhere on the arm, but neither its place nor its force.
     """
 
     above: float = 1.0
     needs_force = True
 
     def __post_init__(self) -> None:
-        """Check the number."""
-        _one_side(self.above, None, "ResidualAbove")
+        """Check the threshold."""
+        _check_thresholds(self.above, None, "ResidualAbove")
 
     def evaluator(self) -> Evaluator:
-        """Return a judge of the joint residuals."""
+        """Return a function that compares the residuals of all joints with the threshold."""
         return lambda now: now.force().residual_ratio > self.above
 
     def __repr__(self) -> str:
@@ -398,8 +409,8 @@ class ResidualAbove(Condition):
 
 
 @dataclass(frozen=True, repr=False)
-class _OfTask(Condition):
-    """A quantity along the task's axes: one is above, or all are below a threshold."""
+class _TaskCondition(Condition):
+    """Base class: true while a quantity is above a threshold on any axis, or below it on all."""
 
     axes: str
     above: float | None = None
@@ -408,7 +419,7 @@ class _OfTask(Condition):
     def __post_init__(self) -> None:
         """Check the arguments once."""
         indices(self.axes)
-        _one_side(self.above, self.below, type(self).__name__)
+        _check_thresholds(self.above, self.below, type(self).__name__)
 
     def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Reject axes that are not in the task."""
@@ -416,10 +427,10 @@ class _OfTask(Condition):
 
     @abstractmethod
     def _measure(self, now: TickContext) -> np.ndarray:
-        """Return the quantity for all axes of the task."""
+        """Return the quantity that is compared with the threshold, along all task axes (k,)."""
 
     def evaluator(self) -> Evaluator:
-        """Return a judge that compares the magnitude."""
+        """Return a function that compares the magnitude of the quantity with the threshold."""
 
         def holds(now: TickContext) -> bool:
             size = np.abs(self._measure(now)[list(indices(self.axes, now.names))])
@@ -430,27 +441,27 @@ class _OfTask(Condition):
         return holds
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({_threshold(self.axes, self.above, self.below)})"
+        return f"{type(self).__name__}({_format_threshold(self.axes, self.above, self.below)})"
 
 
-class Deviation(_OfTask):
-    """Some axis deviates from its target by more than `above`, or all by less than `below`.
+class Deviation(_TaskCondition):
+    """True while the deviation of any axis is above `above`, or that of all axes below `below`.
 
     Args:
-        axes: Axis key of the task.
-        above, below: Threshold [m], for rotations [rad]; exactly one of them.
+        axes: Names of task axes, e.g. "x yaw".
+        above, below: Threshold [m], for rotations [rad]; exactly one of them is given.
     """
 
     def _measure(self, now: TickContext) -> np.ndarray:
         return now.deviation
 
 
-class Speed(_OfTask):
-    """The tool moves along some axis faster than `above`, or along all slower than `below`.
+class Speed(_TaskCondition):
+    """True while the tool's speed along any axis is above `above`, or along all below `below`.
 
     Args:
-        axes: Axis key of the task.
-        above, below: Threshold [m/s], for rotations [rad/s]; exactly one of them.
+        axes: Names of task axes, e.g. "x yaw".
+        above, below: Threshold [m/s], for rotations [rad/s]; exactly one of them is given.
     """
 
     def _measure(self, now: TickContext) -> np.ndarray:
@@ -459,22 +470,26 @@ class Speed(_OfTask):
 
 @dataclass(frozen=True, repr=False)
 class After(Condition):
-    """A time [s] has passed since the monitor started; in `until`, since the reaction began."""
+    """True once `seconds` [s] have passed.
+
+    The time counts from the first tick of the monitor, or, if the condition is the `until` of a
+    reaction, from the beginning of this reaction.
+    """
 
     seconds: float
 
     def __post_init__(self) -> None:
-        """Check the time."""
+        """Check that `seconds` is a number and not negative."""
         number(self.seconds, "After.seconds", 0.0, unit="s")
 
     def evaluator(self) -> Evaluator:
-        """Return a judge that counts from the first tick."""
-        passed = -1.0
+        """Return a function that measures the time from its first call."""
+        elapsed = -1.0
 
         def holds(now: TickContext) -> bool:
-            nonlocal passed
-            passed = 0.0 if passed < 0.0 else passed + now.dt
-            return passed >= self.seconds - 1e-9
+            nonlocal elapsed
+            elapsed = 0.0 if elapsed < 0.0 else elapsed + now.dt
+            return elapsed >= self.seconds - 1e-9
 
         return holds
 
@@ -484,13 +499,17 @@ class After(Condition):
 
 @dataclass(frozen=True, repr=False)
 class Saturated(Condition):
-    """The torque of a servo is at its limit; any joint unless named."""
+    """True while the torque of a servo is at its limit.
+
+    Args:
+        joints: Names of the joints that count; empty: all joints.
+    """
 
     joints: tuple[str, ...] = ()
     needs_force = True
 
     def __post_init__(self) -> None:
-        """Check that it is a list of names, not a string, which is a list of letters."""
+        """Check that `joints` is a sequence of names and not a single text."""
         if isinstance(self.joints, str) or not isinstance(self.joints, Iterable):
             raise ConfigError(
                 f"Saturated.joints must be names, as in ('elbow_pitch',), got "
@@ -505,13 +524,13 @@ class Saturated(Condition):
             raise ConfigError(f"no joint {', '.join(unknown)}; there are {', '.join(known)}")
 
     def evaluator(self) -> Evaluator:
-        """Return a judge of the saturated servos."""
+        """Return a function that returns True if one of the joints is at its torque limit."""
 
         def holds(now: TickContext) -> bool:
-            names, cut = now.controller.model.joint_names, now.force().saturated
+            names, saturated = now.controller.model.joint_names, now.force().saturated
             if not self.joints:
-                return bool(cut.any())
-            return any(cut[list(names).index(name)] for name in self.joints)
+                return bool(saturated.any())
+            return any(saturated[list(names).index(name)] for name in self.joints)
 
         return holds
 
@@ -519,6 +538,6 @@ class Saturated(Condition):
         return f"Saturated({', '.join(repr(name) for name in self.joints)})"
 
 
-def _threshold(axes: str, above: float | None, below: float | None) -> str:
-    """Format a threshold."""
+def _format_threshold(axes: str, above: float | None, below: float | None) -> str:
+    """Return the arguments of a condition as text, for its `repr`."""
     return f"{axes!r}, below={below:g}" if above is None else f"{axes!r}, above={above:g}"

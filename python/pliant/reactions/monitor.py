@@ -1,4 +1,4 @@
-"""The monitor: evaluates all reactions once per tick and has at most one in force."""
+"""`ReactionMonitor`: evaluates reactions once per control cycle; at most one is in force."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Reaction:
     """A condition and the actions that it triggers.
 
     Attributes:
-        when: Condition; the actions begin when it becomes true.
+        when: Condition that begins the actions when it becomes true.
         then: One action or several, in the order in which they change the target.
-        until: Condition that ends the actions. By default they end when `when` has been false for
-            `clear`, and `Retract` and `Stop` only by `ReactionMonitor.resume()`.
-        clear: See `until` [s].
+        until: Condition that ends the actions. None: each action ends as its class says, or if the
+            class does not say, once `when` has been false for the time `clear`.
+        clear: Time for which `when` must be false before the actions end [s]; used without `until`.
     """
 
     when: Condition
@@ -39,46 +39,50 @@ class Reaction:
     clear: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check the parts once."""
+        """Check the types of conditions and actions, and the value of `clear`."""
         condition(self.when, "Reaction.when")
         if self.until is not None:
             condition(self.until, "Reaction.until")
-        listed = isinstance(self.then, Action | Sequence)
-        if not (listed and self.actions and all(isinstance(one, Action) for one in self.actions)):
+        has_valid_type = isinstance(self.then, Action | Sequence)
+        if not (
+            has_valid_type
+            and self.actions
+            and all(isinstance(action, Action) for action in self.actions)
+        ):
             raise ConfigError(
                 "Reaction.then must be an action, as Hold() or Retract(0.05), or several in a "
                 f"list, got {format_value(self.then)}"
             )
-        if self.until is not None and any(isinstance(one, Stop) for one in self.actions):
+        if self.until is not None and any(isinstance(action, Stop) for action in self.actions):
             raise ConfigError("a Stop ends by ReactionMonitor.resume() alone; use Hold with until")
         number(self.clear, "Reaction.clear", 0.0, unit="s")
 
     @property
     def actions(self) -> tuple[Action, ...]:
-        """The actions as a tuple."""
+        """The actions `then` as a tuple, also if it is a single action."""
         return (self.then,) if isinstance(self.then, Action) else tuple(self.then)
 
     @property
     def is_one_shot(self) -> bool:
-        """True if no action stays in force."""
-        return all(one.is_one_shot for one in self.actions)
+        """True if all actions are complete as soon as they have begun."""
+        return all(action.is_one_shot for action in self.actions)
 
     @property
     def needs_force(self) -> bool:
-        """True if a part of it needs a force estimate."""
+        """True if a condition or an action needs an estimate of the contact force."""
         ends = self.until is not None and self.until.needs_force
         return self.when.needs_force or ends or any(action.needs_force for action in self.actions)
 
 
 @dataclass(frozen=True)
 class ReactionEvent:
-    """An entry of the monitor's log.
+    """An entry in the log of a `ReactionMonitor`: a reaction began or ended.
 
     Attributes:
-        time: Time since the first update [s]; equal to `Tick.time` if updated in every tick.
-        what: `began`, `ended` or `called`.
+        time: Time since the first update of the monitor [s].
+        what: `began`, `ended`, or `called` for a reaction whose actions are complete at once.
         reaction: The reaction.
-        wrench: Estimated wrench on the tool at that time.
+        wrench: Estimated wrench on the tool at that time; None: there was no contact estimator.
     """
 
     time: float
@@ -88,58 +92,59 @@ class ReactionEvent:
 
 
 class _InForce:
-    """A reaction in force."""
+    """State of the reaction in force: its running actions, and the time to its end."""
 
     def __init__(self, index: int, reaction: Reaction, now: TickContext) -> None:
         self.index, self.reaction = index, reaction
         self._running: list[Running] = [action.begin(now) for action in reaction.actions]
         self._is_latching = any(action.is_latching for action in reaction.actions)
         self._until = None if reaction.until is None else reaction.until.evaluator()
-        self._quiet = 0.0
+        self._time_clear = 0.0
 
     def target(self, now: TickContext) -> Array:
-        """Return the caller's target, changed by all actions in turn."""
+        """Return the target pose (4, 4): the caller's target, changed by each action in turn."""
         pose = now.target
         for running in self._running:
             pose = running.target(now, pose)
         return pose
 
     def over(self, now: TickContext, holds: bool) -> bool:
-        """Return True if it ends with this tick."""
+        """Return True if the reaction ends in this tick; `holds`: its condition `when` is true."""
         if self._until is not None:
             return self._until(now)
         if self._is_latching:
             return False
-        answers = [answer for one in self._running if (answer := one.over(now)) is not None]
+        answers = [answer for running in self._running if (answer := running.over(now)) is not None]
         if answers:
             return all(answers)
-        self._quiet = 0.0 if holds else self._quiet + now.dt
-        return self._quiet > self.reaction.clear
+        self._time_clear = 0.0 if holds else self._time_clear + now.dt
+        return self._time_clear > self.reaction.clear
 
     def end(self, now: TickContext) -> None:
-        """End the actions, last action first."""
+        """End all running actions, the last one first."""
         for running in reversed(self._running):
             running.end(now)
 
 
 class ReactionMonitor:
-    """Reactions of one controller; call `update` once per tick, before its `step`.
+    """Applies reactions to a controller; call `update` once per tick, before the controller's step.
 
-    Reactions are in order of priority: a reaction replaces later ones in the list. It begins when
-    its condition becomes true, and again only after the condition has been false. After its end the
-    target returns to the caller's at `resume_speed`, without a jump.
+    A reaction begins when its condition becomes true, and again only after the condition has been
+    false. A reaction in force ends when a reaction earlier in the list begins. After the end of a
+    reaction, the target moves back to the caller's target at `resume_speed`, without a jump.
 
     Args:
-        controller: Its target and settings are changed.
-        reactions: In order of priority.
-        contact: Contact estimator. None: one with its defaults, if a reaction needs a force.
-        resume_speed: Speed at which the target returns [m/s], [rad/s].
+        controller: Controller whose settings the reactions may change.
+        reactions: Reactions, the most important first.
+        contact: Contact estimator. None: one with default arguments is created if a reaction needs
+            a force.
+        resume_speed: Speed at which the target moves back, (linear [m/s], angular [rad/s]).
 
     Attributes:
-        log: The last thousand beginnings, ends and calls.
+        log: The last 1000 events (`ReactionEvent`).
 
     Raises:
-        OutOfRangeError: A threshold is below the uncertainty.
+        OutOfRangeError: The threshold of a force is below the uncertainty of its estimate.
         TypeError: `controller`, `contact` or an item of `reactions` has the wrong type.
         ConfigError: Axes or joints do not exist, or settings are inconsistent.
     """
@@ -157,7 +162,7 @@ class ReactionMonitor:
             instance(contact, ContactEstimator, "contact")
         if not isinstance(reactions, Iterable):
             raise TypeError(f"reactions must be a list of Reaction, got {format_value(reactions)}")
-        self.reactions = tuple(instance(one, Reaction, "a reaction") for one in reactions)
+        self.reactions = tuple(instance(reaction, Reaction, "a reaction") for reaction in reactions)
         if contact is None and any(reaction.needs_force for reaction in self.reactions):
             contact = ContactEstimator(controller)
         if contact is not None and contact.controller is not controller:
@@ -176,17 +181,18 @@ class ReactionMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Restart: no reaction in force, times at zero; a tare of the contact stays.
+        """Return to the state before the first tick: no reaction in force, no events in the log.
 
-        Call it with the controller's `reset`. Settings changed by a `Yield` stay changed: call
-        `resume` and `update` before, or `controller.update`.
+        A tare of the contact estimator is kept. Call this method together with the controller's
+        `reset`. Settings that a `Yield` has changed are not restored; to restore them, call
+        `resume` and `update` before `reset`.
         """
         self._evaluators: list[Evaluator] = [
             reaction.when.evaluator() for reaction in self.reactions
         ]
-        self._armed = [True] * len(self.reactions)
+        self._is_armed = [True] * len(self.reactions)
         self._in_force, self._resuming, self._ending = None, False, False
-        self._out: Array | None = None
+        self._last_target: Array | None = None
         self._time = -1.0
         self.log.clear()
         if self.contact is not None:
@@ -194,27 +200,27 @@ class ReactionMonitor:
 
     @property
     def active(self) -> Reaction | None:
-        """The reaction in force."""
+        """The reaction in force; None if no reaction is in force."""
         return None if self._in_force is None else self._in_force.reaction
 
     @property
     def stopped(self) -> bool:
-        """True if a `Stop` is in force."""
+        """True if a reaction with the action `Stop` is in force."""
         active = self.active
-        return active is not None and any(isinstance(one, Stop) for one in active.actions)
+        return active is not None and any(isinstance(action, Stop) for action in active.actions)
 
     @property
     def resuming(self) -> bool:
-        """True while the target returns to the caller's."""
+        """True while the target moves back to the caller's target after a reaction."""
         return self._resuming
 
     @property
     def wrench(self) -> WrenchEstimate | None:
-        """Estimated wrench on the tool at the last tick; None without a contact estimator."""
+        """Estimated wrench on the tool at the last tick; None: there is no contact estimator."""
         return None if self.contact is None else self.contact.estimate
 
     def resume(self) -> None:
-        """End the reaction in force with the next update."""
+        """End the reaction in force at the next call of `update`."""
         self._ending = self._in_force is not None
 
     def update(
@@ -227,39 +233,42 @@ class ReactionMonitor:
         current: ArrayLike | None = None,
         sent: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> Any:
-        """Evaluate one tick.
+        """Evaluate the reactions in one tick, and return the target for the controller's step.
 
         Args:
             q: Measured joint positions (n,) [rad].
-            target: As for `Controller.step`.
-            dt: Time since the last tick [s]; None: 1 / settings.rate.
-            load: As for `ContactEstimator.update`.
-            current: As for `ContactEstimator.update`.
-            sent: As for `ContactEstimator.update`.
+            target: Target pose of the caller, in a form that `Controller.step` accepts.
+            dt: Time since the last tick [s]; None: 1 / rate of the settings.
+            load: Torques reported by the servos (n,) [N·m]; see `ContactEstimator.update`.
+            current: Currents reported by the servos (n,) [A]; see `ContactEstimator.update`.
+            sent: Goals and torque limits that were sent; see `ContactEstimator.update`.
 
         Returns:
-            The target for the step: the caller's own object while no reaction is in force.
+            The target pose (4, 4) for the step, or `target` itself if no reaction changes it.
 
         Raises:
             ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
-            Exception: Error of a called function.
+            Exception: The function of a `Call` raised this exception.
         """
         now = self._collect(q, target, dt, load, current, sent)
         holds = [evaluator(now) for evaluator in self._evaluators]
         self._finish(now, holds)
         self._start(now, holds)
         if self._in_force is not None:
-            self._out = self._in_force.target(now)
-            return self._out
-        if self._resuming and self._out is not None:
+            self._last_target = self._in_force.target(now)
+            return self._last_target
+        if self._resuming and self._last_target is not None:
             distance, angle = (speed * now.dt for speed in self._resume_speed)
-            self._out = step_toward(self._out, now.target, distance, angle)
-            self._resuming = self._out is not now.target
-            return self._out if self._resuming else target
+            self._last_target = step_toward(self._last_target, now.target, distance, angle)
+            self._resuming = self._last_target is not now.target
+            return self._last_target if self._resuming else target
         return target
 
     def _collect(self, q: Any, target: Any, dt: float | None, *measured: Any) -> TickContext:
-        """Collect the data of this tick."""
+        """Update the contact estimate, and return the data of this tick for all conditions.
+
+        `measured` holds the arguments `load`, `current` and `sent` of `update`.
+        """
         controller = self.controller
         pose = functional.as_pose(target).matrix
         tool = controller.model.forward_kinematics(q)
@@ -274,7 +283,7 @@ class ReactionMonitor:
         return TickContext(controller, self._time, step, reading, tool, pose, wrench, guard)
 
     def _finish(self, now: TickContext, holds: list[bool]) -> None:
-        """End the reaction in force if it is over."""
+        """End the reaction in force if it is over; `holds`: value of `when` of every reaction."""
         running = self._in_force
         if running is not None and (self._ending or running.over(now, holds[running.index])):
             self._end(now, running)
@@ -282,17 +291,17 @@ class ReactionMonitor:
         self._ending = False
 
     def _start(self, now: TickContext, holds: list[bool]) -> None:
-        """Begin reactions whose condition has become true."""
+        """Begin reactions whose condition has become true (`holds`), in the order of the list."""
         for index, reaction in enumerate(self.reactions):
             if not holds[index]:
-                self._armed[index] = True
-            elif self._armed[index] and reaction.is_one_shot:
-                self._armed[index] = False
+                self._is_armed[index] = True
+            elif self._is_armed[index] and reaction.is_one_shot:
+                self._is_armed[index] = False
                 self.log.append(ReactionEvent(now.time, "called", reaction, now.wrench))
                 for action in reaction.actions:
                     action.begin(now)
-            elif self._armed[index] and (self._in_force is None or index < self._in_force.index):
-                self._armed[index] = False
+            elif self._is_armed[index] and (self._in_force is None or index < self._in_force.index):
+                self._is_armed[index] = False
                 if self._in_force is not None:
                     self._end(now, self._in_force)
                 self._in_force = _InForce(index, reaction, now)

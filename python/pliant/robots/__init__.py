@@ -1,4 +1,4 @@
-"""Built-in arm models with servo parameters; geometry is made of primitive shapes.
+"""Built-in arm models with servo parameters; their geometry consists of primitive shapes.
 
 | name | joints | servos |
 |---|---|---|
@@ -6,9 +6,10 @@
 | `so101` | 5 and a gripper, SO-101-like | STS3215 at 7.4 V, P gain 16 |
 | `koch` | 5 and a gripper, Koch-like | XL430 at 11.1 V (pan, lift), XL330 at 5 V, factory gains |
 
-They are neither copies nor measurements of real robots. For a real robot, supply its servo table
-and URDF. The tables define the simulated servos, so `stiffness_known` is True. A configuration file
-and a bus have servos of their own; there k_p is known only after identification.
+The models are neither copies nor measurements of real robots. For a real robot, use its own URDF
+and servo parameters. The servo parameters here define the simulated servos, so their
+`stiffness_known` is True. With a configuration file or a servo bus, the servo parameters come from
+there, and the stiffness is known only after identification.
 """
 
 from __future__ import annotations
@@ -31,24 +32,24 @@ COUNT_12_BIT = 2.0 * np.pi / 4096
 
 
 def arm7(**options: Any) -> Model:
-    """Seven joints, tool in the open hand: EX-106+ in shoulder and elbow, RX-64 in the wrist.
+    """Return an arm with seven joints: EX-106+ servos in shoulder and elbow, RX-64 in the wrist.
 
     Args:
-        **options: As `pliant.Model.from_urdf` (`payload`, `gravity`, `limits`, `servos`, ...).
+        **options: Options of `pliant.Model.from_urdf` (`payload`, `gravity`, `limits`, ...).
 
     Returns:
-        The model from `base` to `tool`; its servos' damping includes the back-EMF, so they count as
-        `current`.
+        The model from `base` to `tool`, which is in the open hand. The damping of its servos
+        includes the back-EMF, so their limit type is `current` (a limit without back-EMF).
     """
     return _load("arm7.urdf", _arm7_servos, options)
 
 
 def so101(**options: Any) -> Model:
-    """Five joints and a gripper that stays off the chain, STS3215 servos at 7.4 V with P gain 16.
+    """Return an arm with five joints and a gripper: STS3215 servos at 7.4 V with P gain 16.
 
     Args:
-        **options: As `pliant.Model.from_urdf`; the gripper is locked at 0 unless `locked` says
-        otherwise.
+        **options: Options of `pliant.Model.from_urdf`. The gripper is not part of the chain; it is
+            fixed at angle 0 [rad] unless `locked` gives another angle.
 
     Returns:
         The model from `base` to `tool`.
@@ -57,11 +58,11 @@ def so101(**options: Any) -> Model:
 
 
 def koch(**options: Any) -> Model:
-    """Five joints and a gripper that stays off the chain, XL430 and XL330 servos.
+    """Return an arm with five joints and a gripper: XL430 and XL330 servos.
 
     Args:
-        **options: As `pliant.Model.from_urdf`; the gripper is locked at 0 unless `locked` says
-        otherwise.
+        **options: Options of `pliant.Model.from_urdf`. The gripper is not part of the chain; it is
+            fixed at angle 0 [rad] unless `locked` gives another angle.
 
     Returns:
         The model from `base` to `tool`.
@@ -77,7 +78,8 @@ def names() -> tuple[str, ...]:
     return tuple(_ARMS)
 
 
-#: Rest pose of each arm [rad], and the height of its table [m], if any.
+#: Joint positions [rad] in which each built-in arm rests without torque; height of the table under
+#: each arm that stands on one, in base axes [m].
 _REST: dict[str, tuple[float, ...]] = {
     "arm7": (0.0, 0.0, 0.0, -0.04, 0.0, 0.0, 0.0),
     "so101": (0.0, -1.74, 1.57, 0.85, 0.0),
@@ -87,7 +89,9 @@ _TABLE: dict[str, float] = {"so101": 0.0, "koch": 0.0}
 
 
 def rest(name: str) -> Array:
-    """Return the rest pose (n,) [rad] of a built-in arm: folded on its table, or hanging.
+    """Return the joint positions (n,) [rad] in which a built-in arm rests without torque.
+
+    The arm is folded on its table, or hangs down if it has no table.
 
     Raises:
         ConfigError: The name is unknown.
@@ -97,7 +101,7 @@ def rest(name: str) -> Array:
 
 
 def table(name: str) -> float | None:
-    """Return the height of the table under a built-in arm [m]; None: the arm hangs, no table.
+    """Return the height of the table under a built-in arm [m]; None: the arm hangs without table.
 
     Raises:
         ConfigError: The name is unknown.
@@ -117,10 +121,10 @@ def load(name: str, **options: Any) -> Model:
 
     Args:
         name: One of `names()`.
-        **options: As `pliant.Model.from_urdf`.
+        **options: Options of `pliant.Model.from_urdf`.
 
     Returns:
-        A fresh model with servos attached.
+        A new model with servo parameters.
 
     Raises:
         ConfigError: The name is unknown; the message lists the known ones.
@@ -137,7 +141,7 @@ def _load(file: str, servos: Callable[[], Servos], options: dict[str, Any]) -> M
 
 
 def _arm7_servos() -> Servos:
-    """Return four EX-106+ and three RX-64; `damping` includes the back-EMF."""
+    """Return the parameters of four EX-106+ and three RX-64; `damping` includes the back-EMF."""
     return Servos(
         kp=[150.0] * 4 + [60.0] * 3,
         max_torque=[10.7] * 4 + [6.4] * 3,
@@ -150,10 +154,11 @@ def _arm7_servos() -> Servos:
 
 
 def _so101_servos() -> Servos:
-    """Return five STS3215 at 7.4 V: stall torque 1.9 N·m, no-load speed 52 rpm, limited by PWM.
+    """Return the parameters of five STS3215 at 7.4 V, whose torque is limited by PWM.
 
-    kp is 0.166 times P gain (16) times stall torque. Gears and back-EMF together damp with
-    0.6 N·m·s/rad, of which stall torque over no-load speed is due to the back-EMF.
+    Stall torque is 1.9 N·m, no-load speed 52 rpm. The stiffness kp is 0.166/rad times P gain (16)
+    times stall torque. Total damping is 0.6 N·m·s/rad; of this, stall torque over no-load speed is
+    due to the back-EMF and the rest to the gears.
     """
     stall, no_load = 1.9, 5.45
     return Servos(
@@ -170,11 +175,12 @@ def _so101_servos() -> Servos:
 
 
 def _koch_servos() -> Servos:
-    """Return two XL430-W250 at 11.1 V and three XL330-M288 at 5 V.
+    """Return the parameters of two XL430-W250 at 11.1 V and three XL330-M288 at 5 V.
 
-    kp is 0.00576 times P gain times stall torque, with the factory P gains 640 (XL430) and 400
-    (XL330). Stall torque and no-load speed are the maker's: 1.4 N·m and 57 rpm, 0.52 N·m and
-    103 rpm. Friction, gear damping and rotor inertia are not published and are assumed.
+    The stiffness kp is 0.00576/rad times P gain times stall torque, with the factory P gains 640
+    (XL430) and 400 (XL330). Stall torque and no-load speed are those published by the maker:
+    1.4 N·m and 57 rpm (XL430), 0.52 N·m and 103 rpm (XL330). Friction, gear damping and rotor
+    inertia are not published and are assumed.
     """
     return Servos(
         kp=[5.2] * 2 + [1.2] * 3,

@@ -1,6 +1,6 @@
-"""Servo buses: tables, units, transport, guard, and all servos of an arm as one chain.
+"""Servo drivers: the bus of an arm's servos, servo models, unit conversion and serial ports.
 
-Needs the extra ``servo`` only where a serial port is opened.
+Only opening a serial port needs the extra ``servo``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""State of one servo on the bus: last values written and read, and their conversion."""
+"""State of one servo on the bus: the values last written and read, and their unit conversion."""
 
 from __future__ import annotations
 
@@ -14,27 +14,30 @@ if TYPE_CHECKING:
     from pliant.servo.models import Block, Family, ServoModel
     from pliant.servo.spec import ServoSpec
 
-#: Longest undervoltage without a fault [s].
+#: Longest undervoltage that is not reported as a fault [s].
 UNDERVOLTAGE_GRACE = 0.5
-#: A reading is plausible up to this far [rad] beyond the distance at twice the no-load speed.
-JUMP = 0.1
-#: A register that reads back wrong is a fault after `MISMATCH_TIME` [s] and `MISMATCHES` packets.
+#: Tolerance of the check for implausible positions [rad]: a position may change by this, plus the
+#: distance at twice the no-load speed since the last accepted position.
+JUMP_MARGIN = 0.1
+#: A goal or limit register that does not read back as written is a fault after `MISMATCH_TIME` [s]
+#: and `MISMATCHES` packets.
 MISMATCH_TIME, MISMATCHES = 0.5, 3
-#: `IMPOSSIBLE`: number of implausible readings in a row that is reported as a fault. `PAUSE`: gap
-#: between readings above which the joint may have moved unseen even after a jump [s].
-IMPOSSIBLE, PAUSE = 3, 0.1
+#: Number of consecutive implausible positions that is reported as a fault; and time between two
+#: readings [s] above which the accepted change of position grows even after an implausible one,
+#: because the joint may have moved in that time.
+MAX_JUMPS, READING_GAP = 3, 0.1
 #: Value of the register Bus Watchdog after it has tripped.
 TRIPPED = 255
 
 
 @dataclass
 class ReadBack:
-    """Comparison of a register with the value written.
+    """Result of reading a register back and comparing it with the value written.
 
     Attributes:
-        wrong: Number of packets in a row after which it read a wrong value.
-        matched: Time at which it last read as written [s].
-        write: Number of the last packet after which it read wrong.
+        wrong: Number of write packets in a row after which the register had another value.
+        matched: Time at which the register last had the value written [s].
+        write: Sequence number of the last write packet after which it had another value.
     """
 
     wrong: int = 0
@@ -47,43 +50,43 @@ class Device:
 
     Args:
         spec: Joint and servo.
-        joint: Index of the joint.
-        id: Id on the bus.
-        sign: +1 or -1.
+        joint: Index of the joint in all vectors of the bus.
+        id: Id of the servo on the bus.
+        sign: +1 if counts rise with the joint angle, else -1.
 
     Attributes:
-        units: Conversions at the latest voltage.
-        ceiling: Largest limit register that the servo accepts.
-        gain: Gain register as read.
-        low, high: Range of goals [counts].
-        min_voltage: Lowest voltage at which it can be driven [V].
-        alerts: Number of errors that appeared in its status, even if the next answer cleared them.
-        multi_turn: Whether goals may exceed one turn.
+        units: Unit conversions at the latest supply voltage.
+        ceiling: Largest value of the limit register that the servo accepts.
+        gain: Gain register of the position loop as read.
+        low, high: Smallest and largest goal [counts].
+        min_voltage: Lowest supply voltage at which the servo can be driven [V].
+        alerts: Number of replies with a new error in the status byte, even if brief.
+        multi_turn: True if goals may exceed one turn.
         overload: Share of the full torque above which overload protection acts; None: never.
-        wraparound: Counts per turn after which positions wrap around; None: they do not.
-        enabled: Whether this program switched its torque on, or took it over.
-        torque_on: Whether torque was on at the last reading of that register.
-        goal, limit: Goal and limit register as last written; goal is None before the first.
-        position: Unwrapped count of the last reading; None before the first.
-        time: Time of the request of that reading [s].
-        speed, load, current: Registers of the last reading.
-        voltage, temperature: As last read [V, °C].
+        wraparound: Counts per turn after which positions wrap around; None if they do not.
+        enabled: True if this program switched the torque on, or took over a servo with torque on.
+        torque_on: True if torque was on at the last reading of Torque Enable.
+        goal, limit: Goal and limit register as last written; goal is None before the first write.
+        position: Unwrapped count of the last reading; None before the first reading.
+        time: Time of the request of the last reading [s].
+        speed, load, current: Register values of the last reading; current is None without sensor.
+        voltage, temperature: Supply voltage [V] and temperature [°C] as last read.
         limit_read: Limit register as last read.
-        conditions: Errors in the status of the last answer.
+        conditions: Errors in the status of the last reply.
         hardware: Errors in the hardware error register (Protocol 2.0).
         other_faults: Other faults, by topic.
         watchdog: Bus watchdog as last read [units of 20 ms].
-        tripped: Whether its bus watchdog has tripped, so that it refuses goals.
-        trips: Number of trips found.
-        initial_values: Values at open of the RAM registers that are written, to restore them.
+        tripped: True if the bus watchdog has tripped, so that the servo rejects goals.
+        trips: Number of trips of the bus watchdog.
+        initial_values: Values at open of the RAM registers that this program writes.
         stored_command: Goal and limit registers of a servo whose torque was on at open; None
             otherwise.
-        drive_values: Registers that bound torque or motion, and their values while driven.
+        drive_values: Registers that bound torque or motion, and the values that `enable` writes.
         mismatches: Number of times a register did not read back as written.
     """
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
-        """Store joint, id and sign; all values of the servo are unknown until they are read."""
+        """Store joint, id and sign; the other values are defaults until the servo is read."""
         self.spec, self.joint, self.id = spec, joint, id
         self.row: ServoModel = spec.row
         self.family: Family = self.row.family
@@ -121,10 +124,11 @@ class Device:
         self._rejected, self._allowed, self._last = 0, 0.0, 0.0
 
     def set_range(self) -> None:
-        """Narrow the goal range to that of the joint.
+        """Narrow the range of goals to the position limits of the joint, if both are given.
 
         Raises:
-            ServoError: The joint's range crosses the seam of a single-turn encoder.
+            ServoError: These limits lie on both sides of the seam of a single-turn encoder, where
+                its count jumps from the largest value to 0.
         """
         spec = self.spec
         bounds = [bound for bound in (spec.lower, spec.upper) if bound is not None]
@@ -155,37 +159,45 @@ class Device:
         return tuple(f"{self.name}: {text}" for text in found)
 
     def angle(self, position: float) -> float:
-        """Return the joint angle of a count of this servo [rad]."""
+        """Return the joint angle [rad] at which this servo's position is `position` [counts]."""
         return self.units.angle(position)
 
     def goal_counts(self, angle: float) -> int:
-        """Return the goal register of a joint angle, within the goal range.
+        """Return the value of the goal register for a joint angle [rad], within the goal range.
 
-        If a single-turn servo was pushed past its encoder seam, a goal on the other side would turn
-        it the long way round. It gets the range end on its own side instead.
+        A single-turn servo that was pushed past the seam of its encoder, where the count jumps,
+        would move to such a goal the long way round. Its goal is the end of the encoder at which
+        it stands instead.
         """
         if self.turns and not self.multi_turn:
             return 0 if self.turns > 0 else self.row.max_position
         return self.clamp(self.units.counts(angle)) - self.turns * (self.wraparound or 0)
 
     def clamp(self, counts: int) -> int:
-        """Clamp a count to the goal range; a multi-turn servo outside the range may stay there."""
+        """Return `counts` clamped to the goal range [counts].
+
+        For a multi-turn servo that stands outside, the range extends to its present position.
+        """
         low, high = self.low, self.high
         if self.position is not None and self.multi_turn:
             low, high = min(low, round(self.position)), max(high, round(self.position))
         return max(low, min(counts, high))
 
     def limit_register(self, torque: float) -> int:
-        """Return the limit register of a joint torque [N·m], at most the servo's ceiling."""
+        """Return the value of the limit register for a joint torque [N·m], at most `ceiling`."""
         return self.units.register(min(torque, self.units.usable(self.ceiling)), self.ceiling)
 
     def packet(self, names: tuple[str, ...], goal: int, limit: int, speed: int) -> bytes:
-        """Return the bytes of a packet; fields other than goal, limit and speed cap are 0."""
+        """Return the bytes to write to the contiguous registers `names`.
+
+        `goal`, `limit` and `speed` are the values of goal, limit and speed cap register; other
+        registers are 0.
+        """
         values = {"goal": goal, "limit": limit, "speed_cap": speed}
         return b"".join(self.family.registers[n].encode(values.get(n, 0)) for n in names)
 
     def accept(self, reply: Reply) -> bool:
-        """Store a reading; return False if it is implausible, as the joint would have jumped."""
+        """Store the values of a reading and return True, unless its position is implausible."""
         family = self.family
         raw = family.decode(reply.block, reply.data, "position")
         turns, position = self._unwrap(raw)
@@ -206,7 +218,7 @@ class Device:
         return True
 
     def note(self, reply: Reply) -> None:
-        """Store voltage, temperature, limit and health from a block that was read."""
+        """Store the values of status registers that a reply contains, and the faults they show."""
         family, block = self.family, reply.block
         before, self.conditions = self.conditions, status.conditions(family, reply.status)
         self.alerts += bool(set(self.conditions) - set(before))
@@ -227,8 +239,8 @@ class Device:
             went_off = (self.enabled or "torque" in self.other_faults) and not self.torque_on
             self.fault("torque", went_off, "its torque went off by itself")
             if went_off:
-                # Send no more goals: some servos would switch torque on at a goal far from the
-                # position.
+                # Send no more goals: on some servos a goal switches torque on, and the joint may be
+                # far from it now.
                 self.enabled = False
         if self._contains(block, "hardware_error"):
             self.hardware = status.hardware(family.decode(block, reply.data, "hardware_error"))
@@ -240,20 +252,23 @@ class Device:
 
     @property
     def is_refusing(self) -> bool:
-        """True if goals are known not to arrive or to be rejected."""
+        """True if the servo is known not to receive goals, or to reject them."""
         return self.enabled and (self.tripped or self._read_backs["goal"].wrong >= MISMATCHES)
 
     @property
     def torque(self) -> float:
-        """Joint torque as the servo estimates it, if all its servos exert the same [N·m]."""
+        """Joint torque [N·m] from this servo's current or load register.
+
+        Two servos on one joint are assumed to exert equal torques.
+        """
         if self.row.limit_type == "current":
             return self.units.sign * self.units.torque(self.current or 0)
         return self.units.sign * self.units.load(self.load)
 
     def set_voltage(self, volts: float, time: float) -> None:
-        """Update the conversions to the supply voltage: the torque of a duty is proportional to it.
+        """Store the supply voltage [V], read at `time` [s], and update the unit conversions.
 
-        A brief undervoltage is tolerated, a longer one is a fault.
+        An undervoltage is a fault if it lasts longer than `UNDERVOLTAGE_GRACE`.
         """
         self.voltage = volts
         if volts >= self.min_voltage:
@@ -268,24 +283,24 @@ class Device:
             self.units = replace(self.units, voltage=volts)
 
     def _is_reachable(self, position: float, time: float) -> bool:
-        """Return True if the joint can have reached a position since its last good reading.
+        """Return True if the joint can have reached `position` [counts] at `time` [s].
 
-        The allowed distance grows with time, but not while implausible readings arrive. Several of
-        these in a row are a fault and are never accepted.
+        The accepted distance from the last accepted position grows with time, but not while
+        implausible positions arrive. `MAX_JUMPS` implausible positions in a row are a fault.
         """
         if self.position is None or self._allowed == float("inf"):
             self._rejected, self._allowed, self._last = 0, 0.0, time
             self.fault("jump", False, "")
             return True
         gap, self._last = time - self._last, time
-        if not self._rejected or gap > PAUSE:
+        if not self._rejected or gap > READING_GAP:
             self._allowed += gap
         jump = abs(position - self.position) * self.units.count
-        if jump <= 2.0 * self.units.no_load_speed * self._allowed + JUMP:
+        if jump <= 2.0 * self.units.no_load_speed * self._allowed + JUMP_MARGIN:
             self._rejected, self._allowed = 0, 0.0
             return True
         self._rejected += 1
-        if self._rejected >= IMPOSSIBLE:
+        if self._rejected >= MAX_JUMPS:
             self.fault(
                 "jump",
                 True,
@@ -295,7 +310,7 @@ class Device:
         return False
 
     def accept_any_position(self) -> None:
-        """Accept any position next: without torque the joint may be moved by hand."""
+        """Accept any position at the next reading, because a joint without torque can be moved."""
         self._allowed = float("inf")
 
     def _contains(self, block: Block, name: str) -> bool:
@@ -306,7 +321,7 @@ class Device:
         return block.address <= register.address and register.address + register.size <= end
 
     def fault(self, key: str, is_wrong: bool, text: str) -> None:
-        """Set or clear a fault."""
+        """Set the fault of the topic `key` with this text if `is_wrong`, else clear it."""
         if is_wrong:
             self.other_faults[key] = text
         else:
@@ -314,23 +329,30 @@ class Device:
 
     @property
     def has_suspect_register(self) -> bool:
-        """True if goal or limit read back wrong, but not long enough for a fault."""
+        """True if goal or limit do not read back as written, but not long enough for a fault."""
         return any(
             e.wrong > 0 and key not in self.other_faults for key, e in self._read_backs.items()
         )
 
     def record_sent(self, goal: int, limit: int) -> None:
-        """Record a packet that is sent with this goal and limit."""
+        """Record the values of goal and limit register in a packet that was sent."""
         self.goal, self.limit = goal, limit
         self._writes += 1
 
     def _compare(
         self, key: str, found: int, written: int, time: float, status: tuple[str, str]
     ) -> None:
-        """Compare a register with the value written, since a servo rejects a packet silently.
+        """Compare a register with the value written, because a servo may reject packets silently.
 
-        Packets also get lost, so a mismatch is a fault only after several packets and a minimum
-        time.
+        Single packets also get lost. A mismatch is therefore a fault only after `MISMATCHES`
+        packets and `MISMATCH_TIME`.
+
+        Args:
+            key: Register: `goal` or `limit`.
+            found: Value read.
+            written: Value written.
+            time: Time of the reading [s].
+            status: Both values in SI units as text, for the message.
         """
         read_back = self._read_backs[key]
         if not self.enabled or found == written:
@@ -348,7 +370,10 @@ class Device:
         )
 
     def _unwrap(self, raw: int) -> tuple[int, float]:
-        """Return turns and unwrapped count of a position register, nearest to the last position."""
+        """Return whole turns and unwrapped count of the position register value `raw`.
+
+        The turns are those with which the count is nearest to the last position.
+        """
         if self.wraparound is None:
             return 0, float(raw)
         reference = self.position if self.position is not None else (self.low + self.high) / 2

@@ -1,4 +1,4 @@
-"""Torque on and off: sequences that keep the arm in place, also if a step fails."""
+"""Sequences of packets that switch torque on without moving the arm, and torque off."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ if TYPE_CHECKING:
 
     Ports = Mapping[int, Port]
 
-#: A joint that moves farther than this during torque on is switched off again [rad].
+#: Largest motion of a joint while its torque comes on [rad], besides falling and settling; after a
+#: larger motion torque is switched off again.
 MAX_MOTION = 0.05
-#: Largest distance between measured and expected position before torque on [rad].
+#: Largest distance between measured and expected position with which torque is switched on [rad].
 MAX_START_ERROR = 0.15
-#: `MAX_SENDS`: number of attempts to send goals until they read back. `MAX_DRIFT`: a joint without
-#: torque that drifts farther than this from its goal gets a new goal [rad].
+#: Number of attempts to send goal and limit until they read back as written; and distance from its
+#: goal above which a joint without torque gets a new goal [rad].
 MAX_SENDS, MAX_DRIFT = 5, 0.01
-#: Longest restart of a servo [s].
+#: Time within which a servo must answer after a reboot [s].
 REBOOT = 2.0
-#: Registers that are checked before torque on.
+#: Registers that are read and checked before torque is switched on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
-#: `OFF_PACKETS`: number of torque-off packets sent if no answer comes. `OFF_TRIES`: tries.
+#: Number of torque-off packets to send to a servo that does not reply, and largest number of
+#: attempts to send them; an attempt fails while the line is noisy.
 OFF_PACKETS, OFF_TRIES = 3, 30
 MAY_BE_ON = "torque may still be on: "
 
@@ -39,7 +41,18 @@ MAY_BE_ON = "torque may still be on: "
 def enable(
     devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, speed_cap: Array
 ) -> None:
-    """Limit, goal = present position, read-back, torque on, verify; see `ServoBus.enable`."""
+    """Switch torque on with the present positions as goals; see `ServoBus.enable`.
+
+    Limits and goals are written and read back before torque on. Afterwards torque and positions
+    are verified; after a failure torque is switched off again.
+
+    Args:
+        devices: The servos.
+        ports: Port of each servo.
+        goal: Expected joint positions (n,) [rad].
+        limit: Torque limits (n,) [N·m].
+        speed_cap: Largest joint speeds (n,) [rad/s].
+    """
     before = {}
     for device in devices:
         before[id(device)] = _check_state(device, ports, goal)
@@ -50,7 +63,7 @@ def enable(
             if _has_tripped(device, before):
                 _set(device, ports, "watchdog", 0)
             _write_limits(device, ports, device.limit_register(float(limit[device.joint])))
-        # Read all positions now: an arm without torque may be sinking.
+        # Read the positions for the goals only now: an arm without torque may be sinking.
         start = {id(d): _image(d, ports, "position", "speed") for d in devices}
         commands: dict[int, FirstCommand] = {}
         packets: dict[Port, list[tuple[Device, int, int, int]]] = {}
@@ -62,7 +75,7 @@ def enable(
             command = FirstCommand(register, device.limit, device.units.speed_register(speed))
             commands[id(device)] = command
             packets.setdefault(ports[id(device)], []).append((device, *command))
-        # On some servos a goal switches torque on.
+        # From here on a failure may leave torque on, because on some servos a goal switches it on.
         is_sent = True
         for port, group in packets.items():
             port.write(group)
@@ -86,10 +99,12 @@ def enable(
 
 
 class FirstCommand(NamedTuple):
-    """Registers that are written together.
+    """Register values of the first command of a servo.
 
     Attributes:
-        goal, limit, speed: Goal, limit and speed cap.
+        goal: Goal position [counts].
+        limit: Value of the limit register.
+        speed: Value of the speed cap register.
     """
 
     goal: int
@@ -98,7 +113,9 @@ class FirstCommand(NamedTuple):
 
 
 def _write_limits(device: Device, ports: Ports, limit: int) -> None:
-    """Write the limit and other registers that bound torque and motion, and read them back.
+    """Write the limit register and `Device.drive_values`, and read them back.
+
+    The `drive_values` are further registers that bound torque or motion.
 
     Raises:
         ServoError: A register did not read back as written.
@@ -120,15 +137,21 @@ def _write_limits(device: Device, ports: Ports, limit: int) -> None:
 def _send_first_command(
     device: Device, ports: Ports, command: FirstCommand, start: RegisterImage
 ) -> RegisterImage:
-    """Check that goal, limit and speed cap have arrived, and send them again if not.
+    """Check that goal, limit and speed cap read back as written, and send them again if not.
 
-    Until torque is on, a joint that has moved since its position was read gets a new goal.
+    A joint without torque that has moved since its position was read gets a new goal.
+
+    Args:
+        device: The servo.
+        ports: Port of each servo.
+        command: Register values that were sent.
+        start: Registers with the position from which the goal was made, and with the speed.
 
     Returns:
-        Position and speed from which the goal was made.
+        Registers with position and speed from which the final goal was made.
 
     Raises:
-        ServoError: The registers still differ from the values written.
+        ServoError: The registers still differ from the values written after `MAX_SENDS` attempts.
     """
     expected_values = command._asdict()
     expected_values["speed_cap"] = expected_values.pop("speed")
@@ -156,7 +179,11 @@ def _send_first_command(
 
 
 def _check_state(device: Device, ports: Ports, goal: Array) -> RegisterImage:
-    """Return the servo's state before anything is sent; raise if torque must not be switched on."""
+    """Return the present registers of a servo that its torque may be switched on with.
+
+    Raises:
+        ServoError: The servo has a fault, or its position differs from `goal` or is out of range.
+    """
     names = [name for name in _CHECKED if name in device.family.registers]
     image = _image(device, ports, *names)
     if device.hardware:
@@ -187,14 +214,17 @@ def _has_tripped(device: Device, before: Mapping[int, RegisterImage]) -> bool:
 
 
 def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
-    """Check after torque on: torque is on, and the joint has not moved, or its fall was stopped."""
+    """Check that torque is on, and that the joint moved no farther than falling explains.
+
+    `before` contains position and speed of the servo before torque on.
+    """
     image = _image(device, ports, "torque_enable", "position")
     if not image["torque_enable"]:
         raise ServoError(f"{device.name} did not switch its torque on; all are off again")
     moved = abs(image["position"] - before["position"]) * device.units.count
     passed = image.time - before.time
     fall = 2.0 * abs(device.units.velocity(before["speed"])) * passed
-    # A servo exerts torque only at a distance from its goal: at most limit / k_p.
+    # Accept also the position error at which the servo exerts its torque limit: limit / k_p.
     kp = device.spec.kp or device.units.stiffness(device.gain)
     sag = device.units.torque(device.limit) / kp
     if moved > MAX_MOTION + fall + sag:
@@ -205,7 +235,11 @@ def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
 
 
 def disable(devices: Sequence[Device], ports: Ports) -> None:
-    """Switch torque off for every servo, then restore the RAM registers that were written."""
+    """Switch the torque of each servo off, and restore the RAM registers that were written.
+
+    Raises:
+        ServoError: Servos did not confirm; the message names them. The other servos are off.
+    """
     failed = {}
     for device in devices:
         problem = _try_off(device, ports)
@@ -219,7 +253,11 @@ def disable(devices: Sequence[Device], ports: Ports) -> None:
 
 
 def reboot(devices: Sequence[Device], ports: Ports) -> None:
-    """Restart servos and wait until they answer."""
+    """Restart the servos one after the other, and wait until each answers again.
+
+    Raises:
+        ServoError: A servo cannot reboot over the bus, or does not answer within `REBOOT` seconds.
+    """
     for device in devices:
         if device.family.status != "p2":
             raise ServoError(
@@ -239,7 +277,10 @@ def reboot(devices: Sequence[Device], ports: Ports) -> None:
 
 
 def _try_off(device: Device, ports: Ports) -> str | None:
-    """Switch torque off and restore registers; return the error, or None if torque is off."""
+    """Switch a servo's torque off and restore its registers; return None if torque is off.
+
+    Otherwise return the text of the error.
+    """
     device.enabled = False
     device.accept_any_position()
     for key in ("torque", "limit", "goal"):
@@ -264,7 +305,10 @@ def _try_off(device: Device, ports: Ports) -> str | None:
 
 
 def _send_off_blindly(device: Device, ports: Ports) -> str:
-    """Send torque off without waiting for an answer; return a text with the number of packets."""
+    """Send packets that switch a servo's torque off, without waiting for a reply.
+
+    Return a text with the number of packets sent, for messages.
+    """
     register = device.family.registers["torque_enable"]
     guard, sent = ports[id(device)].guard, 0
     for _ in range(OFF_TRIES):
@@ -273,7 +317,7 @@ def _send_off_blindly(device: Device, ports: Ports) -> str:
         except BusError as error:
             if error.reason == "gone":
                 break
-            continue  # noise: the transport did not find a gap to send in
+            continue  # the line is noisy: the transport found no silence to send in
         sent += 1
         if sent == OFF_PACKETS:
             break
@@ -281,7 +325,7 @@ def _send_off_blindly(device: Device, ports: Ports) -> str:
 
 
 def _restore_registers(device: Device, ports: Ports) -> None:
-    """Restore RAM registers to their values at open, because other programs do not set them."""
+    """Write the initial values of RAM registers back, because other programs rely on them."""
     if not device.initial_values:
         return
     image = _image(device, ports, *device.initial_values)
@@ -292,7 +336,7 @@ def _restore_registers(device: Device, ports: Ports) -> None:
 
 
 def _image(device: Device, ports: Ports, *names: str) -> RegisterImage:
-    """Read registers of a servo now."""
+    """Read the registers `names` of a servo, store their values in `device`, and return them."""
     guard = ports[id(device)].guard
     guard.start_cycle()
     image = read_image(guard, device, *names)
@@ -302,17 +346,21 @@ def _image(device: Device, ports: Ports, *names: str) -> RegisterImage:
 
 
 def _set(device: Device, ports: Ports, name: str, value: int) -> None:
-    """Write one register and wait for the acknowledgement."""
+    """Write the register `name` of a servo and wait for the servo's acknowledgement.
+
+    Raises:
+        ServoError: The port is gone, or the servo did not acknowledge or rejected the write.
+    """
     register = device.family.registers[name]
     _send(device, ports, name, register.encode(value), f"{name} = {value}")
 
 
 def _send(device: Device, ports: Ports, first: str, data: bytes, what: str = "its goal") -> None:
-    """Write bytes from a register on and wait for the acknowledgement.
+    """Write bytes from register `first` on, and wait for the servo's acknowledgement.
 
     Raises:
         BusError: The port is gone.
-        ServoError: The servo did not confirm, or rejected the packet.
+        ServoError: The servo did not acknowledge, or rejected the packet; the text names `what`.
     """
     guard = ports[id(device)].guard
     guard.start_cycle()

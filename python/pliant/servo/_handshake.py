@@ -1,6 +1,7 @@
-"""Identification and checks of every servo at open, before anything is sent that could move it.
+"""Identification and checks of every servo when the bus is opened.
 
-This module only reads. Errors contain the remedy. Only `pliant servos setup` writes EEPROM.
+This module only reads registers. Its error messages name the remedy, often `pliant servos setup`,
+which writes EEPROM.
 """
 
 from __future__ import annotations
@@ -20,20 +21,22 @@ if TYPE_CHECKING:
     from pliant.servo._port import Port
     from pliant.servo._transactions import Reply, TransactionGuard
 
-#: Number of low ids that are tried if one is missing, to name the servos that are present.
+#: Highest id that is pinged if a servo is missing, to list the ids of servos that are present.
 NEARBY = 20
+#: Number of the bit of the register Shutdown that enables overload protection.
 OVERLOAD_BIT = 5
-#: Shortest reply delay that means that the adapter holds replies back [s].
+#: Delay of replies beyond the wire time above which the adapter seems to hold them back [s].
 MIN_HOLD_BACK = 0.008
-SPEED_UNIT_BIT = 2  # of Feetech's Phase: set for 1 step/s
+#: Number of the bit of Feetech's register Phase that is set if the unit of speed is 1 step/s.
+SPEED_UNIT_BIT = 2
 
 
-#: Remedy for a file that does not fit.
+#: Remedy in error messages about a calibration file that differs from the servo's registers.
 CALIBRATION_REMEDY = (
     "the file is of another arm, or older than its last calibration: name the file of this arm, or "
     "run lerobot-calibrate, which writes file and servos alike"
 )
-#: Register names in LeRobot's file.
+#: Name in LeRobot's calibration file of each register that the file contains.
 LEROBOT_NAMES = {
     "homing_offset": "homing_offset",
     "position_min": "range_min",
@@ -50,12 +53,12 @@ class ServoInfo:
         joint: Joint name.
         id: Id on the bus.
         model: Model name in the servo table.
-        firmware: Firmware number; Feetech's as major + 256 · minor.
+        firmware: Firmware version number; of Feetech servos: major + 256 · minor.
         voltage: Supply voltage [V].
-        temperature: [°C].
-        return_delay: Return delay [s].
-        torque_on: Whether its torque was on at open.
-        notes: Remarks that are not errors, with the remedy.
+        temperature: Servo temperature [°C].
+        return_delay: Time that the servo waits before it replies [s].
+        torque_on: True if torque was on when the bus was opened.
+        notes: Warnings, each with its remedy.
     """
 
     joint: str
@@ -70,26 +73,28 @@ class ServoInfo:
 
 
 class RegisterImage:
-    """Registers of one servo, read at one time.
+    """Registers of one servo, from one or several replies.
+
+    ``image["position"]`` is the value of the register `position`.
 
     Attributes:
-        replies: Replies that contain them.
+        replies: Replies that contain the bytes of the registers.
     """
 
     def __init__(self, device: Device, *replies: Reply) -> None:
-        """Store the replies."""
+        """Store the replies of the servo `device`; its family decodes them."""
         self._family, self.replies = device.family, replies
 
     @property
     def time(self) -> float:
-        """Time of the first request [s]."""
+        """Time of the earliest request for these registers [s]."""
         return self.replies[0].time
 
     def __contains__(self, name: str) -> bool:
         return name in self._family.registers
 
     def __getitem__(self, name: str) -> int:
-        """Value of a field by name."""
+        """Return the value of a register by name."""
         address = self._family.registers[name].address
         for reply in self.replies:
             if reply.block.address <= address < reply.block.address + reply.block.size:
@@ -98,17 +103,17 @@ class RegisterImage:
 
 
 def read_image(guard: TransactionGuard, device: Device, *names: str) -> RegisterImage:
-    """Read registers of a servo by name, all by default.
+    """Read the registers `names` of a servo; without names, read all registers.
 
     Raises:
-        BusError: It did not answer.
+        BusError: The servo did not answer.
     """
     blocks = device.family.blocks(*names)
     return RegisterImage(device, *(guard.read(device.id, block) for block in blocks))
 
 
 def identify(port: Port) -> tuple[ServoInfo, ...]:
-    """Read and check every servo of a port, and store the values of its registers.
+    """Identify and check every servo of a port, and store register values in its `Device`.
 
     Raises:
         ServoError: A servo is missing or is another model, its settings do not allow control, or
@@ -156,7 +161,10 @@ def identify(port: Port) -> tuple[ServoInfo, ...]:
 
 
 def _adapter_note(port: Port) -> str:
-    """Describe an adapter that holds replies back, as its driver reports or as measured."""
+    """Return a warning if the USB adapter holds replies back, else an empty text.
+
+    The delay is that of the adapter's latency timer, or is measured.
+    """
     guard = port.guard
     if guard.held_back > MIN_HOLD_BACK and guard.held_back > (port.latency or 0.0):
         port.latency = guard.latency = round(guard.held_back, 3)
@@ -174,7 +182,11 @@ def _adapter_note(port: Port) -> str:
 
 
 def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: bool) -> list[str]:
-    """Describe corrupt replies: two servos with one id or, if all are corrupt, the line."""
+    """Return error texts for the servos whose replies are corrupt, with likely causes.
+
+    `all_of_them` is True if all replies on the port are corrupt: the line then has an error. If
+    only some are, two servos may have one id.
+    """
     if all_of_them and len(broken) > 1:
         return [
             f"{port.path}: every answer is broken ({broken[0][1]}). An adapter that hears its own "
@@ -189,7 +201,7 @@ def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: b
 
 
 def _missing(port: Port, missing: list[Device]) -> str:
-    """Name the servos that do not answer, and the ids that do."""
+    """Return an error text with the servos that do not answer, and the ids that do answer."""
     expected = {device.id for device in port.devices}
     gone = {device.id for device in missing}
     nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
@@ -208,7 +220,7 @@ def _missing(port: Port, missing: list[Device]) -> str:
 
 
 def _check(device: Device, image: RegisterImage) -> list[str]:
-    """Return all errors of one servo that do not allow control."""
+    """Return error texts for everything that prevents control of a servo; empty if nothing does."""
     row = device.row
     number = image["model"]
     if number != row.model_number:
@@ -236,10 +248,10 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
 
 
 def _store_initial_values(device: Device, image: RegisterImage) -> None:
-    """Record the registers to restore after torque off, and those to set while driven.
+    """Store in the device the register values to restore after torque off and to set at torque on.
 
-    If torque is on, or a limit is 0, the registers come from an ended program or an overload. Such
-    a servo gets the values that a power-up would set.
+    If torque is on or the limit is 0, limit and speed cap stem from an earlier program or an
+    overload. The values to restore are then those after power-up.
     """
     family = device.family
     device.drive_values = {
@@ -254,14 +266,17 @@ def _store_initial_values(device: Device, image: RegisterImage) -> None:
 
 
 def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
-    """Return lowest and highest supply [V]: the servo's limits, at most 0.5 V past the maker's."""
+    """Return lowest and highest supply voltage [V] at which the servo may be driven.
+
+    They are the limits in the servo's EEPROM, at most 0.5 V outside those of the data sheet.
+    """
     lowest, highest = device.row.voltage
     low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0
     return max(low, lowest - 0.5), min(high, highest + 0.5)
 
 
 def _check_mode(device: Device, image: RegisterImage) -> list[str]:
-    """Return errors of operating mode and drive mode."""
+    """Return error texts for operating mode, drive mode and secondary id that must be changed."""
     errors = []
     family = device.family
     if family.status == "p2":
@@ -306,11 +321,12 @@ def _check_mode(device: Device, image: RegisterImage) -> list[str]:
 
 
 def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
-    """Store ceilings, limits and gain; return the identification with notes."""
+    """Store register values in the device; return the servo's identification with warnings."""
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
     if row.limit_type == "current" and image["pwm_limit"] < family.full_duty:
-        # The PWM limit bounds the torque too, in proportion at stall.
+        # Lower the ceiling to the torque at the register PWM Limit, which at standstill is in
+        # proportion to PWM.
         torque = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
         device.ceiling = min(device.ceiling, device.units.register(torque))
     device.gain = image["gain"]
@@ -370,10 +386,10 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
 
 
 def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
-    """Describe the registers in which a servo differs from its joint's calibration file.
+    """Return an error text for each register that differs from the joint's calibration file.
 
-    Each sentence has the value of the file and of the servo, and the resulting error of the joint's
-    zero. A second servo of the joint is not in the file.
+    The text gives the values in file and servo and the resulting error of the joint's zero. A
+    secondary servo is not checked, because the file contains only the first servo of a joint.
     """
     file = device.spec.calibration
     if file is None or device.id != device.spec.id:
@@ -399,7 +415,7 @@ def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
 
 
 def _calibration_notes(device: Device) -> list[str]:
-    """Return notes about a file that fits."""
+    """Return warnings about a calibration file whose values agree with the servo."""
     file = device.spec.calibration
     if file is None or device.id != device.spec.id or not file.drive_mode:
         return []
@@ -412,5 +428,5 @@ def _calibration_notes(device: Device) -> list[str]:
 
 
 def _degrees(device: Device, counts: float) -> float:
-    """Return the joint angle of a number of counts [°]."""
+    """Return the absolute joint angle [°] of a difference of `counts` encoder counts."""
     return abs(counts) * device.units.count * 57.29577951308232

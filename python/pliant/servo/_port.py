@@ -23,14 +23,15 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 
-#: A servo that is silent for this many cycles is skipped for `PROBE_CYCLES` cycles, so that a dead
-#: servo does not cost a timeout in every cycle.
+#: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, so that it
+#: does not cost a timeout in every cycle.
 MAX_MISSES, PROBE_CYCLES = 3, 8
-#: Silence after which a servo may have restarted, with its torque off: [s], and cycles.
+#: Time without readings after which a servo may have restarted with torque off: the longer of
+#: `RESTART` [s] and `RESTART_CYCLES` control periods.
 RESTART, RESTART_CYCLES = 0.1, 3.0
-#: Largest share of a cycle for one more request to all servos.
+#: Largest share of a control period that the request for the torque state of all servos may take.
 TORQUE_READ_SHARE = 0.2
-#: Bus watchdog: its unit [s], its largest register value, and the number of tries to set it.
+#: Register Bus Watchdog: its unit [s], its largest value, and the number of tries to set it.
 WATCHDOG_UNIT, MAX_WATCHDOG, WATCHDOG_TRIES = 0.02, 127, 4
 
 
@@ -38,18 +39,18 @@ class Port:
     """One open serial port and its servos.
 
     Args:
-        path: Serial port.
-        devices: The servos on it.
-        baudrate: Bits per second.
+        path: Path of the serial port.
+        devices: The servos on this port.
+        baudrate: Baud rate [bit/s].
         cycle: Control period [s].
         reply_timeout_min: Minimum reply timeout [s].
-        open_transport: ``(path, baudrate, protocol) -> Transport``.
-        clock: Clock of the readings.
+        open_transport: Function ``(path, baudrate, protocol) -> Transport`` that opens the port.
+        clock: Function that returns the time for readings [s].
 
     Attributes:
-        guard: TransactionGuard of all transactions.
-        watchdog: Bus watchdog of the servos that have one [units of 20 ms]; 0: off.
-        latency: The adapter's latency timer [s]; None: no such timer.
+        guard: Requests with timeouts, retries and rejection of late replies.
+        watchdog: Time of the bus watchdog, for servos that have one [units of 20 ms]; 0 if off.
+        latency: Latency timer of the USB adapter [s]; None without a timer.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class Port:
         """Open the port.
 
         Raises:
-            ServoError: It cannot be opened.
+            ServoError: The port cannot be opened.
             ImportError: The extra `servo` is missing.
         """
         self.path, self.devices = path, tuple(devices)
@@ -94,11 +95,14 @@ class Port:
 
     @property
     def responsive(self) -> list[Device]:
-        """Servos that are not skipped for their silence."""
+        """Servos that are not skipped at present because they did not reply."""
         return [device for device in self.devices if device.id not in self._silent]
 
     def can_read_all(self) -> bool:
-        """Return True if one request reads a byte of all servos within a fifth of a cycle."""
+        """Return True if one request can read a byte of all servos fast enough in each cycle.
+
+        Fast enough is the share `TORQUE_READ_SHARE` of a control period.
+        """
         family = self.devices[0].family
         if not family.sync_read or family.status != "p2" or self.guard.is_gone:
             return False
@@ -120,10 +124,10 @@ class Port:
         """Read all servos with one request; if it fails, read them one by one.
 
         Args:
-            budget: Time after which there are no retries [s].
+            budget: Time after which the port makes no retries [s].
 
         Returns:
-            Ids of the servos with an accepted reading.
+            Ids of the servos whose reading was received and is plausible.
 
         Raises:
             BusError: The port is gone.
@@ -151,10 +155,10 @@ class Port:
         return accepted
 
     def _check_restart(self, device: Device) -> bool:
-        """Read after a silence whether a servo's torque is on; return False without an answer.
+        """Read torque state and watchdog of a servo that was silent; return False without a reply.
 
-        A servo that has restarted gets no goals any more, because on some models they would switch
-        torque on. A servo with a tripped watchdog rejects goals until the watchdog is cleared.
+        A servo that has restarted gets no more goals, because on some models a goal switches torque
+        on. A tripped watchdog is cleared, because the servo rejects goals until then.
         """
         try:
             device.note(self.guard.read(device.id, device.family.block("torque_enable")))
@@ -185,17 +189,17 @@ class Port:
                 device.tripped = False
 
     def set_watchdog(self, seconds: float, budget: float) -> list[str]:
-        """Set the bus watchdog of all servos that have one, tripped or not.
+        """Set the bus watchdog of all servos that have one, whether it has tripped or not.
 
-        The packets need no reply, so a temporarily silent line costs little time. The value is then
-        read back.
+        The value is written with packets without reply, so that silent servos cost little time,
+        and is then read back.
 
         Args:
-            seconds: Silence after which servos stop [s]; 0: never.
+            seconds: Bus silence after which servos stop [s]; 0: never.
             budget: Time for each of `WATCHDOG_TRIES` tries [s].
 
         Returns:
-            Names of the servos that did not confirm.
+            Names of the servos that did not confirm the new value.
 
         Raises:
             BusError: The port is gone.
@@ -225,10 +229,10 @@ class Port:
         """Send goal, limit and speed cap registers with sync writes, one per kind of servo.
 
         Args:
-            packets: Servo, goal, limit and speed cap.
+            packets: Each servo with the values of its goal, limit and speed cap registers.
 
         Raises:
-            BusError: The port is gone, or rejected the packet.
+            BusError: A packet could not be sent.
         """
         for group in _groups(packets, lambda p: p[0].family.write):
             family = group[0][0].family
@@ -240,7 +244,7 @@ class Port:
                 device.record_sent(goal, limit)
 
     def _read_block(self, device: Device, block: Block) -> bool:
-        """Read and store a block; return False without an answer."""
+        """Read a block of registers and store its values in the device; False: no reply came."""
         try:
             device.note(self.guard.read(device.id, block, again=False))
         except BusError as error:
@@ -249,7 +253,10 @@ class Port:
         return True
 
     def _read_group(self, group: Sequence[Device]) -> dict[int, Reply]:
-        """Read all servos with one request; on failure one by one, the failed one last."""
+        """Read several servos with one request; return the replies by servo id.
+
+        If the request fails, read the servos one by one, the servo that failed last.
+        """
         try:
             return self.guard.sync_read([device.id for device in group], *group[0].family.read)
         except BusError as error:
@@ -260,10 +267,11 @@ class Port:
     def _read_each(
         self, group: Sequence[Device], *, last: int | None = None, again: bool = True
     ) -> dict[int, Reply]:
-        """Read each servo by itself; a silent one is skipped for some cycles.
+        """Read each servo with a separate request; return the replies by servo id.
 
-        The servo with the oldest reading comes first, so that no servo misses every cycle that runs
-        out of time.
+        The servo with the oldest reading comes first, so that a cycle that runs out of time does
+        not always miss the same servos. A servo that is silent repeatedly is skipped for some
+        cycles. `last` is the id of a servo to read last; `again` is True to retry after a failure.
         """
         replies = {}
         missed = []
@@ -277,7 +285,7 @@ class Port:
                     missed.append(device.id)
             else:
                 replies[device.id] = reply
-        # If the whole line is silent, do not count it against single servos.
+        # Count missing replies only if another servo replies: otherwise the line has failed.
         for number in missed if replies else ():
             self._misses[number] = self._misses.get(number, 0) + 1
             if self._misses[number] >= MAX_MISSES:
@@ -285,7 +293,10 @@ class Port:
         return replies
 
     def _probe(self) -> dict[int, Reply]:
-        """Read one of the silent servos, in turn."""
+        """Read one of the skipped servos whose `PROBE_CYCLES` are over.
+
+        Return its reply by id; empty if no servo is due or the servo does not reply.
+        """
         for number in self._silent:
             self._silent[number] -= 1
         due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]
@@ -302,9 +313,10 @@ class Port:
 
 
 def latency_timer(path: str) -> float | None:
-    """Return the latency timer of an FTDI adapter [s]; None for other adapters (Linux).
+    """Return the latency timer of an FTDI adapter [s]; None for other adapters and systems.
 
-    The driver holds short replies back for this time: 16 ms by default, 1 ms if configured.
+    The adapter holds short replies back for this time: 16 ms by default, 1 ms if configured. Only
+    Linux reports it.
     """
     name = Path(path).resolve().name
     file = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
@@ -315,7 +327,7 @@ def latency_timer(path: str) -> float | None:
 
 
 def _groups(items: Iterable[_T], key: Callable[[_T], Hashable]) -> list[list[_T]]:
-    """Group items by key, in order of first appearance."""
+    """Return lists of the items with equal keys, in the order in which the keys first appear."""
     found: dict[Hashable, list[_T]] = {}
     for item in items:
         found.setdefault(key(item), []).append(item)
@@ -323,7 +335,10 @@ def _groups(items: Iterable[_T], key: Callable[[_T], Hashable]) -> list[list[_T]
 
 
 def status_blocks(family: Family) -> tuple[Block, ...]:
-    """Return the slow blocks of a servo, one per step, latched faults first."""
+    """Return the blocks of status registers of a servo, the block that shows faults first.
+
+    One block of one servo is read per control cycle.
+    """
     if family.status == "p2":
         single = ("hardware_error", "torque_enable", "watchdog")
         return (
@@ -331,33 +346,33 @@ def status_blocks(family: Family) -> tuple[Block, ...]:
             *stored_command_blocks(family),
             family.block("voltage", "temperature"),
         )
-    # Voltage and temperature come with every reading.
+    # Voltage and temperature are no status blocks here: every reading contains them.
     return (family.block("torque_enable", "limit", "goal"),)
 
 
 def stored_command_blocks(family: Family) -> tuple[Block, ...]:
-    """Return blocks with the goal and limit stored in a servo, as many as there are packets."""
+    """Return the blocks with goal and limit of a servo: one per write packet of its family."""
     return tuple(
         family.block(*(name for name in names if name in {"goal", "limit"}))
         for names in family.write
     )
 
 
-#: Faults that are reported at once, before the joint's turn.
+#: Topics of faults after which the status of a servo is read before that of other servos.
 URGENT_FAULTS = frozenset({"torque", "jump", "port"})
-#: Number of steps between two requests for the torque state of all servos.
+#: Number of control cycles per request for the torque state of all servos.
 TORQUE_PERIOD = 3
 
 
 class StatusPoller:
-    """Cyclic schedule of slow reads over all servos, one block per step; alarms come first.
+    """Reads status registers of all servos in turn, one block per cycle; servos with faults first.
 
     Args:
         joints: Servos of each joint.
     """
 
     def __init__(self, joints: Sequence[Sequence[Device]]) -> None:
-        """Start with the first servo."""
+        """Store the servos, and list their status blocks in the order of reading."""
         self._joints = joints
         devices = [device for joint in joints for device in joint]
         self._steps = [(d, block) for d in devices for block in status_blocks(d.family)]
@@ -367,11 +382,13 @@ class StatusPoller:
         self._block_index = self._count = 0
 
     def step(self, ports: Mapping[int, Port]) -> ServoStatus | None:
-        """Read one block; return the slow data of its joint.
+        """Read one status block, and return the status of the servo's joint.
 
-        Three kinds of servos are read first: those with a new alert, with an urgent fault, and with
-        a goal or limit that read back wrong, because only a second reading distinguishes a lost
-        packet from a servo that rejects it.
+        Servos with a new alert or an urgent fault come first, and servos whose goal or limit did
+        not read back as written: a second reading distinguishes a lost packet from a rejected one.
+
+        Returns:
+            The status; None if no reply came, or if the torque state of all servos was read.
 
         Raises:
             BusError: The port is gone.
@@ -391,10 +408,13 @@ class StatusPoller:
         return self._status(device.joint)
 
     def _check_torque(self, ports: Mapping[int, Port]) -> bool:
-        """Read with one request whether torque is on, for all servos of the next port.
+        """Read with one request whether torque is on, for all enabled servos of one port.
 
-        This is done only if such a request exists and takes little of a cycle. A loss of torque is
-        then detected within a few ticks.
+        The ports take turns. Ports whose servos do not support such a request, or on which it takes
+        too much of a cycle, are skipped.
+
+        Returns:
+            True if a request was made and has not shown a servo that has lost its torque.
         """
         candidates = [port for port in dict.fromkeys(ports.values()) if port.can_read_all()]
         if not candidates:
@@ -411,7 +431,7 @@ class StatusPoller:
             return True
         for device in enabled:
             device.note(replies[device.id])
-        # A servo that lost its torque raises an alarm: it is read next, in this step.
+        # After False the caller reads the status of a servo that lost its torque in this cycle.
         return all(d.enabled for d in enabled)
 
     def _choose(self) -> tuple[Device, Block]:

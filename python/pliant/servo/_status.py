@@ -1,4 +1,4 @@
-"""Decoding of status and error bytes into sentences, and detection of rejected requests."""
+"""Decoding of servos' status and error bytes into sentences; detection of rejected requests."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _P2 = {
     6: "a value above the servo's own limit",
     7: "a register that is read-only, or locked while torque is on",
 }
-#: Bits of the status byte that mean rejection; with the others the request was executed.
+#: Bits of the Protocol 1.0 status byte that report a rejected request.
 _P1_REFUSALS = 1 << 1 | 1 << 3 | 1 << 4 | 1 << 6
 ALERT = 0x80
 
@@ -55,7 +55,7 @@ def _bits(value: int, texts: dict[int, str]) -> tuple[str, ...]:
 
 
 def conditions(family: Family, status: int) -> tuple[str, ...]:
-    """Return the health conditions in a status byte, one sentence each."""
+    """Return a sentence for each condition (overheating, ...) in the status byte of a reply."""
     if family.status == "feetech":
         return _bits(status, _FEETECH)
     if family.status == "p1":
@@ -66,15 +66,15 @@ def conditions(family: Family, status: int) -> tuple[str, ...]:
 
 
 def hardware(value: int) -> tuple[str, ...]:
-    """Return the errors in the Hardware Error Status of Protocol 2.0, one sentence each."""
+    """Return a sentence for each error in the register Hardware Error Status of Protocol 2.0."""
     return _bits(value, _HARDWARE)
 
 
 def refusal(family: Family, status: int) -> str | None:
-    """Return the reason for which a request was rejected; None: it was executed.
+    """Return the reason for the rejection of a request; None if the servo executed it.
 
-    Feetech's bits are conditions only, and the request was executed. The same holds for voltage,
-    temperature and overload in Protocol 1.0.
+    `status` is the status byte of the reply. All bits of Feetech, and the bits of voltage,
+    temperature and overload in Protocol 1.0, report conditions: they do not mean rejection.
     """
     if family.status == "feetech":
         return None

@@ -1,15 +1,15 @@
 """Guarded transactions on one port: timeouts, retries, and rejection of late replies.
 
-The protocols carry no sequence number, so only its length distinguishes a late reply to an earlier
-request from the reply to this one. After a failed request, the servo has a missing reply. No other
-request to that servo uses the same length until a reply of another length has arrived: servos
-answer in order and the line keeps the order, so that reply proves that no older one can come. If
-there is a choice, the length is also avoided for one second, in case a device between host and
-servo reorders data. After two seconds a missing reply is given up, because an arm without positions
+The servo protocols have no sequence numbers. Only its length distinguishes a late reply to an
+earlier request from the reply to the present request. When a request fails, its reply is recorded
+as missing. Further requests to that servo ask for replies of another length, until such a reply
+arrives. Servos answer in order, so a reply proves that no older reply can still come. If possible,
+requests avoid the length of the missing reply until one second after its request, in case an
+adapter reorders data. A missing reply expires after two seconds, because an arm without positions
 for so long is being lowered.
 
-A late reply also corrupts the next one. So after a failure the line is drained: pings are sent to
-an unused id until the line has been silent for as long as a reply may take.
+A late reply also corrupts the next reply. After a failure the line is therefore drained: pings are
+sent to an unused id until the line has been silent for as long as a reply may take.
 """
 
 from __future__ import annotations
@@ -34,26 +34,27 @@ if TYPE_CHECKING:
 
 
 BITS_PER_BYTE = 10
-#: Response delay of a servo with Return Delay 0 [s].
+#: Assumed time from request to reply of a servo whose register Return Delay is 0 [s].
 RESPONSE_DELAY = 30e-6
-#: Largest minimum reply timeout (`reply_timeout_min`) [s].
+#: Largest accepted value of the argument `reply_timeout_min` [s].
 MAX_REPLY_TIMEOUT_MIN = 1.0
-#: Bytes of a packet without data: instruction and status.
+#: Number of bytes of a read request or write request without data, and of a reply without data, by
+#: protocol.
 OVERHEAD = {"p1": (6, 6), "p2": (10, 11)}
 Kind = Literal["ping", "read", "write", "sync_read", "sync_write"]
 
 
 def wire_bytes(protocol: Protocol, kind: Kind, servos: int, size: int) -> tuple[int, int]:
-    """Return the bytes sent and received in a transaction.
+    """Return the number of bytes sent and received in a transaction.
 
     Args:
-        protocol: `p1` (Feetech too) or `p2`.
-        kind: The instruction.
+        protocol: `p1` (Dynamixel 1.0 and Feetech) or `p2` (Dynamixel 2.0).
+        kind: Instruction of the request.
         servos: Number of addressed servos.
-        size: Data bytes per servo.
+        size: Number of data bytes per servo.
 
     Returns:
-        Bytes to the servos, and bytes back. Byte stuffing of Protocol 2.0 is not counted.
+        Bytes to the servos, and bytes from them. Byte stuffing of Protocol 2.0 is not counted.
     """
     request, reply = OVERHEAD[protocol]
     address, length = (1, 1) if protocol == "p1" else (2, 2)
@@ -80,12 +81,13 @@ def wire_time(
     """Return the time for which a transaction occupies the wire [s].
 
     Args:
-        protocol: `p1` (Feetech too) or `p2`.
-        kind: The instruction.
+        protocol: `p1` (Dynamixel 1.0 and Feetech) or `p2` (Dynamixel 2.0).
+        kind: Instruction of the request.
         servos: Number of addressed servos.
-        size: Data bytes per servo.
-        baudrate: Bits per second.
-        response_delay: Response delay of a servo [s]; Return Delay 250 is 500 µs.
+        size: Number of data bytes per servo.
+        baudrate: Baud rate [bit/s].
+        response_delay: Time from the request to the reply of a servo [s]; if the register Return
+            Delay is 250, this is 500 µs.
     """
     sent, received = wire_bytes(protocol, kind, servos, size)
     replies = servos if kind == "sync_read" else int(received > 0)
@@ -95,19 +97,25 @@ def wire_time(
 def reply_timeout(
     wire: float, latency: float, cycle: float, reply_timeout_min: float = 0.010
 ) -> float:
-    """Return the reply timeout [s].
+    """Return the reply timeout of a request [s].
 
-    It is twice the wire time, plus twice the adapter's latency timer, plus 5 ms for the host; at
-    most three control cycles, but at least `reply_timeout_min`.
+    The timeout is twice the wire time, plus twice the latency timer of the adapter, plus 5 ms for
+    the host; at most three control periods, but at least `reply_timeout_min`.
+
+    Args:
+        wire: Time that the transaction takes on the wire [s].
+        latency: Latency timer of the USB adapter [s].
+        cycle: Control period [s].
+        reply_timeout_min: Minimum reply timeout [s].
     """
     return max(reply_timeout_min, min(2.0 * wire + 2.0 * latency + 0.005, 3.0 * cycle))
 
 
 def check_reply_timeout(reply_timeout_min: float) -> float:
-    """Return a checked minimum reply timeout [s]; the bound makes a silent bus known soon.
+    """Validate a minimum reply timeout [s] and return it as a float.
 
     Raises:
-        ConfigError: Not a number, or not in (0, 1] s.
+        ConfigError: The timeout is not a number, or not in (0, 1] s.
     """
     if not 0.0 < real(reply_timeout_min, "reply_timeout_min") <= MAX_REPLY_TIMEOUT_MIN:
         raise ConfigError(
@@ -117,20 +125,20 @@ def check_reply_timeout(reply_timeout_min: float) -> float:
     return float(reply_timeout_min)
 
 
-#: Time for which the length of a missing reply is avoided if there is a choice; and time after
-#: which a reply is given up if nothing was answered since [s].
+#: Time after a failed request [s]: until `AVOID_TIME` later requests avoid the length of its reply
+#: if possible; until `EXPIRY` they avoid it always, unless the servo has answered since.
 AVOID_TIME, EXPIRY = 1.0, 2.0
 
 
 @dataclass
 class PendingReply:
-    """A missing reply.
+    """Missing reply to a failed request.
 
     Attributes:
-        size: Number of data bytes.
+        size: Number of data bytes in the reply.
         time: Time of the request [s].
-        is_superseded: Whether a later request was answered, so that this reply cannot arrive any
-            more.
+        is_superseded: True if the servo has answered a later request, so that this reply can no
+            longer arrive.
     """
 
     size: int
@@ -139,29 +147,33 @@ class PendingReply:
 
 
 class PendingReplies:
-    """Missing replies of the servos on one port, by id."""
+    """Missing replies of the servos on one port, to tell late replies from new ones by length."""
 
     def __init__(self) -> None:
-        """Start without missing replies."""
+        """Create an empty record: no reply is missing."""
         self._missing: dict[int, list[PendingReply]] = {}
 
     def add(self, ids: Iterable[int], size: int, time: float) -> None:
-        """Record missing replies of this length, requested at `time` [s]."""
+        """Record for each servo a missing reply with `size` data bytes, requested at `time` [s]."""
         for id in ids:
             self._missing.setdefault(id, []).append(PendingReply(size, time))
 
     def mark_superseded(self, ids: Iterable[int]) -> None:
-        """Mark all missing replies of these servos as settled, after a reply of another length."""
+        """Mark all missing replies of these servos as superseded by a later reply."""
         for id in ids if self._missing else ():
             for reply in self._missing.get(id, ()):
                 reply.is_superseded = True
 
     def ambiguous_lengths(self, id: int) -> set[int]:
-        """Return the lengths that a late reply of this servo may have."""
+        """Return the numbers of data bytes that a late reply of servo `id` may have."""
         return {reply.size for reply in self._missing.get(id, ()) if not reply.is_superseded}
 
     def choose(self, ids: Sequence[int], blocks: Sequence[Block], now: float) -> Block | None:
-        """Return the first block whose length fits no missing reply, preferably no recent one."""
+        """Return the first of `blocks` whose length no missing reply of the servos `ids` has.
+
+        Lengths of recently superseded replies are avoided if possible. `now` is the present time
+        [s]. None: every block has the length of a missing reply.
+        """
         if not self._missing:
             return blocks[0]
         for id in ids:
@@ -193,20 +205,20 @@ NOISE_MESSAGE = (
     "noise (cable, ground, termination)"
 )
 
-#: Minimum silence of a drain, as a share of `reply_timeout_min`: tolerance for a busy host.
+#: Part of the silence that ends a drain, as a share of `reply_timeout_min`: tolerance for a busy
+#: host, in addition to wire time and adapter latency.
 SILENCE_SHARE = 0.2
-#: Outside of a cycle: factor of the timeout, and number of tries. A try that receives a late reply
-#: counts too.
+#: Outside of control cycles: factor by which reply timeouts are longer, and number of tries.
 RELAXED_FACTOR, TRIES = 5.0, 6
-#: Longest drain outside of a cycle [s], and after a failed one: an adapter with echo or noise may
-#: never be silent.
+#: Outside of control cycles: longest drain of the line [s], and longest drain after a drain that
+#: has not found silence [s].
 DRAIN, DRAIN_AGAIN = 0.5, 0.05
-#: Data bytes of a ping reply by protocol; and the number of bytes that every servo has from address
-#: 0 on without a gap.
+#: Number of data bytes of a ping reply by protocol; and number of bytes from address 0 on that can
+#: be read from every servo.
 PING_SIZE, MIN_REGISTERS = {"p1": 0, "p2": 3}, 12
-#: Number of ids tried to find an unused one.
+#: Largest number of ids that are pinged to find an unused id.
 UNUSED_ID_TRIES = 8
-#: Counter for each kind of failure.
+#: Name of the counter that each `BusError.reason` increments.
 _COUNTER_OF_REASON = {
     "timeout": "timeouts",
     "corrupt": "corrupt",
@@ -220,13 +232,13 @@ class Counters:
     """Event counters of one port since it was opened.
 
     Attributes:
-        transactions: Requests sent, with retries, without the pings of drains.
-        retries: Requests sent again.
-        timeouts: Missing or incomplete replies.
-        corrupt: Replies with a wrong checksum, frame or id.
-        stale: Late replies to earlier requests, rejected.
-        drains: Number of drains.
-        refused: Requests that a servo rejected.
+        transactions: Number of requests sent, including retries, without the pings of drains.
+        retries: Number of requests sent again.
+        timeouts: Number of missing or incomplete replies.
+        corrupt: Number of replies with a wrong checksum, frame or id.
+        stale: Number of rejected replies: late ones, or with implausible positions.
+        drains: Number of times that the line was drained until it was silent.
+        refused: Number of requests that a servo rejected.
     """
 
     transactions: int = 0
@@ -243,9 +255,9 @@ class Reply:
     """Reply of one servo.
 
     Attributes:
-        block: Block that was read.
-        data: Its bytes.
-        status: Error byte.
+        block: Block of registers that was read.
+        data: Bytes of the block.
+        status: Error byte of the reply.
         time: Time of the request [s].
     """
 
@@ -256,26 +268,28 @@ class Reply:
 
 
 class TransactionGuard:
-    """Transactions on one port, with drains, retries and counters.
+    """Requests on one port, with timeouts, retries, counters and rejection of late replies.
+
+    After a failure the line is drained: unused bytes are discarded until the line is silent.
 
     Args:
-        transport: The port.
-        protocol: `p1` or `p2`.
-        baudrate: Bits per second.
-        latency: The adapter's latency timer [s].
+        transport: Access to the port.
+        protocol: `p1` (Dynamixel 1.0 and Feetech) or `p2` (Dynamixel 2.0).
+        baudrate: Baud rate [bit/s].
+        latency: Latency timer of the USB adapter [s].
         cycle: Control period [s].
         reply_timeout_min: Minimum reply timeout [s].
-        unused_id: Unused id on the port, for drains.
-        clock: Clock for timeouts.
-        sample_clock: Clock of the time in replies; default: `clock`.
+        unused_id: Id without a servo, which is pinged to drain the line.
+        clock: Function that returns the time for timeouts [s].
+        sample_clock: Function that returns the times in replies [s]; default: `clock`.
 
     Attributes:
         counters: Event counters.
-        response_delay: Longest response delay of the servos [s].
-        latency: The adapter's latency timer [s].
-        held_back: Shortest delay of a reply over the wire time [s].
-        is_gone: Whether the port has vanished; every call then fails at once.
-        is_noisy: Whether the last drain without a budget ended without silence.
+        response_delay: Longest time from request to reply of a servo [s].
+        latency: Latency timer of the USB adapter [s].
+        held_back: Shortest time by which a reply came later than the wire time explains [s].
+        is_gone: True if the port has vanished; every request then fails at once.
+        is_noisy: True if the last drain outside of a control cycle ended without silence.
     """
 
     def __init__(
@@ -291,7 +305,7 @@ class TransactionGuard:
         clock: Callable[[], float] = time.perf_counter,
         sample_clock: Callable[[], float] | None = None,
     ) -> None:
-        """Store the port; nothing is sent yet."""
+        """Store the parameters of the port; send no request yet."""
         self.counters = Counters()
         self.response_delay = RESPONSE_DELAY
         self.is_gone = self.is_noisy = False
@@ -307,24 +321,25 @@ class TransactionGuard:
         self._silence = SILENCE_SHARE * reply_timeout_min + latency
 
     def start_cycle(self, budget: float = float("inf")) -> None:
-        """Start a cycle: no retry and no drain runs later than `budget` [s] from now.
+        """Start a control cycle: retries and drains end within `budget` [s] from now.
 
-        Without a budget, timeouts are longer and there are more tries.
+        An infinite budget is for requests outside of control cycles: they get longer timeouts and
+        more tries.
         """
         self._deadline = self._clock() + budget
 
     def read(self, id: int, *blocks: Block, again: bool = True) -> Reply:
-        """Read a block of one servo; after a failure, drain and retry.
+        """Read a block of registers of one servo; after a failure, drain the line and retry.
 
         Args:
-            id: The servo.
-            *blocks: Alternative blocks of different lengths; the first one whose length fits no
-                missing reply is read.
-            again: Whether to retry after a failure.
+            id: Id of the servo.
+            *blocks: Alternative blocks of different lengths. The first block whose length differs
+                from those of missing replies is read.
+            again: True: retry after a failure.
 
         Raises:
-            BusError: All tries failed, or there was no time for another; `late` if every length
-                fits a missing reply.
+            BusError: All tries failed, or the budget allowed no further try. The reason is `late`
+                if every length equals that of a missing reply.
         """
 
         def once() -> Reply:
@@ -333,9 +348,16 @@ class TransactionGuard:
         return self._with_retries(once) if again else self._once(once)
 
     def sync_read(self, ids: Sequence[int], *blocks: Block) -> dict[int, Reply]:
-        """Read a block of several servos with one request, without a retry; blocks as in `read`.
+        """Read a block of registers of several servos with one request, without a retry.
 
-        If one reply is missing, all fail; then ask the servos one by one.
+        Return the replies by servo id.
+
+        Args:
+            ids: Ids of the servos.
+            *blocks: Alternative blocks of different lengths, see `read`.
+
+        Raises:
+            BusError: At least one reply is missing or corrupt.
         """
 
         def once() -> dict[int, Reply]:
@@ -349,7 +371,7 @@ class TransactionGuard:
         return self._once(once)
 
     def write(self, id: int, address: int, data: bytes) -> int:
-        """Write bytes to one servo with a retry; return the status of the reply."""
+        """Write bytes to one servo, with retries; return the error byte of the reply."""
 
         def once() -> int:
             self._prepare("write", 1, len(data))
@@ -358,25 +380,30 @@ class TransactionGuard:
         return self._with_retries(once)
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write several servos with one packet; it has no reply, so only the port can fail."""
+        """Write bytes from `address` on to several servos, with one packet, which has no reply.
+
+        Raises:
+            BusError: The port is gone.
+        """
 
         def once() -> None:
             self._prepare("sync_write", len(ids), len(data[0]))
             self._io.sync_write(ids, address, data)
 
-        # The packet has no reply, so the line need not be silent.
+        # Do not drain the line: a packet without a reply does not need a silent line.
         self.check_port()
         self._count_failures(once)
 
     def ping(self, id: int) -> bool:
-        """Return True if a servo answers; no retry."""
+        """Return True if a servo answers one ping."""
 
         def once() -> bool:
             self._prepare("ping", 1, 0, is_urgent=True)
             started = self._clock()
             answered = self._io.ping(id)
             if not answered:
-                # A late servo, or two with the same id, may still be sending.
+                # Drain the line before the next request: a late servo, or two servos with one id,
+                # may still be sending.
                 self._is_dirty = True
                 self._pending.add([id], PING_SIZE[self._protocol], started)
             return answered
@@ -384,7 +411,7 @@ class TransactionGuard:
         return self._once(once)
 
     def reboot(self, id: int) -> None:
-        """Restart a servo; its reply is optional and ignored."""
+        """Restart a servo; discard its reply, which not every servo sends."""
 
         def once() -> None:
             self._prepare("write", 1, 0)
@@ -396,9 +423,13 @@ class TransactionGuard:
         self._once(once)
 
     def find_unused_id(self, used: Iterable[int], highest: int) -> None:
-        """Find the highest unused id without an answer, for drains.
+        """Find the highest id without a servo, for the pings that drain the line.
 
-        If every id seems to answer, as on a line with echo, the present one is kept.
+        Keep the present id if every id tried seems to answer, as on a line with echo.
+
+        Args:
+            used: Ids of the servos.
+            highest: Highest id to try.
         """
         free = (number for number in range(highest, -1, -1) if number not in set(used))
         for _, number in zip(range(UNUSED_ID_TRIES), free, strict=False):
@@ -420,10 +451,11 @@ class TransactionGuard:
             return self._checked(id, block, data, status, start)
 
     def _choose(self, ids: Sequence[int], blocks: Sequence[Block]) -> Block:
-        """Return the first block whose length fits no missing reply.
+        """Return the first of `blocks` whose length no missing reply of the servos `ids` has.
 
         Raises:
-            BusError: All lengths fit, and there is no time to settle them.
+            BusError: Every block has the length of a missing reply, and the cycle has no time to
+                read the servo with another length first.
         """
         found = self._pending.choose(ids, blocks, self._clock())
         if found is not None:
@@ -435,7 +467,7 @@ class TransactionGuard:
         return blocks[0]
 
     def _resolve(self, id: int) -> None:
-        """Read the first bytes of a servo, with a length that fits no missing reply."""
+        """Read a block of another length: its reply proves that no missing reply can come."""
         if ambiguous_lengths := self._pending.ambiguous_lengths(id):
             size = next(
                 (n for n in range(MIN_REGISTERS, 0, -1) if n not in ambiguous_lengths), None
@@ -446,7 +478,10 @@ class TransactionGuard:
 
     @contextmanager
     def _recording_failure(self, ids: Sequence[int], size: int) -> Iterator[None]:
-        """Return a context for a request; if it fails, its reply is recorded as missing."""
+        """Return a context for a request to the servos `ids` with `size` data bytes per reply.
+
+        If the request fails, its replies are recorded as missing; else earlier ones as superseded.
+        """
         started = self._clock()
         try:
             yield
@@ -456,7 +491,11 @@ class TransactionGuard:
         self._pending.mark_superseded(ids)
 
     def _checked(self, id: int, block: Block, data: bytes, status: int, start: float) -> Reply:
-        """Return a reply of the right length; raise for another length, a late reply."""
+        """Return the reply of servo `id` if `data` has the length of the block.
+
+        Raises:
+            BusError: The servo rejected the request, or the reply belongs to an earlier request.
+        """
         if len(data) == block.size:
             return Reply(block, data, status, start)
         if not data and status:
@@ -473,7 +512,10 @@ class TransactionGuard:
         )
 
     def _prepare(self, kind: Kind, servos: int, size: int, *, is_urgent: bool = False) -> float:
-        """Set the timeout of a request, count it, and return the time [s]."""
+        """Set the reply timeout for a request, count the request, and return the present time [s].
+
+        An urgent request gets no longer timeout outside of control cycles.
+        """
         wire = wire_time(
             self._protocol,
             kind,
@@ -499,7 +541,10 @@ class TransactionGuard:
             self._timeout = timeout
 
     def _with_retries(self, call: Callable[[], T]) -> T:
-        """Call; after a temporary failure, drain and call again if the budget allows."""
+        """Return the result of `call()`, a function that makes one request.
+
+        After a temporary failure, drain the line and call again if the time in the cycle allows.
+        """
         tries = TRIES if isinf(self._deadline) else 2
         while True:
             try:
@@ -517,11 +562,11 @@ class TransactionGuard:
                 self.counters.retries += 1
 
     def _is_late(self) -> bool:
-        """Return True if the reply to one more request could come after the deadline."""
+        """Return True if a request that is sent now could time out after the end of the cycle."""
         return self._clock() + self._reply_timeout > self._deadline
 
     def _once(self, call: Callable[[], T]) -> T:
-        """Drain the line if needed, then call once."""
+        """Drain the line if the last request failed, then return the result of `call()`."""
         self.check_port()
         if self._is_dirty and not self._drain():
             if isinf(self._deadline):
@@ -533,13 +578,13 @@ class TransactionGuard:
         """Check that the port is present.
 
         Raises:
-            BusError: It has vanished.
+            BusError: The port has vanished.
         """
         if self.is_gone:
             raise BusError("the port is gone: close it, plug it in and open it again", "gone")
 
     def _count_failures(self, call: Callable[[], T]) -> T:
-        """Call, and count failures."""
+        """Return the result of `call()`; count a failure by its reason, and raise it again."""
         try:
             return call()
         except BusError as error:
@@ -552,11 +597,11 @@ class TransactionGuard:
             raise
 
     def _drain(self) -> bool:
-        """Listen until the line has been silent for one reply time; return False on timeout.
+        """Wait until the line has been silent for the time of a reply; return False on timeout.
 
-        A ping to an unused id reads all data that arrive: it returns early if there were any, and
-        after its timeout otherwise. Without a budget, the silence must last as long as a reply
-        timeout, and the drain ends after `DRAIN`.
+        Pings to an unused id discard the data on the line: a ping returns early if data arrive, and
+        after its timeout otherwise. In a control cycle, the drain ends with the cycle. Outside, the
+        silence must last as long as a reply timeout, and the drain ends after `DRAIN`.
         """
         self.counters.drains += 1
         is_relaxed = isinf(self._deadline)

@@ -32,15 +32,16 @@ if TYPE_CHECKING:
     from pliant.servo.transport import Transport
 
 
-#: Largest difference of the angles that two servos of one joint measure; above it, a fault [rad].
+#: Difference between the joint angles that two servos of one joint measure, above which a fault is
+#: reported [rad].
 MAX_DISAGREEMENT = 0.1
 
 
 def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
-    """Set the zero of each joint's second servo so that it measures the angle of the first.
+    """Set the zero of each joint's second servo so that both servos measure the same joint angle.
 
     Raises:
-        ServoError: Within the joint's range, the second servo's count would wrap around.
+        ServoError: The count of the second servo would wrap around within the joint's range.
     """
     for first, *secondaries in joints:
         for secondary in secondaries:
@@ -52,11 +53,11 @@ def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
 
 
 def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -> JointReadings:
-    """Return one reading of all joints.
+    """Return the readings of all joints from the last replies of their servos.
 
     Args:
-        joints: Servos of each joint, the first one first.
-        answered: Port and id of the servos that answered in this reading.
+        joints: Servos of each joint, the primary servo first.
+        answered: Port and id of the servos with an accepted reply in this cycle.
     """
     rows = []
     for joint in joints:
@@ -85,7 +86,7 @@ def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -
     return JointReadings(position, ok, times, velocity, load, current)
 
 
-#: Time after which a reading makes no retries: this multiple of the period, or of
+#: Largest time for reading all servos with retries, as a multiple of the control period, or of
 #: `reply_timeout_min` if that is longer.
 BUDGET = 3.0
 
@@ -97,14 +98,15 @@ class ServoBus:
     joint's range. Goals go to enabled joints only. EEPROM is never written.
 
     Args:
-        specs: One per joint, grippers included; all vectors have their order.
-        baudrate: Bits per second, one value or a mapping by port.
-        rate: Control rate [Hz], from which timeouts and the time for retries follow.
+        specs: One `ServoSpec` per joint, grippers included; all vectors (n,) have this order.
+        baudrate: Baud rate [bit/s], one value or a mapping by port.
+        rate: Control rate [Hz], which determines timeouts and the time for retries.
         reply_timeout_min: Minimum reply timeout [s], at most 1; use more on a busy computer.
         speed: Largest speed of every joint [rad/s], for the servos' speed registers; None: the
             no-load speed.
-        transport: ``(port, baudrate, protocol) -> Transport`` instead of rustypot.
-        clock: Clock of the samples, and of an arm over this bus; default: the machine's.
+        transport: Function ``(port, baudrate, protocol) -> Transport`` that opens a port; default:
+            rustypot.
+        clock: Clock of the readings and of an arm on this bus; default: the system clock.
 
     Attributes:
         names: Joint names.
@@ -132,7 +134,7 @@ class ServoBus:
         transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
         clock: Clock | None = None,
     ) -> None:
-        """Check the specs; nothing is opened yet."""
+        """Check that the specs fit together; `open` opens the ports."""
         self.specs = check_specs(specs)
         self.names = tuple(spec.name for spec in self.specs)
         self.n = len(self.specs)
@@ -153,13 +155,14 @@ class ServoBus:
         self._watchdog = 0.0
         self.found: tuple[ServoInfo, ...] = ()
 
-    # Opening and closing.
+    # Methods that open and close the bus.
 
     def open(self) -> None:
         """Open the ports, identify every servo, and read all joints once.
 
         Raises:
-            ServoError: The cause and the remedy; the ports are closed again.
+            ServoError: A port cannot be opened, or a servo cannot be driven; the message gives
+                cause and remedy. The ports are closed again.
         """
         if self._ports:
             return
@@ -185,7 +188,7 @@ class ServoBus:
             self._pool = None
 
     def __enter__(self) -> ServoBus:
-        """Open the bus and return it."""
+        """Open the ports as `open` does, and return this bus."""
         self.open()
         return self
 
@@ -194,7 +197,7 @@ class ServoBus:
         self.close()
 
     def identify(self) -> tuple[ServoInfo, ...]:
-        """Identify and check every servo, and read its ceilings, limits and gains.
+        """Identify and check every servo, and read its torque ceiling, position limits and gain.
 
         Raises:
             ServoError: A servo is missing, is another model, or cannot be driven.
@@ -212,30 +215,30 @@ class ServoBus:
         order = {name: i for i, name in enumerate(self.names)}
         return tuple(sorted(found, key=lambda f: order[f.joint]))
 
-    # Servo parameters and state.
+    # Parameters and state of the servos; methods that read and write in every control cycle.
 
     @property
     def servos(self) -> Servos:
-        """Servo parameters for a controller: gains and torque ceilings as read from the servos."""
+        """Servo parameters for a controller, with gains and torque ceilings read from servos."""
         first = [joint[0] for joint in self._joints]
         ceilings = [min(device.ceiling for device in joint) for joint in self._joints]
         return servos_from_units([d.units for d in first], [d.gain for d in first], ceilings)
 
     @property
     def stiffness_known(self) -> Mask:
-        """Mask (n,) of joints whose k_p was identified on this arm (`ServoSpec.kp`)."""
+        """Mask (n,) of joints whose stiffness k_p was identified on this arm (`ServoSpec.kp`)."""
         return np.array([spec.kp is not None for spec in self.specs])
 
     @property
     def gains(self) -> dict[str, int]:
-        """Gain register of each joint's first servo, as read at open."""
+        """Gain register of each joint's first servo as read at open, by joint name."""
         return {s.name: joint[0].gain for s, joint in zip(self.specs, self._joints, strict=True)}
 
     @property
     def overload(self) -> Array:
         """Share of the usable torque above which overload protection acts (n,); ∞: never.
 
-        For Feetech this is the Overload Torque register, as a share of the full torque.
+        For Feetech servos the share follows from the register Overload Torque.
         """
         shares = []
         for first, *_ in self._joints:
@@ -250,12 +253,12 @@ class ServoBus:
 
     @property
     def counters(self) -> dict[str, int]:
-        """Event counters since open, summed over all ports.
+        """Event counters since open by name, summed over all ports.
 
-        Those of the ports (`transactions`, `retries`, `timeouts`, `corrupt`, `stale`, `drains`,
-        `refused`), and `mismatches`: limits that did not read back as written; `alerts`: errors
-        that appeared in a status, even briefly; `trips`: bus watchdogs that tripped and were
-        cleared.
+        Counters of requests are `transactions`, `retries`, `timeouts`, `corrupt` (invalid replies),
+        `stale` (late or implausible replies), `drains` (waits for a silent line) and `refused`.
+        Counters of servos are `mismatches`, registers that did not read back as written; `alerts`,
+        errors that appeared in a status byte, even briefly; and `trips` of bus watchdogs.
         """
         kinds = ("mismatches", "alerts", "trips")
         total = {kind: sum(getattr(device, kind) for device in self._devices) for kind in kinds}
@@ -266,12 +269,15 @@ class ServoBus:
 
     @property
     def enabled(self) -> Mask:
-        """Mask (n,) of joints with torque on: enabled here, or already at open."""
+        """Mask (n,) of joints with torque on, switched on by this program or before open."""
         return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
 
     @property
     def orders(self) -> tuple[Array, Array]:
-        """Goals [rad] and limits [N·m] (n,) of joints whose torque was on at open; else NaN."""
+        """Goals [rad] and torque limits [N·m] (n,) that the servos of enabled joints had at open.
+
+        NaN for joints whose torque was off at open, or was switched on by this program.
+        """
         goals, limits = np.full(len(self._joints), np.nan), np.full(len(self._joints), np.nan)
         for i, joint in enumerate(self._joints):
             stored_command = [d.stored_command for d in joint if d.torque_on and not d.enabled]
@@ -282,14 +288,17 @@ class ServoBus:
 
     @property
     def refusing(self) -> Mask:
-        """Mask (n,) of joints known to reject goals: watchdog tripped, or wrong read-back."""
+        """Mask (n,) of joints known to reject goals.
+
+        Their bus watchdog has tripped, or their goal repeatedly did not read back as written.
+        """
         return np.array([any(d.is_refusing for d in joint) for joint in self._joints])
 
     def read(self) -> JointReadings:
-        """Read all joints; a joint without an answer has `ok` False and keeps its last position.
+        """Read all joints; a joint without a reply has `ok` False and keeps its last position.
 
         Raises:
-            ServoError: All ports are gone. If only some are gone, their joints have a fault.
+            ServoError: All ports are gone. If only some ports are gone, their joints have a fault.
         """
         self._check_open()
         if self._pool is None:
@@ -311,12 +320,13 @@ class ServoBus:
             goal: Joint goals (n,) [rad]; clamped to the joint's range.
             limit: Torque limits (n,) [N·m], at least 0; rounded down to the register, clamped to
                 the servo's ceiling.
-            velocity: Largest speed (n,) [rad/s], at least 0; at most `speed`, the default.
+            velocity: Largest joint speeds (n,) [rad/s], at least 0; the argument `speed` of the bus
+                bounds them, and is the default.
 
         Raises:
             ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
-            ServoError: All ports are gone. Other lost packets are counted, and the last goal and
-                limit stay in force.
+            ServoError: All ports are gone. Other packets that cannot be sent are counted, and the
+                last goal and limit stay in force.
         """
         self._check_open()
         goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
@@ -335,15 +345,16 @@ class ServoBus:
                     )
         for port in self._ports:
             if id(port) in packets:
-                # The port counts the error; the servos keep the values written last.
+                # Ignore the error, which the port counts: the servos keep the values written last.
                 with suppress(BusError):
                     port.write(packets[id(port)])
         self._report_lost_ports()
 
     def poll_status(self) -> ServoStatus | None:
-        """Read voltage, temperature, faults or limit of the next servo.
+        """Read some of the status registers of one servo, the servos taking turns.
 
-        Call it once per cycle, after `read` and `write`.
+        Return voltage, temperature, faults and limit of its joint as last read; None without a
+        reply. Call this method once per cycle, after `read` and `write`.
 
         Raises:
             ServoError: All ports are gone.
@@ -358,21 +369,22 @@ class ServoBus:
         self._report_lost_ports()
         return status
 
-    # Torque on and off.
+    # Methods that switch torque on and off.
 
     def enable(self, goal: ArrayLike, limit: ArrayLike) -> None:
-        """Switch torque on: limit, then goal = present position, then torque, then verify.
+        """Switch torque on in the present pose, with the present positions as goals.
 
-        A joint whose torque is on already keeps it on, with `goal`.
+        Torque limits and goals are written and checked before torque comes on, and the positions
+        afterwards. A joint whose torque is on already keeps it, and gets `goal` as its goal.
 
         Args:
             goal: Expected joint positions (n,) [rad].
             limit: First torque limits (n,) [N·m].
 
         Raises:
-            ShapeError, ConfigError: As `write`.
+            ShapeError, ConfigError: A vector is not (n,), not finite or negative.
             ServoError: A servo has a fault, a joint is not near `goal`, moved, or did not confirm.
-                Torque is then as it was before.
+                The servos switched on are switched off again.
         """
         self._check_open()
         goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
@@ -385,7 +397,7 @@ class ServoBus:
         """Switch torque off, by default of all joints; all are tried even if one fails.
 
         Raises:
-            ServoError: Joints that did not confirm.
+            ServoError: Joints did not confirm that torque is off; the message names them.
         """
         self._check_open()
         sequences.disable(self._select(names), self._port_of)
@@ -394,16 +406,16 @@ class ServoBus:
         """Restart the servos of a joint, which clears latched faults; torque is then off.
 
         Raises:
-            ServoError: The servo family does not support it, or the servo did not return.
+            ServoError: The servo cannot reboot over the bus, or did not answer afterwards.
         """
         self._check_open()
         sequences.reboot(self._select([name]), self._port_of)
 
     def watchdog(self, seconds: float) -> None:
-        """Set the bus watchdog (Protocol 2.0): servos stop after this silence [s]; 0: never.
+        """Set the bus watchdog (Protocol 2.0): servos stop after this bus silence [s]; 0 is off.
 
         Raises:
-            ServoError: A servo did not confirm.
+            ServoError: A servo did not confirm the new watchdog time.
         """
         self._check_open()
         self._watchdog = seconds
@@ -412,14 +424,14 @@ class ServoBus:
             raise ServoError(f"{', '.join(silent)} did not confirm the bus watchdog")
 
     def _read_port(self, port: Port) -> set[int]:
-        """Return the ids read on one port; empty if the port is gone."""
+        """Read the servos of one port; return the ids with a reading, empty if the port is gone."""
         try:
             return port.read(self._budget)
         except BusError:
             return set()
 
     def _report_lost_ports(self) -> None:
-        """Report the joints of lost ports as faults; the others can still be driven and lowered.
+        """Set a fault for each joint of a port that is gone; other joints can still be driven.
 
         Raises:
             BusError: All ports are gone.
@@ -432,8 +444,8 @@ class ServoBus:
                 device.fault("port", True, f"its port {port.path} is gone: is it plugged in?")
 
     def _reset(self) -> None:
-        """Create new devices, counters and status poller, without any state read from servos."""
-        #: Servos of each joint, the primary first.
+        """Create new devices, counters and status poller; discard all state read from servos."""
+        #: Servos of each joint, the primary servo first.
         self._joints = [
             [Device(spec, i, number, sign) for number, sign in spec.servos]
             for i, spec in enumerate(self.specs)
@@ -458,7 +470,7 @@ class ServoBus:
         self._port_of.update({id(device): port for device in devices})
 
     def _read_first(self) -> None:
-        """Read all joints once; secondaries take their zero from the first servo of the joint."""
+        """Read all servos once; set the zero of second servos from the first servo of the joint."""
         for device in self._devices:
             port = self._port_of[id(device)]
             port.guard.start_cycle()
@@ -469,7 +481,7 @@ class ServoBus:
         speeds = np.array([self._speed or joint[0].units.no_load_speed for joint in self._joints])
         if velocity is None:
             return speeds
-        # inf means no speed limit.
+        # Replace infinite velocities, which mean no limit, by large numbers: `_vector` rejects inf.
         cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity", unit="rad/s")
         slower: Array = np.minimum(cap, speeds)
         return slower
@@ -483,7 +495,10 @@ class ServoBus:
         return [device for device in self._devices if device.spec.name in names]
 
     def _vector(self, value: ArrayLike, name: str, *, unit: str = "") -> Array:
-        """Return one finite number per joint; `unit` is the unit if values must be at least 0."""
+        """Validate and return a vector (n,) of finite numbers.
+
+        If `unit` is given, every number must be at least 0; the error message contains the unit.
+        """
         array = np.array(value, dtype=np.float64)
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")

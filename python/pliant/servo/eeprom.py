@@ -1,7 +1,7 @@
 """Setup of a servo's EEPROM: find the registers to change, write them, and restore them.
 
-This is the only module that writes EEPROM. Torque is off meanwhile, every register is read back,
-and the former values are returned so that they can be restored.
+This is the only module that writes EEPROM. It requires that torque is off, and reads every register
+back. Every change contains the former value, so that it can be undone.
 """
 
 from __future__ import annotations
@@ -19,21 +19,23 @@ if TYPE_CHECKING:
     from pliant.servo._transactions import TransactionGuard
     from pliant.servo.models import Family, ServoModel
 
-#: Registers that a setup writes.
+#: Names of the registers that a setup may write.
 SETUP_REGISTERS = (
     "return_level", "return_delay", "shutdown", "mode", "drive_mode", "shadow_id",
     "position_min", "position_max",
 )  # fmt: skip
+#: Number of the bit of the register Shutdown that enables overload protection.
 OVERLOAD_BIT = 5
-#: Values of the register Operating Mode.
+#: Values of the register Operating Mode (Protocol 2.0) for current-based position control and for
+#: position control.
 CURRENT_POSITION, POSITION = 5, 3
-#: Value of the register Secondary ID that disables this second id.
+#: Value of the register Secondary ID that disables the secondary id.
 NO_SECONDARY = 255
-#: Bits of the register Drive Mode that a setup clears: follower (bit 1), time-based profile (bit
-#: 2), and torque on by a goal (bit 3).
-UNWANTED_BITS = 0b1110
-#: Slave bit of the Drive Mode of Protocol 1.0.
-SLAVE = 0b10
+#: Mask of the bits of the register Drive Mode (Protocol 2.0) that a setup clears: follow another
+#: servo (bit 1), time-based profile (bit 2), and torque on by a goal (bit 3).
+DRIVE_MODE_BITS_TO_CLEAR = 0b1110
+#: Mask of the bit of the register Drive Mode (Protocol 1.0) that makes a servo follow another one.
+SLAVE_BIT = 0b10
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,9 @@ class RegisterChange:
     Attributes:
         joint: Joint name.
         id: Servo id.
-        register: Field name.
-        old, new: Present value, and value to write.
-        why: Reason, one sentence.
+        register: Register name.
+        old, new: Present value of the register, and value to write.
+        why: Reason for the change, one sentence.
         model: Servo model; empty if unknown.
     """
 
@@ -61,10 +63,17 @@ class RegisterChange:
 def plan_setup(
     io: TransactionGuard, joint: str, id: int, row: ServoModel, *, overload: bool = True
 ) -> list[RegisterChange]:
-    """Return the changes that a setup needs on one servo; `overload` clears that bit of Shutdown.
+    """Return the changes that a setup needs on one servo.
+
+    Args:
+        io: Access to the port of the servo.
+        joint: Joint name, for messages.
+        id: Servo id.
+        row: Servo model in the configuration.
+        overload: True: clear the bit of the register Shutdown that enables overload protection.
 
     Raises:
-        ServoError: No answer, or another model.
+        ServoError: The servo does not answer, or is another model.
     """
     _check_model(io, joint, id, row)
     required = _required_values(io, id, row, overload)
@@ -74,10 +83,12 @@ def plan_setup(
 def plan_restore(
     io: TransactionGuard, joint: str, id: int, row: ServoModel, former: Iterable[RegisterChange]
 ) -> list[RegisterChange]:
-    """Return the changes that restore one servo; `former` may also hold those of other servos.
+    """Return the register changes that undo the earlier changes `former` on servo `id`.
+
+    Changes of other servos in `former` are ignored. `row` is the servo model in the configuration.
 
     Raises:
-        ServoError: No answer, or another model.
+        ServoError: The servo does not answer, or is another model.
     """
     own = [change for change in former if (change.joint, change.id) == (joint, id)]
     if not own:
@@ -88,7 +99,11 @@ def plan_restore(
 
 
 def _check_model(io: TransactionGuard, joint: str, id: int, row: ServoModel) -> None:
-    """Check that a servo is of the configured model."""
+    """Check that servo `id` is of the model `row`.
+
+    Raises:
+        ServoError: The servo does not answer, or is another model.
+    """
     number = read(io, id, row.family, "model")
     if number != row.model_number:
         known = " or ".join(r.name for r in by_number(number)) or f"model number {number}"
@@ -102,7 +117,10 @@ def _differences(
     row: ServoModel,
     required: Mapping[str, tuple[int, str]],
 ) -> list[RegisterChange]:
-    """Return a change for each register that differs from its wanted value."""
+    """Return a `RegisterChange` for each register whose value is not the required one.
+
+    `required` is the required value and the reason for it, by register name.
+    """
     out = []
     for register, (new, why) in required.items():
         old = read(io, id, row.family, register)
@@ -114,10 +132,13 @@ def _differences(
 def _required_values(
     io: TransactionGuard, id: int, row: ServoModel, overload: bool
 ) -> dict[str, tuple[int, str]]:
-    """Return wanted values and reasons by register."""
+    """Return the value that each register must have, and the reason for it, by register name.
+
+    `overload` is True to include the end of overload protection.
+    """
     family = row.family
     out: dict[str, tuple[int, str]] = {}
-    # First, so that the following writes are acknowledged.
+    # Set the return level first, so that the servo acknowledges the following writes.
     out["return_level"] = (1 if family.status == "feetech" else 2, "acknowledges writes")
     if family.status != "feetech":
         out["return_delay"] = (0, "answers at once: the loop is up to four times as fast")
@@ -128,7 +149,7 @@ def _required_values(
     if family.status == "p2":
         mode = CURRENT_POSITION if row.limit_type == "current" else POSITION
         out["mode"] = (mode, "position control whose torque the limit bounds")
-        drive = read(io, id, family, "drive_mode") & ~UNWANTED_BITS
+        drive = read(io, id, family, "drive_mode") & ~DRIVE_MODE_BITS_TO_CLEAR
         out["drive_mode"] = (drive, "follows goals of its own, at once, with torque as told")
         out["shadow_id"] = (NO_SECONDARY, "obeys its own id only")
     elif family.status == "feetech":
@@ -138,16 +159,17 @@ def _required_values(
             why = "position control, and not a wheel or several turns"
             out["position_min"], out["position_max"] = (0, why), (row.max_position, why)
         if "drive_mode" in family.registers:
-            drive = read(io, id, family, "drive_mode") & ~SLAVE
+            drive = read(io, id, family, "drive_mode") & ~SLAVE_BIT
             out["drive_mode"] = (drive, "follows goals of its own")
     return out
 
 
 def write_changes(io: TransactionGuard, family: Family, required: Sequence[RegisterChange]) -> None:
-    """Write the changes of one servo: torque off, write, read back.
+    """Write the changes `required` of one servo, and read each register back.
 
     Raises:
-        ServoError: Torque is on, or a register did not take its value; earlier ones were written.
+        ServoError: Torque is on, or a register did not read back as written; the registers before
+            it have been changed.
     """
     if not required:
         return
@@ -171,11 +193,13 @@ def write_changes(io: TransactionGuard, family: Family, required: Sequence[Regis
 
 
 def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
-    """Change the id of the only servo that answers to `old`, which drives `joint`.
+    """Change the id of the servo of `joint` from `old` to `new`.
+
+    No other servo on the port may have the id `old`. `row` is the configured servo model.
 
     Raises:
-        ServoError: No answer, another model, torque is on, the new id is taken, or the servo did
-            not accept it.
+        ServoError: The servo does not answer, is another model, or has torque on; the new id is
+            taken; or the servo did not accept it.
     """
     check_set_id(io, joint, row, old, new)
     family = row.family
@@ -189,10 +213,10 @@ def set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int
 
 
 def check_set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, new: int) -> None:
-    """Check the conditions of `set_id`; nothing is written.
+    """Check the preconditions of `set_id`, without writing registers.
 
     Raises:
-        ServoError: As `set_id`.
+        ServoError: A precondition is not met, see `set_id`.
     """
     _check_model(io, joint, old, row)
     if read(io, old, row.family, "torque_enable"):
@@ -205,10 +229,10 @@ def check_set_id(io: TransactionGuard, joint: str, row: ServoModel, old: int, ne
 
 
 def read(io: TransactionGuard, id: int, family: Family, name: str) -> int:
-    """Return the value of a register.
+    """Return the value of the register `name` of servo `id`.
 
     Raises:
-        ServoError: No answer.
+        ServoError: The servo does not answer.
     """
     register = family.registers[name]
     try:
@@ -219,7 +243,10 @@ def read(io: TransactionGuard, id: int, family: Family, name: str) -> int:
 
 
 def _write(io: TransactionGuard, id: int, family: Family, name: str, value: int) -> None:
-    """Write a register and read it back, because not every write is answered."""
+    """Write `value` to the register `name` of servo `id`.
+
+    Ignore a missing reply, because the caller reads the register back.
+    """
     register = family.registers[name]
     try:
         io.write(id, register.address, register.encode(value))
@@ -228,6 +255,9 @@ def _write(io: TransactionGuard, id: int, family: Family, name: str, value: int)
 
 
 def _lock(io: TransactionGuard, id: int, family: Family, *, locked: bool) -> None:
-    """Lock or unlock EEPROM: Feetech by a register; on Dynamixel, torque locks it."""
+    """Lock or unlock the EEPROM of a Feetech servo by its register Lock.
+
+    Do nothing for Dynamixel servos, whose EEPROM is locked while torque is on.
+    """
     if "lock" in family.registers:
         _write(io, id, family, "lock", int(locked))

@@ -1,4 +1,4 @@
-"""Scan of a serial port: every baud rate, both protocols, id by id. Reads only."""
+"""Scan of a serial port for servos at every baud rate, protocol and id; it writes no registers."""
 
 from __future__ import annotations
 
@@ -20,46 +20,47 @@ if TYPE_CHECKING:
 
 #: Baud rates to try [bit/s], the most common first.
 BAUDRATES = (1_000_000, 57_600, 115_200, 500_000, 2_000_000, 3_000_000, 4_000_000)
-#: Ids that a scan tries by default: those in common use.
+#: Ids that a scan tries by default: ids in common use.
 USUAL = range(41)
+#: All ids that both protocols allow.
 ALL = range(253)
-#: Reply timeout in addition to wire and adapter [s]: the longest return delay of a servo, and a
-#: busy host.
-PATIENCE = 0.005
-#: Reply timeout if a reply may be late, and silence of the line before such a request [s]: an
-#: adapter that holds replies back for 16 ms, and a busy host.
-CAREFUL = 0.05
-#: After a late or broken reply, the scan asks this number of preceding ids again.
-BEFORE = 12
-#: `UNUSED_ID`: id without a servo, for listening. `LISTENS`: number of listens until the line
-#: counts as never silent. `TRIES`: number of requests to an id whose replies are broken.
-UNUSED_ID, LISTENS, TRIES = 252, 20, 3
-#: Longest response delay of a servo [s]: the makers' default is 500 µs.
-SLOWEST_TURN = 0.0006
-TWO = (
+#: Tolerance of the short reply timeout for a busy host, beside wire time and adapter latency [s].
+TIMEOUT_MARGIN = 0.005
+#: Minimum of the long reply timeout, for a request after data have arrived, and minimum silence of
+#: the line before such a request [s]. Adapters hold replies back for up to 16 ms.
+LONG_TIMEOUT = 0.05
+#: Number of preceding ids that the scan asks again when data arrive, as these may be a late reply.
+IDS_TO_REPEAT = 12
+#: Id that is assumed to have no servo, and is pinged to detect data on the line; number of such
+#: pings after which the line counts as never silent; number of requests to an id whose replies are
+#: corrupt.
+UNUSED_ID, MAX_PINGS, TRIES = 252, 20, 3
+#: Longest response delay of a servo [s]: 500 µs is the makers' default, plus a margin.
+MAX_RESPONSE_DELAY = 0.0006
+SAME_ID_NOTE = (
     "broken answer: two servos on this id? Connect them one by one and give each its own with "
     "`pliant servos setup ARM --set-id OLD:NEW`; else a bad cable"
 )
-EVERYBODY = (
+BAD_LINE_NOTE = (
     "broken answers from every id: an adapter that hears its own requests or adds bytes when it "
     "turns the line round; noise; or another baud rate"
 )
-#: Address of the model number: Dynamixel, Feetech.
-MODEL_AT = {"p1": (0, 3), "p2": (0,)}
+#: Addresses of the register Model Number by protocol; `p1`: of Dynamixel 1.0, then of Feetech.
+MODEL_ADDRESSES = {"p1": (0, 3), "p2": (0,)}
 
 
 @dataclass(frozen=True)
 class ScannedServo:
-    """A servo that answered.
+    """Servo that answered a scan.
 
     Attributes:
         port: Path of the port.
-        baudrate: [bit/s]
-        protocol: `p1` (Feetech too) or `p2`.
+        baudrate: Baud rate [bit/s].
+        protocol: `p1` (Dynamixel 1.0 and Feetech) or `p2` (Dynamixel 2.0).
         id: Id on the bus.
         number: Model number; None if it could not be read.
-        models: Table rows with this number; Feetech's variants share one.
-        note: Anomaly; empty otherwise.
+        models: Names of the models with this number; Feetech's variants share one number.
+        note: Description of an anomaly; empty otherwise.
     """
 
     port: str
@@ -79,14 +80,14 @@ def scan(
     transport: Callable[[str, int, Wire], Transport] = RustypotTransport,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[ScannedServo, ...]:
-    """Ask every id at every baud rate, in both framings.
+    """Search a port for servos by a read request to every id, at every baud rate and protocol.
 
     Args:
-        port: Path of the port; it must be free.
-        baudrates: Speeds to try [bit/s].
+        port: Path of the port; no other program may use it.
+        baudrates: Baud rates to try [bit/s].
         ids: Ids to try.
-        transport: Opens the port: ``(path, baudrate, protocol) -> Transport``.
-        progress: Called with a text before each step.
+        transport: Function ``(path, baudrate, protocol) -> Transport`` that opens the port.
+        progress: Function that is called with a text before each step.
 
     Returns:
         Servos that answered.
@@ -103,58 +104,61 @@ def scan(
             progress(f"{port}, {baudrate} bit/s, Protocol {protocol[1]}.0")
             io = transport(port, baudrate, protocol)
             try:
-                found += _Asking(io, port, baudrate, protocol, held_back).ask_all(asked)
+                found += _IdScan(io, port, baudrate, protocol, held_back).run(asked)
             finally:
                 io.close()
     return tuple(found)
 
 
-class _Asking:
-    """Scan of the ids on an open port, which assigns late replies to no other id.
+class _IdScan:
+    """Scan of the ids on an open port at one baud rate and protocol.
 
-    Each id gets the normal reply time. As soon as any data arrive, even late data of an earlier id,
-    the scan listens until the line is silent, and asks the last ids again with a longer timeout.
-    If any servo answers, silent ids are asked a second time, because a busy host loses replies.
+    Each id is first asked with a short reply timeout. When data arrive, they may be the late reply
+    of an earlier id. The scan then waits until the line is silent, and asks the last ids again with
+    a longer timeout, so that no reply is assigned to another id. If any servo answers, silent ids
+    are asked a second time, because a busy host loses replies.
     """
 
     def __init__(
         self, io: Transport, port: str, baudrate: int, protocol: Wire, held_back: float
     ) -> None:
         self._io, self._port, self._baudrate, self._protocol = io, port, baudrate, protocol
-        wire = wire_time(protocol, "read", 1, 2, baudrate=baudrate, response_delay=SLOWEST_TURN)
-        self._quick = wire + held_back + PATIENCE
-        self._careful = max(CAREFUL, 3.0 * self._quick)
+        wire = wire_time(
+            protocol, "read", 1, 2, baudrate=baudrate, response_delay=MAX_RESPONSE_DELAY
+        )
+        self._short_timeout = wire + held_back + TIMEOUT_MARGIN
+        self._long_timeout = max(LONG_TIMEOUT, 3.0 * self._short_timeout)
 
-    def ask_all(self, ids: Sequence[int]) -> list[ScannedServo]:
+    def run(self, ids: Sequence[int]) -> list[ScannedServo]:
         """Return the servos that answer, in the order of the ids.
 
         Raises:
             ServoError: The line is never silent.
         """
         self._is_silent = False
-        if not self._listen():
+        if not self._wait_for_silence():
             raise ServoError(f"{self._port}: {NOISE_MESSAGE}")
         known: dict[int, ScannedServo | None] = {}
         for place, number in enumerate(ids):
-            if number in known or not self._stirs(number):
+            if number in known or not self._has_traffic(number):
                 continue
-            for again in ids[max(place - BEFORE, 0) : place + 1]:
+            for again in ids[max(place - IDS_TO_REPEAT, 0) : place + 1]:
                 if known.get(again) is None:
-                    known[again] = self._ask(again)
+                    known[again] = self._identify(again)
         if any(known.values()):
             for number in ids:
                 if number not in known:
-                    known[number] = self._ask(number)
+                    known[number] = self._identify(number)
         found = [servo for number in ids if (servo := known.get(number)) is not None]
-        if len(found) > 1 and all(servo.note == TWO for servo in found):
-            found = [replace(servo, note=EVERYBODY) for servo in found]
+        if len(found) > 1 and all(servo.note == SAME_ID_NOTE for servo in found):
+            found = [replace(servo, note=BAD_LINE_NOTE) for servo in found]
         return found
 
-    def _stirs(self, number: int) -> bool:
-        """Send a request to an id; return True if any data arrive."""
-        self._io.set_timeout(self._quick)
+    def _has_traffic(self, number: int) -> bool:
+        """Send a request to id `number` with the short reply timeout; True: data have arrived."""
+        self._io.set_timeout(self._short_timeout)
         try:
-            self._io.read(number, MODEL_AT[self._protocol][0], 2)
+            self._io.read(number, MODEL_ADDRESSES[self._protocol][0], 2)
         except BusError as error:
             error.raise_if_gone()
             if error.reason == "timeout":
@@ -162,15 +166,16 @@ class _Asking:
         self._is_silent = False
         return True
 
-    def _ask(self, number: int) -> ScannedServo | None:
-        """Return the servo that answers to an id, with a longer timeout; None: no answer.
+    def _identify(self, number: int) -> ScannedServo | None:
+        """Return the servo that answers to id `number` within the long timeout; None: no reply.
 
-        It is read, not pinged: if two servos answer a ping at once, it looks like no answer.
+        The request is a read, not a ping: after the ping replies of two servos at once, the
+        transport would report no servo.
         """
         for _ in range(TRIES):
-            self._listen()
+            self._wait_for_silence()
             try:
-                self._io.read(number, MODEL_AT[self._protocol][0], 2)
+                self._io.read(number, MODEL_ADDRESSES[self._protocol][0], 2)
             except BusError as error:
                 error.raise_if_gone()
                 self._is_silent = error.reason == "timeout"
@@ -181,34 +186,37 @@ class _Asking:
             model, rows = _model(self._io, self._protocol, number)
             note = "" if rows else "not in the servo table"
             return self._result(number, note, model, rows)
-        return self._result(number, TWO)
+        return self._result(number, SAME_ID_NOTE)
 
     def _result(
         self, number: int, note: str, model: int | None = None, rows: tuple[str, ...] = ()
     ) -> ScannedServo:
         return ScannedServo(self._port, self._baudrate, self._protocol, number, model, rows, note)
 
-    def _listen(self) -> bool:
-        """Wait until the line is silent, for a limited time; return True if it is."""
-        self._io.set_timeout(self._careful)
+    def _wait_for_silence(self) -> bool:
+        """Wait until the line is silent; return False if data still arrive after `MAX_PINGS`."""
+        self._io.set_timeout(self._long_timeout)
         if self._is_silent:
             return True
-        for _ in range(LISTENS):
+        for _ in range(MAX_PINGS):
             before = time.perf_counter()
             try:
                 self._io.ping(UNUSED_ID)
             except BusError as error:
                 error.raise_if_gone()
-            if time.perf_counter() - before >= self._careful:
+            if time.perf_counter() - before >= self._long_timeout:
                 self._is_silent = True
                 return True
         return False
 
 
 def _model(io: Transport, protocol: Wire, id: int) -> tuple[int | None, tuple[str, ...]]:
-    """Return model number and table rows; Feetech has firmware where Dynamixel has the model."""
+    """Return the model number of servo `id` and the names of the models with this number.
+
+    Dynamixel and Feetech store the model number at different addresses, so both are tried.
+    """
     number: int | None = None
-    for address in MODEL_AT[protocol]:
+    for address in MODEL_ADDRESSES[protocol]:
         try:
             data, _ = io.read(id, address, 2)
         except BusError as error:

@@ -23,14 +23,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Entry of one motor in a LeRobot calibration file.
+    """Entry of one servo in a LeRobot calibration file.
 
     Attributes:
         id: Servo id.
-        drive_mode: 1 if LeRobot inverts normalised values. Feetech counts are not affected;
-            Dynamixel servos then count in the opposite direction.
-        homing_offset: Offset that the servo adds (Dynamixel) or subtracts (Feetech) [counts].
-        range_min, range_max: Ends of the travel, present position [counts].
+        drive_mode: 1 if LeRobot inverts normalised values. The value 1 also reverses the counts of
+            Dynamixel servos, but not those of Feetech servos.
+        homing_offset: Offset that the servo adds to (Dynamixel) or subtracts from (Feetech) its
+            encoder count [counts].
+        range_min, range_max: Positions that the servo reports at the ends of the travel [counts].
     """
 
     id: int
@@ -41,15 +42,15 @@ class Calibration:
 
     @property
     def middle(self) -> float:
-        """Count at LeRobot's zero angle."""
+        """Position at LeRobot's zero angle, the middle of the travel [counts]."""
         return (self.range_min + self.range_max) / 2.0
 
     def check_range(self, joint: str, row: ServoModel) -> None:
         """Check that the ends of the travel are valid positions of the servo.
 
         Raises:
-            ConfigError: An end is not a count of its encoder. For a multi-turn servo, one turn
-                beyond either end of the encoder is allowed.
+            ConfigError: An end of the travel is outside the counts of the servo's encoder. For a
+                multi-turn servo, one turn beyond either end of the encoder is allowed.
         """
         margin = row.max_position + 1 if row.family.multi_turn else 0
         low, high = -margin, row.max_position + margin
@@ -61,10 +62,10 @@ class Calibration:
                 )
 
     def registers(self, known: Container[str]) -> dict[str, int]:
-        """Return the registers that LeRobot writes from this file, limited to the known names.
+        """Return the values by name of the registers that LeRobot writes from its calibration file.
 
-        LeRobot compares the same registers at each connect. Feetech servos have no direction
-        register.
+        At each connection LeRobot compares these registers with the file. `known` are the names of
+        the servo's registers; others are omitted, e.g. Drive Mode, which Feetech servos lack.
         """
         written = {
             "homing_offset": self.homing_offset,
@@ -79,7 +80,8 @@ class Calibration:
 class ServoSpec:
     """One joint and its servo.
 
-    ``count = zero + sign · gear_ratio · q · resolution / 2π``.
+    ``count = zero + sign · gear_ratio · q · resolution / 2π``, with joint angle q [rad] and encoder
+    counts per turn `resolution`.
 
     Attributes:
         name: Joint name.
@@ -87,16 +89,17 @@ class ServoSpec:
         id: Id on the bus.
         port: Serial port, e.g. ``/dev/ttyUSB0``.
         sign: +1 if counts rise with the joint angle, else -1.
-        zero: Count at q = 0, may be fractional; None: the middle of the servo's range.
+        zero: Count at joint angle 0, may be fractional; None: the middle of the servo's range.
         gear_ratio: Turns of the servo per turn of the joint, above 0.
-        secondary: Id and sign of a second servo on the same joint. Its zero is found at open from
-            the first servo, because the joint couples them.
-        lower, upper: Software position limits [rad]; None: those of the servo.
-        stall: Stall torque at the rated voltage, overrides the table [N·m].
-        torque_offset: Torque loss in the gears: ``torque = k · register - offset`` [N·m].
-        kp: Identified joint stiffness, overrides that of the gain register [N·m/rad].
-        friction: Identified dry friction, overrides the table's [N·m].
-        damping: Identified viscous damping of the gears, overrides the table's [N·m·s/rad].
+        secondary: Id and sign of a second servo on the same joint. The zero of that servo is
+            computed at open from the first servo, because the joint couples both.
+        lower, upper: Software position limits [rad]; None: the limits in the servo's registers.
+        stall: Stall torque at the rated voltage [N·m]; None: the value of the model.
+        torque_offset: Torque lost in the gears [N·m]: joint torque is limit register times torque
+            per unit, minus this.
+        kp: Identified joint stiffness [N·m/rad]; None: the stiffness of the gain register.
+        friction: Identified dry friction [N·m]; None: the value of the model.
+        damping: Identified viscous damping of the gears [N·m·s/rad]; None: the value of the model.
         calibration: LeRobot's calibration of this joint; checked against the servo at open.
 
     Raises:
@@ -121,7 +124,7 @@ class ServoSpec:
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         row = self.row
         highest = 253 if row.family.protocol == "p1" else 252
         ids = [self.id] if self.secondary is None else [self.id, self.secondary[0]]
@@ -155,7 +158,7 @@ class ServoSpec:
 
     @property
     def row(self) -> ServoModel:
-        """Row of the model in the servo table."""
+        """Data of the servo model."""
         return get_model(self.model)
 
     @property
@@ -166,7 +169,7 @@ class ServoSpec:
 
 
 def check_specs(specs: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
-    """Check conditions across joints: unique names and ids, one protocol per port.
+    """Check conditions across joints (unique names and ids, one protocol per port); return specs.
 
     Raises:
         ConfigError: Names or ids repeat, or Dynamixel 1.0 and 2.0 share a port.
@@ -201,10 +204,10 @@ RPM = 2.0 * pi / 60.0  # [rad/s]
 
 
 def at_voltage(table: tuple[tuple[float, float], ...], voltage: float) -> float:
-    """Return the value of a table ((V, value), ...) at a voltage.
+    """Return the value at a supply voltage [V] from a table ((V, value), ...), ascending.
 
-    Interpolation is linear between the entries. Outside, the value is proportional to the voltage,
-    as are stall torque and no-load speed of a motor.
+    The value is interpolated linearly between the entries. Outside of the table it is proportional
+    to the voltage, as stall torque and no-load speed of a motor are.
     """
     for (v0, y0), (v1, y1) in pairwise(table):
         if v0 <= voltage <= v1:
@@ -215,13 +218,13 @@ def at_voltage(table: tuple[tuple[float, float], ...], voltage: float) -> float:
 
 @dataclass(frozen=True)
 class Units:
-    """Conversions of one joint and one of its servos, at one supply voltage.
+    """Conversions between joint units and registers of one servo, at one supply voltage.
 
     Attributes:
         spec: Joint and servo.
         voltage: Supply voltage [V].
-        zero: Count of the servo at q = 0.
-        sign: +1 if its counts rise with the joint angle, else -1.
+        zero: Count of the servo at joint angle 0.
+        sign: +1 if the servo's counts rise with the joint angle, else -1.
     """
 
     spec: ServoSpec
@@ -231,7 +234,9 @@ class Units:
 
     @staticmethod
     def of(spec: ServoSpec, voltage: float | None = None) -> Units:
-        """Create the units of the first servo at a voltage, by default the rated one.
+        """Return the conversions of a joint's first servo at a supply voltage [V].
+
+        `voltage` None is the rated voltage.
 
         Raises:
             ConfigError: The voltage is not above 0.
@@ -244,7 +249,7 @@ class Units:
 
     @cached_property
     def row(self) -> ServoModel:
-        """Row of the model in the servo table."""
+        """Data of the servo model."""
         return self.spec.row
 
     @cached_property
@@ -254,7 +259,7 @@ class Units:
 
     @cached_property
     def _stall(self) -> float:
-        """Stall torque of one servo at its horn [N·m]."""
+        """Stall torque of one servo at its output (horn), at this supply voltage [N·m]."""
         torque = at_voltage(self.row.stall, self.voltage)
         if self.spec.stall is not None:
             torque *= self.spec.stall / at_voltage(self.row.stall, self.row.rated)
@@ -262,12 +267,12 @@ class Units:
 
     @cached_property
     def _ratio(self) -> float:
-        """Joint torque per torque of one servo: gear ratio times number of servos."""
+        """Joint torque per torque of one servo: gear ratio times number of servos on the joint."""
         return self.spec.gear_ratio * len(self.spec.servos)
 
     @cached_property
     def no_load_speed(self) -> float:
-        """Joint speed at no load [rad/s]."""
+        """Joint speed without load at this supply voltage [rad/s]."""
         return at_voltage(self.row.no_load, self.voltage) * RPM / self.spec.gear_ratio
 
     @cached_property
@@ -287,61 +292,65 @@ class Units:
         return self._stall / self.row.family.full_duty * self._ratio
 
     def torque(self, register: int) -> float:
-        """Return the joint torque of a limit register [N·m]; signed for load and current."""
+        """Return the joint torque [N·m] of a limit register, or of a current register with sign."""
         size = abs(register) * self.torque_per_unit - self.spec.torque_offset
         return max(size, 0.0) * (1 if register >= 0 else -1)
 
     def register(self, torque: float, ceiling: int | None = None) -> int:
-        """Return the limit register of a joint torque, rounded down, from 0 to the ceiling.
+        """Return the value of the limit register for a joint torque, rounded down.
 
         Args:
             torque: Joint torque, at least 0 [N·m].
-            ceiling: Largest register value allowed; default: the model's.
+            ceiling: Largest register value allowed; default: the maximum of the model.
         """
         maximum = self.full if ceiling is None else min(ceiling, self.full)
         if torque <= 0.0:
             return 0
-        # Add a rounding tolerance, so that a result of `torque` converts back to the same count.
+        # Add a rounding tolerance, so that `register(torque(n)) == n` for every value n.
         counts = (torque + self.spec.torque_offset) / self.torque_per_unit
         return max(0, min(floor(counts * (1.0 + 1e-12) + 1e-9), maximum))
 
     def load(self, register: int) -> float:
-        """Return the joint torque of a load register, positive toward rising counts [N·m]."""
+        """Return the joint torque [N·m] of a load register value; positive toward rising counts."""
         fraction = register / self.row.family.full_load
         return fraction * self._stall * self._ratio
 
     def usable(self, ceiling: int) -> float:
-        """Return the joint torque at a ceiling, at most the stall torque [N·m]."""
+        """Return the joint torque [N·m] at the limit register value `ceiling`.
+
+        It is at most the stall torque.
+        """
         return min(self.torque(min(ceiling, self.full)), self._stall * self._ratio)
 
     def angle(self, counts: float) -> float:
-        """Return the joint angle of a servo position [rad]."""
+        """Return the joint angle [rad] of a servo position [counts]."""
         return self.sign * (counts - self.zero) * self.count
 
     def counts(self, angle: float) -> int:
-        """Return the servo position at a joint angle, rounded, not clamped."""
+        """Return the servo position [counts] at a joint angle [rad], rounded, not clamped."""
         return round(self.zero + self.sign * angle / self.count)
 
     def velocity(self, register: int) -> float:
-        """Return the joint velocity of a speed register [rad/s]."""
+        """Return the joint velocity [rad/s] of a speed register value."""
         return self.sign * register * self.row.speed_unit * RPM / self.spec.gear_ratio
 
     def speed_register(self, speed: float) -> int:
-        """Return the speed cap register of a joint speed: at least 1, because 0 means no cap."""
+        """Return the speed cap register for a joint speed [rad/s], at least 1: 0 means no cap."""
         counts = abs(speed) * self.spec.gear_ratio / (self.row.speed_unit * RPM)
         return max(1, min(floor(counts), self.row.family.speed_max))
 
     def stiffness(self, gain: int) -> float:
-        """Return k_p of the joint from the gain register [N·m/rad].
+        """Return the stiffness k_p of the joint [N·m/rad] for a value of the gain register.
 
-        ``k_p = τ_stall · (duty per radian of error)``. A current-limited servo in mode 5 converts
-        position error into current: P/128 current counts per position count. These are initial
-        values: the sources agree within a factor of two (docs/ports.md).
+        k_p is stall torque times motor duty per radian of position error. For a current-limited
+        servo (operating mode 5) it follows from P/128 counts of current per encoder count of error,
+        with P the gain register. Sources for these gains agree only within a factor of two
+        (docs/ports.md): identify k_p on the arm.
         """
         row, gear = self.row, self.spec.gear_ratio
         if row.limit_type == "current":
             return gain / 128.0 * self.torque_per_unit / self.count
-        if row.gain == 0.0:  # a slope [counts] over which the torque rises to full
+        if row.gain == 0.0:  # the register is the error in counts at full torque (EX, RX)
             return self._stall * self._ratio / (max(gain, 1) * self.count)
         return self._stall * self._ratio * row.gain * gain * gear
 
@@ -355,14 +364,14 @@ def servos_of(
     """Return the servo parameters of these models, one entry per joint.
 
     Args:
-        models: Servo models base to tip, as `pliant.servo.list_models()` lists them.
+        models: Servo model of each joint, base to tip, as `pliant.servo.list_models()` lists them.
         voltage: Supply voltage [V]; default: the rated voltage of each model.
-        gains: Gain registers; None: the maker's default.
+        gains: Value of each gain register; None: the factory value.
 
     Returns:
-        Servos with k_p from the gain register, and usable torque, friction, damping, count and
-        no-load speed from the tables. ``stiffness_known`` is False: sources for k_p differ by up to
-        a factor of two.
+        Servos with k_p from the gain register, and usable torque, friction, damping, encoder step
+        and no-load speed of the models. ``stiffness_known`` is False, because sources for k_p
+        differ by up to a factor of two.
 
     Raises:
         ConfigError: A model is unknown, the voltage is out of range, or the number of gains differs
@@ -396,7 +405,7 @@ def servos_of(
 
 
 def _accepts_voltage(row: ServoModel, volts: float) -> bool:
-    """Return True if a model accepts this supply voltage."""
+    """Return True if `volts` [V] is within the supply range of the servo model `row`."""
     low, high = row.voltage
     return low <= volts <= high
 
@@ -406,20 +415,20 @@ def servos_from_units(
 ) -> Servos:
     """Return the servo parameters of joints at their present voltage, gains and ceilings.
 
-    Values identified on the arm (`ServoSpec.kp`, `friction`, `damping`) replace those of the table.
-    k_p counts as known if it was identified for every joint.
+    Values identified on the arm (`ServoSpec.kp`, `friction`, `damping`) replace those of the model.
+    `stiffness_known` is True if the stiffness was identified for every joint.
 
-    A chain with both duty and current limits is of kind `current`. The back-EMF of its duty joints,
-    ``τ_stall / ω_0``, is added to their damping.
+    A chain with both PWM and current limits has the limit type `current`. The back-EMF of its
+    PWM-limited joints, stall torque over no-load speed [N·m·s/rad], is added to their damping.
 
     Args:
         units: Conversions of each joint.
-        gains: Gain registers.
-        ceilings: Largest value of each limit register.
+        gains: Gain register value of each joint.
+        ceilings: Largest limit register value of each joint.
     """
     torque = np.array([u.usable(c) for u, c in zip(units, ceilings, strict=True)])
     speed = np.array([unit.no_load_speed for unit in units])
-    # The gear scales friction and damping like torque; damping and inertia once more, by the speed.
+    # Joint friction is proportional to the gear ratio, joint damping and inertia to its square.
     ratio = np.array([unit.spec.gear_ratio * len(unit.spec.servos) for unit in units])
     gears = np.array([unit.spec.gear_ratio for unit in units])
     damping = np.array([unit.row.mechanics.damping for unit in units]) * ratio * gears
@@ -444,5 +453,5 @@ def servos_from_units(
 
 
 def _identified(table: Array, own: Sequence[float | None]) -> Array:
-    """Return the table's values, replaced by identified ones if given."""
+    """Return `table` with each value replaced by the entry of `own`, unless that is None."""
     return np.array([t if o is None else o for t, o in zip(table, own, strict=True)])

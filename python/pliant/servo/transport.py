@@ -1,7 +1,7 @@
-"""Interface to a serial port: eight calls, and their implementation with rustypot.
+"""Serial transport of servo packets: the interface `Transport` and its rustypot implementation.
 
-Another transport (a vendor's SDK, a network bridge, a fake for tests) is any object with these
-methods; `ServoBus(..., transport=...)` takes a function that opens one.
+Any object with the methods of `Transport` may replace rustypot (a vendor's SDK, a network bridge, a
+test fake); `ServoBus(..., transport=...)` takes a function that opens such an object.
 """
 
 from __future__ import annotations
@@ -19,48 +19,52 @@ Reason = Literal["timeout", "corrupt", "stale", "refused", "late", "noisy", "gon
 
 
 class BusError(ServoError):
-    """One transaction failed.
+    """Failure of one transaction.
 
     Attributes:
         reason: `timeout`: no or an incomplete reply; `corrupt`: an invalid reply; `stale`: a reply
             to an earlier request; `refused`: the servo rejected the request; `late`: nothing was
-            sent, the cycle has no time left; `noisy`: nothing was sent, the line is never silent;
-            `gone`: the port has vanished.
+            sent, because the control cycle has no time left or a late reply could be mistaken for
+            the reply; `noisy`: nothing was sent, because the line is never silent; `gone`: the port
+            has vanished.
         id: Servo whose reply failed, if known.
     """
 
     def __init__(self, message: str, reason: Reason, id: int | None = None) -> None:
-        """Store message, reason and servo id."""
+        """Store the message, the reason of the failure, and the id of the servo (None: unknown)."""
         super().__init__(message)
         self.reason: Reason = reason
         self.id = id
 
     def raise_if_gone(self) -> None:
-        """Raise this error again if the port is gone, which affects all other servos too."""
+        """Raise this error again if its reason is `gone`, because no servo can then be reached."""
         if self.reason == "gone":
             raise self
 
 
 class Transport(Protocol):
-    """Requests and replies on one port; every call may raise `BusError`.
+    """Interface of one serial port with servos; every method may raise `BusError`.
 
-    Bytes are those of the control table. `status` is the error byte of the reply.
+    Data are bytes of the control table from `address` on. A status is the error byte of a reply.
     """
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
-        """Read bytes of one servo; return (bytes, status)."""
+        """Read `size` bytes of one servo from `address` on; return them and the status byte."""
 
     def write(self, id: int, address: int, data: bytes) -> int:
-        """Write bytes to one servo; return the status of its reply."""
+        """Write bytes to one servo from `address` on; return the status byte of its reply."""
 
     def sync_read(self, ids: Sequence[int], address: int, size: int) -> list[tuple[bytes, int]]:
-        """Read the same bytes of several servos with one request: all or nothing."""
+        """Read one block of each servo with one request; return bytes and status byte of each.
+
+        If one reply is missing, the whole request fails.
+        """
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write the same registers of several servos with one packet; it has no reply."""
+        """Write `data[i]` to servo `ids[i]` from `address` on, in one packet without reply."""
 
     def ping(self, id: int) -> bool:
-        """Return True if a servo answers."""
+        """Return True if servo `id` answers a ping within the reply timeout."""
 
     def reboot(self, id: int) -> None:
         """Restart a servo, if the protocol supports it."""
@@ -69,28 +73,28 @@ class Transport(Protocol):
         """Set the reply timeout of the next calls [s]."""
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the serial port."""
 
 
 class RustypotTransport:
-    """Transport over rustypot's raw-address calls: one port, one protocol.
+    """Transport that uses rustypot: one port, one protocol.
 
-    One raw controller serves Dynamixel Protocol 1.0 and Feetech together, because their framing is
-    the same. Protocol 2.0 needs its own port. The GIL is released during waits.
+    Dynamixel Protocol 1.0 and Feetech servos can share a port, because their framing is the same.
+    Protocol 2.0 needs a port of its own. The GIL is released during waits.
 
     Args:
         port: Path of the serial port.
-        baudrate: Bits per second.
-        protocol: `p1` (with Feetech) or `p2`.
+        baudrate: Baud rate [bit/s].
+        protocol: `p1` (Dynamixel 1.0 and Feetech) or `p2` (Dynamixel 2.0).
         timeout: Reply timeout [s].
 
     Raises:
         ImportError: The extra `servo` is missing.
-        ServoError: The port cannot be opened; the message has the cause and the remedy.
+        ServoError: The port cannot be opened; the message gives cause and remedy.
     """
 
     def __init__(self, port: str, baudrate: int, protocol: Wire, timeout: float = 0.02) -> None:
-        """Open the port exclusively."""
+        """Open the port so that no other program can use it."""
         try:
             import rustypot
         except ImportError as error:
@@ -105,7 +109,7 @@ class RustypotTransport:
             raise ServoError(_cannot_open(port, str(error))) from error
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
-        """Read bytes of one servo; return (bytes, status)."""
+        """Read `size` bytes of one servo from `address` on; return them and the status byte."""
         try:
             values, status = self._io.read_raw_data_with_error(id, address, size)
         except RuntimeError as error:
@@ -113,14 +117,17 @@ class RustypotTransport:
         return bytes(values), int(status)
 
     def write(self, id: int, address: int, data: bytes) -> int:
-        """Write bytes to one servo; return the status of its reply."""
+        """Write bytes to one servo from `address` on; return the status byte of its reply."""
         try:
             return int(self._io.write_raw_data_with_error(id, address, list(data)))
         except RuntimeError as error:
             raise self._failed(error, id) from error
 
     def sync_read(self, ids: Sequence[int], address: int, size: int) -> list[tuple[bytes, int]]:
-        """Read the same bytes of several servos with one request: all or nothing."""
+        """Read one block of each servo with one request; return bytes and status byte of each.
+
+        If one reply is missing, the whole request fails.
+        """
         try:
             answers = self._io.sync_read_raw_data_with_error(list(ids), address, size)
         except RuntimeError as error:
@@ -128,21 +135,21 @@ class RustypotTransport:
         return [(bytes(values), int(status)) for values, status in answers]
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
-        """Write the same registers of several servos with one packet; it has no reply."""
+        """Write `data[i]` to servo `ids[i]` from `address` on, in one packet without reply."""
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
         except RuntimeError as error:
             raise self._failed(error, None) from error
 
     def ping(self, id: int) -> bool:
-        """Return True if a servo answers."""
+        """Return True if servo `id` answers a ping within the reply timeout."""
         try:
             return bool(self._io.ping(id))
         except RuntimeError as error:
             raise self._failed(error, id) from error
 
     def reboot(self, id: int) -> None:
-        """Restart a servo (Protocol 2.0)."""
+        """Restart a servo; only Protocol 2.0 supports this."""
         try:
             self._io.reboot(id)
         except RuntimeError as error:
@@ -153,11 +160,11 @@ class RustypotTransport:
         self._io.set_timeout(seconds)
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the serial port."""
         self._io.close()
 
     def _failed(self, error: RuntimeError, id: int | None) -> BusError:
-        """Convert an error of rustypot by its text, the only information that reaches Python."""
+        """Return the `BusError` for an error of rustypot, classified by its text."""
         text = str(error)
         if text.startswith("motor "):
             number, _, text = text.removeprefix("motor ").partition(": ")
@@ -173,12 +180,16 @@ class RustypotTransport:
         )
 
 
+#: Parts of rustypot's error texts for a missing reply, and for a corrupt reply.
 _SILENT = ("timed out", "timeout")
 _BROKEN = ("checksum", "parsing", "incorrect id")
 
 
 def _cannot_open(port: str, text: str) -> str:
-    """Return the reason why a port cannot be opened, and the remedy."""
+    """Return the message for a port that cannot be opened, with reason and remedy.
+
+    `text` is the error message of rustypot.
+    """
     lower = text.lower()
     if "permission" in lower or "access is denied" in lower:
         return (
@@ -196,7 +207,7 @@ def _cannot_open(port: str, text: str) -> str:
 
 
 def serial_ports() -> tuple[str, ...]:
-    """Return the serial ports of this machine, by stable name if there is one (Linux, macOS)."""
+    """Return the paths of the serial ports of this machine, stable names first (Linux, macOS)."""
     from pathlib import Path
 
     found = sorted(str(p) for p in Path("/dev/serial/by-id").glob("*"))

@@ -1,13 +1,13 @@
-"""Torque-limited position servos on real physics, with hands, doors and walls (extra `sim`).
+"""MuJoCo simulation of arms with torque-limited servos, hands, doors and walls (extra `sim`).
 
 >>> import pliant, pliant.sim
 >>> arm = pliant.robots.arm7()
->>> plant = pliant.sim.Plant(arm, scene=[pliant.sim.STRONG])
+>>> plant = pliant.sim.Plant(arm, scene=[pliant.sim.DRAG_80N])
 >>> state = plant.reset(q_start)
 
-`Plant.read()` and `Plant.write(goal, limit)` are the interface that hardware also has. `Plant.q`,
-`Plant.tool` and `Plant.hands` are the true state, for figures and tests. World axes are the model's
-base axes; all units SI.
+`Plant.read()` and `Plant.write(goal, limit)` act like a servo bus, with its delays and losses.
+`Plant.q`, `Plant.tool` and `Plant.hands` are the true state, for figures and tests. The world frame
+is the base frame of the robot model; all units are SI.
 """
 
 from pliant.drive import State
@@ -19,10 +19,10 @@ from pliant.sim.friction import MX64, MX106, STS3215, Friction
 from pliant.sim.grasp import GraspedObject, HandoverObject
 from pliant.sim.ground_truth import Frame, GroundTruth
 from pliant.sim.hand import (
-    LIGHT,
-    ROBUST,
-    STRONG,
-    YAW,
+    DRAG_15N,
+    DRAG_30N,
+    DRAG_80N,
+    TWIST_3NM,
     AppliedForce,
     Drag,
     ForceProfile,
@@ -40,13 +40,13 @@ from pliant.sim.surface import Surface
 from pliant.sim.tabletop import Tabletop
 
 __all__ = [
-    "LIGHT",
+    "DRAG_15N",
+    "DRAG_30N",
+    "DRAG_80N",
     "MX64",
     "MX106",
-    "ROBUST",
-    "STRONG",
     "STS3215",
-    "YAW",
+    "TWIST_3NM",
     "AppliedForce",
     "Door",
     "Drag",

@@ -1,4 +1,4 @@
-"""The simulated bus: encoders, delays, losses and outages."""
+"""Simulated servo bus: encoders, delays, lost packets and outages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ T = TypeVar("T")
 
 
 class Encoder:
-    """Joint readings: noise, then rounding to counts, then flicker by whole counts."""
+    """Encoders of all joints: they add noise to the true positions and round to whole counts.
+
+    A random error of whole counts (flicker) can be added after rounding.
+    """
 
     def __init__(
         self,
@@ -35,18 +38,18 @@ class Encoder:
         noise: ArrayLike,
         rng: np.random.Generator,
     ) -> None:
-        """Prepare the encoders of n joints.
+        """Store the parameters of the encoders of n joints.
 
         Args:
             n: Number of joints.
-            encoder_step: One count [rad], scalar or (n,); 0 is continuous.
-            encoder_flicker: Counts by which a reading toggles: the negative, 0, 0 or the positive
-                number, with equal chance per joint and reading.
+            encoder_step: Angle of one count [rad], scalar or (n,); 0 disables rounding.
+            encoder_flicker: Random error of a reading [counts]: this number is added with
+                probability 1/4, and subtracted with probability 1/4.
             noise: Standard deviation of white noise before rounding [rad], scalar or (n,).
-            rng: Random generator.
+            rng: Random generator for noise and flicker.
 
         Raises:
-            ConfigError: A number is negative, or a flicker is given without counts.
+            ConfigError: A number is negative, or flicker is set without `encoder_step`.
         """
         self.count = per_joint(encoder_step, n, "encoder_step", low=0.0)
         self._noise = per_joint(noise, n, "noise", low=0.0)
@@ -64,11 +67,11 @@ class Encoder:
         self._grid = np.where(self.count > 0.0, self.count, 1.0)
 
     def round(self, q: Array) -> Array:
-        """Return q (n,) [rad] on the grid of counts, as a servo stores readings and goals."""
+        """Return q (n,) [rad] rounded to whole counts, as a servo stores positions and goals."""
         return np.where(self.count > 0.0, np.round(q / self._grid) * self._grid, q)
 
     def read(self, q: Array) -> Array:
-        """Return the readings for the true q (n,) [rad]."""
+        """Return the readings (n,) [rad] for the true positions q (n,) [rad]."""
         if self._noise.any():
             q = q + self._noise * self._rng.standard_normal(q.size)
         q = self.round(q)
@@ -78,14 +81,21 @@ class Encoder:
 
 
 class DelayLine(Generic[T]):
-    """One direction of the bus: a fixed delay in ticks, and losses.
+    """Delay line for one direction of the bus: a fixed delay, and random losses.
 
-    Each tick delivers the item sent `delay` ticks ago. If that item was lost, the last delivered
-    item is repeated.
+    Time is counted in ticks, the calls of `Plant.advance`. Each tick delivers the item (command or
+    reading) sent `delay` ticks ago. If that item was lost, the line repeats the last delivered one.
     """
 
     def __init__(self, first: T, *, delay: int, loss: float, rng: np.random.Generator) -> None:
-        """Fill the line with `first`, as if it had always been sent."""
+        """Fill the line with the item `first`.
+
+        Args:
+            first: Item that the first ticks deliver.
+            delay: Delay [ticks].
+            loss: Probability that an item is lost.
+            rng: Random generator for losses.
+        """
         self._queue: deque[tuple[bool, T]] = deque([(True, first)] * delay)
         self._last = first
         self._loss = loss
@@ -93,7 +103,10 @@ class DelayLine(Generic[T]):
         self.fresh = True
 
     def shift(self, item: T | None, *, silent: bool = False) -> T:
-        """Send one item (None: nothing in this tick) and return the item at the receiving end."""
+        """Send an item, or None for no item, and return the item that arrives in this tick.
+
+        If `silent` is True, the item is lost, as in an outage of the bus.
+        """
         lost = silent or (self._loss > 0.0 and self._rng.random() < self._loss)
         self._queue.append(
             (item is not None and not lost, item if item is not None else self._last)
@@ -105,12 +118,12 @@ class DelayLine(Generic[T]):
 
 
 def is_whole(value: object) -> bool:
-    """Return True for a whole number >= 0."""
+    """Return True if `value` is a whole number of at least 0."""
     return isinstance(value, (int, float, np.integer)) and bool(value >= 0 and value == value // 1)
 
 
 def span(value: Any) -> tuple[float, float] | None:
-    """Check a time span (from, to) [s]; None means never."""
+    """Validate and return the time span (from, to) of a bus outage [s], or None for no outage."""
     if value is None:
         return None
     try:
@@ -125,7 +138,7 @@ def span(value: Any) -> tuple[float, float] | None:
 
 
 def delays(value: tuple[int, int]) -> tuple[int, int]:
-    """Check a pair of read and write delays in ticks."""
+    """Validate and return the delays of the bus, of readings and of commands [ticks]."""
     try:
         read, write = value
     except (TypeError, ValueError):
@@ -136,7 +149,7 @@ def delays(value: tuple[int, int]) -> tuple[int, int]:
 
 
 def share(value: float, name: str) -> float:
-    """Check a probability."""
+    """Validate and return a probability in [0, 1]; `name` is its name in the error message."""
     if isinstance(value, (str, bytes)) or np.ndim(value) or not 0.0 <= float(value) <= 1.0:
         raise ConfigError(f"{name} must be in [0, 1], got {value!r}")
     return float(value)
@@ -144,7 +157,13 @@ def share(value: float, name: str) -> float:
 
 @dataclass(frozen=True)
 class Command:
-    """One write on its way to the servos."""
+    """Goals and torque limits of one write.
+
+    Attributes:
+        goal: Goals of the chain's joints (n,) [rad].
+        limit: Torque limits of the chain's joints (n,) [N·m].
+        extra: Goal [rad] and torque limit [N·m] of each off-chain joint, by joint name.
+    """
 
     goal: Array
     limit: Array
@@ -152,11 +171,11 @@ class Command:
 
 
 class Bus:
-    """Carries orders and readings, each direction with its own delay, loss and random source.
+    """Simulated bus: transports commands and readings with delay, loss and outages.
 
     Attributes:
-        state: State that a read returns in this tick.
-        sent: The last order sent, whether or not it arrives.
+        state: State that `Plant.read` returns in this tick.
+        sent: Last command sent, even if the bus has lost it.
     """
 
     def __init__(
@@ -172,7 +191,7 @@ class Bus:
         bus_outage: tuple[float, float] | None,
         seed: int,
     ) -> None:
-        """Check the numbers; see `Plant` for their meaning."""
+        """Validate and store the parameters of the bus, which `Plant` documents."""
         self._n, self._delay, self._outage, self._seed = n, delays(delay), span(bus_outage), seed
         if not is_whole(seed):
             raise ConfigError(f"seed must be a whole number, at least 0, got {seed!r}")
@@ -183,11 +202,16 @@ class Bus:
 
     @property
     def write_delay(self) -> int:
-        """Ticks from a write to the servos."""
+        """Delay from a write to its arrival at the servos [ticks]."""
         return self._delay[1]
 
     def reset(self, first: Command, extra: Mapping[str, float]) -> None:
-        """Restart, with all random sources, as if `first` had always been the order."""
+        """Restart the bus and its random generators.
+
+        Args:
+            first: Command that the servos have at the start.
+            extra: Positions of the off-chain joints by name [rad].
+        """
         seeds = np.random.SeedSequence(self._seed).spawn(3)
         encoding, reading, writing = (np.random.default_rng(seed) for seed in seeds)
         self._encoder = Encoder(
@@ -204,18 +228,24 @@ class Bus:
         self._reads = DelayLine(self.state, delay=self._delay[0], loss=self._read_loss, rng=reading)
 
     def send(self, command: Command) -> None:
-        """Put an order on the line; a second order in one tick replaces the first."""
+        """Send a command with the next tick; a second command in one tick replaces the first."""
         goal = self._encoder.round(command.goal)
         self.sent = self._pending = Command(goal, command.limit, command.extra)
 
     def deliver(self, time: float) -> Command:
-        """Return the order in force in the tick that begins at `time` [s]."""
+        """Return the command that the servos follow in the tick that begins at `time` [s]."""
         command = self._writes.shift(self._pending, silent=self._is_silent(time))
         self._pending = None
         return command
 
     def sample(self, q: Array, extra: Mapping[str, float], time: float) -> None:
-        """Sample the true q (n,) [rad] at `time` [s] and advance the read line by one tick."""
+        """Send a reading of the positions at `time` [s], and set `state` to the one that arrives.
+
+        Args:
+            q: True positions of the chain's joints (n,) [rad].
+            extra: Positions of the off-chain joints by name [rad].
+            time: Time of the reading [s].
+        """
         now = State(self._encoder.read(q), time=time, extra=extra)
         old = self._reads.shift(now, silent=self._is_silent(time))
         age = np.full(self._n, time - old.time)

@@ -1,4 +1,4 @@
-"""Checks of a plant's arguments."""
+"""Validation of the arguments of `Plant`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def physics_steps(dt: float, rate: float) -> int:
-    """Return the physics steps per control period."""
+    """Return the number of physics steps of `dt` [s] per control period at `rate` [Hz]."""
     dt, rate = (_float(value, name) for value, name in ((dt, "dt"), (rate, "rate")))
     if not (np.isfinite(dt) and 0.0 < dt <= 0.01):
         raise ConfigError(f"dt must be in (0, 0.01] s, got {dt!r}")
@@ -30,7 +30,10 @@ def physics_steps(dt: float, rate: float) -> int:
 
 
 def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
-    """Check the servo tables of off-chain joints; leave out joints that the model lacks."""
+    """Validate and return the servo tables of off-chain joints by name.
+
+    Tables of joints that the model does not have are omitted.
+    """
     names = {joint.name for joint in model.joints} - set(model.joint_names)
     found = {}
     for name, own in dict(servos or {}).items():
@@ -43,7 +46,10 @@ def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
 
 
 def load(payload: Any) -> tuple[float, Array] | None:
-    """Check the payload unknown to the controller: a pair or a `Payload`."""
+    """Return mass [kg] and centre of mass (3,) [m] of a payload, None without payload.
+
+    `payload` is a pair of these, or a `Payload`.
+    """
     if payload is None:
         return None
     try:
@@ -60,7 +66,7 @@ def load(payload: Any) -> tuple[float, Array] | None:
 
 
 def _float(value: Any, name: str) -> float:
-    """Convert to float; the caller checks the range."""
+    """Return `value` as a float; the range is not checked."""
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -68,20 +74,20 @@ def _float(value: Any, name: str) -> float:
 
 
 def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> Array:
-    """Broadcast a scalar or an array of shape (n,) to (n,) and check it.
+    """Validate a scalar or an array (n,), and return it as an array (n,), one value per joint.
 
     Args:
-        value: The number or numbers.
+        value: A number, or one number per joint.
         n: Number of joints.
         name: Name of the value in error messages.
         low: Smallest value allowed.
 
     Returns:
-        A fresh float64 array of shape (n,).
+        A new float64 array of shape (n,).
 
     Raises:
         ShapeError: The array has neither one nor n entries.
-        ConfigError: An entry is no number, not finite or below `low`.
+        ConfigError: An entry is not a number, not finite or below `low`.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

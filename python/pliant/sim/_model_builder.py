@@ -1,8 +1,8 @@
 """Conversion of a `pliant.Model` to a MuJoCo specification.
 
-Links without relative motion become one body. Every link stays as a site of its own name, so that
-frames can be read and pushed, among them fixed tool frames, which MuJoCo's own URDF import drops.
-Meshes are not needed: the arm is drawn as capsules between its joints.
+Links without relative motion become one MuJoCo body. Every link becomes a site with the link's
+name, so that hands and controllers can refer to all frames; MuJoCo's URDF import would drop fixed
+tool frames. Meshes are not needed: the arm is drawn as capsules between its joints.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from pliant.sim._parameters import Gains
 
 
-#: A `pliant.Model`: its tree (`links`, `joints`) and its chain (`joint_names`, `base`, `tip`).
+#: Type of a robot: a `pliant.Model` with its tree (`links`, `joints`) and chain (`joint_names`,
+#: `base`, `tip`).
 Robot = Any
 
 OffChain = Literal["held", "welded"]
@@ -31,7 +32,15 @@ OffChain = Literal["held", "welded"]
 
 @dataclass
 class Group:
-    """Links without relative motion: one body, whose frame is that of its first link."""
+    """Rigid group: links without relative motion, which become one MuJoCo body.
+
+    Attributes:
+        link: Index of the first link, whose frame is the frame of the body.
+        joint: Index of the joint that moves the group; None for the root.
+        parent: Index of the parent group; None for the root.
+        pose: Pose (4, 4) of the group's body in the body of the parent group.
+        members: Index of each link of the group, and its pose (4, 4) in the body of the group.
+    """
 
     link: int
     joint: int | None
@@ -41,7 +50,10 @@ class Group:
 
 
 def rigid_groups(model: Robot, off_chain: OffChain) -> list[Group]:
-    """Cut the tree into rigid groups, parents first."""
+    """Return the groups of links without relative motion, each parent before its children.
+
+    `off_chain` is `held` (grippers move) or `welded` (grippers are locked).
+    """
     children: dict[int, list[int]] = {}
     for index, joint in enumerate(model.joints):
         children.setdefault(joint.parent, []).append(index)
@@ -71,7 +83,10 @@ def rigid_groups(model: Robot, off_chain: OffChain) -> list[Group]:
 
 
 def _is_joint(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> bool:
-    """Return True if a joint stays a joint in the simulation."""
+    """Return True if a joint can move in the simulation; False if it is locked.
+
+    `carried` is True if a joint of the chain moves this joint, as it moves a gripper.
+    """
     kind = kind_of(joint)
     if kind == "fixed":
         return False
@@ -88,12 +103,12 @@ def _is_joint(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> b
 
 
 def locked_angle(joint: Any) -> float:
-    """Return the angle at which the model locks an off-chain joint [rad]."""
+    """Return the position at which the model locks an off-chain joint [rad], 0 by default."""
     return float(getattr(joint, "locked_at", None) or 0.0)
 
 
 def _locked_displacement(model: Robot, joint: Any) -> Array:
-    """Return the displacement (4, 4) of a welded joint at its locked angle."""
+    """Return the displacement (4, 4) of a locked joint from its position 0."""
     pose = np.eye(4)
     angle = locked_angle(joint)
     if joint.mimic is not None:
@@ -113,7 +128,10 @@ def _locked_displacement(model: Robot, joint: Any) -> Array:
 
 
 def as_matrix(pose: Any) -> Array:
-    """Return a pose as a (4, 4) array; accepts arrays and objects with a `matrix`."""
+    """Return a pose as a (4, 4) array.
+
+    `pose` is an array, or an object with an attribute or method `matrix`.
+    """
     value = getattr(pose, "matrix", pose)
     return np.asarray(value() if callable(value) else value, dtype=np.float64).reshape(4, 4)
 
@@ -124,20 +142,20 @@ def kind_of(joint: Any) -> str:
 
 
 def unit_vector(axis: Any) -> Array:
-    """Return the unit vector (3,) of an axis."""
+    """Return `axis` (3,) divided by its norm."""
     array = np.asarray(axis, dtype=np.float64)
     return array / np.linalg.norm(array)
 
 
 def quat_of(pose: Array) -> Array:
-    """Return the quaternion wxyz of a pose (4, 4)."""
+    """Return the quaternion (w, x, y, z) of the rotation of a pose (4, 4)."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).reshape(9))
     return quat
 
 
 def last_moving(model: Robot) -> str:
-    """Return the name of the last link that the chain moves; its origin is the wrist centre."""
+    """Return the name of the child link of the chain's last joint, used as wrist centre."""
     link = next(i for i, item in enumerate(model.links) if item.name == model.tip)
     while model.links[link].parent_joint is not None:
         joint = model.joints[model.links[link].parent_joint]
@@ -147,18 +165,22 @@ def last_moving(model: Robot) -> str:
     return str(model.links[link].name)
 
 
-#: Mass [kg] and inertia [kg·m²] of a moving group without inertial data.
+#: Smallest mass [kg] and inertia [kg·m²] of a moving body, because MuJoCo needs positive values.
 MIN_MASS, MIN_INERTIA = 1e-4, 1e-7
-#: Effort [N·m] of an off-chain joint without an effort in the description.
+#: Assumed effort limit of an off-chain joint without one in the URDF [N·m].
 OFF_CHAIN_EFFORT = 1.0
-#: Armature of an off-chain servo [kg·m²] per N·m of effort, and of a mimic joint [kg·m²].
+#: Assumed armature (rotor inertia) of an off-chain servo per effort limit [s²]; and assumed
+#: armature of a mimic joint, which follows another joint [kg·m²].
 OFF_CHAIN_ARMATURE, FOLLOWER_ARMATURE = 2e-3, 1e-4
-#: Time constant [s] of the equality constraint of a mimic joint.
+#: Time constant of the constraint that makes a mimic joint follow its driving joint [s].
 MIMIC_TIME = 0.005
 
 
 def add_joint(out: Build, body: mujoco.MjsBody, index: int, gains: Gains, creep: float) -> None:
-    """Add the joint that moves a group, with its gears."""
+    """Add the joint with this index to the body that it moves, with limits and friction.
+
+    `creep` is the creep of a joint that friction holds, relative to MuJoCo's default.
+    """
     joint = out.model.joints[index]
     sliding = kind_of(joint) == "prismatic"
     mj = body.add_joint(name=joint.name, axis=unit_vector(joint.axis))
@@ -171,23 +193,24 @@ def add_joint(out: Build, body: mujoco.MjsBody, index: int, gains: Gains, creep:
     _limit(mj, out.model.lower[i], out.model.upper[i])
     mj.armature = gains.armature[i]
     mj.frictionloss = gains.friction[i]
-    mj.solimp_friction[:2] = sticking(creep)
+    mj.solimp_friction[:2] = friction_impedance(creep)
     set_damping(mj, gains.damping[i])
 
 
-def sticking(creep: float) -> tuple[float, float]:
-    """Return the least and largest impedance d (MuJoCo's solimp) of friction for this creep.
+def friction_impedance(creep: float) -> tuple[float, float]:
+    """Return impedances d and d_max of MuJoCo's `solimp_friction` for a given creep of a joint.
 
-    A joint held by friction against a torque τ slides at (1 - d)/d · τ/I · ½ d_max t. With
-    t = 0.02 s and MuJoCo's own d = 0.9, d_max = 0.95 this is 1.06 ms · τ/I. `creep` scales
-    (1 - d)/d.
+    In MuJoCo a joint of inertia I that friction holds against a torque τ creeps at the speed
+    (1 - d)/d · τ/I · ½ d_max t, with the time constant t = 0.02 s of the friction constraint. For
+    the defaults d = 0.9 and d_max = 0.95 this is 1.06 ms · τ/I. `creep` scales (1 - d)/d; 1 gives
+    the defaults.
     """
     d = 9.0 / (9.0 + creep)
     return d, max(d, 0.95)
 
 
 def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
-    """Set up an off-chain joint: with a servo that holds its locked angle, or as a mimic joint."""
+    """Set up an off-chain joint, as a mimic joint or with a servo that holds its locked angle."""
     if joint.mimic is not None:
         mj.armature = FOLLOWER_ARMATURE
         return
@@ -204,7 +227,10 @@ def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
 
 
 def off_chain_servo(effort: float | None) -> Servos:
-    """Return the servo of an off-chain joint from its effort alone [N·m]."""
+    """Return servo parameters of an off-chain joint, estimated from its effort limit [N·m].
+
+    An unknown effort limit (None) is assumed to be `OFF_CHAIN_EFFORT`.
+    """
     torque = effort or OFF_CHAIN_EFFORT
     return Servos(
         kp=[torque / FULL_EFFORT_ERROR],
@@ -215,7 +241,7 @@ def off_chain_servo(effort: float | None) -> Servos:
 
 
 def _limit(mj: mujoco.MjsJoint, lower: float | None, upper: float | None) -> None:
-    """Set the end stops of a joint, unless one is missing or infinite."""
+    """Set the position limits of a joint, unless a limit is missing or infinite."""
     if lower is None or upper is None or not np.isfinite([lower, upper]).all():
         mj.limited = mujoco.mjtLimited.mjLIMITED_FALSE
     else:
@@ -230,7 +256,15 @@ def add_mass(
     moving: bool,
     payload: tuple[float, Array] | None,
 ) -> None:
-    """Add up the inertials of a group and its payloads, known and unknown to the controller."""
+    """Set mass and inertia of a body to those of its group's links and of the loads on the tool.
+
+    Args:
+        model: The robot, which may have a payload.
+        body: MuJoCo body of the group.
+        group: The rigid group.
+        moving: True if a joint moves the group, which then needs a positive mass.
+        payload: Mass [kg] and centre (3,) [m] of a further load on the tool; None: no load.
+    """
     parts: list[tuple[float, Array, Array]] = []
     for index, pose in group.members:
         inertial = model.links[index].inertial
@@ -270,13 +304,13 @@ def add_mass(
 
 
 def own_payload(model: Robot) -> tuple[float, Array] | None:
-    """Return mass [kg] and centre (3,) [m] of the model's payload, None without one."""
+    """Return mass [kg] and centre (3,) [m] in the tool frame of the model's payload, or None."""
     load = getattr(model, "payload", None)
     return None if load is None else (float(load.mass), np.asarray(load.com, dtype=np.float64))
 
 
-def add_skin(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
-    """Draw a group as capsules from its joint to its child joints."""
+def add_capsules(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
+    """Add capsules from the joint of a group to its child joints, which draw the group."""
     members = dict(group.members)
     ends = [members[j.parent] @ as_matrix(j.origin) for j in model.joints if j.parent in members]
     reach = [float(np.linalg.norm(end[:3, 3])) for end in ends]
@@ -291,7 +325,10 @@ def add_skin(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
 
 
 def add_mimics(out: Build, rigid_groups: list[Group]) -> None:
-    """Tie mimic joints to their drivers; with a fixed driver, the angle is constant."""
+    """Add constraints that make mimic joints follow their driving joints.
+
+    If the driving joint is locked, the mimic joint is held at a constant angle.
+    """
     moving = {group.joint for group in rigid_groups}
     for index in sorted(j for j in moving if j is not None):
         joint = out.model.joints[index]
@@ -310,11 +347,7 @@ def add_mimics(out: Build, rigid_groups: list[Group]) -> None:
 
 
 def add_servos(out: Build, gains: Gains) -> None:
-    """Add a position actuator per chain joint, and one per held off-chain joint.
-
-    `forcelimited` is fixed at compile time; without it MuJoCo ignores later changes of
-    `forcerange`.
-    """
+    """Add a position actuator for each chain joint and each held off-chain joint."""
     out.chain = list(out.model.joint_names)
     for name, kp, kv, torque in zip(out.chain, gains.kp, gains.kv, gains.torque, strict=True):
         servo(out.spec, name, kp, kv, torque)
@@ -324,7 +357,12 @@ def add_servos(out: Build, gains: Gains) -> None:
 
 
 def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) -> None:
-    """Add a position servo ``clip(kp (ctrl - q) - kv dq, ±torque)``."""
+    """Add a position servo ``clip(kp (ctrl - q) - kv dq, ±torque)``.
+
+    `ctrl` is the joint goal [rad], `kp` the stiffness [N·m/rad], `kv` the damping [N·m·s/rad].
+    `forcelimited` must be set before compilation: without it MuJoCo ignores later changes of
+    `forcerange`, the torque limit.
+    """
     act = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     act.gaintype = mujoco.mjtGain.mjGAIN_FIXED
     act.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -335,7 +373,10 @@ def servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float, torque: float) 
 
 
 def set_damping(joint: mujoco.MjsJoint, value: float) -> None:
-    """Set a joint's linear damping: a polynomial in MuJoCo 4, one number in MuJoCo 3."""
+    """Set the linear damping of a joint [N·m·s/rad], of a slide [N·s/m].
+
+    MuJoCo 4 has the coefficients of a polynomial for it, MuJoCo 3 one number.
+    """
     if np.ndim(joint.damping):
         joint.damping = (value, 0.0, 0.0)
     else:
@@ -344,16 +385,16 @@ def set_damping(joint: mujoco.MjsJoint, value: float) -> None:
 
 @dataclass
 class Build:
-    """A specification under construction, and the names by which the plant finds its parts.
+    """MuJoCo specification under construction, and the names of its parts.
 
     Attributes:
         spec: The MuJoCo specification; scene objects add their bodies to it.
         model: The robot.
-        chain: MuJoCo joint of each chain coordinate, length n.
-        held: Rest angle of each off-chain joint that has an actuator, by joint name.
-        extra: Servo of each off-chain joint, one entry each, by joint name.
+        chain: Names of the n chain joints.
+        held: Rest angle [rad] of each off-chain joint that has an actuator, by joint name.
+        extra: Servo table with one entry of each off-chain joint, by joint name.
         rigid_groups: Groups of links without relative motion, parents first.
-        bodies: MuJoCo body of each group.
+        bodies: MuJoCo body of each rigid group.
     """
 
     spec: mujoco.MjSpec
@@ -377,26 +418,27 @@ def build_spec(
 ) -> Build:
     """Build the specification of an arm with one torque-limited position servo per chain joint.
 
-    The world frame is the model's base frame. Off-chain joints carried by the chain (a gripper)
-    are `held` by actuators of their own at the model's locked angle, or `welded`. All others
-    (another arm) are welded.
+    The world frame is the model's base frame. Off-chain joints that the chain carries (a gripper)
+    are `held` by their own actuators at the model's locked angle, or `welded`. Other off-chain
+    joints (another arm) are welded.
 
     Args:
         model: The robot.
-        gains: Servos of the n chain joints.
+        gains: Servo parameters of the n chain joints.
         dt: Physics step [s].
-        off_chain: Treatment of off-chain joints.
+        off_chain: `held` or `welded`, for off-chain joints that the chain carries.
         payload: Mass [kg] and centre (3,) [m] in the tool frame of a load that is fixed to the
             tool.
         creep: Creep of joints held by friction, relative to MuJoCo's default.
-        extra: Servos of off-chain joints, one entry each, by name; others are guessed from their
-            efforts.
+        extra: Servo tables with one entry of off-chain joints, by joint name; missing tables are
+            estimated from effort limits.
 
     Returns:
-        The specification and its names; contacts are off, the integrator is `implicitfast`.
+        The specification and the names of its parts. Contacts are off, and the integrator is
+        `implicitfast`.
 
     Raises:
-        ConfigError: The tree has a joint the simulator cannot represent.
+        ConfigError: The tree has a joint type that the simulator does not support.
     """
     spec = mujoco.MjSpec()
     spec.modelname = str(getattr(model, "name", "arm") or "arm")
@@ -430,7 +472,7 @@ def build_spec(
             body.add_site(
                 name=link.name, pos=pose[:3, 3], quat=quat_of(pose), size=(0.004, 0.0, 0.0), group=4
             )
-        add_skin(model, body, group)
+        add_capsules(model, body, group)
     add_mimics(out, cut)
     add_servos(out, gains)
     return out

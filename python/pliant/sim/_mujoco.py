@@ -1,4 +1,4 @@
-"""Import MuJoCo in one place, with a clear error if the extra is not installed."""
+"""Import of MuJoCo; if MuJoCo is not installed, the error names the extra to install."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Servo parameters of a simulated arm, per joint and in SI units.
 
-The controller uses the servo table (`pliant.Servos`). The plant takes the same table, another one,
-or scaled values, to test the effect of wrong assumptions.
+A controller assumes the values of a servo table (`pliant.Servos`). The simulated arm (`Plant`) uses
+the same table, or another table or scaled values, to test the effect of wrong assumptions.
 """
 
 from __future__ import annotations
@@ -24,25 +24,27 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Position error at which a servo of unknown gain is assumed to reach its full effort [rad].
+#: Assumed position error at which a servo without data exerts its effort limit [rad].
 FULL_EFFORT_ERROR = 0.07
-#: Friction and damping of a servo without data, as shares of its effort [1] and [s/rad].
+#: Assumed dry friction of a servo without data per effort limit [1], and viscous damping per effort
+#: limit [s/rad].
 FRICTION_SHARE, DAMPING_SHARE = 0.02, 0.10
-#: Rotor inertia of a servo without data, as a multiple of its gain [s^2]: puts the servo's own
-#: mode at 100 rad/s.
+#: Assumed rotor inertia of a servo without data per stiffness [s²]; the natural frequency of rotor
+#: and position loop is then 100 rad/s.
 ARMATURE_SHARE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Parameters of one servo per joint, as arrays of shape (n,).
+    """Parameters of the simulated servos, arrays of shape (n,).
 
     Attributes:
         kp: Stiffness of the position loop [N·m/rad].
-        kv: Damping of the position loop, inside the limit [N·m·s/rad].
-        torque: Largest usable torque, the upper bound of every limit [N·m].
-        friction: Dry friction of the gears, outside the limit [N·m].
-        damping: Viscous damping outside the limit: gears and, for `pwm`, back-EMF [N·m·s/rad].
+        kv: Damping of the position loop [N·m·s/rad]; the torque limit includes its torque.
+        torque: Largest usable torque, the upper bound of every torque limit [N·m].
+        friction: Dry friction of the gears [N·m]; it acts in addition to the limited torque.
+        damping: Viscous damping of the gears, plus back-EMF for the limit type `pwm` [N·m·s/rad];
+            it acts in addition to the limited torque.
         armature: Rotor inertia seen at the joint [kg·m²].
     """
 
@@ -54,7 +56,10 @@ class Gains:
     armature: Array
 
     def scaled(self, kp: ArrayLike, friction: ArrayLike, damping: ArrayLike) -> Gains:
-        """Return a copy with parameters multiplied by these factors, scalars or (n,)."""
+        """Return a copy with stiffness, dry friction and damping multiplied by these factors.
+
+        Each factor is a scalar or an array (n,).
+        """
         n = self.kp.size
         return replace(
             self,
@@ -65,19 +70,20 @@ class Gains:
 
 
 def tabulate(model: Any, servos: Any | None) -> Servos:
-    """Return the servo table of a model with n entries, or a guess from its efforts.
+    """Return the servo table of a model, with n entries.
 
     Args:
-        model: The robot. Without `servos`, its `servos` or its `effort_limit` are used.
-        servos: The table. None: the model's own, or else a guess from the efforts.
+        model: The robot.
+        servos: The table. None: the table of the model, or estimates from the effort limits if the
+            model has no table.
 
     Returns:
-        The table. ``stiffness_known`` of a guess is False.
+        The servo table. If it is an estimate, ``stiffness_known`` is False.
 
     Raises:
-        ConfigError: A joint has neither servo data nor an effort.
+        ConfigError: A joint has neither servo data nor an effort limit.
         ShapeError: The table is for another number of joints.
-        TypeError: `servos` is no table.
+        TypeError: `servos` is not a `Servos` table.
     """
     table = getattr(model, "servos", None) if servos is None else instance(servos, Servos, "servos")
     return _guess(model) if table is None else spread(table, model.n)
@@ -86,15 +92,17 @@ def tabulate(model: Any, servos: Any | None) -> Servos:
 def resolve(table: Servos) -> Gains:
     """Return the parameters of the simulated servos for a servo table.
 
-    A servo that limits its PWM duty gives ``clip(u, ±L) - (torque / w0) dq``: the back-EMF acts
-    outside the limit. A moving joint thus has less torque than L, and a joint pushed backwards has
-    more. Current-limited servos have no such term.
+    A PWM-limited servo exerts ``clip(u, ±L) - (τ_max / ω_0) dq`` [N·m], with the torque u of its
+    position loop, torque limit L, usable torque τ_max, no-load speed ω_0 and joint velocity dq. The
+    second term is the back-EMF, which L does not include. A joint that moves toward its goal thus
+    has less torque than L, and a joint pushed backwards has more. Current-limited servos have no
+    such term.
 
     Args:
         table: Table from `tabulate`.
 
     Returns:
-        Arrays of the table's length.
+        Parameters of the servos of all joints in the table.
     """
     damping = np.array(table.damping)
     if table.limit_type == "pwm" and table.no_load_speed is not None:
@@ -110,7 +118,7 @@ def resolve(table: Servos) -> Gains:
 
 
 def _guess(model: Any) -> Servos:
-    """Guess servos from the URDF's efforts, for a first look at an unidentified robot."""
+    """Return a servo table estimated from the effort limits of the URDF."""
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
     if unknown:
@@ -123,7 +131,7 @@ def _guess(model: Any) -> Servos:
 
 
 def guess(effort: Sequence[float]) -> Servos:
-    """Return a servo table from efforts alone [N·m]."""
+    """Return a servo table estimated from effort limits [N·m]."""
     torque = np.array(effort, dtype=np.float64)
     kp = torque / FULL_EFFORT_ERROR
     return Servos(

@@ -1,4 +1,4 @@
-"""Servos of a simulated arm: goals and limits in, torques out; overload protection."""
+"""Servos of a simulated arm: torques from goals and limits, and overload protection."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Overload:
-    """Overload protection of a servo: cuts the torque until reset if it is too large for too long.
+    """Overload protection of a servo: after a long overload it reduces the torque until a reset.
 
     Attributes:
         threshold: Share of the usable torque that counts as overload, in (0, 1].
-        seconds: Longest overload without a trip [s].
-        remains: Share of the usable torque left afterwards (0: none, as Dynamixels; 0.2: STS3215).
+        seconds: Longest duration of an overload after which the protection does not trip [s].
+        remains: Share of the usable torque after a trip: 0 for Dynamixel, 0.2 for the STS3215.
     """
 
     threshold: float = 0.95
@@ -35,7 +35,7 @@ class Overload:
     remains: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         if not 0.0 < self.threshold <= 1.0:
             raise ConfigError(f"Overload.threshold must be in (0, 1], got {self.threshold:g}")
         if not self.seconds >= 0.0:
@@ -45,10 +45,10 @@ class Overload:
 
 
 class OverloadTrip:
-    """Overload time of each joint, and the joints that have cut their torque."""
+    """State of the overload protection of all servos of the chain."""
 
     def __init__(self, n: int, rule: Overload | None) -> None:
-        """Start with no joint tripped."""
+        """Create the state of n servos that have not tripped; `rule` None: no protection."""
         self._rule = rule
         self._seconds = np.zeros(n)
         self.tripped = np.zeros(n, dtype=bool)
@@ -60,7 +60,17 @@ class OverloadTrip:
         usable: Array,
         period: float,
     ) -> Array:
-        """Return the limits (n,) [N·m] in force after a period with this mean torque."""
+        """Update the protection after a control period, and return the torque limits to apply.
+
+        Args:
+            limit: Commanded torque limits (n,) [N·m].
+            torque: Mean servo torques in the last period (n,) [N·m].
+            usable: Usable torques (n,) [N·m].
+            period: Length of the period [s].
+
+        Returns:
+            Torque limits (n,) [N·m], reduced for servos whose protection has tripped.
+        """
         if self._rule is None:
             return limit
         over = np.abs(torque) >= self._rule.threshold * usable - 1e-9
@@ -70,18 +80,20 @@ class OverloadTrip:
 
 
 def check_overload(overload: Any | None) -> Overload | None:
-    """Check the overload protection of the servos; None passes."""
+    """Validate and return the overload protection of the servos, or None without protection."""
     kind = "e.g. Overload(threshold=0.95, seconds=3.0)"
     return None if overload is None else instance(overload, Overload, "overload", kind)
 
 
 class ServoBank:
-    """The n servos of the chain and those of off-chain joints, wired to a compiled model.
+    """Servos of the n chain joints and of off-chain joints in a compiled MuJoCo model.
 
     Attributes:
-        torque: Mean torque of the servos over the last period (n,) [N·m], inside their limits.
-        held: Rest goal [rad] and torque limit [N·m] of each off-chain joint with a servo.
-        needs_drive: True if `drive` is needed at every physics step.
+        torque: Mean torque of the chain's servos over the last control period (n,) [N·m], without
+            friction and damping of the gears.
+        held: Rest goal [rad] and largest torque [N·m] of each off-chain joint with a servo, by
+            name.
+        needs_drive: True if `drive` must be called before every physics step.
     """
 
     def __init__(
@@ -94,7 +106,7 @@ class ServoBank:
         deadband: Array,
         overload: Overload | None,
     ) -> None:
-        """Look up the joints and actuators of a build in the compiled model."""
+        """Look up the joints and actuators of `built` in the compiled model."""
         self._model, self._data, self._gains = model, data, gains
         joints = [model.joint(name) for name in built.chain]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
@@ -108,7 +120,7 @@ class ServoBank:
         self.needs_drive = bool(deadband.any())
 
     def reset(self, q: Array) -> None:
-        """Put all joints at rest: the chain at q (n,) [rad], the others at their rest angles."""
+        """Set the chain to the positions q (n,) [rad] and other joints to their rest angles."""
         n = q.size
         self._data.qpos[self._qpos] = q
         for name, (rest, _) in self.held.items():
@@ -118,7 +130,7 @@ class ServoBank:
         self.torque, self._sum, self._steps = np.zeros(n), np.zeros(n), 0
 
     def _place_followers(self) -> None:
-        """Put mimic joints at the angles that their drivers imply."""
+        """Set each mimic joint to the angle that follows from that of its driving joint."""
         model, qpos = self._model, self._data.qpos
         for tie in range(model.neq):
             if model.eq_type[tie] != mujoco.mjtEq.mjEQ_JOINT:
@@ -130,7 +142,7 @@ class ServoBank:
 
     @property
     def addresses(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-        """Degrees of freedom and actuators of the chain's joints (n,), (n,)."""
+        """MuJoCo's indices of degrees of freedom (n,) and actuators (n,) of the chain's joints."""
         return self._dof, self._servo
 
     @property
@@ -147,15 +159,18 @@ class ServoBank:
 
     @property
     def tripped(self) -> Mask:
-        """Mask of the servos that have cut their torque (n,)."""
+        """Mask (n,) of the servos whose overload protection has tripped."""
         return self._trip.tripped.copy()
 
     def angles(self) -> dict[str, float]:
-        """Positions of the off-chain joints by name [rad]."""
+        """Return the positions of the off-chain joints by name [rad]."""
         return {name: float(self._data.joint(name).qpos[0]) for name in self.held}
 
     def apply(self, command: Command, period: float) -> None:
-        """Apply an order, limits first: a far goal must not meet an old, higher limit."""
+        """Set goals and torque limits of the servos from a command, at the start of a period.
+
+        `period` is the control period [s].
+        """
         usable = self._gains.torque
         limit = self._trip.limit(command.limit, self.torque, usable, period)
         force = self._model.actuator_forcerange
@@ -170,16 +185,19 @@ class ServoBank:
         self._steps = 0
 
     def drive(self) -> None:
-        """Apply the dead band before a physics step."""
+        """Set the inputs of servos with a dead band; called before every physics step.
+
+        The input is the goal, moved toward the position by at most the dead band.
+        """
         if self.needs_drive:
             error = np.clip(self._goal - self.q, -self._deadband, self._deadband)
             self._data.ctrl[self._servo] = self._goal - error
 
     def count(self) -> None:
-        """Add the torques of a finished physics step to the period's mean."""
+        """Add the servo torques of a physics step to the sum for the mean of the control period."""
         self._sum += self._data.actuator_force[self._servo]
         self._steps += 1
 
     def close(self) -> None:
-        """End the period."""
+        """End the control period: set `torque` to the mean over its physics steps."""
         self.torque = self._sum / max(self._steps, 1)

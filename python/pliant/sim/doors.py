@@ -1,7 +1,7 @@
-"""Single-leaf hinged doors, gripped at the handle: house door, fridge, oven.
+"""Simulated hinged doors that the arm holds at the handle: house door, fridge, oven.
 
-The handle is where the tool is at reset. A `rigid` grip is a weld; a `turning` grip lets the handle
-rotate in the grip.
+When the simulation is reset, the handle is placed at the tool. A `rigid` grip welds the handle to
+the tool; a `turning` grip lets the handle rotate in the gripper.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from pliant.sim._model_builder import Build
     from pliant.sim.plant import Plant
 
-#: Handle travel over which the seal force builds up [m]. A closed leaf is thus not pressed
-#: against its stop.
+#: Travel of the handle over which the seal force builds up [m], so that it is 0 when the door is
+#: closed.
 SEAL_ONSET = 5e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """A motion of the hinge relative to the robot, as a moving base would cause.
+    """Prescribed motion of the door's hinge, which simulates a moving base of the robot.
 
     Attributes:
-        direction: Unit vector (3,) in base axes.
-        speed: [m/s].
-        start: Time at which it begins [s].
+        direction: Direction of the motion, unit vector (3,) in base axes.
+        speed: Speed of the motion [m/s].
+        start: Start time of the motion [s].
         distance: Length of the motion [m].
     """
 
@@ -51,20 +51,20 @@ class Drive:
 
 @dataclass(kw_only=True)
 class Door(GraspedObject):
-    """A leaf on a hinge, held by the arm at its handle.
+    """Door leaf on a hinge, held by the arm at its handle.
 
     Attributes:
-        hinge: Vector from the handle to the hinge, base axes (3,) [m].
-        axis: Hinge axis (3,); a positive angle opens the door.
+        hinge: Vector (3,) from the handle to the hinge in base axes [m].
+        axis: Hinge axis, unit vector (3,) in base axes; a positive rotation opens the door.
         mass: Mass of the leaf [kg]; its centre is half way between hinge and handle.
         friction: Dry friction of the hinge [N·m].
         damping: Viscous damping of the hinge [N·m·s/rad].
-        stop: Largest opening [rad].
-        seal: Force of a magnetic seal at the handle [N], falling linearly to 0 over `seal_way`.
-        seal_way: Handle travel over which the seal releases [m].
-        balanced: True if a spring carries the leaf's weight.
+        stop: Largest opening angle [rad].
+        seal: Force of a magnetic seal at the handle [N]; it falls linearly to 0 over `seal_way`.
+        seal_way: Travel of the handle after which the seal exerts no more force [m].
+        balanced: True if a spring balances the weight of the leaf.
         drive: Motion of the hinge; None for a fixed hinge.
-        angle, widest: Present opening, and largest opening so far [rad].
+        angle, widest: Present opening angle, and largest one since reset [rad].
     """
 
     hinge: Sequence[float] = (0.0, -0.30, 0.0)
@@ -82,7 +82,7 @@ class Door(GraspedObject):
     widest: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         super().__post_init__()
         arm, axis = (
             np.asarray(self.hinge, dtype=np.float64),
@@ -102,7 +102,7 @@ class Door(GraspedObject):
             )
 
     def add(self, build_spec: Build) -> None:
-        """Add carriage, leaf, handle and grip."""
+        """Add the bodies of hinge and leaf and the grip constraint to the MuJoCo specification."""
         spec, arm = build_spec.spec, np.asarray(self.hinge, dtype=np.float64)
         frame = spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
         leaf = frame.add_body(name=f"{self.name}:leaf", gravcomp=1.0 if self.balanced else 0.0)
@@ -117,7 +117,10 @@ class Door(GraspedObject):
         self.add_grip(build_spec, leaf, -arm)
 
     def _weigh(self, leaf: mujoco.MjsBody, arm: Array) -> None:
-        """Give the leaf the mass of a plate between hinge and handle, and a drawing."""
+        """Set the inertia of the leaf, a plate between hinge and handle, and add its geometry.
+
+        `arm` is the vector (3,) from the handle to the hinge [m].
+        """
         axis = np.asarray(self.axis, dtype=np.float64)
         across = -(arm - (arm @ axis) * axis)
         normal = np.cross(across, axis)
@@ -136,7 +139,7 @@ class Door(GraspedObject):
         geom.pos, geom.quat, geom.rgba = across / 2, quat, (0.55, 0.42, 0.30, 0.55)
 
     def place(self, plant: Plant) -> None:
-        """Place the leaf so that its handle is in the tool, and clear the records."""
+        """Place the closed door so that its handle is at the tool, and clear recorded values."""
         model, data = plant.mj_model, plant.mj_data
         tool = plant.tool
         self._frame = int(model.body(f"{self.name}:frame").mocapid[0])
@@ -148,7 +151,7 @@ class Door(GraspedObject):
         self.angle = self.widest = 0.0
 
     def before(self, plant: Plant) -> None:
-        """Move the hinge as prescribed."""
+        """Move the hinge as `drive` prescribes for the present time."""
         if self.drive is not None:
             gone = self.drive.at(plant.mj_data.time)
             plant.mj_data.mocap_pos[self._frame] = self._home + gone * np.asarray(
@@ -156,7 +159,7 @@ class Door(GraspedObject):
             )
 
     def during(self, plant: Plant) -> None:
-        """Apply the force of the seal."""
+        """Apply the force of the magnetic seal to the door in a physics step."""
         if self.seal > 0.0:
             travel = self.radius * float(plant.mj_data.qpos[self._qpos])
             pull = self.seal * min(
@@ -165,23 +168,23 @@ class Door(GraspedObject):
             plant.mj_data.qfrc_applied[self._dof] -= pull * self.radius
 
     def after(self, plant: Plant) -> None:
-        """Record the opening, and the force and torque in the grip."""
+        """Record the opening angle, and force and torque in the grip, after a physics step."""
         self.angle = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.angle)
         super().after(plant)
 
 
 def door(**fields: Any) -> Door:
-    """A house door: vertical hinge 0.30 m to the right of the handle, 3 kg."""
+    """Return a house door: vertical hinge 0.30 m to the right of the handle, 3 kg."""
     return Door(**fields)
 
 
 def fridge(**fields: Any) -> Door:
-    """A fridge: as the house door, 6 kg, little friction, a magnetic seal of 20 N at the handle."""
+    """Return a fridge: a house door of 6 kg with less friction and a magnetic seal of 20 N."""
     return Door(**{"mass": 6.0, "friction": 0.3, "seal": 20.0, "name": "fridge", **fields})
 
 
 def oven(**fields: Any) -> Door:
-    """An oven: horizontal hinge 0.30 m below the handle, the leaf carried by a spring."""
+    """Return an oven: horizontal hinge 0.30 m below the handle, weight balanced by a spring."""
     hinge = {"hinge": (0.0, 0.0, -0.30), "axis": (0.0, -1.0, 0.0)}
     return Door(**{**hinge, "balanced": True, "name": "oven", **fields})

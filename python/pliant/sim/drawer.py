@@ -1,4 +1,4 @@
-"""A drawer on a slide, gripped at its handle."""
+"""Simulated drawer on a slide, held by the arm at its handle."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ if TYPE_CHECKING:
     from pliant.sim._model_builder import Build
     from pliant.sim.plant import Plant
 
-#: Size of the drawn box: along the slide, across it, high [m].
+#: Size of the box: along the slide, across the slide, height [m].
 SIZE = np.array((0.30, 0.30, 0.12))
 
 
 @dataclass(kw_only=True)
 class Drawer(GraspedObject):
-    """A box on a slide, held by the arm at its handle; the handle is where the tool is at reset.
+    """Box on a slide, held by the arm at its handle; at reset the handle is at the tool.
 
     Attributes:
-        axis: Direction in which it opens (3,), unit vector in base axes.
+        axis: Direction in which the drawer opens, unit vector (3,) in base axes.
         mass: Mass of the box [kg].
         friction: Dry friction of the slide [N].
-        binding: Friction of the slide per N of force across it.
+        binding: Additional friction of the slide per force across the slide [1].
         damping: Viscous damping of the slide [N·s/m].
-        stop: Length of the slide [m]; both ends are hard.
-        opening, widest: Present opening, and largest opening so far [m].
-        across: Largest force of the arm on the handle across the slide [N].
+        stop: Length of the slide between its hard stops [m].
+        opening, widest: Present opening, and largest opening since reset [m].
+        across: Largest force of the arm on the handle across the slide [N], recorded from 0.5 s
+            after reset on.
     """
 
     axis: Sequence[float] = (-1.0, 0.0, 0.0)
@@ -49,7 +50,7 @@ class Drawer(GraspedObject):
     across: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         super().__post_init__()
         axis = np.asarray(self.axis, dtype=np.float64)
         if axis.shape != (3,) or abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:
@@ -62,7 +63,7 @@ class Drawer(GraspedObject):
             )
 
     def add(self, build_spec: Build) -> None:
-        """Add slide, box and grip."""
+        """Add slide, box and grip constraint to the MuJoCo specification."""
         axis = np.asarray(self.axis, dtype=np.float64)
         frame = build_spec.spec.worldbody.add_body(name=f"{self.name}:frame", mocap=True)
         box = frame.add_body(name=f"{self.name}:box", gravcomp=1.0)
@@ -93,7 +94,7 @@ class Drawer(GraspedObject):
         self.add_grip(build_spec, box, (0.0, 0.0, 0.0))
 
     def place(self, plant: Plant) -> None:
-        """Place the closed drawer so that its handle is in the tool, and clear the records."""
+        """Place the closed drawer so that its handle is at the tool, and clear recorded values."""
         model = plant.mj_model
         frame = int(model.body(f"{self.name}:frame").mocapid[0])
         plant.mj_data.mocap_pos[frame] = plant.tool[:3, 3]
@@ -105,12 +106,12 @@ class Drawer(GraspedObject):
         self._sideways = 0.0
 
     def before(self, plant: Plant) -> None:
-        """Set the slide's friction from the force across it."""
+        """Set the friction of the slide, which grows with the last force across the slide."""
         friction = self.friction + self.binding * self._sideways
         plant.mj_model.dof_frictionloss[self._dof] = friction
 
     def after(self, plant: Plant) -> None:
-        """Record the opening, and the grip's force along and across the slide."""
+        """Record the opening, and the force in the grip across the slide, after a physics step."""
         self.opening = float(plant.mj_data.qpos[self._qpos])
         self.widest = max(self.widest, self.opening)
         super().after(plant)
@@ -121,5 +122,5 @@ class Drawer(GraspedObject):
 
 
 def drawer(**fields: Any) -> Drawer:
-    """A drawer that opens toward the robot (-x) by 0.25 m, 2 kg, 3 N of friction."""
+    """Return a drawer that opens toward the robot (-x) by 0.25 m, with 2 kg and 3 N friction."""
     return Drawer(**fields)

@@ -1,4 +1,4 @@
-"""`SimDrive`, the simulated arm as a drive; its clock runs the physics during waits."""
+"""Simulated arm behind the servo-bus interface: `SimDrive` and its clock."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
 
 class SimClock:
-    """Simulated time: a wait runs the physics, either as fast as possible or in real time.
+    """Clock of the simulation; waiting runs the physics, as fast as possible or in real time.
 
-    In real time the physics follows the machine's clock. If a program is late, its arm has moved on
-    in the meantime.
+    In real time the simulated time follows the system clock, also while the program is busy.
 
     Attributes:
         period: Control period of the plant [s], the resolution of this clock.
-        real_time: True if the time follows the machine's clock.
-        on_tick: Called after every period of physics, for records.
+        real_time: True if the time follows the system clock.
+        on_tick: Function that is called after every simulated control period, for records; None:
+            no call.
     """
 
     def __init__(self, plant: Plant, real_time: bool) -> None:
-        """Start at the plant's present time."""
+        """Start the clock at the plant's present time."""
         self.plant, self.period = plant, plant.period
         self.on_tick: Callable[[], object] | None = None
         self.real_time = real_time
@@ -40,11 +40,11 @@ class SimClock:
         self._offset = plant.time - (self._wall.now() if self._wall else 0.0)
 
     def now(self) -> float:
-        """Time since the plant's reset [s]."""
+        """Return the time since the plant's reset [s]."""
         return self.plant.time if self._wall is None else self._wall.now() + self._offset
 
     def wait_until(self, deadline: float) -> None:
-        """Run the physics until `deadline` [s]."""
+        """Run the physics until the time `deadline` [s]; in real time, also wait until then."""
         if self._wall is None:
             while self.plant.time < deadline - 1e-9:
                 self._advance()
@@ -53,7 +53,7 @@ class SimClock:
             self.catch_up()
 
     def catch_up(self) -> None:
-        """In real time, run the physics up to the present."""
+        """Run the physics up to the present time; no effect unless in real time."""
         if self._wall is None:
             return
         with self._lock:
@@ -67,30 +67,30 @@ class SimClock:
 
 
 class SimDrive:
-    """A `pliant.sim.Plant` behind the interface of a bus of servos.
+    """A `pliant.sim.Plant` with the interface of a servo bus (`Drive`), for an `Arm`.
 
-    Off-chain joints follow those of the chain. A simulated servo with torque off has a limit of
-    zero.
+    In all vectors (N,), the joints off the chain (grippers) come after those of the chain. A
+    simulated servo with torque off has a torque limit of zero.
 
     Attributes:
         plant: The simulation, with its true state.
         clock: Simulated time.
-        names: The chain's joints, then the off-chain joints with a servo.
-        servos: One entry per name.
-        latency: From a write to its effect [s].
+        names: Names of the N joints: the chain, then the off-chain joints with a servo.
+        servos: Servo parameters, one entry per name.
+        latency: Delay from a write to its effect [s].
         counters: Number of reads, lost reads and writes so far.
     """
 
     def __init__(
         self, plant: Plant, *, servos: Servos | None = None, real_time: bool = False
     ) -> None:
-        """Wrap a plant as it stands, with its torque on.
+        """Wrap a plant in its present state, with torque on.
 
         Args:
             plant: The simulated arm.
-            servos: Servo table of the chain that the arm uses, n entries. None: the plant's table,
-                without its scales. The plant's true servo parameters are never returned.
-            real_time: True to run simulated time in real time.
+            servos: Servo parameters of the chain that the controller assumes, n entries. None: the
+                plant's table, without `kp_scale` and the other scales.
+            real_time: True runs the simulation in real time.
         """
         self.plant = plant
         self.clock = SimClock(plant, real_time)
@@ -104,12 +104,15 @@ class SimDrive:
 
     @property
     def enabled(self) -> Mask:
-        """Mask of the joints with torque on (N,)."""
+        """Mask (N,) of the joints with torque on."""
         return self._on.copy()
 
     @property
     def orders(self) -> tuple[Array, Array]:
-        """Last goals (N,) [rad] and limits (N,) [N·m]; NaN off the chain and before a write."""
+        """Goals (N,) [rad] and torque limits (N,) [N·m] of the last write.
+
+        They are NaN for off-chain joints, and before the first write.
+        """
         unknown = np.full(len(self.names), np.nan)
         if not self.counters["writes"]:
             return unknown, unknown
@@ -123,7 +126,7 @@ class SimDrive:
         """Do nothing: there is no connection to close."""
 
     def read(self) -> JointReadings:
-        """Return a sample from the simulated bus."""
+        """Return the readings that the simulated bus delivers at present."""
         self.clock.catch_up()
         state = self.plant.read()
         self.counters["reads"] += 1
@@ -148,16 +151,19 @@ class SimDrive:
         return None
 
     def enable(self, goal: Array, limit: Array) -> None:
-        """Switch torque on, with limit and goal in the same write."""
+        """Switch torque of all joints on, with goals (N,) [rad] and torque limits (N,) [N·m]."""
         self._on[:] = True
         self.write(goal, limit)
 
     def disable(self, names: Sequence[str]) -> None:
-        """Switch torque off."""
+        """Switch the torque of the joints `names` off.
+
+        Other joints with torque hold their present positions with their full torque.
+        """
         self._on &= ~np.isin(self.names, list(names))
         state = self.plant.read()
         position = np.concatenate((state.q, [state.extra[name] for name in self._extra]))
         self.write(position, np.where(self._on, self.servos.max_torque, 0.0))
 
     def watchdog(self, seconds: float) -> None:
-        """Do nothing: simulated servos keep their last order indefinitely."""
+        """Do nothing: simulated servos have no watchdog and hold their last goal and limit."""

@@ -1,15 +1,19 @@
-"""Dry friction of real gears: Stribeck effect and load dependence.
+"""Dry friction of gears with Stribeck effect and load dependence, for the simulated arm.
 
-With the Stribeck share ``s = exp(-|ω/ω_s|^a)`` (1 at rest, 0 in fast motion), the motor torque τ_m
-and the load torque τ_e on the joint (equal and opposite at rest), friction is at most
+The torque of dry friction [N·m] is at most
 
-``base + s stribeck + |k_e τ_e - k_m τ_m| + s |k_es τ_e - k_ms τ_m| + s opposed quadratic``.
+``base + s stribeck + |k_e τ_e - k_m τ_m| + s |k_es τ_e - k_ms τ_m| + s opposed quadratic``
 
-``opposed`` is 1 while τ_e and τ_m have opposite signs, else 0. ``quadratic`` is ``q_e τ_e²`` while
-|τ_m| > |τ_e|, and ``q_m τ_m²`` while |τ_e| > |τ_m|. These are the models M1 to M6 of Duclusaud et
-al., Extended Friction Models for the Physics Simulation of Servo Actuators, arXiv 2410.08650
-(2024). M2 has only the first two terms, M4 has ``k_e = k_m``, M6 has all terms. The damping of the
-servo table covers their viscous term.
+with the motor torque τ_m and the load torque τ_e on the joint [N·m] (equal and opposite at rest)
+and the Stribeck share ``s = exp(-|ω/ω_s|^a)`` of the joint speed ω (1 at rest, 0 in fast motion).
+The coefficients are attributes of `Friction`: k_e `external`, k_m `motor`, k_es
+`external_stribeck`, k_ms `motor_stribeck`, q_e `external_quadratic`, q_m `motor_quadratic`, ω_s
+`speed`, a `exponent`. ``opposed`` is 1 while τ_e and τ_m have opposite signs, else 0. ``quadratic``
+is ``q_e τ_e²`` while |τ_m| > |τ_e|, and ``q_m τ_m²`` while |τ_e| > |τ_m|.
+
+These are the models M1 to M6 of Duclusaud et al., Extended Friction Models for the Physics
+Simulation of Servo Actuators, arXiv 2410.08650 (2024). M2 has only the first two terms, M4 has
+``k_e = k_m``, M6 has all terms. Their viscous term is in the damping of the servo table.
 """
 
 from __future__ import annotations
@@ -33,17 +37,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Friction:
-    """Gear friction as a function of speed and load; each entry is a number or one per joint, >= 0.
+    """Gear friction as a function of speed and load; each entry is a scalar or (n,), at least 0.
 
     Attributes:
-        base: Constant part [N·m].
+        base: Constant part of the friction [N·m].
         stribeck: Additional friction at rest [N·m].
         motor, external: Additional friction per motor torque and per load torque [1].
-        motor_stribeck, external_stribeck: Additional friction at rest, per torque [1].
-        motor_quadratic, external_quadratic: Additional friction at rest, per squared torque
-            [1/(N·m)].
-        speed: ω_s, at which the Stribeck share has fallen to 1/e [rad/s], above 0.
-        exponent: Exponent a of the Stribeck share: the larger, the steeper its fall.
+        motor_stribeck, external_stribeck: Additional friction at rest, per motor torque and per
+            load torque [1].
+        motor_quadratic, external_quadratic: Additional friction at rest, per squared motor torque
+            and per squared load torque [1/(N·m)].
+        speed: Speed at which the additional friction at rest has fallen to the share 1/e [rad/s],
+            above 0.
+        exponent: Exponent of this fall with speed; a larger value gives a steeper fall.
     """
 
     base: ArrayLike = 0.0
@@ -58,7 +64,7 @@ class Friction:
     exponent: ArrayLike = 1.0
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         for field in fields(self):
             try:
                 value = np.asarray(getattr(self, field.name), dtype=np.float64)
@@ -71,7 +77,13 @@ class Friction:
             raise ConfigError(f"Friction.speed must be above 0 rad/s, got {self.speed!r}")
 
     def largest(self, motor: ArrayLike, external: ArrayLike, speed: ArrayLike) -> Array:
-        """Return the largest dry friction [N·m] for torques [N·m] and a speed [rad/s]."""
+        """Return the largest torque of dry friction [N·m]; the module docstring has the equation.
+
+        Args:
+            motor: Motor torque [N·m].
+            external: Load torque [N·m].
+            speed: Joint speed [rad/s].
+        """
         motor, external = np.asarray(motor, dtype=np.float64), np.asarray(external, np.float64)
         share = np.exp(-(np.abs(np.asarray(speed) / self.speed) ** np.asarray(self.exponent)))
         at_rest = self.stribeck + np.abs(
@@ -90,12 +102,12 @@ class Friction:
         return out
 
     def at_rest(self, torque: ArrayLike) -> Array:
-        """Return the friction [N·m] of a joint at rest that holds a load `torque` [N·m]."""
+        """Return the largest dry friction [N·m] of a joint at rest that holds the load `torque`."""
         torque = np.asarray(torque, dtype=np.float64)
         return self.largest(torque, -torque, 0.0)
 
     def spread(self, n: int) -> Friction:
-        """Return a copy with one entry per joint.
+        """Return a copy in which every attribute is an array with one entry per joint, (n,).
 
         Raises:
             ShapeError: An entry is neither a scalar nor of length n.
@@ -104,10 +116,12 @@ class Friction:
         return Friction(**{name: per_joint(getattr(self, name), n, name) for name in names})
 
     def assumed(self, servos: Servos) -> Servos:
-        """Return the servo table with this friction, as a controller may assume it.
+        """Return a copy of the servo table with this friction, for a controller.
 
-        Motor and load torque are equal and opposite except for friction, so their coefficients add
-        up. The quadratic terms are left out, and ``1/(1 + x + x²)`` approximates ``exp(-x^a)``.
+        A controller knows only one load torque per joint. Motor and load torque are equal and
+        opposite except for friction, so their coefficients are added. The quadratic terms are
+        omitted. With x the joint speed over `speed`, the controller's Stribeck curve
+        ``1/(1 + x + x²)`` approximates ``exp(-x^exponent)``.
         """
         return servos.replace(
             friction=self.base,
@@ -119,14 +133,15 @@ class Friction:
 
     @staticmethod
     def of(joints: Sequence[Friction]) -> Friction:
-        """Combine the friction of single joints into that of an arm."""
+        """Return the friction of an arm: arrays with the values of single joints, base to tip."""
         names = [field.name for field in fields(Friction)]
         columns = {name: np.array([getattr(one, name) for one in joints]) for name in names}
         return Friction(**columns)
 
 
-#: Identified on a pendulum by the authors of the models (github.com/Rhoban/bam, rounded to three
-#: digits): Dynamixel MX-106 and MX-64 at 15 V, Feetech STS3215 at 7.4 V; form M6.
+#: Friction of Dynamixel MX-106 and MX-64 at 15 V and Feetech STS3215 at 7.4 V, for the model M6 of
+#: Duclusaud et al. (2024), identified on a pendulum by its authors (github.com/Rhoban/bam, rounded
+#: to three digits).
 MX106 = Friction(
     base=0.0,
     stribeck=0.122,
@@ -166,7 +181,7 @@ STS3215 = Friction(
 
 
 class Gears:
-    """Dry friction of n joints of a compiled model, updated before every physics step."""
+    """Updates the dry friction of the n joints of a compiled MuJoCo model in every physics step."""
 
     def __init__(
         self,
@@ -176,12 +191,23 @@ class Gears:
         dof: NDArray[np.int_],
         servo: NDArray[np.int_],
     ) -> None:
-        """Take the joints' degrees of freedom (n,) and their actuators (n,)."""
+        """Store the friction model, and MuJoCo's indices of the joints.
+
+        Args:
+            model: MuJoCo model.
+            data: MuJoCo state.
+            friction: Friction of the joints, scalars or arrays (n,).
+            dof: Index of each joint's degree of freedom (n,).
+            servo: Index of each joint's actuator (n,).
+        """
         self._model, self._data = model, data
         self._friction, self._dof, self._servo = friction.spread(dof.size), dof, servo
 
     def loads(self) -> tuple[Array, Array]:
-        """Return the motor torques (n,) [N·m], and all others except friction and damping."""
+        """Return motor torques and load torques on the joints (n,) [N·m], in the last step.
+
+        The load torques do not contain dry friction and damping of the joints.
+        """
         data, dof = self._data, self._dof
         rubbing = np.zeros(self._model.nv)
         dry = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
@@ -192,7 +218,7 @@ class Gears:
         return motor, external
 
     def update(self) -> Array:
-        """Set and return the friction (n,) [N·m], from the loads of the last step."""
+        """Set the joints' dry friction from the loads of the last step; return it (n,) [N·m]."""
         motor, external = self.loads()
         loss = self._friction.largest(motor, external, self._data.qvel[self._dof])
         self._model.dof_frictionloss[self._dof] = loss

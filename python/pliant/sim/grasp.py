@@ -1,4 +1,4 @@
-"""Objects in the grip of the arm: the grip itself, and a handover to a person."""
+"""Simulated objects that the arm holds, and a handover to a person."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
 
 Grip = Literal["rigid", "turning"]
 
-#: Time constant of the grip [s].
+#: Time constant of the grip constraint (MuJoCo's `solref`) [s].
 GRIP_TIME = 0.01
-#: Impedance of the grip constraint (MuJoCo's solimp), close to and far from its target: stiffer
-#: than MuJoCo's default.
+#: Impedances d_0 and d_width of the grip constraint (first entries of MuJoCo's `solimp`) [1]; they
+#: make it stiffer than the default.
 GRIP_IMPEDANCE = (0.95, 0.99)
-#: Start of the records [s]: at a start from rest the arm shakes the handle while the servos take
-#: up its weight.
+#: Time after reset from which on peak forces are recorded [s]; before, the servos take up the
+#: weight of the arm.
 SETTLE = 0.5
 
 
 @dataclass(kw_only=True)
 class GraspedObject(Fixture):
-    """An object that the arm holds at its site `handle`, which is where the tool is at reset.
+    """Base class of objects that the arm holds at a handle; at reset the handle is at the tool.
 
     Attributes:
-        grip: `rigid` (a weld) or `turning` (the handle rotates in the grip).
-        name: Unique in a scene; prefix of all bodies and joints.
+        grip: `rigid` (the handle is welded to the tool) or `turning` (it can rotate in the grip).
+        name: Name in the scene, unique; prefix of all bodies and joints.
         force: Norm of the force in the grip in the last physics step [N].
         torque: Norm of the torque in the grip in the last physics step [N·m]; 0 if `turning`.
-        peak_force, peak_torque: Largest of any physics step since 0.5 s after the reset.
+        peak_force, peak_torque: Largest force [N] and torque [N·m] since 0.5 s after reset.
     """
 
     grip: Grip = "rigid"
@@ -53,13 +53,16 @@ class GraspedObject(Fixture):
     peak_torque: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        """Check the grip."""
+        """Raise `ConfigError` unless `grip` is `rigid` or `turning`."""
         if self.grip not in {"rigid", "turning"}:
             kind = type(self).__name__
             raise ConfigError(f"{kind}.grip must be 'rigid' or 'turning', got {self.grip!r}")
 
     def add_grip(self, build_spec: Build, body: mujoco.MjsBody, at: ArrayLike) -> None:
-        """Tie the tool to a handle at `at` (3,) [m] on a body of the object."""
+        """Add a handle to `body` and the constraint that holds it at the tool.
+
+        `at` (3,) [m] is the position of the handle in the frame of the body.
+        """
         spec = build_spec.spec
         place = np.asarray(at, dtype=np.float64)
         body.add_site(name=f"{self.name}:handle", pos=place, size=(0.01, 0.0, 0.0))
@@ -74,13 +77,13 @@ class GraspedObject(Fixture):
         grip.solimp[:2] = GRIP_IMPEDANCE
 
     def place_grip(self, plant: Plant) -> None:
-        """Align the handle with the tool, close the grip, and clear the records."""
+        """Align the handle with the tool, close the grip, and clear recorded forces."""
         model = plant.mj_model
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, np.ascontiguousarray(plant.tool[:3, :3]).reshape(9))
         handle = model.site(f"{self.name}:handle")
         handle.quat[:] = quat
-        # Without this, a site compiled with the body's axes would keep copying them.
+        # Mark the site as not aligned with its body: else MuJoCo ignores its new orientation.
         model.site_sameframe[handle.id] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
         self._grip = model.equality(f"{self.name}:grip").id
         self._rows = 6 if self.grip == "rigid" else 3
@@ -95,7 +98,10 @@ class GraspedObject(Fixture):
         self._row = None
 
     def after(self, plant: Plant) -> None:
-        """Record force and torque in the grip; `pull` (3,) is the force in base axes [N]."""
+        """Record force and torque in the grip after a physics step.
+
+        The attribute `pull` (3,) is then the force in base axes [N].
+        """
         data = plant.mj_data
         if not data.eq_active[self._grip]:
             self.force = self.torque = 0.0
@@ -113,35 +119,38 @@ class GraspedObject(Fixture):
         if counts:
             self.peak_force = max(self.peak_force, self.force)
         if self._rows > 3:
-            # The rotational rows of a weld use half the rotation vector, so they carry twice the
-            # torque.
+            # Halve the constraint force: it is twice the torque, because the error of a MuJoCo weld
+            # is half the rotation vector.
             self.torque = 0.5 * float(np.sqrt(rows[3:] @ rows[3:]))
             if counts:
                 self.peak_torque = max(self.peak_torque, self.torque)
 
 
-#: Distance of the tool from its start at which the gripper opens [m].
+#: Distance of the tool from its start at which a program should open the gripper [m], because a
+#: person pulls at the object.
 RELEASE_DISTANCE = 0.05
 
 
 @dataclass(kw_only=True)
 class HandoverObject(GraspedObject):
-    """A ball in the grip that a person takes: a spring from the ball to a receding hand.
+    """Ball in the arm's grip that a person takes: a spring between the ball and a moving hand.
 
-    The person's force is ``stiffness (goal - place) - damping v``, with its norm limited to
-    `limit`. Once the grip is open, the hand also carries the ball's weight. Before the course
-    starts there is no force.
+    The person's force on the ball is ``stiffness (goal - place) - damping v``, with the position
+    `goal` of the hand, and position `place` and velocity v of the ball. Its norm is limited to
+    `limit`, and it is zero before `course.start`. After the grip has opened, the hand also carries
+    the weight of the ball.
 
     Attributes:
         mass: Mass of the ball [kg].
-        displacement: Displacement of the hand (3,) in base axes [m].
+        displacement: Displacement of the hand from the start to the end of its motion (3,) in base
+            axes [m].
         stiffness: Stiffness of the person's arm [N/m].
         damping: Damping of the person's arm [N·s/m].
         limit: Largest force of the person [N].
-        course: When the hand takes hold, and the duration of its motion.
-        effort: Present force of the person [N].
-        peak_effort: Largest force so far [N].
-        released: Time at which the grip opened [s], None before.
+        course: Time course of the hand's motion.
+        effort: Norm of the present force of the person [N].
+        peak_effort: Largest force of the person since reset [N].
+        released: Time at which the grip opened [s]; None if it is closed.
     """
 
     mass: float = 0.3
@@ -158,7 +167,7 @@ class HandoverObject(GraspedObject):
     released: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         super().__post_init__()
         if np.shape(self.displacement) != (3,):
             raise ConfigError(
@@ -171,7 +180,7 @@ class HandoverObject(GraspedObject):
             )
 
     def add(self, build_spec: Build) -> None:
-        """Add the ball and the grip on it."""
+        """Add the ball and the grip constraint."""
         ball = build_spec.spec.worldbody.add_body(name=f"{self.name}:ball")
         ball.add_freejoint(name=f"{self.name}:free")
         ball.add_geom(
@@ -185,7 +194,7 @@ class HandoverObject(GraspedObject):
         self.add_grip(build_spec, ball, (0.0, 0.0, 0.0))
 
     def place(self, plant: Plant) -> None:
-        """Put the ball into the tool, and clear the records."""
+        """Place the ball at the tool, close the grip, and clear recorded forces."""
         model, data = plant.mj_model, plant.mj_data
         self._body = int(model.body(f"{self.name}:ball").id)
         joint = model.joint(f"{self.name}:free")
@@ -198,12 +207,12 @@ class HandoverObject(GraspedObject):
         self.released = None
 
     def release(self, plant: Plant) -> None:
-        """Open the grip."""
+        """Open the grip, and record the time in `released`."""
         super().release(plant)
         self.released = plant.time
 
     def during(self, plant: Plant) -> None:
-        """Apply the person's force, and the ball's weight once the grip is open."""
+        """Apply the person's force to the ball; once the grip is open, carry its weight too."""
         data = plant.mj_data
         if not self.course.active(data.time):
             return
@@ -219,5 +228,5 @@ class HandoverObject(GraspedObject):
         plant.pull(self._body, force + lift, np.zeros(3), place.copy())
 
     def place_of(self, plant: Plant) -> np.ndarray:
-        """Return the position of the ball (3,) [m]."""
+        """Return the position of the ball (3,) in the base frame [m]."""
         return np.array(plant.mj_data.xpos[self._body])

@@ -1,4 +1,4 @@
-"""True state of the simulation, for hands, scenes and figures; not available to a controller."""
+"""True poses and velocities of the simulated frames, for hands, scenes and figures."""
 
 from __future__ import annotations
 
@@ -12,54 +12,58 @@ from pliant.sim._mujoco import mujoco
 if TYPE_CHECKING:
     from pliant._typing import Array
 
-#: Frame names that every robot has besides its links: tip of the chain, and its last moving body.
+#: Names of frames that every robot has in addition to its links: the tip of the chain (`tool`), and
+#: the link that the chain's last joint moves (`wrist`).
 TOOL, WRIST = "tool", "wrist"
 
 
 class Frame:
-    """One frame of the robot in base axes: present pose and velocity, and start pose."""
+    """Frame of the robot in base axes: present pose and velocity, and pose at reset."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, site: int) -> None:
-        """Observe a site."""
+        """Create the frame of the MuJoCo site with the index `site`."""
         self._model, self._data, self.site = model, data, site
         self.body = int(model.site_bodyid[site])
-        #: Position (3,) [m], a live view.
+        #: Present position (3,) [m], a view of the simulation state.
         self.position: Array = data.site_xpos[site]
         self._matrix: Array = data.site_xmat[site]
         self._twist = np.zeros(6)
         self.remember()
 
     def remember(self) -> None:
-        """Store the present pose as the start."""
+        """Store the present pose as the start pose."""
         self.start = self.position.copy()
         self.start_rotation = self.rotation.copy()
 
     @property
     def rotation(self) -> Array:
-        """Rotation matrix (3, 3), a live view."""
+        """Present rotation matrix (3, 3), a view of the simulation state."""
         return self._matrix.reshape(3, 3)
 
     @property
     def pose(self) -> Array:
-        """Pose (4, 4), a copy."""
+        """Present pose (4, 4) in base axes, a copy."""
         pose = np.eye(4)
         pose[:3, :3] = self.rotation
         pose[:3, 3] = self.position
         return pose
 
     def shift(self) -> Array:
-        """Return the displacement from the start (3,) [m]."""
+        """Return the displacement (3,) [m] since the reset, in base axes."""
         return self.position - self.start
 
     def turn(self) -> Array:
-        """Return the rotation vector (3,) [rad] from the start, in base axes."""
+        """Return the rotation since the start as a rotation vector (3,) [rad] in base axes."""
         quat, vector = np.zeros(4), np.zeros(3)
         mujoco.mju_mat2Quat(quat, (self.rotation @ self.start_rotation.T).reshape(9))
         mujoco.mju_quat2Vel(vector, quat, 1.0)
         return vector
 
     def twist(self) -> Array:
-        """Velocity (6,) in base axes: linear [m/s] at the frame's origin, then angular [rad/s]."""
+        """Return the velocity (6,) of the frame in base axes.
+
+        Three entries are the linear velocity of the origin [m/s], three the angular one [rad/s].
+        """
         mujoco.mj_objectVelocity(
             self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self.site, self._twist, 0
         )
@@ -67,10 +71,10 @@ class Frame:
 
 
 class GroundTruth:
-    """The frames of the simulation by name: every link, `tool` and `wrist`."""
+    """Frames of the simulation by name: every link, `tool` and `wrist`."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, aliases: dict[str, str]) -> None:
-        """Find the frames; `aliases` maps `tool` and `wrist` to links."""
+        """Store the simulation; `aliases` maps `tool` and `wrist` to link names."""
         self.model, self.data = model, data
         self._aliases = aliases
         self._frames: dict[str, Frame] = {}
@@ -79,7 +83,7 @@ class GroundTruth:
         """Return a frame by the name of a link, `tool` or `wrist`.
 
         Raises:
-            FrameNotFoundError: There is no such frame; the message lists those there are.
+            FrameNotFoundError: There is no such frame; the message lists the known frames.
         """
         found = self._frames.get(name)
         if found is not None:
@@ -95,6 +99,6 @@ class GroundTruth:
         return found
 
     def remember(self) -> None:
-        """Store the present poses of all frames as their start."""
+        """Store the present pose of each frame as its start pose."""
         for frame in self._frames.values():
             frame.remember()

@@ -1,8 +1,8 @@
-"""Hands that push, drag and turn the arm with a bounded force.
+"""Simulated hands that push, drag and turn the arm with a bounded force.
 
 A hand is a force law: it maps the true state and the time to a force [N] and a torque [N·m] in base
-axes at one point of the arm. It is stateless, so that it can be reused, compared and printed; the
-plant records its forces.
+axes at one point of the arm. A hand has no state; the plant records the force of each hand in an
+`AppliedForce`.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _ZERO = np.zeros(3)
 
 
 class Hand(Protocol):
-    """Protocol of a force law that acts on one frame of the arm."""
+    """Interface of a force law that acts on one frame of the arm."""
 
     @property
     def at(self) -> str:
-        """Name of the frame on which it acts: a link, `tool` or `wrist`."""
+        """Name of the frame on which the force acts: a link, `tool` or `wrist`."""
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
         """Return force (3,) [N], torque (3,) [N·m] and point of application (3,) [m], base axes."""
@@ -41,14 +41,14 @@ class Hand(Protocol):
 
 @dataclass
 class AppliedForce:
-    """Record of one hand: means of the last period, peaks of all physics steps since reset.
+    """Record of the force of one hand.
 
     Attributes:
         hand: The hand.
-        force: Mean force (3,) [N].
-        torque: Mean torque (3,) [N·m].
-        peak_force: Largest norm of the force [N].
-        peak_torque: Largest norm of the torque [N·m].
+        force: Mean force over the last control period (3,) [N].
+        torque: Mean torque over the last control period (3,) [N·m].
+        peak_force: Largest norm of the force in any physics step since reset [N].
+        peak_torque: Largest norm of the torque in any physics step since reset [N·m].
     """
 
     hand: Hand
@@ -58,33 +58,33 @@ class AppliedForce:
     peak_torque: float = 0.0
 
     def begin(self) -> None:
-        """Start a period."""
+        """Start a control period: set the sums of force and torque to zero."""
         self.force, self.torque = np.zeros(3), np.zeros(3)
 
     def add(self, force: Array, torque: Array) -> None:
-        """Add one physics step."""
+        """Add force (3,) [N] and torque (3,) [N·m] of one physics step, and update the peaks."""
         self.force += force
         self.torque += torque
         self.peak_force = max(self.peak_force, float(np.sqrt(force @ force)))
         self.peak_torque = max(self.peak_torque, float(np.sqrt(torque @ torque)))
 
     def end(self, steps: int) -> None:
-        """Turn the sums of a period into means."""
+        """End a control period of `steps` physics steps: divide the sums, which gives the means."""
         self.force /= max(steps, 1)
         self.torque /= max(steps, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceProfile:
-    """Time course of a hand: a ramp from 0 to 1, then constant, then released.
+    """Time course of a hand: a ramp from 0 to 1, then constant until the hand lets go.
 
-    Times are on the clock of the plant, like `Tick.began`. An arm of `connect` spends the first
-    half second ramping up torque, before a `Loop` begins and `Tick.time` is 0.
+    Times are on the clock of the plant, like `Tick.began`. They are not `Tick.time`, which is 0
+    when a `Loop` starts: before, an arm from `connect` needs half a second to raise its torques.
 
     Attributes:
-        start: Beginning [s].
+        start: Start time [s].
         rise: Length of the ramp [s].
-        end: Release [s].
+        end: Time at which the hand lets go [s].
     """
 
     start: float = 2.0
@@ -92,16 +92,16 @@ class ForceProfile:
     end: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check the order."""
+        """Raise `ConfigError` unless `end` is at least `start` and `rise` at least 0."""
         if not (self.rise >= 0.0 and self.end >= self.start):
             raise ConfigError(f"a hand needs rise >= 0 and end >= start, got {self!r}")
 
     def active(self, t: float) -> bool:
-        """Return True while the hand holds on, at time t [s]."""
+        """Return True if the hand acts at time t [s]: from `start` on, until `end`."""
         return self.start <= t < self.end
 
     def share(self, t: float) -> float:
-        """Return the ramp value at time t [s], 0 to 1."""
+        """Return the value of the ramp at time t [s], from 0 to 1."""
         if self.rise <= 0.0:
             return 1.0 if t >= self.start else 0.0
         return min(max((t - self.start) / self.rise, 0.0), 1.0)
@@ -109,9 +109,11 @@ class ForceProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class Drag:
-    """A hand that drags a point along one axis with a bounded force; all other axes are free.
+    """Hand that drags a frame along one axis with a bounded force; it leaves other axes free.
 
-    ``f = clip(stiffness (distance share(t) + offset - shift) - damping v, ±limit)`` along the axis.
+    The force along the axis is
+    ``clip(stiffness (distance share(t) + offset - shift) - damping v, ±limit)`` [N]: share(t) is
+    the ramp of `course`, shift the displacement of the frame since reset, v its velocity.
 
     Attributes:
         axis: `x`, `y`, `z` or a direction (3,) in base axes.
@@ -119,9 +121,9 @@ class Drag:
         stiffness: Stiffness of the grip [N/m].
         damping: Damping of the grip [N·s/m].
         limit: Largest force of the grip [N].
-        at: Frame on which it acts.
-        course: Time course.
-        offset: Displacement of the frame from its start at which the hand takes hold of it [m].
+        at: Frame on which the hand acts.
+        course: Time course of the commanded displacement.
+        offset: Commanded displacement at the start of the ramp [m].
     """
 
     axis: str | Sequence[float] = "y"
@@ -134,12 +136,12 @@ class Drag:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         _direction(self.axis, _AXES)
         _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return the wrench: a force at the frame's origin."""
+        """Return the hand's force [N], a zero torque, and the frame's origin at time t [s]."""
         frame = ground_truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
@@ -152,19 +154,20 @@ class Drag:
 
 @dataclass(frozen=True, kw_only=True)
 class Twist:
-    """A hand that turns a frame about one base axis with a bounded torque.
+    """Hand that turns a frame about one base axis with a bounded torque.
 
-    ``t = clip(stiffness (angle share(t) - turn) - damping w, ±limit)``; the turn is the component
-    of the rotation vector from the start.
+    The torque about the axis is ``clip(stiffness (angle share(t) - turn) - damping w, ±limit)``
+    [N·m]: share(t) is the ramp of `course`, turn the component along the axis of the frame's
+    rotation vector since reset [rad], w the angular velocity about the axis [rad/s].
 
     Attributes:
-        axis: `roll`, `pitch`, `yaw` or a direction (3,).
+        axis: `roll`, `pitch`, `yaw` or a direction (3,) in base axes.
         angle: Commanded rotation [rad].
         stiffness: Stiffness of the grip [N·m/rad].
         damping: Damping of the grip [N·m·s/rad].
         limit: Largest torque of the grip [N·m].
-        at: Frame on which it acts.
-        course: Time course.
+        at: Frame on which the hand acts.
+        course: Time course of the commanded rotation.
     """
 
     axis: str | Sequence[float] = "yaw"
@@ -176,12 +179,12 @@ class Twist:
     course: ForceProfile = field(default_factory=ForceProfile)
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         _direction(self.axis, _TURNS)
         _not_negative(stiffness=self.stiffness, damping=self.damping, limit=self.limit)
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return the wrench: a torque on the frame's body."""
+        """Return a zero force, the hand's torque [N·m], and the frame's origin at time t [s]."""
         frame = ground_truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
@@ -193,13 +196,13 @@ class Twist:
 
 @dataclass(frozen=True, kw_only=True)
 class Push:
-    """A push that does not depend on the arm's position: a ramp, then constant, then released.
+    """Push with a prescribed force and torque, independent of the arm's position.
 
     Attributes:
         force_vector: Force (3,) in base axes [N].
         torque_vector: Torque (3,) in base axes [N·m].
-        at: Frame on which it acts.
-        course: Time course; a short one is a tap.
+        at: Frame on which the push acts.
+        course: Time course of the share of force and torque that acts.
     """
 
     force_vector: Sequence[float] = (0.0, 0.0, 0.0)
@@ -208,12 +211,12 @@ class Push:
     course: ForceProfile = field(default_factory=lambda: ForceProfile(start=2.0, rise=1.0, end=5.0))
 
     def __post_init__(self) -> None:
-        """Check the shapes once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         if np.shape(self.force_vector) != (3,) or np.shape(self.torque_vector) != (3,):
             raise ConfigError("Push.force_vector and torque_vector have three entries each")
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return the wrench at the frame's origin."""
+        """Return force [N] and torque [N·m] of the push, and the frame's origin, at time t [s]."""
         frame = ground_truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
@@ -227,15 +230,15 @@ class Push:
 
 @dataclass(frozen=True, kw_only=True)
 class SpringConstraint:
-    """Springs that hold some axes of a frame, for pushes along one axis only.
+    """Springs that hold some axes of a frame at its start pose and leave the others free.
 
     Attributes:
         axes: Names of the held axes: any of x y z roll pitch yaw.
         stiffness: Translational stiffness [N/m].
         rotational: Rotational stiffness [N·m/rad].
-        damping: Translational [N·s/m] and rotational [N·m·s/rad].
-        at: Frame that is held.
-        course: Time course; by default always.
+        damping: Translational damping [N·s/m], and rotational damping [N·m·s/rad].
+        at: Name of the frame that is held.
+        course: Time in which the springs act; by default always.
     """
 
     axes: str = "x z roll pitch yaw"
@@ -248,7 +251,7 @@ class SpringConstraint:
     )
 
     def __post_init__(self) -> None:
-        """Check the axis names once."""
+        """Raise `ConfigError` for unknown axis names or negative stiffness."""
         unknown = set(self.axes.split()) - set(_AXES) - set(_TURNS)
         if unknown:
             raise ConfigError(
@@ -258,7 +261,7 @@ class SpringConstraint:
         _not_negative(stiffness=self.stiffness, rotational=self.rotational)
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return the wrench of the springs."""
+        """Return force [N] and torque [N·m] of the springs, and the frame's origin."""
         frame = ground_truth.frame(self.at)
         if not self.course.active(t):
             return _ZERO, _ZERO, frame.position
@@ -272,14 +275,14 @@ class SpringConstraint:
 
 
 def tap(force: Sequence[float], *, at: str = TOOL, start: float = 1.0) -> Push:
-    """Return a tap of 0.12 s: up within 20 ms, held 0.1 s; force (3,) [N]."""
+    """Return a push of 0.12 s: it rises to `force` (3,) [N] in 20 ms and stays for 0.1 s."""
     return Push(
         force_vector=force, at=at, course=ForceProfile(start=start, rise=0.02, end=start + 0.12)
     )
 
 
 def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float, float]]) -> Array:
-    """Return the unit vector (3,) of an axis given by name or by numbers."""
+    """Return the unit vector (3,) of an axis given as a key of `names` or as a direction (3,)."""
     if isinstance(axis, str):
         if axis not in names:
             raise ConfigError(
@@ -293,15 +296,15 @@ def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float,
 
 
 def _not_negative(**values: float) -> None:
-    """Raise unless every value is at least zero."""
+    """Raise `ConfigError` unless every value is at least zero."""
     for name, value in values.items():
         if not value >= 0.0:
             raise ConfigError(f"{name} must be at least 0, got {value!r}")
 
 
-#: The hands of the experiments: 15 N at the wrist centre, a strong one and a robust one at the
-#: tool, and one that turns the tool.
-LIGHT = Drag()
-STRONG = Drag(distance=0.15, stiffness=3000.0, limit=80.0, at=TOOL)
-ROBUST = Drag(distance=0.20, stiffness=2000.0, limit=30.0, at=TOOL)
-YAW = Twist()
+#: Hands of the experiments, named by their force or torque limit: a drag along y at the wrist
+#: centre, two drags along y at the tool, and a twist of the tool about yaw.
+DRAG_15N = Drag()
+DRAG_80N = Drag(distance=0.15, stiffness=3000.0, limit=80.0, at=TOOL)
+DRAG_30N = Drag(distance=0.20, stiffness=2000.0, limit=30.0, at=TOOL)
+TWIST_3NM = Twist()

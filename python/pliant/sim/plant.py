@@ -1,6 +1,6 @@
-"""A simulated arm with the interface of a real one.
+"""Simulated arm: `Plant` runs the MuJoCo physics of servos, bus and scene.
 
-`read()` returns the reading of the bus, `write()` takes goals and torque limits, `advance()` runs
+`read()` returns the readings of the bus, `write()` sends goals and torque limits, `advance()` runs
 the physics of one control period.
 """
 
@@ -36,80 +36,88 @@ if TYPE_CHECKING:
 
 
 class Fixture(Protocol):
-    """Scene object with bodies in the physics model, such as a door.
+    """Interface of scene objects with bodies in the physics model, such as a door.
 
-    Hands and walls have no bodies: they only exert forces. A subclass overrides only the methods
-    that it needs.
+    Hands and walls are no fixtures: they have no bodies and only exert forces. A subclass overrides
+    the methods that it needs.
     """
 
     def add(self, build_spec: Build) -> None:
-        """Add bodies and constraints before the model is compiled."""
+        """Add bodies and constraints to the MuJoCo specification, before it is compiled."""
 
     def place(self, plant: Plant) -> None:
-        """Place all bodies at a reset, relative to the tool."""
+        """Place the bodies relative to the tool; `Plant.reset` calls this method."""
 
     def before(self, plant: Plant) -> None:
-        """Prepare each physics step, e.g. prescribed motion."""
+        """Prepare a physics step, for example by a prescribed motion of a body."""
         return
 
     def during(self, plant: Plant) -> None:
-        """Apply external forces (`mj_data.qfrc_applied`), with positions up to date."""
+        """Add external forces to `mj_data.qfrc_applied` in a physics step.
+
+        MuJoCo has computed positions and velocities of the step, but not the accelerations.
+        """
         return
 
     def after(self, plant: Plant) -> None:
-        """Record results after each physics step."""
+        """Record results after a physics step."""
         return
 
 
 class Plant:
-    """A simulated arm with torque-limited position servos and imperfections of servos and bus.
+    """Simulated arm with torque-limited position servos and imperfections of servos and bus.
 
-    A servo is ``clip(kp (goal - q) - kv dq, ±limit)``. Gear friction, damping and back-EMF act
-    outside the limit, so a limit of 0 does not make a joint free. The limit holds in every physics
-    step. A command holds until the next one arrives.
+    The torque of a servo is ``clip(kp (goal - q) - kv dq, ±limit)`` [N·m]. Gear friction, damping
+    and back-EMF act in addition, so a joint with limit 0 still resists motion. A command holds
+    until the next command arrives.
 
     Args:
         model: The robot; the world frame is its base frame.
-        servos: Servo table; default the model's own, or a guess from its efforts.
-        extra_servos: Servos of off-chain joints by joint name, one entry each; default a guess from
-            their efforts.
+        servos: Servo table of the chain; by default the table of the model, or estimates from its
+            effort limits.
+        extra_servos: Servo tables with one entry of off-chain joints, by joint name; by default
+            estimates from the joints' effort limits.
         dt: Physics step [s].
         rate: Control rate [Hz]; a period must be a whole number of physics steps.
-        delay: Ticks from sampling to read(), and from write() to the servo.
-        encoder_step: Encoder count [rad]; readings and goals are rounded to it.
-        encoder_flicker: Counts by which readings toggle at random.
-        noise: Standard deviation of the readings before rounding [rad].
-        deadband: Error below which a servo gives no torque [rad]; above it, the error counts from
-            the edge of the band.
-        read_loss: Share of readings lost.
-        write_loss: Share of writes lost.
+        delay: Delays from sampling to read(), and from write() to the servo [ticks]; a tick is one
+            call of advance().
+        encoder_step: Angle of an encoder count [rad]; readings and goals are rounded to whole
+            counts.
+        encoder_flicker: Random error of a reading [counts], added or subtracted with probability
+            1/4 each.
+        noise: Standard deviation of white noise on the readings before rounding [rad].
+        deadband: Position error below which a servo exerts no torque [rad]; a larger error is
+            reduced by this amount.
+        read_loss: Probability that a reading is lost.
+        write_loss: Probability that a write is lost.
         bus_outage: Start and end of an outage of the bus in both directions [s].
         kp_scale: Ratio of true to tabulated stiffness, scalar or (n,).
         friction_scale: Ratio of true to tabulated friction.
-        damping_scale: Ratio of true to tabulated damping, gears and back-EMF.
+        damping_scale: Ratio of true to tabulated damping, including back-EMF.
         payload: Mass [kg] and centre (3,) in the tool frame [m] of a load unknown to the
             controller.
         overload: Overload protection of the servos; None: no protection.
-        friction: Dry friction of the gears: `coulomb`, as in the table, or by speed and load.
-        friction_creep: Creep of a joint that dry friction should hold, in [0.001, 1]: its speed is
-            about 1 ms · friction_creep · torque / inertia. 1 is MuJoCo's own, 0.1 closer to real
-            gears.
-        off_chain: `held` gives a gripper servos of its own, `welded` freezes it.
+        friction: Dry friction of the gears: `coulomb` is the constant friction of the servo table;
+            a `Friction` depends on speed and load.
+        friction_creep: Creep of a joint that dry friction should hold, in [0.001, 1]: the joint
+            moves at about 1 ms · friction_creep · torque / inertia. MuJoCo's default is 1; 0.1 is
+            closer to real gears.
+        off_chain: `held` gives each gripper joint a servo, `welded` fixes it.
         scene: Hands, walls and fixtures (doors).
-        seed: Seed of all random sources; equal seeds give equal runs.
+        seed: Seed of all random generators; equal seeds give equal runs.
 
     Attributes:
         model: The robot.
-        n: Joints of the chain.
+        n: Number of joints of the chain.
         rate, period, dt: Control rate [Hz], control period and physics step [s].
-        steps: Physics steps per period.
-        gains: The true servo parameters.
-        table: The servo table (n,), as a controller may assume it.
-        extra_tables: Servo table of each off-chain joint that has a servo, one entry each.
-        tabulated: Parameters of `table`, without `kp_scale` and the other scales.
-        write_delay: From write() to the servos [s].
+        steps: Physics steps per control period.
+        gains: True servo parameters, with `kp_scale` and the other scales.
+        table: Servo table of the chain without the scales, for a controller.
+        extra_tables: Servo table with one entry of each off-chain joint that has a servo, by name.
+        tabulated: Servo parameters that follow from `table`, without the scales.
+        write_delay: Delay from write() to the servos [s].
         hands: Record of each hand, in the order of the scene.
-        mj_model, mj_data, spec: MuJoCo's own objects, for pictures and pages.
+        mj_model, mj_data, spec: MuJoCo objects, for pictures.
 
     Raises:
         ConfigError: An argument is out of range; the message names it.
@@ -153,7 +161,7 @@ class Plant:
         scene: Iterable[Hand | Fixture] = (),
         seed: int = 0,
     ) -> None:
-        """Build the arm; until reset it stands in the middle of its joint ranges."""
+        """Build the simulation and reset it: joints in the middle of their ranges, or at 0."""
         n = self.n = int(instance(model, Model, "model").n)
         self.steps = checks.physics_steps(dt, rate)
         self.model, self.dt, self.rate = model, float(dt), float(rate)
@@ -183,7 +191,7 @@ class Plant:
             dt=self.dt,
             off_chain=off_chain,
             payload=checks.load(payload),
-            # In MuJoCo a joint held by dry friction always creeps.
+            # A creep of 0 is not possible: MuJoCo's friction constraint is soft.
             creep=number(friction_creep, "friction_creep", 1e-3, 1.0),
             extra=checks.extra(model, extra_servos),
         )
@@ -216,11 +224,14 @@ class Plant:
 
     @property
     def sent(self) -> Command:
-        """Last order sent: goals (n,) [rad] and limits (n,) [N·m]."""
+        """Last command sent: goals (n,) [rad] and limits (n,) [N·m]."""
         return self._bus.sent
 
     def read(self) -> State:
-        """Return the reading of this tick: delayed, rounded, repeated if lost."""
+        """Return the reading that the bus delivers in this tick, delayed and rounded to counts.
+
+        If the reading was lost, the last one is returned again.
+        """
         return self._bus.state
 
     def write(
@@ -233,8 +244,8 @@ class Plant:
 
         Args:
             goal: Joint goals (n,) [rad].
-            limit: Torque limits (n,) [N·m], symmetric, at least 0, cut at the usable torque; None
-                keeps the last limits.
+            limit: Torque limits (n,) [N·m], symmetric, at least 0, clipped to the usable torque;
+                None keeps the last limits.
             extra: Goal [rad] and limit [N·m] of off-chain joints by name.
 
         Raises:
@@ -258,9 +269,9 @@ class Plant:
         self._bus.send(Command(goal, np.minimum(limit, self.gains.torque), pairs))
 
     def advance(self, n_steps: int | None = None) -> None:
-        """Run the physics for one control period, or `n_steps` physics steps, and sample.
+        """Run the physics for one control period, or `n_steps` physics steps; sample the joints.
 
-        Every call is one tick of the bus, whatever its duration.
+        Every call counts as one tick of the bus, independent of the number of physics steps.
 
         Raises:
             PliantError: The physics diverged.
@@ -286,9 +297,9 @@ class Plant:
         self._bus.sample(self.q, self._bank.angles(), self.time)
 
     def reset(self, q: ArrayLike) -> State:
-        """Put the arm at rest: goals at q, limits at the usable torque, time at 0.
+        """Set the arm at rest at q, with q as goals, usable torques as limits, and time 0.
 
-        Doors and walls are placed relative to the tool of this pose; all random sources restart.
+        Doors and walls are placed relative to the tool in this pose. Random generators restart.
 
         Args:
             q: Joint positions (n,) [rad].
@@ -327,12 +338,15 @@ class Plant:
 
     @property
     def torque(self) -> Array:
-        """Mean torque of the servos over the last period (n,) [N·m], inside their limits."""
+        """Mean torque of the servos over the last control period (n,) [N·m], within their limits.
+
+        In a scene with only passive fixtures it is the torque in the last physics step.
+        """
         return self._bank.torque.copy()
 
     @property
     def tripped(self) -> Mask:
-        """Mask of the servos that have cut their torque by overload (n,)."""
+        """Mask (n,) of the servos whose overload protection has tripped."""
         return self._bank.tripped
 
     @property
@@ -352,29 +366,36 @@ class Plant:
 
     @property
     def fixtures(self) -> tuple[Fixture, ...]:
-        """The doors and other bodies of the scene, in the order given."""
+        """Doors and other fixtures of the scene, in the order given."""
         return tuple(self._fixtures)
 
     @property
     def friction(self) -> Array:
-        """Largest dry friction of the joints in this state (n,) [N·m]."""
+        """Largest dry friction of the joints in the present state (n,) [N·m]."""
         if self._gears is None:
             return self.gains.friction.copy()
         return self._gears.update()
 
     def set_hands(self, hands: Iterable[Hand]) -> None:
-        """Replace hands and walls; their records start empty."""
+        """Replace the hands and walls of the scene; the records of their forces start empty."""
         self.hands = [AppliedForce(hand) for hand in hands]
         for record in self.hands:
             self.ground_truth.frame(record.hand.at)
 
     def pull(self, body: int, force: Array, torque: Array, point: Array) -> None:
-        """Add a force and a torque at a world point to a body, for this physics step."""
+        """Apply a force and a torque to a body in the present physics step.
+
+        Args:
+            body: MuJoCo's index of the body.
+            force: Force (3,) in base axes [N].
+            torque: Torque (3,) in base axes [N·m].
+            point: Point of application (3,) in the base frame [m].
+        """
         applied = self.mj_data.qfrc_applied
         mujoco.mj_applyFT(self.mj_model, self.mj_data, force, torque, point, body, applied)
 
     def _make_gears(self, friction: Literal["coulomb"] | Friction) -> Gears | None:
-        """Return the object that sets the friction of the joints, None if friction is constant."""
+        """Return the object that updates the joints' dry friction; None if friction is constant."""
         if isinstance(friction, Friction):
             dof, servo = self._bank.addresses
             return Gears(self.mj_model, self.mj_data, friction, dof, servo)
@@ -383,15 +404,15 @@ class Plant:
         return None
 
     def _is_passive(self) -> bool:
-        """Return True if MuJoCo can run a whole period without Python between the steps.
+        """Return True if MuJoCo can run a whole period without Python between physics steps.
 
-        `torque` is then the torque of the period's last step.
+        The attribute `torque` is then the torque in the last physics step, not the mean.
         """
         scene = bool(self._fixtures) and all(getattr(f, "passive", False) for f in self._fixtures)
         return scene and not (self.hands or self._bank.needs_drive or self._gears)
 
     def _step(self) -> None:
-        """Run one physics step: servos, positions, external forces at these positions, motion."""
+        """Run one physics step, including hands, fixtures, friction model and dead bands."""
         data = self.mj_data
         self._bank.drive()
         if self._gears is not None:
@@ -412,12 +433,12 @@ class Plant:
             fixture.after(self)
 
     def _forward(self) -> None:
-        """Update the frames to the present joint positions."""
+        """Update the poses of all frames to the present joint positions."""
         mujoco.mj_kinematics(self.mj_model, self.mj_data)
         mujoco.mj_comPos(self.mj_model, self.mj_data)
 
     def _vector(self, value: ArrayLike, name: str) -> Array:
-        """Check a joint vector."""
+        """Validate a joint vector and return it as a new array (n,)."""
         try:
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError):
@@ -432,7 +453,7 @@ class Plant:
 
 
 def _split_scene(scene: Iterable[Hand | Fixture]) -> tuple[list[Hand], list[Fixture]]:
-    """Separate hands (force laws) from fixtures (things with bodies).
+    """Separate the hands (force laws) from the fixtures (objects with bodies).
 
     Raises:
         TypeError: `scene` is not iterable, or an item is neither a hand nor a fixture.

@@ -1,4 +1,4 @@
-"""A simple recorder: named signals, one row per call, NumPy arrays at the end."""
+"""Recorder of simulated runs: named signals, one row per call, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 class Recorder:
-    """Records the true state of a run, and other signals that the caller adds.
+    """Records the true state of a simulated run and further signals of the caller.
 
-    Signals of every row: time `t` [s]; joint positions `q` (n,) [rad]; velocities `dq` (n,)
-    [rad/s]; tool pose `tool` (4, 4) in base axes; servo torques `torque` (n,) [N·m]; and per hand
-    k its force `force{k}` (3,) [N] and torque `torque{k}` (3,) [N·m]. Torques and forces are means
-    over the last period.
+    Every row has the signals time `t` [s]; joint positions `q` (n,) [rad]; joint velocities `dq`
+    (n,) [rad/s]; tool pose `tool` (4, 4) in base axes; servo torques `torque` (n,) [N·m]; and, for
+    hand number k from 0 on, force `force{k}` (3,) [N] and torque `torque{k}` (3,) [N·m]. Torques
+    and forces are means over the last control period.
 
     Example:
         >>> record = Recorder(plant)
@@ -30,16 +30,16 @@ class Recorder:
     """
 
     def __init__(self, plant: Plant) -> None:
-        """Start a record of `plant` without rows."""
+        """Create a recorder of `plant` without rows."""
         self._plant = plant
         self._rows: dict[str, list[Array]] = {}
         self._count = 0
 
     def add(self, **signals: ArrayLike) -> None:
-        """Add a row: the plant's true state and the given signals, the same ones in every call.
+        """Add a row with the plant's true state and the given signals.
 
         Raises:
-            ShapeError: A signal appears late, is missing, or changes its shape.
+            ShapeError: A row has other signals than the first row, or a signal changes its shape.
         """
         plant = self._plant
         row: dict[str, ArrayLike] = {
@@ -69,10 +69,10 @@ class Recorder:
         return self._count
 
     def __getitem__(self, name: str) -> Array:
-        """Return one signal, shape (rows, ...).
+        """Return the signal `name` of all rows as an array (rows, ...).
 
         Raises:
-            KeyError: There is no such signal; the message lists those there are.
+            KeyError: There is no such signal; the message lists the known signals.
         """
         if name not in self._rows:
             raise KeyError(f"no signal {name!r}; there are {', '.join(self._rows) or 'none yet'}")

@@ -1,4 +1,4 @@
-"""Stiff planes around the arm: walls and tables."""
+"""Simulated walls and tables: stiff planes that push frames of the arm back."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _ZERO = np.zeros(3)
 
 @dataclass(frozen=True, kw_only=True)
 class Wall:
-    """A plane that pushes a point back with a stiffness, without friction.
+    """Stiff plane without friction that pushes one frame of the arm back.
 
     Attributes:
         into: Direction (3,) in base axes from free space into the wall.
         distance: Distance along `into` from the frame's position at reset to the plane [m].
         stiffness: Stiffness of the plane [N/m].
-        damping: Damping of the plane during contact [N·s/m]; it never pulls.
-        at: Frame on which it acts.
+        damping: Damping of the plane during contact [N·s/m]; the plane never pulls.
+        at: Name of the frame on which the wall acts.
     """
 
     into: Sequence[float] = (1.0, 0.0, 0.0)
@@ -38,14 +38,14 @@ class Wall:
     at: str = TOOL
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         if np.shape(self.into) != (3,) or abs(float(np.linalg.norm(self.into)) - 1.0) > 1e-9:
             raise ConfigError(f"Wall.into must be a unit vector (3,), got {self.into!r}")
         if not (self.stiffness >= 0.0 and self.damping >= 0.0):
             raise ConfigError(f"Wall.stiffness and damping must be at least 0, got {self!r}")
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return the wrench at the frame's origin."""
+        """Return the force of the wall [N], a zero torque, and the frame's origin."""
         frame = ground_truth.frame(self.at)
         into = np.asarray(self.into, dtype=np.float64)
         depth = float(into @ frame.shift()) - self.distance
@@ -59,13 +59,13 @@ class Wall:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A horizontal plane under one frame, at a given height in base axes.
+    """Stiff horizontal plane without friction under one frame of the arm, at a fixed height.
 
     Attributes:
         height: Height of the plane in base axes [m].
-        stiffness: [N/m].
-        damping: Damping during contact [N·s/m].
-        at: Frame that can rest on it.
+        stiffness: Stiffness of the plane [N/m].
+        damping: Damping of the plane during contact [N·s/m].
+        at: Name of the frame that can rest on the table.
     """
 
     height: float
@@ -74,14 +74,14 @@ class Table:
     at: str = TOOL
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         if not (np.isfinite(self.height) and self.stiffness >= 0.0 and self.damping >= 0.0):
             raise ConfigError(
                 f"Table needs a finite height, stiffness and damping at least 0, got {self!r}"
             )
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return the wrench at the frame's origin."""
+        """Return the force of the table [N], a zero torque, and the frame's origin."""
         frame = ground_truth.frame(self.at)
         depth = self.height - float(frame.position[2])
         if depth <= 0.0:
@@ -93,5 +93,5 @@ class Table:
 def table(
     height: float, *, stiffness: float = 2e4, frames: Sequence[str] = (TOOL, WRIST)
 ) -> list[Hand]:
-    """Return a table for several frames of the arm: one `Table` each."""
+    """Return a table for several frames of the arm: a list with one `Table` per frame."""
     return [Table(height=height, stiffness=stiffness, at=frame) for frame in frames]

@@ -1,4 +1,4 @@
-"""A plug at the tool's tip and a square hole for it, with real contacts."""
+"""Peg-in-hole scene: a plug on the tool and a square socket with rigid contacts."""
 
 from __future__ import annotations
 
@@ -19,37 +19,39 @@ if TYPE_CHECKING:
     from pliant.sim.plant import Plant
 
 
-#: contype and conaffinity of plug and walls: they touch only each other.
-TOUCHING = {"contype": 2, "conaffinity": 2}
-#: MuJoCo's contact parameters: time constant of `solref` [s], and the first three of `solimp`.
-HARDNESS, IMPEDANCE = 0.005, (0.95, 0.99, 0.0005)
-#: Time over which contact forces are averaged [s]: hard contacts chatter from step to step.
+#: Bit masks of MuJoCo's contact filter for plug and socket, which collide only with each other.
+CONTACT_BITS = {"contype": 2, "conaffinity": 2}
+#: MuJoCo's contact parameters: time constant of `solref` [s], and the first three entries of
+#: `solimp` (impedances d_0 and d_width [1], width [m]).
+CONTACT_TIME, CONTACT_IMPEDANCE = 0.005, (0.95, 0.99, 0.0005)
+#: Time constant of the low-pass filter of the contact force, which varies from step to step [s].
 FORCE_FILTER = 0.01
 #: Length of the plug [m].
 LENGTH = 0.08
-#: Thickness of the walls, and the distance by which they extend beyond the hole [m].
+#: Thickness of the four walls of the hole, and length by which each extends beyond the hole [m].
 WALL = 0.03
 
 
 @dataclass(kw_only=True)
 class Socket(Fixture):
-    """A square hole under the tool, and a round-ended plug whose tip is the tool's origin.
+    """Square socket under the tool, and a capsule as plug whose tip is the tool's origin.
 
-    The plug is fixed to the tool and points along the tool's -z, as the hole does at reset. Four
-    walls form the hole, four planks at 45 deg its chamfer. The floor is at `depth`.
+    The plug is fixed to the tool and points along -z of the tool. At reset the hole has the same
+    direction, unless `tilt` turns it. Four walls form the hole, and four boards at 45 deg form its
+    chamfer. The floor of the hole is at `depth`.
 
     Attributes:
         offset: Vector (3,) from the tool to the centre of the mouth at reset, in tool axes [m].
-        tilt: Rotation vector (3,) by which the hole is turned, base axes [rad].
+        tilt: Rotation vector (3,) of the hole relative to the tool at reset, in base axes [rad].
         width: Diameter of the plug [m].
         clearance: Gap between plug and hole on each side [m].
         depth: Depth of the hole [m].
         chamfer: Widening of the mouth on each side [m].
-        friction: Coefficient μ of the contacts.
-        name: Prefix of the bodies.
-        force: Present norm of the contact force [N].
-        peak_along, peak_across: Largest contact force along and across the hole so far [N].
-        deepest: Largest depth of the tip below the mouth, along the hole [m].
+        friction: Friction coefficient of the contacts [1].
+        name: Prefix of the names of the bodies.
+        force: Norm of the present contact force, low-pass filtered [N].
+        peak_along, peak_across: Largest contact force along and across the hole since reset [N].
+        deepest: Largest depth of the plug's tip below the mouth since reset, along the hole [m].
     """
 
     offset: Sequence[float] = (0.0, 0.0, -0.02)
@@ -66,7 +68,7 @@ class Socket(Fixture):
     deepest: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         if np.shape(self.offset) != (3,) or np.shape(self.tilt) != (3,):
             raise ConfigError("Socket.offset and tilt have three entries each")
         low = min(self.clearance, self.chamfer, self.friction)
@@ -103,10 +105,16 @@ class Socket(Fixture):
         self._finish(plug, (0.85, 0.35, 0.2, 1.0))
 
     def _wall(self, frame: mujoco.MjsBody, turn: Array, half: float) -> None:
-        """Add one of the four walls: a block beside the hole, with a plank at 45 deg on it."""
+        """Add one of the four walls: a block beside the hole, with a board at 45 deg on it.
+
+        Args:
+            frame: Body of the socket.
+            turn: Quaternion (4,) that turns the wall to its side of the hole.
+            half: Half the width of the hole [m].
+        """
         quat = np.zeros(4)
         place, reach = np.zeros(3), half + WALL
-        # The block ends below the chamfer, where the plank starts.
+        # Height of the block: it ends below the chamfer, where the board starts.
         low = self.depth - self.chamfer
         block = frame.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(WALL / 2, reach, low / 2))
         mujoco.mju_rotVecQuat(place, np.array((half + WALL / 2, 0.0, -self.depth + low / 2)), turn)
@@ -116,27 +124,28 @@ class Socket(Fixture):
             thick, long = 0.004, self.chamfer / np.sqrt(2.0)
             slope = np.array((np.cos(-np.pi / 8.0), 0.0, np.sin(-np.pi / 8.0), 0.0))
             mujoco.mju_mulQuat(quat, turn, slope)
-            # Centre of the sloping face, minus half the plank's thickness along its normal.
+            # Centre of the board: centre of its sloping face, minus half its thickness along the
+            # normal of this face.
             normal = np.array((-1.0, 0.0, 1.0)) / np.sqrt(2.0)
             middle = np.array((half + self.chamfer / 2, 0.0, -self.chamfer / 2)) - normal * thick
-            plank = frame.add_geom(
+            board = frame.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX, size=(long, half + self.chamfer, thick)
             )
             mujoco.mju_rotVecQuat(place, middle, turn)
-            plank.pos, plank.quat = place, quat
-            self._finish(plank, (0.70, 0.72, 0.76, 1.0))
+            board.pos, board.quat = place, quat
+            self._finish(board, (0.70, 0.72, 0.76, 1.0))
 
     def _finish(self, geom: mujoco.MjsGeom, rgba: Sequence[float]) -> None:
-        """Set contact parameters and colour of a geom."""
-        geom.contype, geom.conaffinity = TOUCHING["contype"], TOUCHING["conaffinity"]
+        """Set contact parameters and colour of a MuJoCo geom."""
+        geom.contype, geom.conaffinity = CONTACT_BITS["contype"], CONTACT_BITS["conaffinity"]
         geom.friction = (self.friction, 0.0, 0.0)
         geom.condim = 3
-        geom.solref = (HARDNESS, 1.0)
-        geom.solimp[:3] = IMPEDANCE
+        geom.solref = (CONTACT_TIME, 1.0)
+        geom.solimp[:3] = CONTACT_IMPEDANCE
         geom.rgba = rgba
 
     def place(self, plant: Plant) -> None:
-        """Place the socket under the tool along its -z, and clear the records."""
+        """Place the mouth of the socket at `offset` from the tool, and clear recorded values."""
         model, data, tool = plant.mj_model, plant.mj_data, plant.tool
         frame = int(model.body(f"{self.name}:frame").mocapid[0])
         tilt, quat = np.zeros(4), np.zeros(4)
@@ -155,7 +164,7 @@ class Socket(Fixture):
         self.force = self.peak_along = self.peak_across = self.deepest = 0.0
 
     def after(self, plant: Plant) -> None:
-        """Record the depth of the tip and the contact force."""
+        """Record contact force and depth of the plug's tip after a physics step."""
         data = plant.mj_data
         total = np.zeros(3)
         for index in range(data.ncon):

@@ -1,4 +1,4 @@
-"""An uneven surface with friction, for pads that wipe over it."""
+"""Simulated uneven surface with friction, for wiping tasks."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ if TYPE_CHECKING:
     from pliant.sim.hand import Wrench
 
 
-#: Speed scale of the friction [m/s]: friction is smooth below it, and nearly full above it.
-CREEP = 0.005
+#: Speed scale of the regularized friction force ``μ N tanh(v / FRICTION_SPEED)`` [m/s], with
+#: friction coefficient μ, normal force N and sliding speed v.
+FRICTION_SPEED = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """An uneven surface below the arm, in contact with the four corners of a flat pad.
+    """Uneven surface below the arm, in contact with the four corners of a flat square pad.
 
-    Its height is ``base - below + unevenness sin(2π y/wave) cos(2π x/wave)``; base, x and y count
-    from the frame's position at reset, so that the surface is `below` under the start. Each corner
-    is pushed up by ``max(k depth - d v, 0)``; dry friction opposes its sliding.
+    Relative to the position of the frame `at` at reset, the height of the surface at x, y is
+    ``-below + unevenness sin(2π y/wave) cos(2π x/wave)``. The force ``max(k p - d v, 0) / 4``
+    pushes each corner up, with `stiffness` k, `damping` d, penetration p [m] and upward velocity v
+    [m/s] of the corner. Dry friction opposes its sliding.
 
     Attributes:
-        below: Height of the start above the surface [m].
-        unevenness: Half the height from valley to peak [m].
-        wave: Distance from peak to peak [m].
+        below: Height of the frame at reset above the mean surface [m].
+        unevenness: Amplitude of the surface's height [m].
+        wave: Wavelength of the surface [m].
         stiffness: Contact stiffness of the whole pad [N/m].
         damping: Damping of the whole pad during contact [N·s/m].
-        friction: Coefficient μ of dry friction.
-        pad: Half the side of the square pad [m]; its axes are those of the frame.
-        at: Frame at the centre of the pad.
+        friction: Coefficient of dry friction [1].
+        pad: Half the side length of the pad [m]; its sides are parallel to x and y of the frame.
+        at: Name of the frame at the centre of the pad.
     """
 
     below: float = 0.01
@@ -48,7 +50,7 @@ class Surface:
     at: str = TOOL
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         low = min(self.stiffness, self.damping, self.friction, self.pad)
         if not (low >= 0.0 and self.wave > 0.0 and np.isfinite(self.below + self.unevenness)):
             raise ConfigError(
@@ -57,12 +59,15 @@ class Surface:
             )
 
     def height(self, x: float, y: float) -> float:
-        """Return the height [m] over its mean, at x, y [m] from the start."""
+        """Return the height of the surface above its mean [m].
+
+        x and y are relative to the position of the frame at reset [m].
+        """
         k = 2.0 * np.pi / self.wave
         return self.unevenness * float(np.sin(k * y) * np.cos(k * x))
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return the wrench: push and friction, summed over the corners."""
+        """Return force [N] and torque [N·m] summed over the corners, and the frame's origin."""
         frame = ground_truth.frame(self.at)
         twist = frame.twist()
         total, torque = np.zeros(3), np.zeros(3)
@@ -77,7 +82,7 @@ class Surface:
             force = np.array((0.0, 0.0, normal))
             sliding = float(np.hypot(speed[0], speed[1]))
             if sliding > 0.0:
-                hold = self.friction * normal * np.tanh(sliding / CREEP)
+                hold = self.friction * normal * np.tanh(sliding / FRICTION_SPEED)
                 force[:2] = -hold * speed[:2] / sliding
             total += force
             torque += np.cross(arm, force)

@@ -1,4 +1,4 @@
-"""The table on which an arm stands: a plane in contact with the moving links."""
+"""Simulated table on which the arm stands: a plane in contact with the moving links."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from pliant.sim._model_builder import Build, Group, Robot
     from pliant.sim.plant import Plant
 
-#: Contact bit of the plane and the arm's links; plugs and sockets use another.
+#: Bit of MuJoCo's contact filter for the plane and the arm's links; plug and socket of the class
+#: `Socket` have another bit.
 CONTACT_BIT = 4
-#: MuJoCo's time constant [s] and damping ratio of the contact: with 1 kg, the stiffness is
-#: 20 kN/m.
+#: MuJoCo's contact parameter `solref`: time constant [s] and damping ratio [1]. For a mass of 1 kg
+#: the contact stiffness is then 20 kN/m.
 CONTACT = (0.007, 1.0)
-#: |z| of a joint axis above which it counts as vertical: its joint cannot raise or lower a link.
+#: Component |z| of the unit vector of a joint axis above which the axis counts as vertical [1]; a
+#: joint with a vertical axis cannot raise a link.
 VERTICAL = 0.999
 
 
@@ -30,15 +32,15 @@ VERTICAL = 0.999
 class Tabletop(Fixture):
     """Horizontal plane in contact with every link that can move up or down.
 
-    The contact geometry of a link is the capsules that draw it. Links that only turn about a
-    vertical axis above the base never change their height and never touch.
+    The contact geometry of a link is its visible geometry, the capsules. Links that only turn about
+    a vertical axis do not change their height and are excluded.
 
     Attributes:
         height: Height of the plane in base axes [m].
-        friction: Coefficient μ between links and plane.
-        force: Normal force of all contacts in the last physics step [N].
+        friction: Friction coefficient between links and plane [1].
+        force: Sum of the normal forces of all contacts in the last physics step [N].
         peak_force: Largest normal force since reset [N].
-        touching: Links in contact in the last physics step.
+        touching: Names of the links in contact in the last physics step.
     """
 
     height: float = 0.0
@@ -49,12 +51,12 @@ class Tabletop(Fixture):
     touching: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
-        """Check the numbers once."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         if not (np.isfinite(self.height) and self.friction >= 0.0):
             raise ConfigError(f"Tabletop needs a finite height and friction >= 0, got {self!r}")
 
     def add(self, build_spec: Build) -> None:
-        """Add the plane, and capsules to the links that can reach it."""
+        """Add the plane, and enable contact for the links that can move up or down."""
         spec = build_spec.spec
         spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         spec.worldbody.add_geom(
@@ -81,7 +83,7 @@ class Tabletop(Fixture):
                 self._links[geom.name] = link
 
     def place(self, plant: Plant) -> None:
-        """Find the geoms, and clear the records."""
+        """Look up the compiled contact geometry, and clear recorded forces."""
         model = plant.mj_model
         self._plane = int(model.geom(self.name).id)
         self._link_of = {int(model.geom(name).id): link for name, link in self._links.items()}
@@ -90,7 +92,7 @@ class Tabletop(Fixture):
         self.touching = ()
 
     def after(self, plant: Plant) -> None:
-        """Record the contact force and the links in contact."""
+        """Record the normal force and the links in contact after a physics step."""
         data = plant.mj_data
         if not data.ncon:
             self.force, self.touching = 0.0, ()
@@ -107,7 +109,7 @@ class Tabletop(Fixture):
         self.peak_force = max(self.peak_force, total)
 
     def clearance(self) -> float:
-        """Return the least height of these links over the table [m]; negative in penetration."""
+        """Return the smallest height of the links above the plane [m]; negative below the plane."""
         lowest = np.inf
         for geom in self._link_of:
             radius, half = self._model.geom_size[geom, :2]

@@ -1,4 +1,4 @@
-"""Motions within bounds of speed, acceleration and jerk, computed by ruckig."""
+"""Retiming of recorded motions with ruckig, within bounds of joint speed, acceleration and jerk."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from pliant.teach.motion import RATE
 if TYPE_CHECKING:
     from pliant.teach.motion import Motion
 
-#: Longest extra time at the end of a motion [s].
+#: Maximum time by which a retimed motion may end after the original [s].
 MAX_EXTRA_TIME = 60.0
-#: Share of the bounds for a slowed motion; the rest is margin for tracking.
+#: A motion that is too fast is slowed down to this share of its bounds [1]; the rest is the margin
+#: that ruckig needs to follow it.
 BOUND_SHARE = 0.9
 
 
 def import_ruckig(bounds: tuple[float, float, float]) -> Any:
-    """Check the bounds and import ruckig, before a motion is made; return ruckig.
+    """Check bounds of speed, acceleration and jerk, and return the module ruckig.
 
     Raises:
-        ConfigError, ImportError: As `retime`.
+        ConfigError: A bound is not above 0.
+        ImportError: ruckig is not installed.
     """
     if not all(0.0 < bound < np.inf for bound in bounds):
         raise ConfigError(f"speed, acceleration and jerk must be above 0, got {bounds!r}")
@@ -36,16 +38,17 @@ def import_ruckig(bounds: tuple[float, float, float]) -> Any:
 
 
 def retime(motion: Motion, bounds: tuple[float, float, float], rate: float = RATE) -> Motion:
-    """Follow a motion as closely as speed, acceleration and jerk of every joint allow.
+    """Return a copy of a motion that stays within bounds of speed, acceleration and jerk.
 
     A motion that exceeds a speed or acceleration bound is first slowed down as a whole, so that
-    the joints stay on their common path. Then ruckig follows it: parts within the bounds stay
-    unchanged, and corners are rounded to meet the jerk bound.
+    the joints stay on their path. Then ruckig follows it: parts within the bounds stay unchanged,
+    and corners are rounded to meet the jerk bound.
 
     Args:
-        motion: The motion; off-chain joints keep their positions at its times.
-        bounds: Speed [rad/s], acceleration [rad/s²], jerk [rad/s³].
-        rate: Samples per second of the result [Hz].
+        motion: The motion. Joints outside the chain (a gripper) are slowed down together with the
+            others, but the bounds do not apply to them.
+        bounds: Speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] of every joint.
+        rate: Sample rate of the result [Hz].
 
     Returns:
         A motion from rest to rest, with the same end points.
@@ -68,12 +71,18 @@ def retime(motion: Motion, bounds: tuple[float, float, float], rate: float = RAT
         count += 1
         time = count * step
         ended = time >= motion.duration
-        before, here, after = (motion.at(time + shift) for shift in (-step, 0.0, step))
-        slope, bend = (after - before) * (0.5 * rate), (after - 2.0 * here + before) * rate**2
-        inputs.target_position = here.tolist()
-        slope, bend = np.clip(slope, -speed, speed), np.clip(bend, -acceleration, acceleration)
+        before, position, after = (motion.at(time + shift) for shift in (-step, 0.0, step))
+        slope, curvature = (
+            (after - before) * (0.5 * rate),
+            (after - 2.0 * position + before) * rate**2,
+        )
+        inputs.target_position = position.tolist()
+        slope, curvature = (
+            np.clip(slope, -speed, speed),
+            np.clip(curvature, -acceleration, acceleration),
+        )
         inputs.target_velocity = [0.0] * n if ended else slope.tolist()
-        inputs.target_acceleration = [0.0] * n if ended else bend.tolist()
+        inputs.target_acceleration = [0.0] * n if ended else curvature.tolist()
         result = planner.update(inputs, outputs)
         if int(result) < 0:
             raise ConfigError(f"ruckig refuses the motion at {time:.2f} s: {result}")
@@ -92,7 +101,10 @@ def retime(motion: Motion, bounds: tuple[float, float, float], rate: float = RAT
 
 
 def _slowed(motion: Motion, speed: float, acceleration: float, step: float) -> Motion:
-    """Stretch the time of a motion until speed and acceleration are within these bounds."""
+    """Return a motion slowed down until it meets `BOUND_SHARE` of the bounds [rad/s, rad/s²].
+
+    `step` is the time step at which speed and acceleration are computed [s].
+    """
     times = np.arange(0.0, motion.duration + step, step)
     q = np.array([motion.at(time) for time in times.tolist()])
     first = float(np.abs(np.diff(q, axis=0)).max()) / step

@@ -1,4 +1,4 @@
-"""A scripted hand that leads a simulated or emulated tool sideways and up."""
+"""Scripted hand: a simulated force that pulls the tool of a simulated arm sideways and up."""
 
 from __future__ import annotations
 
@@ -12,25 +12,24 @@ if TYPE_CHECKING:
     from pliant.arm import Arm
     from pliant.sim import Drag
 
-#: Displacement of the tool in y and z, as shares of the arm's reach [1].
-ASIDE, UP = 0.17, 0.06
-#: Delay of the start, duration of the ramp, and time of the release [s].
-AFTER, TAKES, LETS_GO = 0.5, 3.0, 4.5
-#: Stiffness [N/m] and force limit [N] of the grip.
-STIFFNESS, LIMIT = 800.0, 30.0
+#: Displacement of the hand in y and z, as shares of the arm's reach [1].
+SIDE_SHARE, UP_SHARE = 0.17, 0.06
+#: Start of the pull, duration in which it rises, and time of the release [s].
+START_DELAY, RAMP_TIME, RELEASE_TIME = 0.5, 3.0, 4.5
+#: Stiffness [N/m] and force limit [N] of the spring between hand and tool.
+STIFFNESS, FORCE_LIMIT = 800.0, 30.0
 
 
 def prepare(arm: Arm) -> Callable[[], None]:
-    """Import the simulator in advance: the import takes 0.6 s, too long between two ticks.
+    """Return a function that starts the scripted hand; import the simulator before.
 
-    Returns:
-        A function that starts the hand and returns immediately.
+    The import takes 0.6 s, which would be too long between two cycles of the control loop.
 
     Raises:
         ConfigError: The arm is real.
         ImportError: The extra `sim` is missing.
     """
-    from pliant import sim  # noqa: F401 - loaded here, used in _hands
+    from pliant import sim  # noqa: F401 - in advance, for `_hands`
 
     drive, reach = arm.drive, arm.model.reach
     plant, emulator = getattr(drive, "plant", None), getattr(drive, "emulator", None)
@@ -47,7 +46,7 @@ def prepare(arm: Arm) -> Callable[[], None]:
 
 
 def lead(arm: Arm) -> None:
-    """Start the hand that leads the tool.
+    """Start the scripted hand.
 
     Raises:
         ConfigError: The arm is real.
@@ -56,14 +55,19 @@ def lead(arm: Arm) -> None:
 
 
 def _hands(now: float, reach: float) -> list[Drag]:
-    """Return one hand per direction, from `now` [s] on."""
+    """Return simulated hands that pull along y and z, starting `START_DELAY` after `now` [s]."""
     from pliant.sim import Drag, ForceProfile
 
-    course = ForceProfile(start=now + AFTER, rise=TAKES, end=now + LETS_GO)
-    ways = {"y": ASIDE * reach, "z": UP * reach}
+    course = ForceProfile(start=now + START_DELAY, rise=RAMP_TIME, end=now + RELEASE_TIME)
+    distances = {"y": SIDE_SHARE * reach, "z": UP_SHARE * reach}
     return [
         Drag(
-            axis=axis, distance=distance, stiffness=STIFFNESS, limit=LIMIT, at="tool", course=course
+            axis=axis,
+            distance=distance,
+            stiffness=STIFFNESS,
+            limit=FORCE_LIMIT,
+            at="tool",
+            course=course,
         )
-        for axis, distance in ways.items()
+        for axis, distance in distances.items()
     ]

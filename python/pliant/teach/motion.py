@@ -1,4 +1,4 @@
-"""A taught motion: joint positions over time, in a portable JSON file."""
+"""Recorded motion: joint positions over time, and its JSON file."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ if TYPE_CHECKING:
     from pliant.log import Log
 
 
-#: First field of a file.
+#: Value of the field `format` in a motion file.
 FORMAT = "pliant motion 1"
-#: Sample rate of motions [Hz], and decimal digits of a position (1e-5 rad).
+#: Sample rate of smoothed motions [Hz], and decimal digits of a position [rad] in a file.
 RATE, DIGITS = 50.0, 5
-#: Distance from its first or last position within which a joint counts as at rest [rad]; rest
-#: kept at both ends [s].
-STILL, KEEP = 0.02, 0.2
-#: Distance of the tool from its taught start above which the arm counts as another one [m].
-ELSEWHERE = 0.03
-#: Least number of samples, and largest number after smoothing.
+#: Distance from the first or last position of a motion within which a joint counts as at rest
+#: [rad], and duration of the rest that `Motion.trimmed` keeps at both ends [s].
+REST_TOLERANCE, REST_TIME = 0.02, 0.2
+#: If the tool would start farther than this from the recorded start, the arm is another one [m].
+START_TOLERANCE = 0.03
+#: Minimum number of samples of a motion, and maximum number after smoothing.
 MIN_SAMPLES, MAX_SAMPLES = 2, 10_000_000
-#: Shortest time between two samples and longest motion [s].
-SHORTEST, LONGEST = 1e-6, 1e5
+#: Minimum time between two samples, and maximum duration of a motion [s].
+MIN_SAMPLE_TIME, MAX_DURATION = 1e-6, 1e5
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Joint positions over time, N samples of n joints, with smooth interpolation.
+    """A recorded motion: N samples of the positions of n joints, with smooth interpolation.
 
     Attributes:
-        joints: Names, in the order of the columns.
-        time: (N,) [s], rising from 0.
-        q: (N, n) [rad].
-        extra: Positions (N,) of off-chain joints, such as a gripper, by name [rad].
-        note: A line of text by the user.
-        start: Position of the tool at the first sample [m], base axes, by the model of the taught
-            arm. It detects another arm with the same joint names. None: not known.
+        joints: Names of the joints (n), in the order of the columns of `q`.
+        time: Times (N,) [s], rising from 0.
+        q: Joint positions (N, n) [rad].
+        extra: Positions (N,) [rad] of joints outside the chain, such as a gripper, by name.
+        note: Comment by the user.
+        start: Position of the tool at the first sample (3,) [m], base axes, by the model of the
+            recorded arm; None: unknown. It serves to detect a different arm with equal joint names.
 
     Raises:
         ConfigError: Shapes, times or numbers are inconsistent.
@@ -60,7 +60,7 @@ class Motion:
     start: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check everything once, before an arm moves."""
+        """Check that shapes match, times rise, and all numbers are finite."""
         time, q = np.asarray(self.time, dtype=np.float64), np.asarray(self.q, dtype=np.float64)
         extra = {name: np.asarray(row, dtype=np.float64) for name, row in self.extra.items()}
         size = (time.size, len(self.joints))
@@ -86,10 +86,11 @@ class Motion:
                 f"the times of a motion must rise: sample {at + 2} is at {time[at + 1]:g} s, the "
                 f"one before it at {time[at]:g} s"
             )
-        if steps.min() < SHORTEST or duration > LONGEST:
+        if steps.min() < MIN_SAMPLE_TIME or duration > MAX_DURATION:
             raise ConfigError(
-                f"a motion takes {LONGEST:g} s at most and {SHORTEST:g} s from sample to sample at "
-                f"least, got {duration:g} s and {steps.min():g} s: its times are in seconds"
+                f"a motion takes {MAX_DURATION:g} s at most and {MIN_SAMPLE_TIME:g} s from sample "
+                f"to sample at least, got {duration:g} s and {steps.min():g} s: its times are in "
+                "seconds"
             )
         if self.start is not None and not (
             len(self.start) == 3 and np.isfinite(np.asarray(self.start, dtype=np.float64)).all()
@@ -103,13 +104,13 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Duration [s]."""
+        """Duration of the motion, the time of its last sample [s]."""
         return float(self.time[-1])
 
     def at(self, time: float) -> Array:
-        """Return the positions (n,) [rad] at a time [s]; constant beyond the ends.
+        """Return the joint positions (n,) [rad] at a time [s]; beyond the ends, those at the end.
 
-        Cubic interpolation with the slopes of the neighbours (Catmull-Rom).
+        The interpolation is cubic, with slopes from the neighbouring samples (Catmull-Rom).
         """
         if not 0.0 < time < self.duration:
             return np.array(self.q[0 if time <= 0.0 else -1])
@@ -123,11 +124,11 @@ class Motion:
         return between
 
     def extra_at(self, time: float) -> dict[str, float]:
-        """Return the positions of the off-chain joints at a time [rad]."""
+        """Return the positions [rad] of the joints outside the chain at a time [s], by name."""
         return {name: float(np.interp(time, self.time, row)) for name, row in self.extra.items()}
 
     def _slope(self, k: int) -> Array:
-        """Return the slope at a sample; 0 at the ends."""
+        """Return the velocities (n,) [rad/s] at sample k; 0 at the ends."""
         if k in {0, len(self.time) - 1}:
             return np.zeros(len(self.joints))
         rise: Array = (self.q[k + 1] - self.q[k - 1]) / (self.time[k + 1] - self.time[k - 1])
@@ -137,65 +138,65 @@ class Motion:
         """Check that an arm can execute the motion.
 
         Raises:
-            ConfigError: The joints differ, positions exceed the limits, or the tool would start
-                elsewhere.
+            ConfigError: The joints differ, positions exceed the limits, or the tool would start at
+                another position than in the recording.
         """
         if self.joints != tuple(model.joint_names):
             raise ConfigError(
                 f"the motion is of {', '.join(self.joints)}; this arm has "
                 f"{', '.join(model.joint_names)}"
             )
-        outside = np.maximum(self.q - model.upper, model.lower - self.q).max(axis=0)
-        worst = int(np.argmax(outside))
-        # A hand-guided arm can exceed its limits slightly.
-        if outside[worst] > STILL:
+        excess = np.maximum(self.q - model.upper, model.lower - self.q).max(axis=0)
+        worst = int(np.argmax(excess))
+        # Allow small excess: an arm guided by hand can be moved slightly beyond its limits.
+        if excess[worst] > REST_TOLERANCE:
             raise ConfigError(
-                f"the motion takes {self.joints[worst]} {outside[worst]:.3f} rad beyond its limits"
+                f"the motion takes {self.joints[worst]} {excess[worst]:.3f} rad beyond its limits"
             )
         if self.start is not None:
             tool = model.forward_kinematics(np.clip(self.q[0], model.lower, model.upper))[:3, 3]
-            off = float(np.linalg.norm(tool - self.start))
-            if off > ELSEWHERE:
+            distance = float(np.linalg.norm(tool - self.start))
+            if distance > START_TOLERANCE:
                 raise ConfigError(
-                    f"the motion is another arm's: its tool began at {_place(self.start)}, that of "
-                    f"{model.name} is at {_place(tool)} with the same joint positions, {off:.3f} m "
-                    f"away where {ELSEWHERE:g} are allowed; give the URDF it was taught with, or "
+                    "the motion is another arm's: its tool began at "
+                    f"{_format_point(self.start)}, that of {model.name} is at "
+                    f"{_format_point(tool)} with the same joint positions, {distance:.3f} m away "
+                    f"where {START_TOLERANCE:g} are allowed; give the URDF it was taught with, or "
                     'take "start" out of the file'
                 )
 
     def for_model(self, model: Model) -> Motion:
-        """Return a copy with the start position of this model's tool."""
+        """Return a copy with `start` set to the tool position of a model at the first sample."""
         q = np.clip(self.q[0], model.lower, model.upper)
         x, y, z = model.forward_kinematics(q)[:3, 3].tolist()
         return replace(self, start=(x, y, z))
 
-    def trimmed(self, still: float = STILL, keep: float = KEEP) -> Motion:
+    def trimmed(self, still: float = REST_TOLERANCE, keep: float = REST_TIME) -> Motion:
         """Return a copy without the rest before and after the motion.
 
         Args:
-            still: Distance within which a joint counts as at rest [rad].
-            keep: Rest kept at both ends [s].
+            still: Distance from the first or last position within which a joint counts as at rest
+                [rad].
+            keep: Duration of the rest that is kept at both ends [s].
 
         Raises:
             ConfigError: No joint moved.
         """
         rows = np.column_stack((self.q, *self.extra.values()))
-        left = np.flatnonzero((np.abs(rows - rows[0]) > still).any(axis=1))
-        away = np.flatnonzero((np.abs(rows - rows[-1]) > still).any(axis=1))
-        if not (left.size and away.size):
+        moved = np.flatnonzero((np.abs(rows - rows[0]) > still).any(axis=1))
+        not_arrived = np.flatnonzero((np.abs(rows - rows[-1]) > still).any(axis=1))
+        if not (moved.size and not_arrived.size):
             raise ConfigError(f"nothing moved by more than {still:g} rad: there is no motion")
-        first, last = self.time[left[0]] - keep, self.time[away[-1]] + keep
+        first, last = self.time[moved[0]] - keep, self.time[not_arrived[-1]] + keep
         chosen = (self.time >= first) & (self.time <= last)
-        return self._of(chosen)
+        return self._select(chosen)
 
     def smoothed(self, width: float = 0.1, rate: float = RATE) -> Motion:
-        """Return a copy at a constant rate, smoothed by a Gaussian.
-
-        The filter is symmetric, so there is no time lag; the ends keep their positions.
+        """Return a copy at a constant sample rate, smoothed by a Gaussian filter without time lag.
 
         Args:
-            width: Standard deviation [s].
-            rate: Samples per second of the result [Hz].
+            width: Standard deviation of the Gaussian [s].
+            rate: Sample rate of the result [Hz].
 
         Raises:
             ConfigError: A value is out of range, or the result would have too many samples.
@@ -217,7 +218,7 @@ class Motion:
 
         def smooth(row: Array) -> Array:
             even = np.interp(time, self.time, row)
-            # Odd reflection about the ends keeps straight lines straight and the ends fixed.
+            # Extend the samples by odd reflection: the filter then keeps end points and lines.
             padded = np.pad(even, reach, mode="reflect", reflect_type="odd")
             return np.convolve(padded, kernel / kernel.sum(), mode="valid")
 
@@ -225,17 +226,17 @@ class Motion:
         extra = {name: smooth(row) for name, row in self.extra.items()}
         return replace(self, time=time, q=q, extra=extra)
 
-    def _of(self, chosen: Mask) -> Motion:
+    def _select(self, chosen: Mask) -> Motion:
         extra = {name: row[chosen] for name, row in self.extra.items()}
         return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra, start=None)
 
     def save(self, path: str | Path) -> None:
-        """Write JSON, one sample per line, so that versions can be compared.
+        """Write a JSON file with one sample per line.
 
-        An existing motion is replaced only once the new file is complete.
+        An existing motion file is replaced only once the new file is complete.
 
         Raises:
-            ConfigError: The file exists and is no motion, or must not be written.
+            ConfigError: The file exists and is not a motion file, or is not writable.
             OSError: The file cannot be written.
         """
         path = Path(path)
@@ -256,7 +257,7 @@ class Motion:
 
     @classmethod
     def from_log(cls, log: Log) -> Motion:
-        """Return the joint positions of a log.
+        """Return the motion in a log: the measured joint positions.
 
         Raises:
             ConfigError: The log is damaged, or too short.
@@ -269,11 +270,11 @@ class Motion:
 
     @classmethod
     def load(cls, path: str | Path) -> Motion:
-        """Read a motion file, or the joint positions of a log (`.mcap`).
+        """Return the motion in a motion file, or in a log (`.mcap`).
 
         Raises:
-            ConfigError: The file is no motion, or a damaged log.
-            OSError: It cannot be read.
+            ConfigError: The file is not a motion file, or it is a damaged log.
+            OSError: The file cannot be read.
         """
         path = Path(path)
         if path.suffix == ".mcap":
@@ -305,5 +306,5 @@ class Motion:
             raise ConfigError(f"{path}: {error}") from error
 
 
-def _place(point: Any) -> str:
+def _format_point(point: Any) -> str:
     return "(" + ", ".join(f"{x:.3f}" for x in point) + ") m"

@@ -1,4 +1,4 @@
-"""Compliant replay of a motion: it waits while the arm is blocked, with bounded force."""
+"""Compliant replay of a recorded motion; the motion pauses while the arm is blocked."""
 
 from __future__ import annotations
 
@@ -20,46 +20,48 @@ if TYPE_CHECKING:
     from pliant.teach.motion import Motion
 
 
-#: Speed toward the start of the motion, and back to the motion after a stop [rad/s].
-APPROACH = 0.4
-#: Time in which the motion's clock returns to full speed [s].
-RISE = 0.5
-#: Share of its bound above which a deviation slows the clock.
-SLOW = 0.5
-#: The clock counts as blocked below the first share of its speed, until above the second.
-BLOCKED, FREE = 0.05, 0.3
-#: Shortest duration of a contact [s], and time after a resume in which contacts are ignored [s].
+#: Largest joint speed on the way to the start of the motion, and back to it after a stop [rad/s].
+APPROACH_SPEED = 0.4
+#: Time in which the clock of the motion speeds up from standstill to full rate [s].
+RISE_TIME = 0.5
+#: The clock of the motion slows down if the deviation exceeds this share of its bound [1].
+SLOWING_SHARE = 0.5
+#: Rate of the motion's clock (full rate is 1) below which the replay counts as blocked, and above
+#: which it counts as free again.
+BLOCKED_PACE, FREE_PACE = 0.05, 0.3
+#: Minimum duration of a contact [s], and time after `resume` in which contacts are ignored [s].
 MIN_CONTACT, IGNORE_TIME = 0.05, 1.0
 
 State = Literal["approaching", "playing", "blocked", "stopped", "done"]
 
 
 class Replay:
-    """Steps a controller along a motion; call `step` once per tick in place of the controller's.
+    """Steps a controller along a motion; call `Replay.step` once per tick, not `Controller.step`.
 
-    The motion has a clock of its own, with rate ``p = clip(2 (1 − m), 0, 1)`` times `speed`. m is
-    the largest ratio of the tool's deviation to its bound `wait`: the clock runs at full speed up
-    to half the bound, and stops at the bound. The target is thus never farther than the bound from
-    a blocked tool. The force there is that of the axis at this deviation, for any duration: the cap
-    of a soft axis, at most bound/C of a stiff one.
+    The motion has a clock of its own, which runs at the rate p times `speed`. The factor p follows
+    ``clip(2 (1 − m), 0, 1)``, where m is the largest ratio of the tool's deviation to its bound
+    `wait`; p falls at once and rises gradually. So the clock runs at full rate up to half the bound
+    and stops at the bound: however long the tool is blocked, the deviation, and with it the force,
+    does not grow further.
 
     Args:
         controller: The controller; its settings define the compliance of each axis.
         motion: The motion.
-        speed: Factor on its speed.
-        wait: Deviation of the tool [m], [rad] at which the clock stops.
-        stop: Force [N] along a task axis that stops the arm until `resume()`; None: never. Values
-            below the uncertainty of the force estimate are rejected.
+        speed: Factor on the speed of the motion.
+        wait: Deviations of the tool, (linear [m], angular [rad]), at which the clock stops.
+        stop: Force [N] along a translation axis of the task at which the arm stops until
+            `resume()`; None: the arm does not stop. Values below the uncertainty of the force
+            estimate are rejected.
 
     Attributes:
         time: Time of the motion's clock [s].
-        pace: Rate of the clock in this tick, 0 to 1.
+        pace: The factor p of the clock's rate in this tick, 0 to 1.
         blocked_time: Total time for which the clock has been blocked [s].
-        stops: Number of stops by a contact.
+        stops: Number of stops because of a contact force above `stop`.
 
     Raises:
-        ConfigError: The motion is of another arm.
-        OutOfRangeError: A number is out of range, or `stop` is below the uncertainty.
+        ConfigError: The motion was recorded on a different arm.
+        OutOfRangeError: A number is out of range, or `stop` is below the uncertainty of forces.
     """
 
     def __init__(
@@ -103,7 +105,7 @@ class Replay:
 
     @property
     def state(self) -> State:
-        """Present state of the replay."""
+        """Present state: `approaching`, `playing`, `blocked`, `stopped` or `done`."""
         if self._stopped_q is not None:
             return "stopped"
         if self.time >= self.motion.duration:
@@ -120,15 +122,15 @@ class Replay:
     def step(
         self, q: ArrayLike, *, dt: float | None = None, load: ArrayLike | None = None
     ) -> Command:
-        """Compute the command of one tick.
+        """Step the controller along the motion, and return its command for this tick.
 
         Args:
             q: Measured joint positions (n,) [rad].
             dt: Time since the last tick [s]; None: 1 / rate of the settings.
-            load: Torques reported by the servos (n,) [N·m], for `stop`.
+            load: Torques reported by the servos (n,) [N·m], which improve the estimate for `stop`.
 
         Raises:
-            ShapeError, OutOfRangeError: As `Controller.step`.
+            ShapeError, OutOfRangeError: An input is invalid; see `Controller.step`.
         """
         q = np.asarray(q, dtype=np.float64)
         span = 1.0 / self._controller.settings.rate if dt is None else dt
@@ -144,7 +146,7 @@ class Replay:
         return command
 
     def extra(self, arm: Arm) -> dict[str, tuple[float, float]]:
-        """Return goals and torque limits of the off-chain joints with a gripper, by name."""
+        """Return goal [rad] and torque limit [N·m] of each gripper in the motion, by name."""
         return {
             name: (position, arm.grippers[name].limit)
             for name, position in self.motion.extra_at(self.time).items()
@@ -152,20 +154,20 @@ class Replay:
         }
 
     def resume(self) -> None:
-        """Continue after a contact: return to the motion, then along it."""
+        """Continue after a stop by a contact: move back to the motion, then continue it."""
         if self._stopped_q is not None:
             q, self._stopped_q, self._ignore_time = self._stopped_q, None, IGNORE_TIME
             self._start_transition(q)
 
     def _start_transition(self, q: Array) -> None:
-        """Start a transition from q to the present point of the motion."""
+        """Start a smooth transition from positions q (n,) [rad] to those of the motion."""
         self._offset = q - self.motion.at(self.time)
-        # The peak speed of a smooth step is 15/8 of its mean speed.
-        self._transition_time = 1.875 * float(np.abs(self._offset).max()) / APPROACH
+        # Factor 15/8: peak over mean speed of the fifth-order polynomial of the transition.
+        self._transition_time = 1.875 * float(np.abs(self._offset).max()) / APPROACH_SPEED
         self._remaining, self.pace = self._transition_time, 0.0
 
     def _target(self) -> Array:
-        """Return the present target (n,) [rad]: the motion plus the rest of the transition."""
+        """Return the joint target (n,) [rad]: the motion, plus the offset left by a transition."""
         goal = self.motion.at(self.time)
         if self._remaining <= 0.0 or self._offset is None:
             return goal
@@ -173,13 +175,15 @@ class Replay:
         return goal + s**3 * (10.0 - 15.0 * s + 6.0 * s * s) * self._offset
 
     def _advance(self, q: Array, dt: float) -> None:
-        """Advance the clock according to the tool's deviation."""
-        here, there = (self._model.forward_kinematics(at) for at in (q, self._target()))
-        error = functional.pose_error(here, there)[self._rows]
+        """Advance the transition or the clock of the motion, slower if the tool deviates more."""
+        tool, target_pose = (
+            self._model.forward_kinematics(positions) for positions in (q, self._target())
+        )
+        error = functional.pose_error(tool, target_pose)[self._rows]
         share = float(np.abs(error / self._bound).max())
-        scale = min(max((1.0 - share) / (1.0 - SLOW), 0.0), 1.0)
-        self.pace = min(scale, self.pace + dt / RISE)
-        self._blocked = scale < (FREE if self._blocked else BLOCKED)
+        scale = min(max((1.0 - share) / (1.0 - SLOWING_SHARE), 0.0), 1.0)
+        self.pace = min(scale, self.pace + dt / RISE_TIME)
+        self._blocked = scale < (FREE_PACE if self._blocked else BLOCKED_PACE)
         self.blocked_time += dt * self._blocked
         if self._remaining > 0.0:
             self._remaining = max(self._remaining - self.pace * dt, 0.0)
@@ -189,7 +193,7 @@ class Replay:
     def _check_contact(
         self, q: Array, dt: float | None, load: ArrayLike | None, span: float
     ) -> None:
-        """Stop on contact."""
+        """Update the contact estimate; stop the arm on a contact. `span` is the time step [s]."""
         if self._contact is None:
             return
         estimate = self._contact.update(q, dt=dt, load=load)

@@ -1,4 +1,4 @@
-"""Recording of hand-guided motions."""
+"""Recording of the motion of an arm while a hand guides it."""
 
 from __future__ import annotations
 
@@ -19,106 +19,106 @@ if TYPE_CHECKING:
     from pliant.arm import Arm, State
 
 
-#: Message of `teach` when the recording begins.
+#: Text that `record` passes to `on_status` when the recording begins.
 RECORDING = "recording"
-#: Message of `teach` if the caller asks the user.
+#: Part of a text that `record` passes to `on_status` if `should_toggle` is given.
 STARTS_AND_STOPS = "Enter starts and stops"
-#: Share of a gripper's range from its closed end within which it counts as pressed.
-PRESSED = 0.15
-#: Share of its torque limit for a gripper that follows the hand.
+#: A gripper counts as pressed shut within this share of its range from the closed end [1].
+PRESSED_SHARE = 0.15
+#: Torque limit of a gripper that follows the hand, as a share of its configured limit [1].
 FOLLOW_SHARE = 0.3
-#: Motion of every joint below which the arm counts as at rest [rad].
+#: The arm counts as moved if a joint has moved by more than this angle [rad].
 MIN_MOTION = 0.02
 
 
 class Teacher:
-    """Floats an arm and records its motion; call `step` once per tick.
+    """Makes an arm weightless and records its motion; call `step` once per tick.
 
-    Off-chain joints (a gripper) follow the hand and are recorded as well.
+    Joints outside the chain (a gripper) follow the hand and are recorded too.
 
     Args:
         arm: The arm, enabled.
-        rate: Ticks per second [Hz].
-        floating: Hand guiding of the arm; None: a new `pliant.HandGuiding`.
+        rate: Control rate [Hz].
+        floating: Controller that makes the arm weightless; None: a new `pliant.HandGuiding`.
 
     Attributes:
-        recording: True while ticks are recorded.
-        still: Time for which the arm has been at rest [s], since the recording began.
-        moved: True if the arm has moved since then.
+        recording: True while positions are recorded.
+        still: Time since the arm last moved, or since the recording began [s].
+        moved: True if the arm has moved since the recording began.
     """
 
     def __init__(
         self, arm: Arm, *, rate: float = 100.0, floating: HandGuiding | None = None
     ) -> None:
         self._arm, self._dt = arm, 1.0 / rate
-        self._float = floating or HandGuiding(arm.model, arm.servos, rate=rate)
-        self._rows: list[tuple[float, Array, dict[str, float]]] = []
+        self._guiding = floating or HandGuiding(arm.model, arm.servos, rate=rate)
+        self._samples: list[tuple[float, Array, dict[str, float]]] = []
         self.recording = False
         self.still, self.moved = 0.0, False
         self._rest_q: Array | None = None
-        self._closed = False
+        self._was_closed = False
 
     @property
     def ready(self) -> bool:
-        """True once the first swing is over and the arm may be touched."""
-        return self._float.ready
+        """True once the first swing of `HandGuiding` is over, so that the arm may be touched."""
+        return self._guiding.ready
 
     def step(self, state: State, *, dt: float | None = None) -> Command:
-        """Return goals and limits that let a hand lead the arm.
+        """Return the command that lets a hand guide the arm; record the state while `recording`.
 
         Args:
-            state: State reported by the arm.
+            state: State of the arm in this tick.
             dt: Time since the last step [s]; None: 1/rate.
         """
-        command = self._float.step(state.q, dt=dt)
+        command = self._guiding.step(state.q, dt=dt)
         if self.recording:
             self._append(state, self._dt if dt is None else dt)
         return command
 
     def start(self) -> None:
-        """Start recording; an earlier recording is cleared.
+        """Start a recording; an earlier recording is deleted.
 
         Raises:
-            PliantError: The first swing is not over.
+            PliantError: The first swing of the hand guiding is not over.
         """
         if not self.ready:
             raise PliantError("the arm still swings to find its weight: wait until it is ready")
-        self._rows.clear()
+        self._samples.clear()
         self.recording, self.still, self.moved, self._rest_q = True, 0.0, False, None
 
     def stop(self) -> Motion:
-        """Stop recording and return the motion, neither trimmed nor smoothed.
+        """Stop the recording and return the motion, neither trimmed nor smoothed.
 
         Raises:
-            PliantError: Fewer than two ticks were recorded.
+            PliantError: The positions of fewer than two ticks were recorded.
         """
         self.recording = False
-        if len(self._rows) < 2:
+        if len(self._samples) < 2:
             raise PliantError("nothing was recorded")
-        times, positions, others = zip(*self._rows, strict=True)
+        times, positions, others = zip(*self._samples, strict=True)
         extra = {name: np.array([row[name] for row in others]) for name in others[0]}
         names = tuple(self._arm.model.joint_names)
         return Motion(names, np.array(times), np.array(positions), extra)
 
     def extra(self, state: State) -> dict[str, tuple[float, float]]:
-        """Return goals and torque limits of the grippers, which follow the hand."""
+        """Return goal [rad] and torque limit [N·m] with which each gripper follows the hand."""
         return {
             name: (state.extra[name], FOLLOW_SHARE * gripper.limit)
             for name, gripper in self._arm.grippers.items()
         }
 
     def gripper_pressed(self, state: State) -> bool:
-        """Return True if a gripper has just been pressed shut, a signal to start or stop."""
+        """Return True if a gripper is pressed shut and was not at the last call of this method."""
         closed = False
         for name, gripper in self._arm.grippers.items():
             share = (state.extra[name] - gripper.closed) / (gripper.opened - gripper.closed)
-            closed |= bool(share < PRESSED)
-        is_new, self._closed = closed and not self._closed, closed
+            closed |= bool(share < PRESSED_SHARE)
+        is_new, self._was_closed = closed and not self._was_closed, closed
         return is_new
 
     def _append(self, state: State, dt: float) -> None:
-        if not self._rows or state.time > self._rows[-1][0]:
-            self._rows.append((state.time, state.q.copy(), dict(state.extra)))
+        if not self._samples or state.time > self._samples[-1][0]:
+            self._samples.append((state.time, state.q.copy(), dict(state.extra)))
         if self._rest_q is None or (np.abs(state.q - self._rest_q) > MIN_MOTION).any():
             self.moved |= self._rest_q is not None
             self._rest_q, self.still = state.q.copy(), 0.0
@@ -136,28 +136,27 @@ def record(
     on_status: Callable[[str], None] = lambda _: None,
     on_interrupt: Callable[[Motion], None] = lambda _: None,
 ) -> Motion:
-    """Float an enabled arm, record how a hand leads it, trim and smooth the motion.
+    """Record a motion while a hand guides the arm; return the motion, trimmed and smoothed.
 
-    The recording begins when the arm is ready, or when `should_toggle` returns True. It ends after
-    `seconds`, after a rest that follows a motion, or when `should_toggle` returns True.
+    Without `should_toggle`, the recording begins when the arm is ready and ends when the arm has
+    rested after a motion. With `should_toggle`, it begins and ends when that function returns True.
 
     Args:
         arm: The arm, enabled.
-        seconds: Longest recording [s]; None: no bound.
-        idle_timeout: Rest that ends a recording with motion [s].
-        start_timeout: Longest time to wait for a first motion [s].
-        rate: Ticks per second [Hz]; None: the arm's.
-        should_toggle: Called at every tick; True if the user has just asked to start or stop.
-        on_status: Gets a line at every change, for a screen.
-        on_interrupt: Gets the motion so far if an exception (also Ctrl-C) ends the recording; the
-            exception propagates. It should return immediately: the arm is lowered after it.
-
-    Returns:
-        The motion, trimmed and smoothed.
+        seconds: Maximum duration of the recording [s]; None: no maximum.
+        idle_timeout: Duration of the rest that ends a recording [s].
+        start_timeout: Maximum time to wait for a first motion [s].
+        rate: Control rate [Hz]; None: the rate of the arm.
+        should_toggle: Function called in every tick with the `Teacher` and the arm's state; returns
+            True if the user asks to start or to stop.
+        on_status: Function that is called with a line of text at every change of the status.
+        on_interrupt: Function that is called with the motion so far if an exception (also Ctrl-C)
+            ends the recording. It should return at once, because the arm is lowered only
+            afterwards.
 
     Raises:
-        PliantError: Nothing was recorded.
-        ServoError: As in a `Loop`.
+        PliantError: Nothing was recorded, or the arm was not moved within `start_timeout`.
+        ServoError: The control loop failed; see `pliant.Loop`.
     """
     rate = arm.rate if rate is None else rate
     teacher = Teacher(arm, rate=rate)
@@ -193,33 +192,33 @@ def _record(
     should_toggle: Callable[[Teacher, State], bool] | None,
     on_status: Callable[[str], None],
 ) -> None:
-    """Run the ticks from the first swing to the end of the recording."""
-    begun = 0.0
+    """Run the control loop from the first swing to the end of the recording."""
+    start_time = 0.0
     for tick in Loop(arm, rate=rate):
-        before = teacher.ready
+        was_ready = teacher.ready
         tick.write(teacher.step(tick.state, dt=tick.dt), teacher.extra(tick.state))
         if not teacher.ready:
             continue
-        if not before:
+        if not was_ready:
             ends = (
                 f"a rest of {idle_timeout:g} s ends the recording"
                 if should_toggle is None
                 else STARTS_AND_STOPS
             )
             on_status(f"ready: lead the arm; {ends}")
-            begun = tick.time
-        now = should_toggle is not None and should_toggle(teacher, tick.state)
-        if not teacher.recording and (should_toggle is None or now):
+            start_time = tick.time
+        is_toggled = should_toggle is not None and should_toggle(teacher, tick.state)
+        if not teacher.recording and (should_toggle is None or is_toggled):
             teacher.start()
-            begun = tick.time
+            start_time = tick.time
             on_status(RECORDING)
             continue
-        late = tick.time - begun
+        elapsed = tick.time - start_time
         if teacher.recording and (
-            now
+            is_toggled
             or (teacher.moved and should_toggle is None and teacher.still > idle_timeout)
-            or (seconds is not None and late > seconds)
+            or (seconds is not None and elapsed > seconds)
         ):
             break
-        if late > start_timeout and not teacher.moved:
+        if elapsed > start_timeout and not teacher.moved:
             raise PliantError(f"the arm was not moved by hand within {start_timeout:g} s")

@@ -1,1 +1,1 @@
-"""Browser page to push a simulated arm or watch a real one, and to inspect its compliance."""
+"""Browser page to push a simulated arm or control a real one, and to inspect the compliance."""

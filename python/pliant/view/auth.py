@@ -1,10 +1,10 @@
-"""Access control of the page: a random token that the page's script sends with its web socket.
+"""Access control of the browser page: its web socket is accepted only with a random token.
 
 A page that moves a robot must not be open to every program and every web page on the machine. The
-token is in the fragment of the link, which a browser sends to no server. A script in the page keeps
-it in the tab's session storage, which is separate for every host and port, and sends it in the
-address of the web socket. There is no cookie: a browser would send it to every other server on the
-same host, and two pages on one machine would overwrite each other's.
+token is in the fragment of the page's link (after #), which a browser sends to no server. A script
+in the page keeps the token in the tab's session storage, which is separate for every host and port,
+and sends it in the address of the web socket. A cookie is not suitable: a browser would send it to
+all servers on the host, and two pages on one machine would overwrite each other's cookie.
 """
 
 from __future__ import annotations
@@ -29,14 +29,15 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request
 
-#: Random bytes in a token.
-BYTES = 24
-REFUSED = "This page moves a robot: open it by the link that `pliant view` prints on its terminal."
-#: Document that viser serves; its scripts and styles are inside it.
-INDEX = Path(viser.__file__).parent / "client" / "build" / "index.html"
-#: Takes the token out of the address, and adds it to the address of viser's web socket. viser opens
-#: the socket in a worker, which is told the address by a message.
-SCRIPT = """<script>
+#: Number of random bytes in the token, before it is encoded as text.
+TOKEN_BYTES = 24
+#: Text of the response to every rejected request.
+REFUSAL = "This page moves a robot: open it by the link that `pliant view` prints on its terminal."
+#: HTML file of the browser page that viser serves; the file contains its scripts and styles.
+VISER_PAGE = Path(viser.__file__).parent / "client" / "build" / "index.html"
+#: Script that takes the token from the address of the page and adds it to the address of viser's
+#: web socket. viser sends that address in a message to the web worker that opens the socket.
+TOKEN_SCRIPT = """<script>
 (() => {
   const found = location.hash.match(/^#token=([\\w-]+)$/);
   if (found) {
@@ -59,7 +60,7 @@ SCRIPT = """<script>
   };
 })();
 </script>"""
-#: Headers of every response: no cache, no referrer, no embedding in another page.
+#: HTTP headers of every response: they forbid caching, referrers and embedding in another page.
 HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
@@ -69,34 +70,38 @@ HEADERS = {
 
 
 class TokenAuth:
-    """Answers every request to the page's server, and accepts web sockets with the token.
+    """Access check of the page's web server: accepts web sockets only with a random token.
 
     Attributes:
-        token: Random, new in each run.
+        token: The token as text, different for each object of this class.
     """
 
     def __init__(self) -> None:
-        """Generate a token."""
-        self.token = secrets.token_urlsafe(BYTES)
+        """Generate a new random token."""
+        self.token = secrets.token_urlsafe(TOKEN_BYTES)
 
     def respond(self, request: Request) -> Response | None:
-        """Return the response to a request; None accepts a web socket.
+        """Return the response to a request; None: the request is a web socket and is accepted.
 
-        A web socket needs the token and the page's own origin. Every other request gets the page's
-        document, which contains no secret, or a rejection.
+        A web socket is accepted if the request has the token and comes from a page of this server.
+        Every other request gets the HTML page, which contains no secret, or a rejection.
         """
         address = urlsplit(request.path)
         if ",".join(request.headers.get_all("Upgrade")).lower() == "websocket":
-            return None if self._own(request, address.query) else _text(http.HTTPStatus.FORBIDDEN)
+            return (
+                None
+                if self._is_authorized(request, address.query)
+                else _refusal(http.HTTPStatus.FORBIDDEN)
+            )
         if address.path == "/refused":
-            return _text(http.HTTPStatus.FORBIDDEN)
+            return _refusal(http.HTTPStatus.FORBIDDEN)
         if address.path not in {"/", "/index.html"}:
-            return _text(http.HTTPStatus.NOT_FOUND)
+            return _refusal(http.HTTPStatus.NOT_FOUND)
         zipped = "gzip" in ",".join(request.headers.get_all("Accept-Encoding"))
-        return _answer(http.HTTPStatus.OK, "text/html", _document(zipped), zipped=zipped)
+        return _response(http.HTTPStatus.OK, "text/html", _page(zipped), zipped=zipped)
 
-    def _own(self, request: Request, query: str) -> bool:
-        """Return True if a web socket belongs to this run's page."""
+    def _is_authorized(self, request: Request, query: str) -> bool:
+        """Return True if a web socket request has the token and this server's page as origin."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or len(origins) != 1 or urlsplit(origins[0]).netloc != hosts[0]:
             return False
@@ -104,41 +109,46 @@ class TokenAuth:
         return len(sent) == 1 and hmac.compare_digest(sent[0].encode(), self.token.encode())
 
     def install(self) -> None:
-        """Apply this check to every server that the process starts from now on.
+        """Install this check in every `websockets` server that the process starts from now on.
 
-        viser has no hook for requests, so the function that starts its server is replaced. Hence
-        `viser<1.2`, and a test that opens a web socket without the token.
+        viser has no hook for requests, so this method replaces the function with which viser starts
+        its server. Other versions of viser may not use that function, so the package requires
+        `viser<1.2`.
         """
-        inner = websockets.asyncio.server.serve
+        original = websockets.asyncio.server.serve
 
-        @functools.wraps(inner)
-        def serve(*args: Any, process_request: Any = None, **more: Any) -> Any:
-            def ask(_: ServerConnection, request: Request) -> Response | None:
+        @functools.wraps(original)
+        def serve(*args: Any, process_request: Any = None, **options: Any) -> Any:
+            def process(_: ServerConnection, request: Request) -> Response | None:
                 return self.respond(request)
 
-            return inner(*args, process_request=ask, **more)
+            return original(*args, process_request=process, **options)
 
-        # A malformed request (a port scan) must not print a traceback.
+        # Raise the log level: at lower ones, a malformed request (a port scan) prints a traceback.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        # `serve` is a class, but viser only calls it, so a function can replace it.
+        # The original `serve` is a class, but a function can replace it, as viser only calls it.
         vars(websockets.asyncio.server)["serve"] = serve
 
 
 @functools.cache
-def _document(zipped: bool) -> bytes:
-    """Return viser's page with our script before its own."""
-    text = INDEX.read_text(encoding="utf-8")
-    body = text.replace("<head>", f"<head>{SCRIPT}", 1).replace("<title>Viser<", "<title>pliant<")
+def _page(zipped: bool) -> bytes:
+    """Return viser's HTML page with `TOKEN_SCRIPT` as first script; gzipped if `zipped` is True."""
+    text = VISER_PAGE.read_text(encoding="utf-8")
+    body = text.replace("<head>", f"<head>{TOKEN_SCRIPT}", 1).replace(
+        "<title>Viser<", "<title>pliant<"
+    )
     return gzip.compress(body.encode()) if zipped else body.encode()
 
 
-def _text(status: http.HTTPStatus) -> Response:
-    return _answer(status, "text/plain", f"{REFUSED}\n".encode())
+def _refusal(status: http.HTTPStatus) -> Response:
+    return _response(status, "text/plain", f"{REFUSAL}\n".encode())
 
 
-def _answer(status: http.HTTPStatus, kind: str, body: bytes, *, zipped: bool = False) -> Response:
+def _response(
+    status: http.HTTPStatus, content_type: str, body: bytes, *, zipped: bool = False
+) -> Response:
     headers = Headers(HEADERS)
-    headers["Content-Type"] = f"{kind}; charset=utf-8"
+    headers["Content-Type"] = f"{content_type}; charset=utf-8"
     headers["Content-Length"] = str(len(body))
     if zipped:
         headers["Content-Encoding"] = "gzip"
@@ -146,7 +156,7 @@ def _answer(status: http.HTTPStatus, kind: str, body: bytes, *, zipped: bool = F
 
 
 def is_loopback(host: str) -> bool:
-    """Return True for an address that only this machine can reach."""
+    """Return True if a host name or IP address can be reached only from this machine."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

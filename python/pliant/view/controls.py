@@ -1,4 +1,4 @@
-"""Controls of the page: scene, settings, push."""
+"""Controls of the browser page: choice of the scene, settings of the controller, simulated push."""
 
 from __future__ import annotations
 
@@ -16,52 +16,56 @@ if TYPE_CHECKING:
 
     from pliant.view.snapshot import SceneInfo, SettingsView, Snapshot
 
-    Tell = Callable[[messages.Message], None]
+    Send = Callable[[messages.Message], None]
 
-#: Labels of the page for the pushes to which an axis yields, with the values of `pliant.Axis`.
-YIELDS = {
+#: Value of `Axis.yields` for each label on the page.
+YIELD_VALUES = {
     "holds": "none",
     "gives way": "both",
     "gives way to +": "+",
     "gives way to −": "-",
 }
-WORDS = {value: key for key, value in YIELDS.items()}
-#: Repetition rate of a held button [Hz], and the time for which one message counts [s].
-HOLDING, COUNTS = 10.0, 0.4
-#: Duration of a push without a held button [s].
-PUSH = 2.0
-#: Initial value of the push slider, as a share of the largest push.
-FIRST = 0.15
+#: Label on the page for each value of `Axis.yields`.
+YIELD_LABELS = {value: key for key, value in YIELD_VALUES.items()}
+#: While a push button is held down: rate of `Push` messages [Hz], and push time of each one [s].
+REPEAT_RATE, HELD_PUSH_TIME = 10.0, 0.4
+#: Duration of the push after one click on the button for a push of fixed duration [s].
+TIMED_PUSH_TIME = 2.0
+#: Initial value of the slider for the push force, as a share of its maximum [1].
+INITIAL_PUSH_SHARE = 0.15
 
 
 class Controls:
-    """The control panel: sends changes to the arm and shows the arm's present state."""
+    """Control panel of the page: sends a user's changes to the loop, and shows the settings."""
 
-    def __init__(self, server: viser.ViserServer, info: SceneInfo, send: Tell) -> None:
-        """Add the controls to the open container."""
+    def __init__(self, server: viser.ViserServer, info: SceneInfo, send: Send) -> None:
+        """Add the controls to the current container of viser's GUI.
+
+        `send` is called with each message for the control loop.
+        """
         self._gui, self._info, self._send = server.gui, info, send
-        self._numbers = itertools.count(1)
+        self._edit_numbers = itertools.count(1)
         self._last_edit = 0
-        #: Last known values of the controls, set by the arm or a visitor, by id.
+        #: Last known value of each control, set by the loop or by a user; by `id` of the control.
         self._known: dict[int, Any] = {}
         self._scene()
         self._softness()
         if info.max_push is not None:
             self._push(info.max_push)
 
-    # Construction.
+    # Construction of the controls.
 
     def _scene(self) -> None:
         gui, info = self._gui, self._info
         with gui.add_folder("Scene" if info.scenes else "Target"):
             if info.scenes:
                 scene = gui.add_dropdown("Scene", tuple(info.scenes), initial_value=info.scene)
-                self._by_hand(scene, lambda: self._send(messages.Scene(scene.value)))
+                self._on_visitor_change(scene, lambda: self._send(messages.Scene(scene.value)))
                 gui.add_markdown(info.scenes[info.scene])
             if info.play:
                 play = gui.add_button(info.play, icon=viser.Icon.PLAYER_PLAY)
                 play.on_click(lambda _: self._send(messages.Play()))
-            self._places = gui.add_html("")
+            self._positions = gui.add_html("")
             home = gui.add_button("Target back to the start", icon=viser.Icon.HOME, color="gray")
             home.on_click(lambda _: self._send(messages.Home()))
 
@@ -69,13 +73,13 @@ class Controls:
         gui, info = self._gui, self._info
         with gui.add_folder("Softness"):
             self.preset = gui.add_dropdown("Preset", info.presets)
-            self._edits(self.preset, lambda n: messages.Preset(n, self.preset.value))
+            self._on_edit(self.preset, lambda n: messages.Preset(n, self.preset.value))
             self.law = gui.add_dropdown("Law", LAWS)
-            self._edits(self.law, lambda n: messages.Law(n, self.law.value))
+            self._on_edit(self.law, lambda n: messages.Law(n, self.law.value))
             self.firm = gui.add_checkbox(
                 "All firm", initial_value=False, hint="The same pose, all axes stiff"
             )
-            self._edits(self.firm, lambda n: messages.Firm(n, self.firm.value))
+            self._on_edit(self.firm, lambda n: messages.Firm(n, self.firm.value))
             self.eta = gui.add_slider(
                 "η",
                 min=0.0,
@@ -84,12 +88,12 @@ class Controls:
                 initial_value=0.9,
                 hint="0: comes back to the target; near 1: stays where it is put",
             )
-            self._edits(self.eta, lambda n: messages.Adaptation(n, float(self.eta.value)))
+            self._on_edit(self.eta, lambda n: messages.Adaptation(n, float(self.eta.value)))
             self.yields = {}
             for name in info.axes:
-                choice = gui.add_dropdown(name, tuple(YIELDS))
+                choice = gui.add_dropdown(name, tuple(YIELD_VALUES))
                 self.yields[name] = choice
-                self._edits(choice, self._change(name, "yields", choice))
+                self._on_edit(choice, self._make_axis_edit(name, "yields", choice))
         with gui.add_folder("Strength: pushed toward −, toward +", expand_by_default=False):
             self.strength: dict[tuple[str, str], Any] = {}
             tabs = gui.add_tab_group()
@@ -98,14 +102,14 @@ class Controls:
                     self._strengths(name)
 
     def _strengths(self, name: str) -> None:
-        """Add the fields of one axis."""
+        """Add the input fields for `soft`, `firm`, `stiffness` and `hold` of one task axis."""
         gui = self._gui
         unit = "N" if name in {"x", "y", "z"} else "N·m"
         step = 0.5 if unit == "N" else 0.05
-        for word in ("soft", "firm"):
-            pair = gui.add_vector2(f"{word} [{unit}]", (0.0, 0.0), min=(0.0, 0.0), step=step)
-            self.strength[name, word] = pair
-            self._edits(pair, self._change(name, word, pair))
+        for key in ("soft", "firm"):
+            pair = gui.add_vector2(f"{key} [{unit}]", (0.0, 0.0), min=(0.0, 0.0), step=step)
+            self.strength[name, key] = pair
+            self._on_edit(pair, self._make_axis_edit(name, key, pair))
         spring = gui.add_vector2(
             f"stiffness [{'N/m' if unit == 'N' else 'N·m/rad'}]",
             (0.0, 0.0),
@@ -114,10 +118,10 @@ class Controls:
             visible=False,
         )
         self.strength[name, "stiffness"] = spring
-        self._edits(spring, self._change(name, "stiffness", spring))
+        self._on_edit(spring, self._make_axis_edit(name, "stiffness", spring))
         hold = gui.add_number(f"hold [{unit}]", 0.0, min=0.0, step=step)
         self.strength[name, "hold"] = hold
-        self._edits(hold, self._change(name, "hold", hold))
+        self._on_edit(hold, self._make_axis_edit(name, "hold", hold))
 
     def _push(self, max_push: tuple[float, float]) -> None:
         gui, axes = self._gui, self._info.axes
@@ -127,25 +131,30 @@ class Controls:
             first = "+y" if "+y" in sides else sides[0]
             self.side = gui.add_dropdown("Toward", tuple(sides), initial_value=first)
             self.force = gui.add_slider("Force [N]", min=0.0, max=1.0, step=0.1, initial_value=0.0)
-            self._scale(max_push)
-            self.side.on_update(lambda _: self._scale(max_push))
+            self._set_push_range(max_push)
+            self.side.on_update(lambda _: self._set_push_range(max_push))
             held = gui.add_button("Push while held down", icon=viser.Icon.HAND_FINGER)
-            held.on_hold(lambda _: self._send(self._pushing(COUNTS)), callback_hz=HOLDING)
-            timed = gui.add_button(f"Push for {PUSH:g} s", color="gray")
-            timed.on_click(lambda _: self._send(self._pushing(PUSH)))
+            held.on_hold(
+                lambda _: self._send(self._push_message(HELD_PUSH_TIME)), callback_hz=REPEAT_RATE
+            )
+            timed = gui.add_button(f"Push for {TIMED_PUSH_TIME:g} s", color="gray")
+            timed.on_click(lambda _: self._send(self._push_message(TIMED_PUSH_TIME)))
 
-    def _scale(self, max_push: tuple[float, float]) -> None:
-        """Set range and unit of the push: newtons along an axis, newton metres about one."""
-        turning = self.side.value[1:] not in {"x", "y", "z"}
-        label = "Torque [N·m]" if turning else "Force [N]"
+    def _set_push_range(self, max_push: tuple[float, float]) -> None:
+        """Set range and unit of the push slider for its axis: [N] along or [N·m] about the axis.
+
+        `max_push` is the maximum force [N] and torque [N·m].
+        """
+        rotational = self.side.value[1:] not in {"x", "y", "z"}
+        label = "Torque [N·m]" if rotational else "Force [N]"
         if self.force.label != label or self.force.value == 0.0:
-            most = max_push[turning]
-            self.force.label, self.force.step = label, 10.0 ** np.floor(np.log10(most / 40.0))
-            self.force.max = float(np.round(most, 3))
+            largest = max_push[rotational]
+            self.force.label, self.force.step = label, 10.0 ** np.floor(np.log10(largest / 40.0))
+            self.force.max = float(np.round(largest, 3))
             force: Any = self.force
-            force.value = float(np.round(FIRST * most, 3))
+            force.value = float(np.round(INITIAL_PUSH_SHARE * largest, 3))
 
-    def _pushing(self, seconds: float) -> messages.Push:
+    def _push_message(self, seconds: float) -> messages.Push:
         side = self.side.value
         wrench = np.zeros(6)
         place = ("x", "y", "z", "roll", "pitch", "yaw").index(side[1:])
@@ -153,68 +162,72 @@ class Controls:
         x, y, z, *turn = wrench.tolist()
         return messages.Push((x, y, z), (turn[0], turn[1], turn[2]), seconds)
 
-    # Sending and display.
+    # Sending of changes by the user, and display of values from the loop.
 
-    def _change(self, axis: str, word: str, handle: Any) -> Callable[[int], messages.Edit]:
-        """Return a function that makes the edit of one field of an axis."""
+    def _make_axis_edit(self, axis: str, key: str, handle: Any) -> Callable[[int], messages.Edit]:
+        """Return a function that, given the number of an edit, returns the `Change` message.
 
-        def made(number: int) -> messages.Edit:
+        The message sets the field `key` of a task axis to the value of the control `handle`.
+        """
+
+        def make_edit(number: int) -> messages.Edit:
             value = handle.value
-            value = YIELDS[value] if word == "yields" else value
-            fields = {word: value}
-            if word == "yields" and value != "none":
+            value = YIELD_VALUES[value] if key == "yields" else value
+            fields = {key: value}
+            if key == "yields" and value != "none":
                 fields["adaptation"] = float(self.eta.value)
             return messages.Change(number, axis, fields)
 
-        return made
+        return make_edit
 
-    def _edits(self, handle: Any, make: Callable[[int], messages.Edit]) -> None:
-        """Send an edit when a visitor moves a control."""
+    def _on_edit(self, handle: Any, make: Callable[[int], messages.Edit]) -> None:
+        """Send the message `make(number)`, with a new number, when a user changes a control."""
 
         def send() -> None:
-            self._last_edit = next(self._numbers)
+            self._last_edit = next(self._edit_numbers)
             self._send(make(self._last_edit))
 
-        self._by_hand(handle, send)
+        self._on_visitor_change(handle, send)
 
-    def _by_hand(self, handle: Any, act: Callable[[], None]) -> None:
-        """Act on a visitor's change, not on a change by the page itself."""
+    def _on_visitor_change(self, handle: Any, act: Callable[[], None]) -> None:
+        """Call `act` when a user changes a control, but not when the program changes it."""
         self._known[id(handle)] = handle.value
 
-        # Run in the server's own thread: in order, right after the control has its new value.
-        async def moved(event: viser.GuiEvent[Any]) -> None:
+        # A coroutine, because viser runs coroutines in order, but plain functions in a thread pool.
+        async def changed(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 self._known[id(handle)] = handle.value
                 act()
 
-        handle.on_update(moved)
+        handle.on_update(changed)
 
     def show(self, now: Snapshot) -> None:
-        """Show the settings in force, unless a visitor's edit is still pending.
+        """Show the positions and the settings of a snapshot.
 
-        Snapshots come in another thread than the visitors' changes. If a control differs from its
-        last known value, its edit is about to arrive.
+        The settings are not shown while the loop has not handled the user's last edit. Snapshots
+        and changes by users come in different threads: a control that differs from its last known
+        value keeps its value, because the message with the user's change is about to be sent.
         """
-        self._places.content = html.places(now)
+        self._positions.content = html.positions(now)
         if now.shown is not None and now.edit >= self._last_edit:
             self._show_settings(now.shown)
 
     def _show_settings(self, shown: SettingsView) -> None:
-        self._put(self.preset, shown.preset)
-        self._put(self.law, shown.law)
-        self._put(self.firm, shown.firm)
+        self._set(self.preset, shown.preset)
+        self._set(self.law, shown.law)
+        self._set(self.firm, shown.firm)
         yielding = [axis["adaptation"] for axis in shown.axes.values() if axis["yields"] != "none"]
         if yielding:
-            self._put(self.eta, max(yielding))
+            self._set(self.eta, max(yielding))
         for name, axis in shown.axes.items():
-            self._put(self.yields[name], WORDS[axis["yields"]])
+            self._set(self.yields[name], YIELD_LABELS[axis["yields"]])
             self.strength[name, "stiffness"].visible = shown.law == "impedance"
-            for word in ("soft", "firm", "hold", "stiffness"):
-                if axis[word] is not None:
-                    self._put(self.strength[name, word], axis[word])
+            for key in ("soft", "firm", "hold", "stiffness"):
+                if axis[key] is not None:
+                    self._set(self.strength[name, key], axis[key])
 
-    def _put(self, handle: Any, value: Any) -> None:
-        """Show the arm's value in a control that no visitor has changed."""
+    def _set(self, handle: Any, value: Any) -> None:
+        """Set a control to a value, unless a user has changed the control in the meantime."""
         if handle.value == self._known[id(handle)]:
             handle.value = value
             self._known[id(handle)] = handle.value

@@ -1,8 +1,8 @@
-"""The pipe between the loop and the page, which is a separate process.
+"""Pipe between the process of the control loop and the process of the browser page.
 
-The loop never waits for the page: it sends a snapshot only after the page has taken the last one,
-so the pipe holds at most one. The page cannot starve the loop: messages are merged at both ends,
-and a tick takes a bounded number of them.
+The loop never waits for the page: it sends a snapshot (state of the arm) only after the page has
+acknowledged the last one. The page cannot overload the loop: at both ends, new messages replace
+obsolete ones, and the loop handles a bounded number of messages per tick.
 """
 
 from __future__ import annotations
@@ -27,67 +27,68 @@ if TYPE_CHECKING:
 
     from pliant.view.snapshot import SceneInfo, Snapshot
 
-#: Largest rate of snapshots [Hz].
-FRAMES = 30.0
-#: Timeout for the start and the end of the page [s].
+#: Maximum rate at which the loop sends snapshots of the arm [Hz].
+SNAPSHOT_RATE = 30.0
+#: Timeout for the start and for the end of the page's process [s].
 TIMEOUT = 30.0
-#: Least period of messages from the page [s], and messages taken per poll of the pipe.
-PASSED, WORDS = 0.02, 4
-#: Least time between two edits of the settings [s].
-EDITS = 0.05
+#: Minimum time between two sendings by the page [s], and maximum number of objects that the loop
+#: takes from the pipe in one call.
+MESSAGE_PERIOD, MAX_RECEIVED = 0.02, 4
+#: Minimum time between two changes of the settings that the loop handles [s].
+EDIT_PERIOD = 0.05
 
 
 class PageGone(PliantError):
-    """The page's process has ended."""
+    """The process of the browser page has ended."""
 
 
 class Ack:
-    """Message of either end: it has taken what was sent, and the next may come."""
+    """Acknowledgement of the last received object; the other process may then send the next one."""
 
 
 @dataclass(frozen=True)
 class Ready:
-    """First message of the page: its link, with the token."""
+    """First message of the page's process: the link that opens the page, with its access token."""
 
     link: str
 
 
 @dataclass(frozen=True)
 class StartupError:
-    """Only message of a page that cannot start: the reason."""
+    """First and only message of the page's process if it cannot start: the error text."""
 
     text: str
 
 
 class Link:
-    """The loop's end of the pipe. `with` starts the page and ends it.
+    """End of the pipe in the process of the loop; it starts and ends the process of the page.
 
     Args:
         host: Address on which the page listens.
-        port: Port; the next free one is taken.
+        port: TCP port; if it is taken, the page uses the next free one.
 
     Attributes:
-        address: Link of the page.
+        address: Link that opens the page, with its access token.
 
     Raises:
         PliantError: The page does not start; the message gives the reason.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
-        """Start the process, and wait until it listens."""
+        """Start the process of the page, and wait until its web server listens."""
         ours, theirs = socket.socketpair()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "pliant.view.page", str(theirs.fileno()), host, str(port)],
             pass_fds=(theirs.fileno(),),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            # Ctrl-C must only reach the loop; the page ends with its pipe.
+            # Protect the page from Ctrl-C, which is for the loop; it ends when its pipe closes.
             start_new_session=True,
         )
         theirs.close()
         self._pipe = Connection(ours.detach())
-        self._free, self._due = True, 0.0
-        self._waiting, self._edit_due = Queue(), 0.0
+        self._acknowledged, self._due = True, 0.0
+        self._pending, self._edit_due = Queue(), 0.0
         self.address = self._wait_for_page()
 
     def _wait_for_page(self) -> str:
@@ -103,7 +104,9 @@ class Link:
         raise PliantError("the page's process did not start; its output is above")
 
     def messages(self) -> list[Message]:
-        """Return the next messages: at most `PER_TICK`, edits at a bounded rate.
+        """Return the messages of the page to handle in one tick.
+
+        Changes of the settings are limited to one per `EDIT_PERIOD`.
 
         Raises:
             PageGone: The page's process has ended.
@@ -111,46 +114,49 @@ class Link:
         if not self._listen():
             raise PageGone("the page's process has ended, so it could no longer stop the arm")
         now = time.perf_counter()
-        out = self._waiting.take(edit=now >= self._edit_due)
+        out = self._pending.take(edit=now >= self._edit_due)
         if any(isinstance(message, Edit) for message in out):
-            self._edit_due = now + EDITS
+            self._edit_due = now + EDIT_PERIOD
         return out
 
     def _listen(self) -> bool:
-        """Receive messages, within bounds; return False if the page has ended."""
+        """Take up to `MAX_RECEIVED` objects from the pipe; return False if the page has ended."""
         try:
-            for _ in range(WORDS):
+            for _ in range(MAX_RECEIVED):
                 if not self._pipe.poll():
                     break
-                heard = self._pipe.recv()
-                if isinstance(heard, Ack):
-                    self._free = True
+                received = self._pipe.recv()
+                if isinstance(received, Ack):
+                    self._acknowledged = True
                     continue
                 self._pipe.send(Ack())
-                for message in heard:
-                    self._waiting.put(message)
+                for message in received:
+                    self._pending.put(message)
         except (EOFError, OSError):
             return False
         return True
 
     def due(self) -> bool:
-        """Return True if a snapshot is due now; False if the page has ended."""
-        return time.perf_counter() >= self._due and self._listen() and self._free
+        """Return True if a snapshot can be sent.
+
+        The period of snapshots must be over, and the page must have acknowledged the last object.
+        """
+        return time.perf_counter() >= self._due and self._listen() and self._acknowledged
 
     def send(self, snapshot: Snapshot | SceneInfo) -> None:
-        """Send a snapshot when one is `due`, or the scene at any time.
+        """Send a snapshot (only if `due()` is True) or the description of a scene (at any time).
 
         Raises:
             PageGone: The page's process has ended.
         """
-        self._due, self._free = time.perf_counter() + 1.0 / FRAMES, False
+        self._due, self._acknowledged = time.perf_counter() + 1.0 / SNAPSHOT_RATE, False
         try:
             self._pipe.send(snapshot)
         except OSError:
             raise PageGone("the page's process has ended") from None
 
     def close(self) -> None:
-        """Close the pipe and wait for the page to end."""
+        """Close the pipe and wait for the page's process to end; kill it after `TIMEOUT`."""
         self._pipe.close()
         try:
             self._process.wait(TIMEOUT)
@@ -171,58 +177,59 @@ class Link:
 
 
 class PageEndpoint:
-    """The page's end of the pipe. It sends messages only after the loop has taken the last ones.
+    """End of the pipe in the process of the page.
 
-    Otherwise a flood of messages could fill the pipe, and both ends would block.
+    It sends messages only after the loop has acknowledged the last ones: otherwise many messages
+    could fill the pipe, and both processes would block.
     """
 
     def __init__(self, descriptor: int) -> None:
-        """Take over the inherited end of the pipe."""
+        """Open the pipe's inherited file descriptor; start a thread to receive and one to send."""
         os.set_inheritable(descriptor, False)
         self._pipe, self._lock = Connection(descriptor), threading.Lock()
-        self._waiting, self._changed, self._free = Queue(), threading.Condition(), True
-        self._words: SimpleQueue[Any] = SimpleQueue()
+        self._pending, self._changed, self._acknowledged = Queue(), threading.Condition(), True
+        self._inbox: SimpleQueue[Any] = SimpleQueue()
         for work in (self._sort_incoming, self._forward):
             threading.Thread(target=work, daemon=True).start()
 
-    def send(self, word: Ready | StartupError | Ack | list[Message]) -> None:
-        """Send a message to the loop; ignore errors if the loop has ended."""
+    def send(self, message: Ready | StartupError | Ack | list[Message]) -> None:
+        """Send an object to the loop at once; do nothing if the loop has ended."""
         with self._lock, contextlib.suppress(OSError):
-            self._pipe.send(word)
+            self._pipe.send(message)
 
     def queue(self, message: Message) -> None:
-        """Queue a message, which a later one may replace; never blocks."""
+        """Queue a message for the loop; until it is sent, a later message may replace it."""
         with self._changed:
-            self._waiting.put(message)
+            self._pending.put(message)
             self._changed.notify()
 
     def receive(self) -> Any:
         """Return the next scene or snapshot and acknowledge it; None once the loop has ended."""
-        word = self._words.get()
-        if word is not None:
+        message = self._inbox.get()
+        if message is not None:
             self.send(Ack())
-        return word
+        return message
 
     def _sort_incoming(self) -> None:
-        """Receive and sort messages of the loop."""
+        """Receive objects from the loop, in a thread; queue all but `Ack` for `receive`."""
         while True:
             try:
-                word = self._pipe.recv()
+                message = self._pipe.recv()
             except (EOFError, OSError):
-                self._words.put(None)
+                self._inbox.put(None)
                 return
-            if not isinstance(word, Ack):
-                self._words.put(word)
+            if not isinstance(message, Ack):
+                self._inbox.put(message)
                 continue
             with self._changed:
-                self._free = True
+                self._acknowledged = True
                 self._changed.notify()
 
     def _forward(self) -> None:
-        """Send queued messages, a few at a time."""
+        """Send the queued messages to the loop, in a thread; at most `PER_TICK` at a time."""
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._free and len(self._waiting) > 0)
-                out, self._free = self._waiting.take(), False
+                self._changed.wait_for(lambda: self._acknowledged and len(self._pending) > 0)
+                out, self._acknowledged = self._pending.take(), False
             self.send(out)
-            time.sleep(PASSED)
+            time.sleep(MESSAGE_PERIOD)

@@ -1,4 +1,4 @@
-"""Messages of the page to the arm, their bounds, and the queue of those not yet carried out."""
+"""Messages from the browser page to the control loop, checks of their values, and their queue."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
-#: Longest push per message [s].
-LONGEST = 10.0
-#: Largest coordinate of a point toward which a hand pulls [m].
-FARTHEST = 100.0
-#: Largest entry of R Rᵀ - I for a rotation.
-ORTHOGONAL = 1e-6
-#: Relative rounding tolerance of a force bound.
-ROUNDING = 1e-3
-#: Largest number of queued messages, and of messages carried out in one tick.
+#: Maximum duration of the push that one `Push` message requests [s].
+MAX_PUSH_TIME = 10.0
+#: Maximum magnitude of the coordinates in a `Grab` message [m].
+MAX_COORDINATE = 100.0
+#: Maximum magnitude of the entries of R Rᵀ - I, for the rotation matrix R of a target [1].
+ORTHOGONALITY_TOLERANCE = 1e-6
+#: A push may exceed its maximum by this share [1], because the page's sliders round their values.
+FORCE_TOLERANCE = 1e-3
+#: Maximum number of queued messages, and maximum number of messages handled in one tick.
 MAX_QUEUED, PER_TICK = 64, 8
-#: Fields of an axis that a change of the law resets.
-STRENGTHS = frozenset({"soft", "firm", "hold", "stiffness", "damping"})
+#: Fields of `pliant.Axis` that get default values when the user changes the control law.
+LAW_FIELDS = frozenset({"soft", "firm", "hold", "stiffness", "damping"})
 
 
 class Message:
-    """Base class of all messages."""
+    """Base class of all messages from the browser page to the control loop."""
 
 
 @dataclass(frozen=True)
 class Target(Message):
-    """Move the tool to a pose (4, 4), base axes."""
+    """Set the target pose (4, 4) of the tool, `base_from_tool`."""
 
     pose: Array
 
 
 @dataclass(frozen=True)
 class Push(Message):
-    """Push the tool with a simulated hand, until a timeout or the next push.
+    """Push the tool of a simulated arm with a simulated hand, for a time or until the next push.
 
     Attributes:
-        force: (3,) [N], base axes.
-        torque: (3,) [N·m], base axes.
+        force: Force (3,) [N], base axes.
+        torque: Torque (3,) [N·m], base axes.
         seconds: Duration [s].
     """
 
@@ -58,11 +58,12 @@ class Push(Message):
 
 @dataclass(frozen=True)
 class Grab(Message):
-    """Hold a point of the arm with a simulated hand, and pull it toward a place.
+    """Grip a point of the arm with a simulated hand, and pull it toward another point.
 
     Attributes:
-        body: Number of the body in the simulation.
-        point: Held point (3,) [m], base axes, at the time of the message; None: unchanged.
+        body: Index of the MuJoCo body.
+        point: Gripped point (3,) [m], base axes, at the time of the message; None: keep the gripped
+            point of an earlier message.
         toward: Position of the hand (3,) [m], base axes.
     """
 
@@ -73,15 +74,16 @@ class Grab(Message):
 
 @dataclass(frozen=True)
 class LetGo(Message):
-    """Release the hand."""
+    """Remove the simulated hand from the arm."""
 
 
 @dataclass(frozen=True)
 class Edit(Message):
-    """A change of the settings; the arm acknowledges its number.
+    """Base class of messages that change the settings of the controller.
 
     Attributes:
-        number: Increasing number from the page.
+        number: Serial number given by the page. A snapshot contains the number of the last handled
+            edit, so that the page knows which changes it includes.
     """
 
     number: int
@@ -89,21 +91,21 @@ class Edit(Message):
 
 @dataclass(frozen=True)
 class Preset(Edit):
-    """Change to the settings of a preset."""
+    """Replace all settings of the controller by those of a preset."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class Law(Edit):
-    """Change the law; strengths return to the arm's own."""
+    """Change the control law; caps, stiffness and damping of all axes get their default values."""
 
     law: str
 
 
 @dataclass(frozen=True)
 class Change(Edit):
-    """Change fields of one task axis, as of `pliant.Axis`."""
+    """Change settings of one task axis; `fields` maps field names of `pliant.Axis` to values."""
 
     axis: str
     fields: Mapping[str, Any] = field(default_factory=dict)
@@ -111,38 +113,38 @@ class Change(Edit):
 
 @dataclass(frozen=True)
 class Adaptation(Edit):
-    """Change the target adaptation of every axis that yields."""
+    """Change `Axis.adaptation` of every axis that yields."""
 
     value: float
 
 
 @dataclass(frozen=True)
 class Firm(Edit):
-    """Let no axis yield while on; off restores the settings."""
+    """Let no axis yield if `on` is True; if `on` is False, restore the settings of the axes."""
 
     on: bool
 
 
 @dataclass(frozen=True)
 class Home(Message):
-    """Return the target to the start pose."""
+    """Set the target to the pose of the tool at the start of the run."""
 
 
 @dataclass(frozen=True)
 class Play(Message):
-    """Run the action of the scene: the target opens the door, or a person takes the object."""
+    """Start the action of the scene: the target moves as scripted, or a person takes the object."""
 
 
 @dataclass(frozen=True)
 class Scene(Message):
-    """Change to another scene, by name; only for a simulated arm."""
+    """Change to the scene with the given name; only for a simulated arm."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class Stop(Message):
-    """Stop: lower the arm and switch torque off."""
+    """Lower the arm and switch torque off (the STOP button)."""
 
 
 @dataclass(frozen=True)
@@ -151,54 +153,58 @@ class Start(Message):
 
 
 class Queue:
-    """A bounded queue of messages in which later messages replace obsolete ones.
+    """A bounded queue in which a new message replaces those that it makes obsolete.
 
-    A slider sends each value several times, and a flood of messages must neither starve the loop
-    nor fill the memory.
+    Many messages, as from a moving slider, must neither delay the control loop nor fill the memory.
     """
 
     def __init__(self) -> None:
-        """Start empty."""
-        self._waiting: list[Message] = []
+        """Create an empty queue."""
+        self._messages: list[Message] = []
 
     def __len__(self) -> int:
-        return len(self._waiting)
+        return len(self._messages)
 
     def put(self, message: Message) -> None:
-        """Add a message and remove obsolete ones; beyond `MAX_QUEUED` the oldest are dropped."""
-        left = [held for held in self._waiting if not _replaces(message, held)]
-        if len(left) >= MAX_QUEUED:
-            del left[next(i for i, held in enumerate(left) if not isinstance(held, Stop))]
-        self._waiting = [*left, message]
+        """Add a message and remove those that it makes obsolete.
+
+        If `MAX_QUEUED` messages are left, the oldest one is dropped, but never a `Stop`.
+        """
+        remaining = [queued for queued in self._messages if not _replaces(message, queued)]
+        if len(remaining) >= MAX_QUEUED:
+            del remaining[
+                next(i for i, queued in enumerate(remaining) if not isinstance(queued, Stop))
+            ]
+        self._messages = [*remaining, message]
 
     def take(self, *, edit: bool = True) -> list[Message]:
-        """Remove and return the next messages: a stop first, at most `PER_TICK`, at most one edit.
+        """Remove at most `PER_TICK` messages and return them: `Stop` first, at most one `Edit`.
 
         Args:
-            edit: True if an edit may be among them. A change of the task axes takes milliseconds.
+            edit: False: leave all edits in the queue, because one edit may take milliseconds.
         """
-        out: list[Message] = [held for held in self._waiting if isinstance(held, Stop)]
+        out: list[Message] = [queued for queued in self._messages if isinstance(queued, Stop)]
         rest: list[Message] = []
-        for held in self._waiting:
-            is_edit = isinstance(held, Edit)
-            if isinstance(held, Stop):
+        for queued in self._messages:
+            is_edit = isinstance(queued, Edit)
+            if isinstance(queued, Stop):
                 continue
             if len(out) >= PER_TICK or (is_edit and not edit):
-                rest.append(held)
+                rest.append(queued)
                 continue
-            out.append(held)
+            out.append(queued)
             edit = edit and not is_edit
-        self._waiting = rest
+        self._messages = rest
         return out
 
 
 def _replaces(new: Message, old: Message) -> bool:
-    """Return True if a message makes an earlier one obsolete."""
+    """Return True if the message `new` makes the earlier message `old` obsolete."""
     match new, old:
         case Preset(), Edit():
             return True
         case Law(), Change(fields=fields):
-            return set(fields) <= STRENGTHS
+            return set(fields) <= LAW_FIELDS
         case Change(axis=axis, fields=fields), Change(axis=before, fields=had):
             return axis == before and set(had) <= set(fields)
         case Grab(point=None), Grab(point=None):
@@ -213,15 +219,19 @@ def _replaces(new: Message, old: Message) -> bool:
 
 
 def check_target(message: Target, model: Model) -> Array:
-    """Return the pose (4, 4) of a target that the arm can reach when stretched.
+    """Check a target message and return its pose (4, 4).
 
     Raises:
-        ConfigError: The pose is not finite, not a pose, or out of reach.
+        ConfigError: The matrix is not finite, not a pose, or out of the reach of the arm.
     """
-    pose = _numbers("target", message.pose, (4, 4))
+    pose = _finite_floats("target", message.pose, (4, 4))
     turn = pose[:3, :3]
     off = np.abs(turn @ turn.T - np.eye(3)).max()
-    if off > ORTHOGONAL or np.linalg.det(turn) < 0.0 or (pose[3] != (0.0, 0.0, 0.0, 1.0)).any():
+    if (
+        off > ORTHOGONALITY_TOLERANCE
+        or np.linalg.det(turn) < 0.0
+        or (pose[3] != (0.0, 0.0, 0.0, 1.0)).any()
+    ):
         raise ConfigError("target is not a pose: its rotation is not orthogonal")
     away = math.dist(pose[:3, 3], model.reach_origin)
     if away > model.reach:
@@ -233,40 +243,44 @@ def check_target(message: Target, model: Model) -> Array:
 
 
 def check_push(message: Push, max_push: tuple[float, float]) -> None:
-    """Check a push against the largest force [N] and torque [N·m] of the page's sliders.
+    """Check force, torque and duration of a push; `max_push`: largest force [N], torque [N·m].
 
     Raises:
-        ConfigError: A number is not finite or beyond its bound.
+        ConfigError: A number is not finite, or exceeds `max_push` or `MAX_PUSH_TIME`.
     """
     parts = (
         ("force", message.force, max_push[0], "N"),
         ("torque", message.torque, max_push[1], "N·m"),
     )
     for name, value, bound, unit in parts:
-        size = float(np.abs(_numbers(f"push: {name}", value, (3,))).max())
-        if size > bound * (1.0 + ROUNDING):
+        size = float(np.abs(_finite_floats(f"push: {name}", value, (3,))).max())
+        if size > bound * (1.0 + FORCE_TOLERANCE):
             raise ConfigError(f"push: {name} = {size:.3g} {unit} is more than {bound:.3g} {unit}")
-    seconds = float(_numbers("push: seconds", message.seconds, ()))
-    if not 0.0 < seconds <= LONGEST:
-        raise ConfigError(f"push: seconds = {seconds:.3g} is outside (0, {LONGEST:g}]")
+    seconds = float(_finite_floats("push: seconds", message.seconds, ()))
+    if not 0.0 < seconds <= MAX_PUSH_TIME:
+        raise ConfigError(f"push: seconds = {seconds:.3g} is outside (0, {MAX_PUSH_TIME:g}]")
 
 
 def check_grab(message: Grab) -> None:
-    """Check the places of a hand that holds the arm.
+    """Check the points in a `Grab` message.
 
     Raises:
-        ConfigError: A number is not finite, or a place is farther away than `FARTHEST`.
+        ConfigError: A coordinate is not finite, or exceeds `MAX_COORDINATE`.
     """
     for name, place in (("point", message.point), ("toward", message.toward)):
         if place is None:
             continue
-        away = float(np.abs(_numbers(f"hand: {name}", place, (3,))).max())
-        if away > FARTHEST:
-            raise ConfigError(f"hand: {name} is {away:.3g} m away, more than {FARTHEST:g} m")
+        away = float(np.abs(_finite_floats(f"hand: {name}", place, (3,))).max())
+        if away > MAX_COORDINATE:
+            raise ConfigError(f"hand: {name} is {away:.3g} m away, more than {MAX_COORDINATE:g} m")
 
 
-def _numbers(name: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Return finite floats of a shape."""
+def _finite_floats(name: str, value: object, shape: tuple[int, ...]) -> Array:
+    """Return `value` as an array of finite floats of a given shape.
+
+    Raises:
+        ConfigError: The value has another shape, or an entry is not a finite number.
+    """
     try:
         out = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""The visitor's hand: it pushes the tool, or holds a point and pulls."""
+"""Force of a user of the browser page on a simulated arm: a push of the tool or a mouse pull."""
 
 from __future__ import annotations
 
@@ -17,47 +17,52 @@ if TYPE_CHECKING:
     from pliant.sim.hand import Wrench
 
 
-#: Rise and fall time of a push [s].
-RISE = 0.1
-#: Distance of the hand from its grip at full force [m], and the damping, as the time constant of
-#: the grip's motion [s].
-REACH, BRAKE = 0.15, 0.05
+#: Time in which the force of a push rises at its start and falls at its end [s].
+RAMP_TIME = 0.1
+#: Spring between the mouse and the gripped point: length at which its force is the maximum [m], and
+#: ratio of its damping to its stiffness [s].
+FULL_FORCE_DISTANCE, DAMPING_TIME = 0.15, 0.05
 
 
 class MouseForce:
-    """A `pliant.sim.Hand` that is controlled from outside while the physics runs.
+    """A `pliant.sim.Hand` whose force the user of the page changes while the simulation runs.
 
     Attributes:
-        at: Frame on which it acts.
-        max_push: Largest force [N].
-        felt: Point of application (3,) [m] and force (3,) [N] of the last physics step; None: none.
+        at: Name of the frame on which the force acts.
+        max_push: Maximum force of a pull by the mouse [N].
+        applied: Point of application (3,) [m] and force (3,) [N] in the last physics step; None: no
+            force.
     """
 
     def __init__(self, max_push: float) -> None:
-        """Start without a force."""
+        """Create a hand without a force; `max_push` is the maximum force of a pull [N]."""
         self.at, self.max_push = TOOL, max_push
         self._zero = np.zeros(3)
         self.let_go()
 
     def let_go(self) -> None:
-        """Release: no force, at the tool."""
-        self.at, self._local = TOOL, self._zero
-        self._toward: Array | None = None
-        self._wrench, self._now, self._until = np.zeros(6), np.zeros(6), -np.inf
-        self._before = 0.0
-        self.felt: tuple[Array, Array] | None = None
+        """Remove the force at once; the next force acts on the tool again."""
+        self.at, self._grip_offset = TOOL, self._zero
+        self._pull_toward: Array | None = None
+        self._wrench, self._applied_wrench, self._until = np.zeros(6), np.zeros(6), -np.inf
+        self._last_time = 0.0
+        self.applied: tuple[Array, Array] | None = None
 
     def push(self, force: ArrayLike, torque: ArrayLike, until: float) -> None:
-        """Push the tool with a force (3,) [N] and a torque (3,) [N·m] until a time [s]."""
-        if self._toward is not None:
+        """Push the tool with a force (3,) [N] and a torque (3,) [N·m] until simulated time [s]."""
+        if self._pull_toward is not None:
             self.let_go()
         self._wrench = np.concatenate((np.asarray(force), np.asarray(torque))).astype(np.float64)
         self._until = until
 
     def grab(self, plant: Plant, body: int, point: ArrayLike | None, toward: ArrayLike) -> None:
-        """Hold a point (3,) [m] of a body of the arm, None for the present one, and pull.
+        """Grip a point of a body of the arm, and pull it toward another point.
 
-        A body without a frame (a door) cannot be held.
+        Args:
+            plant: The simulation.
+            body: Index of the MuJoCo body. A body that is not a link of the arm is ignored.
+            point: Point to grip (3,) [m], base axes; None: keep the gripped point.
+            toward: Point toward which the spring pulls (3,) [m], base axes.
         """
         if point is not None:
             frame = frame_of(plant, body)
@@ -65,41 +70,50 @@ class MouseForce:
                 return
             self.let_go()
             self.at = frame
-            held = plant.ground_truth.frame(frame)
-            self._local = held.rotation.T @ (np.asarray(point) - held.position)
-        elif self._toward is None:
+            grabbed = plant.ground_truth.frame(frame)
+            self._grip_offset = grabbed.rotation.T @ (np.asarray(point) - grabbed.position)
+        elif self._pull_toward is None:
             return
-        self._toward = np.asarray(toward, dtype=np.float64)
+        self._pull_toward = np.asarray(toward, dtype=np.float64)
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return force (3,), torque (3,) and point of application (3,)."""
+        """Return force (3,) [N], torque (3,) [N·m] and point of application (3,) [m], base axes."""
         frame = ground_truth.frame(self.at)
-        if self._toward is None:
-            if t < self._until or self.felt is not None:
-                self._ease(t, frame.position)
-            self._before = t
-            return self._now[:3], self._now[3:], frame.position
-        lever = frame.rotation @ self._local
+        if self._pull_toward is None:
+            if t < self._until or self.applied is not None:
+                self._ramp(t, frame.position)
+            self._last_time = t
+            return self._applied_wrench[:3], self._applied_wrench[3:], frame.position
+        lever = frame.rotation @ self._grip_offset
         place = frame.position + lever
         twist = frame.twist()
-        stiffness = self.max_push / REACH
+        stiffness = self.max_push / FULL_FORCE_DISTANCE
         speed = twist[:3] + np.cross(twist[3:], lever)
-        pull = stiffness * (self._toward - place) - BRAKE * stiffness * speed
-        size = float(np.linalg.norm(pull))
-        pull *= min(1.0, self.max_push / max(size, 1e-9))
-        self.felt = place, pull
+        pull = stiffness * (self._pull_toward - place) - DAMPING_TIME * stiffness * speed
+        norm = float(np.linalg.norm(pull))
+        pull *= min(1.0, self.max_push / max(norm, 1e-9))
+        self.applied = place, pull
         return pull, self._zero, place
 
-    def _ease(self, t: float, place: Array) -> None:
-        """Ramp the push at a point (3,) up or down."""
-        wish = self._wrench if t < self._until else np.zeros(6)
-        most = np.abs(self._wrench).max() * min(max(t - self._before, 0.0) / RISE, 1.0)
-        self._now = self._now + np.clip(wish - self._now, -most, most)
-        self.felt = (place.copy(), self._now[:3]) if self._now.any() else None
+    def _ramp(self, t: float, place: Array) -> None:
+        """Change the applied force gradually to the desired push, or to zero after its end.
+
+        `t` is the simulated time [s], and `place` the point of application (3,) [m].
+        """
+        desired = self._wrench if t < self._until else np.zeros(6)
+        largest_change = np.abs(self._wrench).max() * min(
+            max(t - self._last_time, 0.0) / RAMP_TIME, 1.0
+        )
+        self._applied_wrench = self._applied_wrench + np.clip(
+            desired - self._applied_wrench, -largest_change, largest_change
+        )
+        self.applied = (
+            (place.copy(), self._applied_wrench[:3]) if self._applied_wrench.any() else None
+        )
 
 
 def frame_of(plant: Plant, body: int) -> str | None:
-    """Return the name of a robot frame fixed to a simulated body, None without one."""
+    """Return the name of a link that is fixed to a MuJoCo body; None if no link is fixed to it."""
     model = plant.mj_model
     links = {link.name for link in plant.model.links}
     for site in np.flatnonzero(model.site_bodyid == body).tolist():

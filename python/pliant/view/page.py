@@ -1,6 +1,6 @@
-"""The page's process: a web server that shows snapshots and passes messages on.
+"""Process of the browser page: a web server that shows the arm and sends messages to the loop.
 
-``python -m pliant.view.page DESCRIPTOR HOST PORT`` is started by `Link`, never by hand.
+`Link` starts ``python -m pliant.view.page DESCRIPTOR HOST PORT``.
 """
 
 from __future__ import annotations
@@ -25,24 +25,26 @@ if TYPE_CHECKING:
 
     from pliant.view.messages import Message
 
-#: Time for which the page shows that the loop has ended, before it ends [s].
+#: Time for which the page still shows that the loop has ended, before its server stops [s].
 DISCONNECTED_TIME = 2.0
 
 
 class Page:
-    """The server with all parts of the page.
+    """Web server of the browser page, with the 3-D scene and the panels.
 
     Args:
-        send: Receiver of the messages.
-        host, port: Where to listen; the next free port is taken.
+        send: Function that sends a message to the control loop.
+        host, port: Address on which to listen; if the port is taken, the next free one is used.
 
     Attributes:
         server: viser's server.
-        link: Link of the page.
+        link: Link that opens the page, with its access token.
+        scene_view: The 3-D scene; None until the loop has sent the first scene.
+        panel: The panels; None until the loop has sent the first scene.
     """
 
     def __init__(self, send: Callable[[Message], None], host: str, port: int) -> None:
-        """Start to listen, with an empty page."""
+        """Start the server with an empty page."""
         auth = TokenAuth()
         auth.install()
         self.server = viser.ViserServer(host=host, port=port, verbose=False, label="pliant")
@@ -54,26 +56,26 @@ class Page:
         self.server.gui.configure_theme(
             show_logo=False, show_share_button=False, brand_color=(28, 100, 200)
         )
-        self.server.on_client_disconnect(self._left)
+        self.server.on_client_disconnect(self._on_disconnect)
 
-    def _left(self, client: viser.ClientHandle) -> None:
-        """Release the hand of a visitor who has left; a push ends by its timeout."""
+    def _on_disconnect(self, client: viser.ClientHandle) -> None:
+        """Release the arm if the disconnected client was dragging it; a push ends by itself."""
         if self.scene_view is not None and self.scene_view.held_by == client.client_id:
             self._send(LetGo())
 
-    def receive(self, word: SceneInfo | Snapshot) -> None:
-        """Process a message of the loop."""
-        if isinstance(word, SceneInfo):
-            self.scene_view = SceneView(self.server, word, self._send)
-            self.panel = Panel(self.server, word, self._send)
+    def receive(self, message: SceneInfo | Snapshot) -> None:
+        """Build the page for a new scene (`SceneInfo`), or show a snapshot of the arm."""
+        if isinstance(message, SceneInfo):
+            self.scene_view = SceneView(self.server, message, self._send)
+            self.panel = Panel(self.server, message, self._send)
             return
         if self.scene_view is not None and self.panel is not None:
             with self.server.atomic():
-                self.scene_view.show(word)
-            self.panel.show(word)
+                self.scene_view.show(message)
+            self.panel.show(message)
 
     def show_disconnected(self) -> None:
-        """Show that the loop has ended."""
+        """Show that the loop has ended, and stop the server after `DISCONNECTED_TIME`."""
         if self.panel is not None:
             self.panel.stop.show_disconnected()
         self.server.flush()
@@ -82,11 +84,11 @@ class Page:
 
 
 def main(descriptor: int, host: str, port: int) -> int:
-    """Serve until the loop ends."""
+    """Serve the page until the control loop ends; return the exit code of the process."""
     endpoint = PageEndpoint(descriptor)
     lower_priority()
     try:
-        # viser tries a thousand ports and then blocks.
+        # Test the address first: with one of another machine, viser would try 1000 ports and block.
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             probe.bind(address)
@@ -95,8 +97,8 @@ def main(descriptor: int, host: str, port: int) -> int:
         endpoint.send(StartupError(f"the page cannot listen on {host}:{port}: {error}"))
         return 1
     endpoint.send(Ready(page.link))
-    while (word := endpoint.receive()) is not None:
-        page.receive(word)
+    while (message := endpoint.receive()) is not None:
+        page.receive(message)
     page.show_disconnected()
     return 0
 

@@ -1,4 +1,4 @@
-"""The page's panels: controls on the right, state of the arm on the left."""
+"""Panels of the browser page: controls on the right, state of the arm on the left, STOP button."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     from pliant.view.messages import Message
     from pliant.view.snapshot import SceneInfo, Snapshot
 
-#: Widths of the panels [px].
-LEFT, RIGHT = 400, 330
-#: Least redraw period of bars and numbers [s].
-DRAWN = 0.12
-#: Width of the stop panel, and its distance from the corner [px].
-WIDTH, GAP = 290, 12
-#: Keyboard shortcut.
-KEY: Literal["S"] = "S"
+#: Widths of the left and the right panel [px].
+LEFT_WIDTH, RIGHT_WIDTH = 400, 330
+#: Minimum time between two updates of bars and numbers [s].
+REDRAW_PERIOD = 0.12
+#: Width of the panel with the STOP button, and its distance from the corner of the scene [px].
+STOP_WIDTH, STOP_MARGIN = 290, 12
+#: Keyboard shortcut of the STOP button.
+STOP_KEY: Literal["S"] = "S"
 
 
 class StopPanel:
-    """A window with the arm's state, and the buttons for stop and start."""
+    """Panel with the phase of the run, the STOP button and the button that switches torque on."""
 
     def __init__(
         self, server: viser.ViserServer, info: SceneInfo, send: Callable[[Message], None]
     ) -> None:
-        """Place it in the lower left corner of the scene."""
+        """Add the panel to the lower left corner of the scene; `send` sends to the control loop."""
         gui = server.gui
         self._info = info
         panel = gui.add_panel()
@@ -44,7 +44,7 @@ class StopPanel:
                 "STOP",
                 color="red",
                 icon=viser.Icon.HAND_STOP,
-                hint=f"Lower the arm, then torque off (key {KEY})",
+                hint=f"Lower the arm, then torque off (key {STOP_KEY})",
             )
             self.start = gui.add_button(
                 "Torque on", color="green", icon=viser.Icon.PLAYER_PLAY, visible=False
@@ -52,19 +52,19 @@ class StopPanel:
             self._notice = gui.add_html("")
         self.stop.on_click(lambda _: send(messages.Stop()))
         self.start.on_click(lambda _: send(messages.Start()))
-        command = gui.add_command("STOP: lower the arm, torque off", hotkey=KEY)
+        command = gui.add_command("STOP: lower the arm, torque off", hotkey=STOP_KEY)
         command.on_trigger(lambda _: send(messages.Stop()))
-        panel.float(x=GAP, y=-GAP, width=WIDTH)
+        panel.float(x=STOP_MARGIN, y=-STOP_MARGIN, width=STOP_WIDTH)
 
     def show(self, now: Snapshot) -> None:
-        """Show the state of the arm."""
+        """Show the phase of the run and the message to the user in a snapshot; update buttons."""
         self._status.content = html.status(self._info, now)
         self.stop.visible, self.start.visible = now.phase != "down", now.phase == "down"
         self.stop.disabled = now.phase == "lowering"
         self._notice.content = html.notice(now.notice[1], now.notice[2])
 
     def show_disconnected(self) -> None:
-        """Show that the loop has ended."""
+        """Disable the buttons and show that the loop has ended."""
         self.stop.disabled = self.start.disabled = True
         self._notice.content = html.notice(
             "The loop has ended. Servos that still have torque keep their last goal and limit.",
@@ -73,44 +73,44 @@ class StopPanel:
 
 
 class Panel:
-    """All panels of the page, until the scene changes."""
+    """All panels of the browser page for one scene."""
 
     def __init__(
         self, server: viser.ViserServer, info: SceneInfo, send: Callable[[Message], None]
     ) -> None:
-        """Build both panels."""
+        """Replace the panels of the last scene by new ones; `send` sends a message to the loop."""
         self._info, gui = info, server.gui
         gui.reset()
-        self._drawn = -np.inf
+        self._last_redraw = -np.inf
         self._ranges: dict[str, float] = {}
         self._report: tuple[str, ...] = ()
-        self._last: tuple[str, ...] | None = None
+        self._last_content: tuple[str, ...] | None = None
         self.stop = StopPanel(server, info, send)
         self.controls = Controls(server, info, send)
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(RIGHT)
+        gui.main_panel.set_width(RIGHT_WIDTH)
         side = gui.add_panel()
         with side.add_tab("Live", viser.Icon.ACTIVITY):
             self._health = gui.add_html("")
             self._axes = gui.add_html("")
-            self._felt = gui.add_html("")
+            self._contact_force = gui.add_html("")
             self._joints = gui.add_html("")
-            self._fading = self._axes, self._felt, self._joints
+            self._live_displays = self._axes, self._contact_force, self._joints
             self._plots = Plots(gui, info)
         with side.add_tab("Why", viser.Icon.QUESTION_MARK):
             self._sentences = gui.add_html("")
             gui.add_markdown("**Activation**: the share of each axis' strength a joint gets")
             self._matrix = gui.add_html("")
         side.dock_left()
-        side.set_width(LEFT)
+        side.set_width(LEFT_WIDTH)
 
     def show(self, now: Snapshot) -> None:
-        """Update all panels to a snapshot."""
+        """Show a snapshot of the arm in all panels."""
         self.stop.show(now)
         self.controls.show(now)
-        if 0.0 <= now.time - self._drawn < DRAWN:
+        if 0.0 <= now.time - self._last_redraw < REDRAW_PERIOD:
             return
-        self._drawn = now.time
+        self._last_redraw = now.time
         self._health.content = html.health(now.health)
         if now.step is not None and now.shown is not None:
             self._ranges = html.ranges(self._info, now.shown, now.step, self._ranges)
@@ -118,13 +118,13 @@ class Panel:
             self._joints.content = html.joints(self._info, now.step)
             self._matrix.content = html.matrix(self._info, now.step)
             self._plots.show(now)
-            if now.felt is not None:
-                self._felt.content = html.felt(self._info, now.felt)
-            self._last = tuple(part.content for part in self._fading)
-        elif self._last is not None:
-            for part, content in zip(self._fading, self._last, strict=True):
-                part.content = html.faded(content)
-            self._last = None
+            if now.contact_force is not None:
+                self._contact_force.content = html.contact_force(self._info, now.contact_force)
+            self._last_content = tuple(part.content for part in self._live_displays)
+        elif self._last_content is not None:
+            for part, content in zip(self._live_displays, self._last_content, strict=True):
+                part.content = html.dimmed(content)
+            self._last_content = None
         if now.report != self._report:
             self._report = now.report
             self._sentences.content = html.summary(now.report)

@@ -1,4 +1,4 @@
-"""Snapshots for the page, with and without steps of a controller."""
+"""`Publisher`: sends snapshots of the arm to the browser page, also while no controller runs."""
 
 from __future__ import annotations
 
@@ -27,30 +27,33 @@ if TYPE_CHECKING:
     from pliant.view.source import RealtimePacer
 
 
-#: Cause of an error: a refused message of one kind, or the error that ended a run.
+#: Cause of a shown error: a rejected message about target, hand or settings, or (`fault`) the error
+#: that ended a run.
 Cause = Literal["target", "hand", "settings", "fault"]
-#: Period of the report [s].
-REPORT = 1.0
-#: Longest display time of a refused message [s].
-REFUSED = 12.0
+#: Time between two reports on the forces that the arm can exert in its pose [s].
+REPORT_PERIOD = 1.0
+#: Time for which an error about a rejected message is shown [s].
+MAX_NOTICE_TIME = 12.0
 
 
 class DriveObserver:
-    """Wraps a drive and keeps its last reading, also during the descent.
+    """Wrapper of a drive that keeps the last reading and calls a function after each reading.
+
+    It also sees the readings while `Arm` lowers the arm, when no controller runs.
 
     Attributes:
-        last: The last reading; None before the first.
-        on_read: Called after every reading.
+        last: The last reading; None before the first reading.
+        on_read: Function that is called after each reading.
     """
 
     def __init__(self, drive: Drive) -> None:
-        """Wrap a drive."""
+        """Wrap a drive; other attributes of the drive are forwarded unchanged."""
         self._drive = drive
         self.last: JointReadings | None = None
         self.on_read: Callable[[], object] = lambda: None
 
     def read(self) -> JointReadings:
-        """Read the positions of this cycle."""
+        """Read the joints, keep the reading, call `on_read`, and return the reading."""
         self.last = self._drive.read()
         self.on_read()
         return self.last
@@ -60,19 +63,19 @@ class DriveObserver:
 
 
 class Publisher:
-    """Collects snapshots of successive arms and sends them when due.
+    """Sends snapshots (states of the arm) to the browser page, at a bounded rate.
 
     Attributes:
-        phase: Phase of the arm's life.
-        notice: Number of errors and messages so far, the last one, and True if it is an error.
-        edit: Number of the last processed edit.
-        shown: The settings in force; None before the first.
-        hand: The visitor's hand, on a simulated arm.
+        phase: Phase of the run: `starting`, `running`, `lowering` or `down`.
+        notice: Message to the user: number of its changes, its text, and True if it is an error.
+        edit: Number of the last change of the settings that was handled.
+        shown: The settings in force; None before the first run.
+        hand: Force of the user on a simulated arm; None on a real arm.
     """
 
     def __init__(self, link: Link, rate: float) -> None:
-        """Start without an arm."""
-        self._link, self._health = link, LoopTiming(rate=rate)
+        """Create a publisher without an arm; `rate` is the control rate [Hz]."""
+        self._link, self._loop_timing = link, LoopTiming(rate=rate)
         self.phase: Phase = "starting"
         self.notice: tuple[int, str, bool] = (0, "", False)
         self._cause: Cause | None = None
@@ -86,35 +89,39 @@ class Publisher:
     def observe(
         self, arm: Arm, robot: RobotView, observer: DriveObserver, pacer: RealtimePacer | None
     ) -> None:
-        """Publish the state of a new arm from now on."""
+        """Send snapshots of the arm of a new run from now on.
+
+        `observer` gives the readings of the drive, `robot` the drawing data; `pacer` keeps a
+        simulation in real time (None: no pacing).
+        """
         self._arm, self._robot, self._observer, self._pacer = arm, robot, observer, pacer
         self._step: Step | None = None
         self._contact: ContactEstimator | None = None
         self.phase, self.hand = "starting", None
 
     def show_error(self, text: str, cause: Cause) -> None:
-        """Show an error on the page until its cause is gone."""
+        """Show an error until `clear_error`; a rejected message at most for `MAX_NOTICE_TIME`."""
         if (text, cause) != (self.notice[1], self._cause):
             self.notice = (self.notice[0] + 1, text, True)
         self._cause, self._notice_time = cause, time.perf_counter()
 
     def clear_error(self, *causes: Cause) -> None:
-        """Remove the error if it has one of these causes."""
+        """Remove the shown error if its cause is one of `causes`."""
         if self._cause in causes:
             self.notice, self._cause = (self.notice[0] + 1, "", False), None
 
     def request_report(self) -> None:
-        """Request a new report after a change of settings."""
+        """Compute the report on forces in the present pose again for the next snapshot."""
         self._report: tuple[float, tuple[str, ...]] = (-np.inf, ())
 
-    # With a controller.
+    # While a controller runs.
 
     def estimate_contact(self, controller: Controller) -> None:
-        """Start to estimate the force at the tool for this controller."""
+        """Start to estimate the force on the tool, from the steps of a new controller."""
         self._contact, self._restarts = ContactEstimator(controller), -1
 
     def before_step(self, tick: Tick, loop: Loop) -> None:
-        """Update the contact estimate with a tick; reset it after a restart."""
+        """Update the estimate of the force on the tool; reset it if the loop had a gap."""
         if self._contact is None:
             return
         if self._restarts != loop.restarts:
@@ -125,11 +132,14 @@ class Publisher:
     def after_step(
         self, tick: Tick, controller: Controller, command: Command, target: Array, loop: Loop
     ) -> None:
-        """Send a snapshot of a tick if due; renew the report once a second."""
+        """Send a snapshot of a tick, if the page is ready for one.
+
+        The report on forces in the present pose is computed again every `REPORT_PERIOD`.
+        """
         if not self._link.due():
             return
         now = time.perf_counter()
-        if now - self._report[0] > REPORT:
+        if now - self._report[0] > REPORT_PERIOD:
             self._report = (now, tuple(controller.report().summary()))
         last = controller.diagnostics
         self._step = Step(
@@ -145,11 +155,11 @@ class Publisher:
             saturated=last.saturated,
             locked=last.locked,
         )
-        self._health = self._punctuality(loop)
+        self._loop_timing = self._measure_timing(loop)
         self._link.send(self._snapshot(tick.q, dict(tick.state.extra), tick.began))
 
-    def _punctuality(self, loop: Loop) -> LoopTiming:
-        """Return the timing of the loop, or of the paced simulation."""
+    def _measure_timing(self, loop: Loop) -> LoopTiming:
+        """Return the timing of the loop; its lateness is that of the pacer, if there is a pacer."""
         late = loop.lateness if self._pacer is None else self._pacer.lateness
         return LoopTiming(
             rate=1.0 / loop.period,
@@ -158,26 +168,26 @@ class Publisher:
             p99=late.percentile(99.0),
             largest=late.largest,
             missed=loop.missed,
-            stale=loop.missing,
-            refused=loop.rejected,
+            missing=loop.missing,
+            rejected=loop.rejected,
             restarts=loop.restarts,
             delay=loop.delay,
             speed=1.0 if self._pacer is None else self._pacer.speed,
         )
 
-    # Without a controller.
+    # While no controller runs.
 
     def on_read(self) -> None:
-        """Handle every reading: pace simulated time, and show the descent."""
+        """After a reading, let a simulation wait for real time; while lowering, send a snapshot."""
         if self._pacer is not None:
             self._pacer.wait()
         if self.phase == "lowering":
-            # The descent continues without the page.
+            # Ignore that the page has ended: the arm must still be lowered to the end.
             with contextlib.suppress(PageGone):
                 self.publish_reading()
 
     def publish_reading(self) -> None:
-        """Send a snapshot without a controller step, if due."""
+        """While no controller runs, send a snapshot of the last reading if the page is ready."""
         last, names = self._observer.last, self._arm.drive.names
         if last is None or not self._link.due():
             return
@@ -186,19 +196,21 @@ class Publisher:
         self._link.send(self._snapshot(q, by_name, self._arm.clock.now()))
 
     def _snapshot(self, q: Array, extra: dict[str, float], now: float) -> Snapshot:
-        if time.perf_counter() - self._notice_time > REFUSED:
+        if time.perf_counter() - self._notice_time > MAX_NOTICE_TIME:
             self.clear_error("target", "hand", "settings")
         running = self.phase == "running"
         tool = np.asarray(self._arm.model.forward_kinematics(q))
-        felt = None
+        contact_force = None
         if running and self._contact is not None:
             estimate = self._contact.estimate
-            felt = ForceEstimate(force=estimate.force_base, bound=estimate.uncertainty_base)
-        pull = None
+            contact_force = ForceEstimate(
+                force=estimate.force_base, bound=estimate.uncertainty_base
+            )
+        hand_force = None
         if self.hand is not None:
-            pull = self.hand.felt
-        elif felt is not None:
-            pull = tool[:3, 3], felt.significant_force
+            hand_force = self.hand.applied
+        elif contact_force is not None:
+            hand_force = tool[:3, 3], contact_force.significant_force
         return Snapshot(
             time=now,
             phase=self.phase,
@@ -206,9 +218,9 @@ class Publisher:
             mocap=self._robot.mocap(),
             tool=tool,
             step=self._step if running else None,
-            pull=pull,
-            felt=felt,
-            health=self._health,
+            hand_force=hand_force,
+            contact_force=contact_force,
+            health=self._loop_timing,
             report=self._report[1],
             notice=self.notice,
             edit=self.edit,

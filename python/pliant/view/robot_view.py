@@ -1,4 +1,4 @@
-"""The drawn arm: its MuJoCo model, its coordinates, and the visual geometry of its URDF."""
+"""Data to draw an arm: MuJoCo model, generalised positions, and visual shapes of the URDF."""
 
 from __future__ import annotations
 
@@ -23,25 +23,26 @@ if TYPE_CHECKING:
     from pliant.arm import Arm
 
 
-#: Default colour of a shape: red, green, blue, opacity, 0 to 1.
-PLAIN = (0.42, 0.48, 0.56, 1.0)
-#: Gamma of a screen.
-GAMMA = 2.2
-#: Largest drawn mesh file [bytes], and number of searched folders above a URDF.
-LARGEST, ABOVE = 40_000_000, 4
+#: Default colour of a shape: red, green, blue and opacity, each 0 to 1.
+DEFAULT_COLOUR = (0.42, 0.48, 0.56, 1.0)
+#: Exponent that converts gamma-encoded colours (0 to 1) to linear colours.
+SCREEN_GAMMA = 2.2
+#: Maximum size of a mesh file [bytes], and number of folders above that of a URDF in which its mesh
+#: files are searched.
+MAX_MESH_SIZE, PARENT_FOLDERS = 40_000_000, 4
 
 
 @dataclass(frozen=True)
 class Visual:
-    """One shape on one body of the figure.
+    """One visual shape of the URDF.
 
     Attributes:
-        body: Number of the body.
-        pose: Pose in the frame of the body (4, 4).
-        kind: Kind of the shape.
+        body: Index of the MuJoCo body to which the shape is fixed.
+        pose: Pose of the shape in the frame of the body (4, 4).
+        kind: `box`, `cylinder`, `sphere` or `mesh`.
         size: box: edges (3,) [m]; cylinder: radius and length [m]; sphere: radius [m]; mesh: scale
-            (3,).
-        path: Path of a mesh file.
+            factors (3,).
+        path: Path of the mesh file; None if the shape is not a mesh.
         colour: Red, green, blue, opacity, 0 to 1.
     """
 
@@ -53,10 +54,10 @@ class Visual:
     colour: tuple[float, ...]
 
     def mesh(self) -> trimesh.Trimesh:
-        """Return the shape in the frame of the body, in its colour.
+        """Return the coloured mesh of the shape in the frame of the body.
 
         Raises:
-            ValueError: The mesh file holds nothing that can be drawn.
+            ValueError: The mesh file has no faces.
         """
         out: trimesh.Trimesh
         if self.kind == "box":
@@ -72,28 +73,27 @@ class Visual:
             out = read
             out.apply_transform(np.diag((*self.size, 1.0)))
         out.apply_transform(self.pose)
-        # Separate vertices per face, so that edges are drawn sharp.
+        # Give each face its own vertices: shared vertices would be shaded like rounded edges.
         out.unmerge_vertices()
-        # Vertex colours are linear, URDF colours are gamma-encoded.
-        rgba = np.round(255 * np.asarray(self.colour) ** (GAMMA, GAMMA, GAMMA, 1.0)).astype(
-            np.uint8
-        )
+        # Convert the gamma-encoded colours of the URDF, because vertex colours are linear.
+        rgba = np.round(
+            255 * np.asarray(self.colour) ** (SCREEN_GAMMA, SCREEN_GAMMA, SCREEN_GAMMA, 1.0)
+        ).astype(np.uint8)
         colours = np.tile(rgba, (len(out.vertices), 1))
         out.visual = trimesh.visual.ColorVisuals(out, vertex_colors=colours)
         return out
 
 
 def visuals(model: Model, figure: mujoco.MjModel, urdf: Path | None = None) -> tuple[Visual, ...]:
-    """Read the shapes of a model's URDF that can be drawn.
+    """Return the visual shapes in the URDF of an arm.
 
-    A mesh is searched relative to the file; ``package://name/path`` in a folder `name`, or as
-    `path`, beside the file and in the folders above it. If a mesh is missing, its link has no
-    shapes.
+    If a shape of a link is invalid, of an unknown kind, or lacks its mesh file, all shapes of the
+    link are left out.
 
     Args:
         model: The arm.
-        figure: Its MuJoCo model; every link is a site of its own name.
-        urdf: Its file; None for text without one.
+        figure: MuJoCo model of the arm, with a site for every link.
+        urdf: Path of the URDF, to which mesh paths are relative; None if there is no file.
     """
     root = ElementTree.fromstring(model.source[0])
     colours = {m.get("name", ""): c for m in root.findall("material") if (c := _colour(m))}
@@ -103,12 +103,12 @@ def visuals(model: Model, figure: mujoco.MjModel, urdf: Path | None = None) -> t
         site = sites.get(link.get("name", ""))
         if site is None:
             continue
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, figure.site_quat[site])
-        at = _pose(turn.reshape(3, 3), figure.site_pos[site])
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, figure.site_quat[site])
+        site_pose = _pose(rotation.reshape(3, 3), figure.site_pos[site])
         body = int(figure.site_bodyid[site])
         try:
-            made = [_visual(v, body, at, colours, urdf) for v in link.findall("visual")]
+            made = [_visual(v, body, site_pose, colours, urdf) for v in link.findall("visual")]
         except ValueError:
             continue
         if None not in made:
@@ -119,26 +119,26 @@ def visuals(model: Model, figure: mujoco.MjModel, urdf: Path | None = None) -> t
 def _visual(
     element: ElementTree.Element,
     body: int,
-    at: Array,
+    site_pose: Array,
     colours: dict[str, tuple[float, ...]],
     urdf: Path | None,
 ) -> Visual | None:
-    """Read one element; None if it cannot be drawn."""
+    """Return the shape of one ``<visual>`` element; None if it cannot be drawn."""
     geometry = element.find("geometry")
     shape = None if geometry is None else next(iter(geometry), None)
     if shape is None:
         return None
     origin = element.find("origin")
-    pose = at.copy()
+    pose = site_pose.copy()
     if origin is not None:
-        turn = tf.SO3.from_rpy_radians(*_numbers(origin.get("rpy", "0 0 0")))
-        pose = at @ _pose(
-            np.asarray(turn.as_matrix(), np.float64), _numbers(origin.get("xyz", "0 0 0"))
+        rotation = tf.SO3.from_rpy_radians(*_numbers(origin.get("rpy", "0 0 0")))
+        pose = site_pose @ _pose(
+            np.asarray(rotation.as_matrix(), np.float64), _numbers(origin.get("xyz", "0 0 0"))
         )
     material = element.find("material")
-    colour: tuple[float, ...] = PLAIN
+    colour: tuple[float, ...] = DEFAULT_COLOUR
     if material is not None:
-        colour = _colour(material) or colours.get(material.get("name", "")) or PLAIN
+        colour = _colour(material) or colours.get(material.get("name", "")) or DEFAULT_COLOUR
     match shape.tag:
         case "box":
             return Visual(body, pose, "box", _numbers(shape.get("size", "")), None, colour)
@@ -148,27 +148,31 @@ def _visual(
         case "sphere":
             return Visual(body, pose, "sphere", _numbers(shape.get("radius", "")), None, colour)
         case "mesh":
-            path = find(shape.get("filename", ""), urdf)
+            path = find_mesh(shape.get("filename", ""), urdf)
             scale = _numbers(shape.get("scale", "1 1 1"))
             return None if path is None else Visual(body, pose, "mesh", scale, path, colour)
     return None
 
 
-def find(name: str, urdf: Path | None) -> Path | None:
-    """Return the path of a mesh file of a URDF; None if it does not exist."""
+def find_mesh(name: str, urdf: Path | None) -> Path | None:
+    """Return the path of a mesh file of a URDF; None if it is missing or too large.
+
+    A plain path is relative to the folder of the URDF. For ``package://name/path``, the files
+    ``name/path`` and ``path`` are searched in the folder of the URDF and the folders above it.
+    """
     if urdf is None or not name:
         return None
     scheme, _, rest = name.rpartition("://")
     rest = unquote(rest) if scheme else rest
-    folders = [urdf.parent, *urdf.parent.parents][: ABOVE + 1]
+    folders = [urdf.parent, *urdf.parent.parents][: PARENT_FOLDERS + 1]
     if scheme == "package":
         inner = rest.partition("/")[2]
-        wanted = [folder / part for folder in folders for part in (rest, inner) if part]
+        candidates = [folder / part for folder in folders for part in (rest, inner) if part]
     else:
-        wanted = [urdf.parent / rest]
-    for path in wanted:
+        candidates = [urdf.parent / rest]
+    for path in candidates:
         try:
-            if path.is_file() and path.stat().st_size <= LARGEST:
+            if path.is_file() and path.stat().st_size <= MAX_MESH_SIZE:
                 return path.resolve()
         except OSError:
             continue
@@ -176,64 +180,69 @@ def find(name: str, urdf: Path | None) -> Path | None:
 
 
 def _pose(rotation: Array, position: Sequence[float] | Array) -> Array:
-    """Return a pose (4, 4)."""
+    """Return a pose (4, 4) from a rotation matrix (3, 3) and a position (3,) [m]."""
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = rotation, position
     return out
 
 
 def _colour(material: ElementTree.Element) -> tuple[float, ...] | None:
-    """Return the colour of a material, None for a reference to another."""
+    """Return the RGBA colour (0 to 1) of a URDF material; None if it has no valid colour."""
     colour = material.find("color")
     rgba = () if colour is None else _numbers(colour.get("rgba", ""))
     return tuple(np.clip(rgba, 0.0, 1.0).tolist()) if len(rgba) == 4 else None
 
 
 def _numbers(text: str) -> tuple[float, ...]:
-    """Return the numbers of an attribute."""
+    """Return the numbers in the text of a URDF attribute."""
     return tuple(map(float, text.split()))
 
 
 class RobotView:
-    """The drawn figure of an arm, real or simulated.
+    """Data to draw an arm and its scene.
 
-    A simulated arm is drawn in its true state with its scene, a real one by its joint readings.
+    A simulated arm is drawn in the state of the simulation, a real arm at its measured positions.
 
     Attributes:
-        plant: The simulation; for a real arm, a simulation that never runs.
-        simulated: True if the arm is simulated.
+        plant: The simulation; for a real arm, a simulation that is only used for drawing.
+        simulated: True if the arm is simulated by `plant`.
         visuals: Shapes of the arm's URDF that can be drawn.
     """
 
     def __init__(self, arm: Arm, urdf: Path | None = None) -> None:
-        """Find the simulation, or build one for drawing; `urdf` is the arm's file, if any."""
+        """Use the simulation of the arm, or build one; `urdf` is the path of the URDF file."""
         plant = getattr(arm.drive, "plant", None)
         self.simulated = plant is not None
         self.plant: Plant = plant if plant is not None else Plant(arm.model)
         self._model = arm.model
         mj = self.plant.mj_model
         self.visuals = visuals(arm.model, mj, urdf)
-        self._at = {mj.joint(i).name: int(mj.jnt_qposadr[i]) for i in range(mj.njnt)}
+        self._qpos_index = {mj.joint(i).name: int(mj.jnt_qposadr[i]) for i in range(mj.njnt)}
 
     def pose(self, q: Array, extra: Mapping[str, float]) -> Array:
-        """Return the figure's coordinates; joints (n,) and off-chain joints [rad] of a real arm."""
+        """Return the generalised positions (`qpos`) of the MuJoCo model.
+
+        Args:
+            q: Joint positions (n,) [rad] of a real arm; ignored for a simulated arm.
+            extra: Positions of joints outside the chain [rad] by name, for example a gripper.
+        """
         if self.simulated:
             return np.array(self.plant.mj_data.qpos)
         out: Array = self.plant.mj_model.qpos0.copy()
         known = {**dict(zip(self._model.joint_names, q.tolist(), strict=True)), **extra}
-        for name, angle in {**known, **_followers(self._model, known)}.items():
-            if name in self._at:
-                out[self._at[name]] = angle
+        for name, angle in {**known, **_mimic_positions(self._model, known)}.items():
+            if name in self._qpos_index:
+                out[self._qpos_index[name]] = angle
         return out
 
     def mocap(self) -> tuple[Array, Array]:
-        """Return positions (m, 3) [m] and quaternions wxyz (m, 4) of the mocap bodies."""
+        """Return positions (m, 3) [m] and quaternions wxyz (m, 4) of the m MuJoCo mocap bodies."""
         data = self.plant.mj_data
         return data.mocap_pos.copy(), data.mocap_quat.copy()
 
 
-def _followers(model: Model, known: Mapping[str, float]) -> dict[str, float]:
-    """Return the angles of mimic joints whose drivers are known."""
+def _mimic_positions(model: Model, known: Mapping[str, float]) -> dict[str, float]:
+    """Return the positions [rad] of mimic joints by name, if `known` has the joints they follow."""
     out = {}
     for joint in model.joints:
         rule = joint.mimic

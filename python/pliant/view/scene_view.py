@@ -1,4 +1,4 @@
-"""The 3-D scene: arm, target gizmo, walls, arrow of the hand, dragging."""
+"""3-D scene of the browser page: arm, draggable target, walls, force arrow, dragging of the arm."""
 
 from __future__ import annotations
 
@@ -19,62 +19,71 @@ if TYPE_CHECKING:
     from pliant._typing import Array
     from pliant.view.snapshot import SceneInfo, Snapshot
 
-    Tell = Callable[[messages.Message], None]
+    Send = Callable[[messages.Message], None]
 
-#: Reach of an arm [m] for the lengths given here; smaller arms scale them down.
-REACH = 0.71
-#: Length of the arrow of the largest push, thickness of its shaft and head, length of its head
-#: [m].
-LONGEST, SHAFT, HEAD, POINT = 0.6, 0.006, 0.016, 0.035
-#: Colours: the hand's arrow, the line from tool to target, walls.
-HAND, TARGET_LINE, WALL, POST = (235, 87, 60), (46, 125, 220), (150, 165, 180), (205, 211, 219)
-#: Links, as shares of red, green, blue; drums of joints with no torque and with all of it; a change
-#: of colour that is worth sending.
-LINK = (0.42, 0.48, 0.56)
-COOL, WARM, NOTICED = (52, 62, 78), (255, 106, 19), 6
-#: Group of hidden shapes.
-HIDDEN = 5
-#: Depth below the base from which an arm counts as hanging, not standing on a table [m].
-STANDS = 0.05
-#: Length of the axes on the floor [m].
-AXES = 0.32
-#: Size of a drawn wall [m].
-EXTENT = 0.5
-#: Drawn size of the arrows at the target [m].
-GIZMO = 0.16
-#: Smallest scale of the lengths.
-SMALLEST = 0.3
-#: Angle of view from top to bottom [rad], least width over height of what the panels leave of the
-#: window, and where the eye is from the middle of the arm.
+#: Reach of an arm for which the lengths of drawn objects are used as given [m]; for an arm with a
+#: smaller reach, they are scaled down.
+REFERENCE_REACH = 0.71
+#: Length of the force arrow for the largest push, radius of its shaft, radius and length of its
+#: head, all [m].
+ARROW_LENGTH, SHAFT_RADIUS, HEAD_RADIUS, HEAD_LENGTH = 0.6, 0.006, 0.016, 0.035
+#: RGB colours (0 to 255) of the force arrow, the line from tool to target, the walls, and the post
+#: under a hanging arm.
+ARROW_COLOUR, LINE_COLOUR, WALL_COLOUR, POST_COLOUR = (
+    (235, 87, 60),
+    (46, 125, 220),
+    (150, 165, 180),
+    (205, 211, 219),
+)
+#: RGB colour of the links (0 to 1).
+LINK_COLOUR = (0.42, 0.48, 0.56)
+#: RGB colours (0 to 255) of a joint with torque limit zero and with its maximum torque, and change
+#: of a colour component above which a new colour is sent to the browser.
+NO_TORQUE_COLOUR, FULL_TORQUE_COLOUR, COLOUR_STEP = (52, 62, 78), (255, 106, 19), 6
+#: Number of the MuJoCo geom group for shapes that are not drawn.
+HIDDEN_GROUP = 5
+#: If the floor is less than this below the base frame, the arm is drawn standing on the floor [m].
+TABLE_TOLERANCE = 0.05
+#: Length of the drawn base axes [m].
+AXES_LENGTH = 0.32
+#: Edge length of a drawn wall [m].
+WALL_SIZE = 0.5
+#: Size of the draggable arrows at the target [m].
+GIZMO_SIZE = 0.16
+#: Minimum factor by which the lengths of drawn objects are scaled for a small arm [1].
+MIN_SCALE = 0.3
+#: Vertical field of view of the camera [rad], and assumed ratio of width to height of the part of
+#: the browser window between the panels [1].
 FOV, ASPECT = 0.75, 0.75
-SIDE = np.array((0.532, -0.745, 0.404))
-#: Distance to the target below which no line is drawn [m].
-NEAR = 0.002
+#: Unit vector from the centre of the arm to the camera, base axes.
+VIEW_DIRECTION = np.array((0.532, -0.745, 0.404))
+#: No line from tool to target is drawn if their distance is below this [m].
+MIN_LINE_LENGTH = 0.002
 
 
 class SceneView:
-    """The 3-D scene, until the scene changes.
+    """Drawing of one scene: the arm, its target and the objects around it.
 
     Attributes:
-        gizmo: The draggable target.
-        held_by: Number of the browser tab that drags the arm; None: no tab.
+        gizmo: Arrows with which the user drags the target.
+        held_by: viser's number of the client that drags the arm; None: no client drags it.
     """
 
-    def __init__(self, server: viser.ViserServer, info: SceneInfo, send: Tell) -> None:
-        """Draw the scene; dragging sends messages by `send`."""
+    def __init__(self, server: viser.ViserServer, info: SceneInfo, send: Send) -> None:
+        """Remove the last scene and draw a new one; `send` gets messages when a user drags."""
         self._server, self._send, self._info = server, send, info
-        size = self._size = float(np.clip(info.reach / REACH, SMALLEST, 1.0))
+        size = self._size = float(np.clip(info.reach / REFERENCE_REACH, MIN_SCALE, 1.0))
         scene = server.scene
         scene.reset()
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
         self._data = mujoco.MjData(info.figure)
-        shapes = _shapes(info)
+        shapes = _body_meshes(info)
         _paint(info.figure, set(shapes))
         self._figure = ViserMujocoScene(server, info.figure, num_envs=1)
         self._figure.camera_tracking_enabled = False
         scene.configure_environment_map(environment_intensity=0.35)
-        # Child nodes of a body's node cannot lag behind it.
+        # Make a node for each body, as parent of the drawn joints, which then move with the body.
         moved = {int(info.figure.jnt_bodyid[info.figure.joint(j).id]) for j in info.joints}
         self._nodes: dict[int, viser.SceneNodeHandle] = {
             body: scene.add_mesh_trimesh(f"/arm/{body}", shapes[body])
@@ -82,14 +91,14 @@ class SceneView:
             else scene.add_frame(f"/arm/{body}", show_axes=False)
             for body in sorted(moved | set(shapes))
         }
-        self._hinges = Hinges(scene, info)
+        self._drums = JointDrums(scene, info)
         self._data.qpos[:] = info.start
         mujoco.mj_kinematics(info.figure, self._data)
         self._place_nodes()
         _ground(scene, info, size)
         camera = server.initial_camera
-        camera.look_at, camera.position = overlook(
-            info.figure, self._data, info.home[:3, 3], GIZMO * size
+        camera.look_at, camera.position = camera_view(
+            info.figure, self._data, info.home[:3, 3], GIZMO_SIZE * size
         )
         camera.fov = FOV
         for number, (point, into) in enumerate(info.walls):
@@ -97,31 +106,31 @@ class SceneView:
         self._arrow = scene.add_arrows(
             "/hand",
             np.zeros((1, 2, 3)),
-            HAND,
-            shaft_radius=SHAFT * size,
-            head_radius=HEAD * size,
-            head_length=POINT * size,
+            ARROW_COLOUR,
+            shaft_radius=SHAFT_RADIUS * size,
+            head_radius=HEAD_RADIUS * size,
+            head_length=HEAD_LENGTH * size,
             visible=False,
         )
         self._target_line = scene.add_line_segments(
             "/leash",
             np.zeros((1, 2, 3)),
-            TARGET_LINE,
+            LINE_COLOUR,
             thickness=2.5,
             thickness_units="screen",
             visible=False,
         )
         self._dragging = False
         self.held_by: int | None = None
-        self._turns = bool({"roll", "pitch", "yaw"} & set(info.axes))
+        self._has_rotations = bool({"roll", "pitch", "yaw"} & set(info.axes))
         self.gizmo = scene.add_transform_controls(
             "/target",
-            scale=GIZMO * size,
+            scale=GIZMO_SIZE * size,
             line_width=3.0,
             disable_sliders=True,
-            disable_rotations=not self._turns,
+            disable_rotations=not self._has_rotations,
             depth_test=False,
-            wxyz=self._handles(info.home),
+            wxyz=self._gizmo_orientation(info.home),
             position=info.home[:3, 3],
         )
         self.gizmo.on_update(self._on_gizmo)
@@ -133,13 +142,13 @@ class SceneView:
                     node.on_drag("left")(self._drag_handler((body,)))
 
     def show(self, now: Snapshot) -> None:
-        """Update the scene to a snapshot."""
+        """Show a snapshot of the arm in the scene."""
         self._data.qpos[:] = now.qpos
         self._data.mocap_pos[:], self._data.mocap_quat[:] = now.mocap
         mujoco.mj_kinematics(self._info.figure, self._data)
         self._figure.update_from_mjdata(self._data)
         self._place_nodes()
-        self._hinges.show(now)
+        self._drums.show(now)
         self._show_hand(now)
         step = now.step
         if step is None:
@@ -147,45 +156,51 @@ class SceneView:
             return
         if not self._dragging:
             self.gizmo.position = step.target[:3, 3]
-            self.gizmo.wxyz = self._handles(step.target)
+            self.gizmo.wxyz = self._gizmo_orientation(step.target)
         ends = np.stack((now.tool[:3, 3], step.target[:3, 3]))[None]
-        self._target_line.visible = bool(np.linalg.norm(ends[0, 1] - ends[0, 0]) > NEAR)
+        self._target_line.visible = bool(np.linalg.norm(ends[0, 1] - ends[0, 0]) > MIN_LINE_LENGTH)
         self._target_line.points = ends.astype(np.float32)
 
     def _place_nodes(self) -> None:
-        """Update the nodes of the arm's bodies."""
+        """Move the nodes of the arm's bodies to their poses in the MuJoCo data."""
         for body, node in self._nodes.items():
             node.position, node.wxyz = self._data.xpos[body], self._data.xquat[body]
 
     def _show_hand(self, now: Snapshot) -> None:
         shown = False
-        if now.pull is not None:
-            point, force = now.pull
-            way = force * (self._size * LONGEST / max(self._info.force, 1e-9))
-            shown = bool(np.linalg.norm(way) > 0.004)
+        if now.hand_force is not None:
+            point, force = now.hand_force
+            arrow = force * (self._size * ARROW_LENGTH / max(self._info.force, 1e-9))
+            shown = bool(np.linalg.norm(arrow) > 0.004)
             if shown:
-                # Its head is at the point of application, as for a push.
-                self._arrow.points = np.stack((point - way, point))[None].astype(np.float32)
+                # Let the arrow end at the point of application, like a push from outside.
+                self._arrow.points = np.stack((point - arrow, point))[None].astype(np.float32)
         self._arrow.visible = shown
 
-    def _handles(self, target: Array) -> Array:
-        """Return the gizmo's orientation: the target's, or the base's if it cannot turn."""
-        turned = target[:3, :3] if self._turns else np.eye(3)
+    def _gizmo_orientation(self, target: Array) -> Array:
+        """Return the quaternion wxyz at which the gizmo is drawn.
+
+        It is that of the target (4, 4), or the identity if the task has no rotation axes.
+        """
+        turned = target[:3, :3] if self._has_rotations else np.eye(3)
         return np.asarray(tf.SO3.from_matrix(turned).wxyz)
 
     async def _on_gizmo(self, event: viser.TransformControlsEvent) -> None:
-        """Send the gizmo's pose: in order, hence in the server's own thread."""
+        """Send the pose of the gizmo as new target; a coroutine, so that viser keeps the order."""
         self._dragging = event.phase != "end"
         pose = self._info.home.copy()
-        if self._turns:
+        if self._has_rotations:
             pose[:3, :3] = tf.SO3(np.asarray(event.target.wxyz)).as_matrix()
         pose[:3, 3] = event.target.position
         self._send(messages.Target(pose))
 
     def _drag_handler(self, bodies: Any) -> Callable[[Any], Any]:
-        """Return the handler for dragging a body of the arm."""
+        """Return a handler of viser's drag events on drawn bodies; it sends `Grab` and `LetGo`.
 
-        async def pulled(event: Any) -> None:
+        `bodies` holds the index of the MuJoCo body of each instance in the drawn object.
+        """
+
+        async def on_drag_event(event: Any) -> None:
             body = int(bodies[event.instance_index or 0])
             if event.phase == "end":
                 self.held_by = None
@@ -195,23 +210,25 @@ class SceneView:
             first = event.start_position if event.phase == "start" else None
             self._send(messages.Grab(body, first, event.end_position))
 
-        return pulled
+        return on_drag_event
 
 
-class Hinges:
-    """Joints drawn as drums on the bodies that they move; the colour shows the torque limit."""
+class JointDrums:
+    """Joints drawn as cylinders around their axes; the colour shows the torque limit."""
 
     def __init__(self, scene: viser.SceneApi, info: SceneInfo) -> None:
-        """Place a drum on the axis of every joint of the chain."""
+        """Add a cylinder on the axis of every joint of the chain, fixed to the body it moves."""
         figure = info.figure
-        self._usable = info.usable
+        self._max_torque = info.max_torque
         arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
-        thick = float(figure.geom_size[arm, 0].max(initial=0.008))
-        # With URDF shapes, only the ends of the drums are visible.
+        link_radius = float(figure.geom_size[arm, 0].max(initial=0.008))
+        # With URDF shapes, which cover the joints, make the cylinders thinner and longer.
         radius, height = (0.7, 3.2) if info.visuals else (1.2, 2.5)
-        drum = trimesh.creation.cylinder(radius=radius * thick, height=height * thick, sections=40)
+        drum = trimesh.creation.cylinder(
+            radius=radius * link_radius, height=height * link_radius, sections=40
+        )
         drum.unmerge_vertices()
-        self._colours = np.tile(np.array(COOL), (len(info.joints), 1))
+        self._colours = np.tile(np.array(NO_TORQUE_COLOUR), (len(info.joints), 1))
         self._drums = []
         for name in info.joints:
             joint = figure.joint(name).id
@@ -221,52 +238,57 @@ class Hinges:
                     f"/arm/{body}/{name}",
                     vertices=drum.vertices,
                     faces=drum.faces,
-                    color=COOL,
+                    color=NO_TORQUE_COLOUR,
                     position=figure.jnt_pos[joint],
                     wxyz=_upright_to(figure.jnt_axis[joint][None])[0],
                 )
             )
 
     def show(self, now: Snapshot) -> None:
-        """Colour every drum by the limit of its joint."""
+        """Colour the cylinder of every joint by the ratio of torque limit to maximum torque."""
         share = np.zeros(len(self._drums))
         if now.step is not None:
-            share = np.clip(now.step.limit / np.maximum(self._usable, 1e-9), 0.0, 1.0)
-        mixed = np.array(COOL) + share[:, None] ** 2 * (np.array(WARM) - np.array(COOL))
+            share = np.clip(now.step.limit / np.maximum(self._max_torque, 1e-9), 0.0, 1.0)
+        mixed = np.array(NO_TORQUE_COLOUR) + share[:, None] ** 2 * (
+            np.array(FULL_TORQUE_COLOUR) - np.array(NO_TORQUE_COLOUR)
+        )
         for i, colour in enumerate(mixed.round().astype(int)):
-            if np.abs(colour - self._colours[i]).max() > NOTICED:
+            if np.abs(colour - self._colours[i]).max() > COLOUR_STEP:
                 self._colours[i] = colour
                 red, green, blue = colour.tolist()
                 self._drums[i].color = (red, green, blue)
 
 
 def _upright_to(axes: Array) -> Array:
-    """Return quaternions wxyz (n, 4) that turn z into unit vectors (n, 3)."""
+    """Return quaternions wxyz (n, 4) that rotate the z axis onto unit vectors (n, 3)."""
     quats = np.stack((1.0 + axes[:, 2], -axes[:, 1], axes[:, 0], np.zeros(len(axes))), axis=1)
     quats[axes[:, 2] < -1.0 + 1e-9] = (0.0, 1.0, 0.0, 0.0)
     out: Array = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     return out
 
 
-def _paint(figure: mujoco.MjModel, shaped: set[int]) -> None:
-    """Draw links darker than the page; hide planes, and capsules of bodies with other shapes."""
+def _paint(figure: mujoco.MjModel, bodies_with_meshes: set[int]) -> None:
+    """Colour the links of the arm; hide planes, and simulated shapes of bodies with URDF shapes."""
     for i in range(figure.ngeom):
         body = int(figure.geom_bodyid[i])
         if figure.body(body).name.startswith("body:"):
-            figure.geom_rgba[i] = (*LINK, 1.0)
-        if body in shaped or figure.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
-            figure.geom_group[i] = HIDDEN
+            figure.geom_rgba[i] = (*LINK_COLOUR, 1.0)
+        if body in bodies_with_meshes or figure.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
+            figure.geom_group[i] = HIDDEN_GROUP
 
 
-def _shapes(info: SceneInfo) -> dict[int, trimesh.Trimesh]:
-    """Return one mesh per body of the arm whose shapes can be drawn, in the frame of the body."""
+def _body_meshes(info: SceneInfo) -> dict[int, trimesh.Trimesh]:
+    """Return one mesh per MuJoCo body, in the frame of the body, from the shapes of the URDF.
+
+    Bodies with an invalid mesh file are left out.
+    """
     parts: dict[int, list[trimesh.Trimesh]] = {}
     broken: set[int] = set()
     for visual in info.visuals:
         try:
             parts.setdefault(visual.body, []).append(visual.mesh())
         except Exception:
-            # Only mesh files of users may be invalid.
+            # Ignore errors in mesh files, which users supply; any other error is a defect.
             if visual.kind != "mesh":
                 raise
             broken.add(visual.body)
@@ -274,72 +296,72 @@ def _shapes(info: SceneInfo) -> dict[int, trimesh.Trimesh]:
     return {body: mesh for body, mesh in out.items() if body not in broken}
 
 
-def _height(info: SceneInfo) -> float:
-    """Return the height of the floor under the arm [m]."""
+def _floor_height(info: SceneInfo) -> float:
+    """Return the height of the floor in base axes [m]."""
     figure = info.figure
     planes = np.flatnonzero(figure.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     if planes.size:
         return float(figure.geom_pos[planes[0], 2])
     if info.table is not None:
         return info.table
-    # A base drawn down to its frame stands on a table.
+    # Without a known table: if the shapes of the base end near its frame's height, it stands there.
     standing = [v for v in info.visuals if figure.body(v.body).parentid[0] == 0]
     lows = [v.mesh().bounds[0, 2] for v in standing if v.kind != "mesh"]
-    if lows and abs(min(lows)) < STANDS:
+    if lows and abs(min(lows)) < TABLE_TOLERANCE:
         return float(min(lows))
     height = float(info.home[2, 3])
-    return 0.0 if height > -STANDS else height - 0.3
+    return 0.0 if height > -TABLE_TOLERANCE else height - 0.3
 
 
 def _ground(scene: viser.SceneApi, info: SceneInfo, size: float) -> None:
-    """Draw a floor with the base axes, and a post for an arm that hangs above it."""
-    low = _height(info)
+    """Draw the floor with the base axes, and a post under an arm that hangs above the floor."""
+    floor = _floor_height(info)
     scene.add_grid(
         "/floor",
         width=2.4,
         height=2.4,
-        position=(0.0, 0.0, low),
+        position=(0.0, 0.0, floor),
         cell_size=0.1,
         section_size=0.4,
         cell_color=(222, 227, 233),
         section_color=(198, 206, 216),
         shadow_opacity=0.0,
     )
-    if low < -STANDS:
+    if floor < -TABLE_TOLERANCE:
         scene.add_box(
             "/post",
-            color=POST,
-            dimensions=(0.03, 0.03, -low),
-            position=(-0.02, 0.0, 0.5 * low),
+            color=POST_COLOUR,
+            dimensions=(0.03, 0.03, -floor),
+            position=(-0.02, 0.0, 0.5 * floor),
         )
-    length = AXES * size
+    length = AXES_LENGTH * size
     scene.add_frame(
         "/axes",
         axes_length=length,
         axes_radius=0.012 * length,
         origin_radius=0.02 * length,
-        position=(0.0, 0.0, low),
+        position=(0.0, 0.0, floor),
     )
-    for name, way in zip("xyz", np.eye(3), strict=True):
-        scene.add_label(f"/axes/{name}", name, position=1.08 * length * way)
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        scene.add_label(f"/axes/{name}", name, position=1.08 * length * axis)
 
 
-def overlook(
+def camera_view(
     figure: mujoco.MjModel, data: mujoco.MjData, tool: Array, room: float
 ) -> tuple[Array, Array]:
-    """Return look-at point (3,) and camera position (3,) [m], in front and to the side.
+    """Return the point at which the camera looks and the camera position, (3,) [m] each.
 
-    The camera sees the sphere around the links at the data's positions, and `room` [m] around the
-    tool (3,).
+    The camera sees all links in the state `data`, and a sphere of radius `room` [m] around the tool
+    position `tool` (3,) [m].
     """
     arm = [figure.body(int(b)).name.startswith("body:") for b in figure.geom_bodyid]
     points = np.vstack((data.geom_xpos[arm], tool))
     sizes = np.append(figure.geom_rbound[arm], room)
-    middle = 0.5 * ((points - sizes[:, None]).min(axis=0) + (points + sizes[:, None]).max(axis=0))
-    around = float((np.linalg.norm(points - middle, axis=1) + sizes).max())
-    # Panels take more of the width than of the height.
+    centre = 0.5 * ((points - sizes[:, None]).min(axis=0) + (points + sizes[:, None]).max(axis=0))
+    radius = float((np.linalg.norm(points - centre, axis=1) + sizes).max())
+    # Compute with the width, because the window between the panels is narrower than high.
     half = np.arctan(np.tan(0.5 * FOV) * ASPECT)
-    return middle, middle + around / np.sin(half) * SIDE
+    return centre, centre + radius / np.sin(half) * VIEW_DIRECTION
 
 
 def _wall(scene: viser.SceneApi, name: str, point: Array, into: Array) -> None:
@@ -348,8 +370,8 @@ def _wall(scene: viser.SceneApi, name: str, point: Array, into: Array) -> None:
     turn = np.stack([into, side, np.cross(into, side)], axis=1)
     scene.add_box(
         name,
-        color=WALL,
-        dimensions=(0.02, EXTENT, EXTENT),
+        color=WALL_COLOUR,
+        dimensions=(0.02, WALL_SIZE, WALL_SIZE),
         opacity=0.55,
         position=point + 0.01 * into,
         wxyz=tf.SO3.from_matrix(turn).wxyz,

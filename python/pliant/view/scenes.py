@@ -1,4 +1,4 @@
-"""Simulated scenes: posture of the arm, surroundings, scripted events."""
+"""Scenes of a simulated arm for the browser page: start posture, objects, scripted target."""
 
 from __future__ import annotations
 
@@ -20,29 +20,33 @@ if TYPE_CHECKING:
     from pliant.sim import Fixture, Hand, Plant
 
 
-#: Speed of a scripted target [m/s], its distance [m], and its rest at the end [s].
-SPEED, WAY, REST = 0.06, 0.26, 1.5
-#: Postures of small arms: gripper ahead, with room on all sides [rad].
-AHEAD = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.3, 0.3, 0.9, 0.0)}
-#: Distance of the target's motion into the wall, and of the wall [m].
-INTO, DISTANCE = 0.12, 0.05
-#: Time course of a person who takes the object [s].
-TAKES = ForceProfile(start=0.3, rise=1.5, end=30.0)
-#: Time course before that: no force.
-NEVER = ForceProfile(start=1e9, rise=1.0, end=2e9)
+#: Scripted target: speed [m/s], distance of a pull at door or drawer [m], and pause before it
+#: returns [s].
+TARGET_SPEED, PULL_DISTANCE, REST_TIME = 0.06, 0.26, 1.5
+#: Start postures (joint positions) of small arms [rad]: gripper in front of the base, with room.
+START_POSTURES = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.3, 0.3, 0.9, 0.0)}
+#: Distance that the scripted target moves toward the wall, and initial distance of the tool from
+#: the wall [m].
+WALL_TRAVEL, WALL_DISTANCE = 0.12, 0.05
+#: Force of a simulated person who takes the object: start after the click on the button, time of
+#: rise, and duration, all [s].
+TAKE_PROFILE = ForceProfile(start=0.3, rise=1.5, end=30.0)
+#: Force of that person before the click on the button: it never starts during a run [s].
+NO_FORCE = ForceProfile(start=1e9, rise=1.0, end=2e9)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """One scene.
+    """One scene of a simulated arm.
 
     Attributes:
-        about: One sentence.
-        preset: Name of the initial settings.
-        q: Initial posture (n,) [rad].
-        make: Makes the surroundings.
-        play: Label of the button; empty: no button.
-        way: Displacement of the scripted target, there and back (3,) [m].
+        about: Description in one sentence.
+        preset: Name of the preset with the initial settings.
+        q: Joint positions at the start (n,) [rad].
+        make: Function that returns the objects around the arm.
+        play: Label of the button that starts the action of the scene; empty: no action.
+        displacement: Motion of the scripted target from the start pose, before it returns (3,) [m];
+            None: no scripted target.
     """
 
     about: str
@@ -50,75 +54,93 @@ class Scene:
     q: Array
     make: Callable[[], list[Hand | Fixture]] = field(default=list)
     play: str = ""
-    way: tuple[float, float, float] | None = None
+    displacement: tuple[float, float, float] | None = None
 
     def target(self, home: Array, time: float) -> Array | None:
-        """Return the target (4, 4) at a time [s] after the button was pressed; None at the end."""
-        if self.way is None:
+        """Return the scripted target (4, 4) at a time [s] after the click; None after its end.
+
+        The target moves by `displacement` from the pose `home` (4, 4), pauses, and returns.
+        """
+        if self.displacement is None:
             return None
-        length = float(np.linalg.norm(self.way))
-        there = length / SPEED
-        if time > 2.0 * there + REST:
+        distance = float(np.linalg.norm(self.displacement))
+        travel_time = distance / TARGET_SPEED
+        if time > 2.0 * travel_time + REST_TIME:
             return None
-        gone = min(time, there) - min(max(time - there - REST, 0.0), there)
+        moving_time = min(time, travel_time) - min(
+            max(time - travel_time - REST_TIME, 0.0), travel_time
+        )
         pose = home.copy()
-        pose[:3, 3] += np.asarray(self.way) * gone * SPEED / length
+        pose[:3, 3] += np.asarray(self.displacement) * moving_time * TARGET_SPEED / distance
         return pose
 
 
 def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
-    """Return a built-in arm and its scenes; only `arm7` has doors and drawers.
+    """Return a built-in arm and its scenes by name; some scenes exist only for `arm7`.
 
     Raises:
-        ConfigError: No such arm.
+        ConfigError: No built-in arm has this name.
     """
     if robot != "arm7":
-        return robots.load(robot), generic_scenes(np.array(AHEAD[robot]))
-    free = Scene(
+        model = robots.load(robot)
+        return model, generic_scenes(start_posture(robot, model))
+    free_scene = Scene(
         about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=VERTICAL
     )
-    opens = Scene(
+    door_scene = Scene(
         about="The hand holds the handle; y and yaw give way, so the handle finds its own path.",
         preset="door",
         q=AT_DOOR,
         make=lambda: [door()],
         play="Pull it open",
-        way=(-WAY, 0.0, 0.0),
+        displacement=(-PULL_DISTANCE, 0.0, 0.0),
     )
-    slides = Scene(
+    drawer_scene = Scene(
         about="Its slide is 10° off the pull; y and z follow it.",
         preset="drawer",
         q=AT_DOOR,
         make=lambda: [drawer(axis=_slide_direction(10.0))],
         play="Pull it open",
-        way=(-WAY, 0.0, 0.0),
+        displacement=(-PULL_DISTANCE, 0.0, 0.0),
     )
-    meets = Scene(
+    wall_scene = Scene(
         about="A stiff wall 5 cm ahead: the push-back on x ends at its cap.",
         preset="soft x",
         q=VERTICAL,
         make=lambda: [_wall()],
         play="Run into it",
-        way=(INTO, 0.0, 0.0),
+        displacement=(WALL_TRAVEL, 0.0, 0.0),
     )
-    gives = Scene(
+    handover_scene = Scene(
         about="It carries an unknown 0.3 kg, and opens its hand once pulled 5 cm away.",
         preset="hand_over",
         q=VERTICAL,
-        make=lambda: [HandoverObject(course=NEVER)],
+        make=lambda: [HandoverObject(course=NO_FORCE)],
         play="A person takes it",
     )
     return robots.arm7(), {
-        "free": free,
-        "door": opens,
-        "drawer": slides,
-        "wall": meets,
-        "hand-over": gives,
+        "free": free_scene,
+        "door": door_scene,
+        "drawer": drawer_scene,
+        "wall": wall_scene,
+        "hand-over": handover_scene,
     }
 
 
+def start_posture(robot: str, model: Model) -> Array:
+    """Return the joint positions (n,) [rad] of an arm at the start of a scene.
+
+    They are those in `START_POSTURES`, or else halfway between the position limits.
+    """
+    if robot in START_POSTURES:
+        return np.array(START_POSTURES[robot])
+    # Clip the limits to ±π, so that a joint without position limits starts at 0.
+    middle: Array = np.clip((model.lower, model.upper), -np.pi, np.pi).mean(axis=0)
+    return middle
+
+
 def generic_scenes(q: Array) -> Mapping[str, Scene]:
-    """Return scenes for any arm at a posture (n,) [rad]."""
+    """Return scenes, by name, that suit any arm; q are the joint positions at the start [rad]."""
     return {
         "free": Scene(
             about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=q
@@ -129,32 +151,37 @@ def generic_scenes(q: Array) -> Mapping[str, Scene]:
             q=q,
             make=lambda: [_wall()],
             play="Run into it",
-            way=(INTO, 0.0, 0.0),
+            displacement=(WALL_TRAVEL, 0.0, 0.0),
         ),
     }
 
 
-def take(plant: Plant) -> bool:
-    """Let a person take the object in the grip; return False without one."""
-    for thing in plant.fixtures:
-        if isinstance(thing, HandoverObject):
-            start = plant.time + TAKES.start
-            thing.course = ForceProfile(start=start, rise=TAKES.rise, end=start + TAKES.end)
+def take_object(plant: Plant) -> bool:
+    """Let a simulated person take the object in the gripper; return False if there is no object."""
+    for fixture in plant.fixtures:
+        if isinstance(fixture, HandoverObject):
+            start = plant.time + TAKE_PROFILE.start
+            fixture.course = ForceProfile(
+                start=start, rise=TAKE_PROFILE.rise, end=start + TAKE_PROFILE.end
+            )
             return True
     return False
 
 
 def release_when_pulled(plant: Plant, home: Array) -> None:
-    """Open the grip once the tool was pulled away from its start (4, 4)."""
-    for thing in plant.fixtures:
-        if isinstance(thing, HandoverObject) and thing.released is None:
-            taken = np.linalg.norm(plant.tool[:3, 3] - home[:3, 3]) > RELEASE_DISTANCE
-            if taken and plant.time > thing.course.start:
-                thing.release(plant)
+    """Open the gripper once the person has pulled the tool `RELEASE_DISTANCE` away from `home`.
+
+    `home` is the start pose of the tool (4, 4).
+    """
+    for fixture in plant.fixtures:
+        if isinstance(fixture, HandoverObject) and fixture.released is None:
+            is_pulled = np.linalg.norm(plant.tool[:3, 3] - home[:3, 3]) > RELEASE_DISTANCE
+            if is_pulled and plant.time > fixture.course.start:
+                fixture.release(plant)
 
 
 def wall_planes(plant: Plant) -> tuple[tuple[Array, Array], ...]:
-    """Return the walls of the scene: a point (3,) and the direction (3,) into each."""
+    """Return a point (3,) [m] and the normal (3,) into the wall, for every wall of the scene."""
     out = []
     for record in plant.hands:
         if isinstance(record.hand, Wall):
@@ -165,10 +192,10 @@ def wall_planes(plant: Plant) -> tuple[tuple[Array, Array], ...]:
 
 
 def _wall() -> Wall:
-    return Wall(distance=DISTANCE, damping=20.0)
+    return Wall(distance=WALL_DISTANCE, damping=20.0)
 
 
 def _slide_direction(degrees: float) -> tuple[float, float, float]:
-    """Return the direction of a slide toward the robot, turned in the horizontal plane."""
+    """Return the unit vector of the motion of a drawer: -x turned about -z by an angle [deg]."""
     angle = np.deg2rad(degrees)
     return -float(np.cos(angle)), float(np.sin(angle)), 0.0

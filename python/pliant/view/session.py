@@ -1,4 +1,4 @@
-"""The loop behind a page: one arm, its controller, and the messages between ticks."""
+"""Control of an arm for the browser page: control loop, and messages of the page between ticks."""
 
 from __future__ import annotations
 
@@ -28,50 +28,52 @@ if TYPE_CHECKING:
 
     Next = Literal["stop", "start", "scene"]
 
-#: Polling period of messages while no loop runs [s].
-IDLE = 0.03
-#: Display names of built-in arms, by the name in their URDF.
-NAMES = {"so101_like": "SO-101 (simplified)", "koch_like": "Koch (simplified)"}
-#: Largest push of a visitor, as a share of `hold`.
-STRONG = 1.0
+#: Time between two checks for messages of the page while the torque is off [s].
+POLL_PERIOD = 0.03
+#: Display names of built-in arms by the robot name in their URDF.
+DISPLAY_NAMES = {"so101_like": "SO-101 (simplified)", "koch_like": "Koch (simplified)"}
+#: Maximum push by a user of the page, as a share of the largest force cap `Axis.hold` [1].
+PUSH_SHARE = 1.0
 
 
 class Session:
-    """Runs an arm for a page.
+    """Controls an arm for the browser page, in one or more runs from torque on to torque off.
 
     Args:
-        source: Source of the arm.
-        link: The page.
-        log: MCAP file to write; later runs of the arm add `-2`, `-3`, ... to its name.
+        source: Object that creates the arm for each run.
+        link: Connection to the process of the page.
+        log: MCAP file to write; later runs add `-2`, `-3`, ... to its name. None: no log.
 
     Attributes:
-        publisher: Snapshots for the page.
-        editor: The settings.
+        publisher: Object that sends snapshots (states of the arm) to the page.
+        editor: Settings of the controller, which users of the page can change.
         target: Target pose (4, 4) of the controller.
-        loop: The present loop, or the last.
+        loop: Control loop of the present or the last run; None before the first run.
     """
 
     def __init__(self, source: Source, link: Link, log: Path | None = None) -> None:
-        """Prepare a session; the arm does not move yet."""
+        """Create a session without a run."""
         self._source, self._link, self._log = source, link, log
         self._session_number = 0
         self.loop: Loop | None = None
-        self._played: float | None = None
+        self._play_start: float | None = None
         self._max_push = 0.0, 0.0
-        self.target = self._accepted = np.eye(4)
+        self.target = self._accepted_target = np.eye(4)
         self.publisher = Publisher(link, source.rate)
         self.editor = SettingsEditor(source.axes, source.rate, source.settings)
-        self._fresh = True
+        self._is_new_scene = True
 
     def run(self, max_sessions: int | None = None) -> None:
-        """Run until the page or the program ends.
+        """Control the arm until the page ends.
 
         Args:
             max_sessions: Number of runs, from torque on to torque off; None: unlimited.
 
         Raises:
-            PageGone: The page has ended; the arm has been lowered.
-            PliantError: There is no arm.
+            PageGone: The process of the page has ended; the arm has been lowered.
+            ServoError: The first run failed before its controller was created. Errors of later
+                runs are shown on the page instead.
+            PliantError: The arm or the settings cannot be used.
         """
         for self._session_number in itertools.count(1):
             self._next: Next | None = None
@@ -80,41 +82,41 @@ class Session:
             except ServoError as error:
                 if self.publisher.shown is None:
                     raise
-                # Show the error on the page; the visitor may try again.
+                # Show the error on the page, so that the user can start another run.
                 self.publisher.show_error(str(error), "fault")
             self.publisher.phase = "down"
             if self._session_number == max_sessions:
                 return
-            self._wait()
+            self._wait_for_start()
 
-    # One run.
+    # One run, from torque on to torque off.
 
     def _run_session(self) -> None:
-        """Switch torque on, control the arm, and lower it."""
+        """Switch torque on, control the arm, and lower it; to change the scene, only torque off."""
         arm = self._source.arm()
         observer = arm.drive = DriveObserver(arm.drive)
         self._arm, self._robot = arm, RobotView(arm, self._source.urdf)
         self._pacer = RealtimePacer(arm.clock) if self._source.paced else None
         self.publisher.observe(arm, self._robot, observer, self._pacer)
         observer.on_read = self.publisher.on_read
-        # Check the settings before torque comes on.
+        # Check the settings here, so that an error is raised before torque is on.
         Controller(arm.model, self.editor.effective, arm.servos)
         with arm:
             try:
                 self._control(arm)
             except ServoError as error:
-                # Show the error before the descent, which may take a minute.
+                # Show the error on the page before the arm is lowered, which may take a minute.
                 self.publisher.show_error(str(error), "fault")
                 raise
             finally:
-                # The page shows the descent, whatever the cause.
+                # Set the phase in which the page shows how the arm is lowered.
                 self.publisher.phase = "lowering"
             if self._next == "scene":
                 arm.disable_torque()
 
     def _control(self, arm: Arm) -> None:
-        """Run the loop, with its log."""
-        controller = self._begin(arm)
+        """Run the control loop, with a log, until the user wants to stop or change the scene."""
+        controller = self._prepare(arm)
         recorder = None
         if self._log is not None:
             from pliant.log import Recorder
@@ -129,7 +131,7 @@ class Session:
         controller = loop.controller
         for tick in loop:
             self._handle_messages(controller)
-            self._scripted(tick.began)
+            self._update_scripted_target(tick.began)
             self.publisher.before_step(tick, loop)
             command = self._step(tick, controller)
             tick.write(command)
@@ -138,41 +140,44 @@ class Session:
                 return
 
     def _step(self, tick: Tick, controller: Controller) -> Command:
-        """Step toward the target, or toward the last one if the controller refuses it."""
+        """Return the controller's command; if it rejects the target, use the last accepted one."""
         try:
             command = controller.step(tick.q, self.target, dt=tick.dt)
         except ServoError:
             raise
         except (PliantError, ValueError) as error:
-            if self.target is self._accepted:
+            if self.target is self._accepted_target:
                 raise
-            self.target, self._played = self._accepted, None
+            self.target, self._play_start = self._accepted_target, None
             command = controller.step(tick.q, self.target, dt=tick.dt)
             self.publisher.show_error(str(error), "target")
-        self._accepted = self.target
+        self._accepted_target = self.target
         return command
 
-    def _begin(self, arm: Arm) -> Controller:
-        """Make the controller and the hand, and describe the scene to the page."""
+    def _prepare(self, arm: Arm) -> Controller:
+        """Create the controller and the user's force; send the scene to the page.
+
+        Return the controller.
+        """
         q = arm.read().q
-        if self._source.scene is not None and self._fresh:
+        if self._source.scene is not None and self._is_new_scene:
             self.editor.begin(self._source.scene.preset)
-        self._fresh = False
+        self._is_new_scene = False
         controller = Controller(arm.model, self.editor.effective, arm.servos)
         self.home = np.asarray(arm.model.forward_kinematics(q))
-        self.target = self._accepted = self.home.copy()
-        self._played = None
+        self.target = self._accepted_target = self.home.copy()
+        self._play_start = None
         strengths = controller.axes
-        max_push = [STRONG * float(axis.hold or 0.0) for axis in strengths.values()]
+        max_push = [PUSH_SHARE * float(axis.hold or 0.0) for axis in strengths.values()]
         names = tuple(strengths)
         linear = [f for f, name in zip(max_push, names, strict=True) if name in "xyz"]
-        turning = [f for f, name in zip(max_push, names, strict=True) if name not in "xyz"]
+        rotational = [f for f, name in zip(max_push, names, strict=True) if name not in "xyz"]
         self._hand: MouseForce | None = None
         if self._robot.simulated:
             plant = self._robot.plant
             self._hand = self.publisher.hand = MouseForce(max(linear, default=0.0))
             plant.set_hands([*(record.hand for record in plant.hands), self._hand])
-        self._max_push = max(linear, default=0.0), max(turning, default=0.0)
+        self._max_push = max(linear, default=0.0), max(rotational, default=0.0)
         push = None if self._hand is None else self._max_push
         self.publisher.estimate_contact(controller)
         self.publisher.shown = self.editor.describe(controller, q)
@@ -183,7 +188,7 @@ class Session:
             axes=names,
             joints=arm.model.joint_names,
             start=self._robot.pose(q, {}),
-            usable=np.asarray(arm.servos.max_torque),
+            max_torque=np.asarray(arm.servos.max_torque),
             scene=self._source.name,
             scenes={name: scene.about for name, scene in self._source.scenes.items()},
             play=self._source.scene.play if self._source.scene is not None else "",
@@ -199,15 +204,20 @@ class Session:
         self._link.send(info)
         return controller
 
-    # Orders.
+    # Handling of the messages from the page.
 
     def _handle_messages(self, controller: Controller | None) -> None:
-        """Carry out the page's messages since the last tick."""
+        """Handle the messages that the page has sent since the last tick."""
         for message in self._link.messages():
             self.handle(message, controller)
 
     def handle(self, message: messages.Message, controller: Controller | None) -> None:
-        """Carry out one message; if it is refused, report why and change nothing."""
+        """Handle a message from the page; if it is invalid, show the error and change nothing.
+
+        Args:
+            message: The message.
+            controller: The present controller; None while the torque is off.
+        """
         if self._next == "stop" and not isinstance(message, messages.Edit):
             return
         match message:
@@ -218,34 +228,34 @@ class Session:
             case messages.Target():
                 self._set_target(message)
             case messages.Home():
-                self.target, self._played = self.home.copy(), None
+                self.target, self._play_start = self.home.copy(), None
                 self.publisher.clear_error("target")
             case messages.Stop():
                 self._next = "stop"
             case messages.Start():
-                # A late click must not end the new run.
+                # Ignore a second click on the start button, which must not end the present run.
                 if self.publisher.phase == "down":
                     self._next = "start"
             case messages.Scene(name=name):
                 if name in self._source.scenes:
-                    self._source.name, self._next, self._fresh = name, "scene", True
+                    self._source.name, self._next, self._is_new_scene = name, "scene", True
             case messages.Play():
                 self._play()
             case _:
                 self._apply_to_hand(message)
 
     def _set_target(self, message: messages.Target) -> None:
-        """Set a new target if the arm can reach it."""
+        """Set a new target if it is a pose within reach of the arm; else show an error."""
         try:
             pose = messages.check_target(message, self._arm.model)
         except ConfigError as error:
             self.publisher.show_error(f"{error}; the old target stays", "target")
             return
-        self.target, self._played = pose, None
+        self.target, self._play_start = pose, None
         self.publisher.clear_error("target")
 
     def _apply_to_hand(self, message: messages.Message) -> None:
-        """Apply a message to the visitor's hand."""
+        """Apply the message `Push`, `Grab` or `LetGo` to the user's force on a simulated arm."""
         hand = self._hand
         if hand is None:
             return
@@ -275,25 +285,25 @@ class Session:
         self.publisher.request_report()
 
     def _play(self) -> None:
-        if self._robot.simulated and scenes.take(self._robot.plant):
+        if self._robot.simulated and scenes.take_object(self._robot.plant):
             return
-        self._played = self._arm.clock.now()
+        self._play_start = self._arm.clock.now()
 
-    def _scripted(self, now: float) -> None:
-        """Update the scripted target of a scene, and release objects."""
+    def _update_scripted_target(self, now: float) -> None:
+        """Set the target that the scene scripts for the time `now` [s]; release a pulled object."""
         scene = self._source.scene
         if scene is None:
             return
         scenes.release_when_pulled(self._robot.plant, self.home)
-        if self._played is not None:
-            pose = scene.target(self.home, now - self._played)
+        if self._play_start is not None:
+            pose = scene.target(self.home, now - self._play_start)
             if pose is None:
-                self._played = None
+                self._play_start = None
             else:
                 self.target = pose
 
-    def _wait(self) -> None:
-        """Wait with torque off until the next start."""
+    def _wait_for_start(self) -> None:
+        """Wait with torque off until the user wants to start a run or change the scene."""
         if self._next == "scene":
             return
         self._next = None
@@ -301,11 +311,11 @@ class Session:
         while self._next not in {"start", "scene"}:
             self._handle_messages(None)
             self.publisher.publish_reading()
-            clock.wait_until(clock.now() + IDLE)
+            clock.wait_until(clock.now() + POLL_PERIOD)
             if self._pacer is not None:
                 self._pacer.wait()
 
 
 def display_name(name: str) -> str:
-    """Return the display name of an arm; a simplified model is marked as such."""
-    return NAMES.get(name, name)
+    """Return the display name of an arm by the robot name in its URDF."""
+    return DISPLAY_NAMES.get(name, name)

@@ -1,4 +1,4 @@
-"""Settings that the page can change: presets, law, single axes, soft or firm."""
+"""Changes of a controller's settings by the browser page: presets, law, fields of task axes."""
 
 from __future__ import annotations
 
@@ -18,61 +18,64 @@ if TYPE_CHECKING:
 
 
 LAWS = ("cap", "impedance", "paper")
-#: Preset with the settings of a configuration file.
-OWN = "from the file"
-#: Fields of an axis that the page shows.
-FIELDS = ("soft", "firm", "hold", "stiffness", "yields", "adaptation")
-#: Fields that depend on the law.
-OF_THE_LAW = ("soft", "firm", "hold", "stiffness", "damping")
+#: Name of the preset that holds the settings of a configuration file.
+FILE_PRESET = "from the file"
+#: Fields of `pliant.Axis` that the page shows.
+SHOWN_FIELDS = ("soft", "firm", "hold", "stiffness", "yields", "adaptation")
+#: Fields of `pliant.Axis` that get default values when the user changes the control law.
+LAW_FIELDS = ("soft", "firm", "hold", "stiffness", "damping")
 
 
 class SettingsEditor:
-    """Holds settings, applies changes to a controller, and restores the old ones after a rejection.
+    """Settings of a controller; a change is undone if the controller rejects it.
 
     Args:
-        axes: Task axes, as of `pliant.Task`.
-        rate: Rate of the controller [Hz].
-        own: Settings of a configuration file, None without one.
+        axes: Task axes, as text for `pliant.Task`.
+        rate: Control rate [Hz].
+        own: Settings of a configuration file; None: there is no configuration file.
 
     Attributes:
-        settings: The settings, without the effect of `firm`.
-        preset: Name of the initial preset.
-        firm: True while no axis yields.
-        presets: Names of presets.
+        settings: The settings as if `firm` were False.
+        preset: Name of the last chosen preset.
+        firm: True if the user has switched off the yielding of all axes.
+        presets: Names of all presets.
     """
 
     def __init__(self, axes: str, rate: float, own: Settings | None = None) -> None:
-        """Start with the file's settings; soft in y if the file does not define the axes."""
+        """Start with the settings of the file, or with the first preset if there is no file.
+
+        If the file leaves all task axes at their defaults, the first preset sets them.
+        """
         self._rate = rate
         self._makers = _presets(axes)
         self.preset = next(iter(self._makers))
         if own is not None:
-            self._makers = {OWN: lambda: own, **_within(self._makers, own)}
+            self._makers = {FILE_PRESET: lambda: own, **_limit_speeds(self._makers, own)}
             if _is_plain(own):
-                # The other settings are those of the file.
+                # Let the first preset set only the axes; all other settings are those of the file.
                 first = self._axes(self._makers[self.preset]())
                 self._makers[self.preset] = lambda: own.replace(axes=first)
             else:
-                self.preset = OWN
+                self.preset = FILE_PRESET
         self.firm = False
         self.settings = self._make(self.preset)
 
     @property
     def presets(self) -> tuple[str, ...]:
-        """Names of presets."""
+        """Names of all presets, the settings of the file (if any) included."""
         return tuple(self._makers)
 
     def begin(self, preset: str) -> None:
-        """Start again from a preset.
+        """Replace all settings by those of a preset, and set `firm` to False.
 
         Raises:
-            ConfigError: There is no preset of that name.
+            ConfigError: No preset has this name.
         """
         self.settings, self.preset, self.firm = self._make(preset), preset, False
 
     @property
     def effective(self) -> Settings:
-        """Return the settings for the controller."""
+        """The settings for the controller; if `firm` is True, no axis yields."""
         if not self.firm:
             return self.settings
         axes: dict[str, Axis] = {
@@ -82,10 +85,10 @@ class SettingsEditor:
         return self.settings.replace(axes=axes)
 
     def apply(self, message: messages.Edit, controller: Controller) -> None:
-        """Change the settings of a controller.
+        """Apply a change requested by the page to the settings and the controller.
 
         Raises:
-            ConfigError: They are rejected; controller and settings are as before.
+            ConfigError: The controller rejects the change; nothing has changed.
         """
         before = self.settings, self.preset, self.firm
         try:
@@ -93,7 +96,7 @@ class SettingsEditor:
             controller.update(self.effective)
         except (PliantError, TypeError, ValueError) as error:
             self.settings, self.preset, self.firm = before
-            # The core names a single axis "Axis" in its errors.
+            # Put the name of the axis in place of "Axis." in the error texts of the core.
             where = f"axes.{message.axis}" if isinstance(message, messages.Change) else "Axis"
             raise ConfigError(str(error).replace("Axis.", f"{where}.", 1)) from error
 
@@ -103,24 +106,24 @@ class SettingsEditor:
             case messages.Preset(name=preset):
                 self.begin(preset)
             case messages.Law(law=law):
-                bare: dict[str, Any] = dict.fromkeys(OF_THE_LAW)
+                bare: dict[str, Any] = dict.fromkeys(LAW_FIELDS)
                 for name, axis in axes.items():
                     axes[name] = axis.replace(**{**bare, "yields": yields_of(axis)})
-                # The core rejects an unknown law.
+                # Cast for the type checker only; `Settings` rejects an unknown law.
                 known = cast("Literal['cap', 'impedance', 'paper']", law)
                 self.settings = self.settings.replace(law=known, axes=axes)
             case messages.Change(axis=name, fields=fields):
                 strengths: dict[str, Axis] = {n: a for n, a in controller.axes.items()}
                 if name not in strengths:
-                    there = ", ".join(strengths)
-                    raise ConfigError(f"the task has no axis {name!r}; it has {there}")
-                made: dict[str, Any] = {}
+                    names = ", ".join(strengths)
+                    raise ConfigError(f"the task has no axis {name!r}; it has {names}")
+                changed: dict[str, Any] = {}
                 if name in axes:
-                    made = {"yields": yields_of(axes[name]), "adaptation": axes[name].adaptation}
-                made |= fields
-                if made.get("yields", strengths[name].yields) == "none":
-                    made["adaptation"] = 0.0
-                edited = strengths[name].replace(**made)
+                    changed = {"yields": yields_of(axes[name]), "adaptation": axes[name].adaptation}
+                changed |= fields
+                if changed.get("yields", strengths[name].yields) == "none":
+                    changed["adaptation"] = 0.0
+                edited = strengths[name].replace(**changed)
                 self.settings = self.settings.replace(axes={**axes, name: edited})
             case messages.Adaptation(value=eta):
                 for name, axis in axes.items():
@@ -131,9 +134,12 @@ class SettingsEditor:
                 self.firm = on
 
     def describe(self, controller: Controller, q: Array | None = None) -> SettingsView:
-        """Return the settings in force, for the controls; q (n,) [rad] if there was no step yet."""
+        """Return the settings in force, in the form of the page's controls.
+
+        Before the first step of the controller, the joint positions q (n,) [rad] must be given.
+        """
         axes: dict[str, dict[str, Any]] = {
-            name: {key: getattr(axis, key) for key in FIELDS}
+            name: {key: getattr(axis, key) for key in SHOWN_FIELDS}
             for name, axis in controller.axes.items()
         }
         if self.firm:
@@ -149,7 +155,7 @@ class SettingsEditor:
 
     @staticmethod
     def _axes(settings: Settings) -> dict[str, Axis]:
-        """Return the axes of the task; `Settings.axes` lists all six, but only these may change."""
+        """Return the entries of `Settings.axes` for the task axes; it has all six axes."""
         return {name: a for name, a in settings.axes.items() if name in settings.task.names}
 
     def _make(self, name: str) -> Settings:
@@ -159,45 +165,45 @@ class SettingsEditor:
 
 
 def yields_of(axis: Axis) -> Literal["both", "+", "-", "none"]:
-    """Return the pushes to which an axis yields, also if not set explicitly."""
+    """Return `Axis.yields`; if it is None, `both` if the axis has a force cap, else `none`."""
     if axis.yields is not None:
         return axis.yields
     return "none" if axis.soft is None and axis.firm is None else "both"
 
 
 def _is_plain(settings: Settings) -> bool:
-    """Return True if the settings define no axis of their task."""
+    """Return True if the settings leave every axis of their task at the defaults."""
     return all(settings.axes[name] == Axis() for name in settings.task.names)
 
 
-def _within(
+def _limit_speeds(
     makers: dict[str, Callable[[], Settings]], own: Settings
 ) -> dict[str, Callable[[], Settings]]:
-    """Limit the speeds of presets to those of the file."""
+    """Return the functions that make presets, with tool speeds limited to those of `own`."""
 
-    def slow(make: Callable[[], Settings]) -> Callable[[], Settings]:
-        def made() -> Settings:
+    def limited(make: Callable[[], Settings]) -> Callable[[], Settings]:
+        def changed() -> Settings:
             out = make()
-            (speed, turn), (most, most_turn) = out.max_tool_speed, own.max_tool_speed
-            return out.replace(max_tool_speed=(min(speed, most), min(turn, most_turn)))
+            (speed, turn), (max_speed, max_turn) = out.max_tool_speed, own.max_tool_speed
+            return out.replace(max_tool_speed=(min(speed, max_speed), min(turn, max_turn)))
 
-        return made
+        return changed
 
-    return {name: slow(make) for name, make in makers.items()}
+    return {name: limited(make) for name, make in makers.items()}
 
 
 def _presets(axes: str) -> dict[str, Callable[[], Settings]]:
-    """Return the presets; presets with rotations need a task that has them."""
+    """Return, by name, the functions that make the presets; some exist only for six task axes."""
     task = Task(axes=axes)
     names = task.names
 
     def soft(which: str) -> Callable[[], Settings]:
         return lambda: Settings.soft(which, task=task)
 
-    def ready(which: str) -> Callable[[], Settings]:
+    def named(which: str) -> Callable[[], Settings]:
         return lambda: cast("Settings", getattr(Settings, which)(task=task))
 
     out = {f"soft {name}": soft(name) for name in ("y", "x", "z") if name in names}
     out["soft all"] = soft(" ".join(names))
     more = ("door", "drawer", "wipe", "plug", "paper") if len(names) == 6 else ()
-    return {**out, **{name: ready(name) for name in ("firm", "hand_guiding", "hand_over", *more)}}
+    return {**out, **{name: named(name) for name in ("firm", "hand_guiding", "hand_over", *more)}}

@@ -1,4 +1,4 @@
-"""Data from the arm to the page: per scene, per change of settings, thirty times a second."""
+"""Data that the control loop sends to the browser page: scene description, snapshots of the arm."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneInfo:
-    """Data that stay constant until the scene changes.
+    """Description of arm and scene for the page, constant until the scene changes.
 
     Attributes:
-        figure: The arm and its scene as a MuJoCo model, for drawing.
-        arm: Name of the arm.
-        where: `simulated`, or the backend of the joints.
-        axes: Task axes in their order.
-        joints: Joint names.
-        start: Initial generalised positions of the figure.
-        usable: Largest torque of each joint (n,) [N·m].
-        scene: Name of the scene; empty without scenes.
-        scenes: Name and one sentence of every scene.
-        play: Description of `Play` in this scene; empty: none.
-        presets: Names of presets.
-        walls: Planes to be drawn: a point (3,) [m] and the direction (3,) into it.
-        home: First pose of the tool (4, 4).
-        max_push: Largest force [N] and torque [N·m] of the push sliders; None: no pushing.
-        force: Force [N] of the longest arrow.
+        figure: MuJoCo model of the arm and its scene, for drawing.
+        arm: Display name of the arm.
+        where: `simulated`, or the backend of the configuration.
+        axes: Names of the k task axes.
+        joints: Names of the n joints.
+        start: Initial generalised positions (`qpos`) of `figure`.
+        max_torque: Maximum torque of each joint (n,) [N·m].
+        scene: Name of the scene; empty: the arm has no scenes.
+        scenes: Description of every scene by name.
+        play: Label of the button that starts the action of the scene; empty: no action.
+        presets: Names of the presets of settings.
+        walls: Point (3,) [m] and normal (3,) into the wall, for every wall of the scene.
+        home: Pose of the tool at the start (4, 4).
+        max_push: Maximum force [N] and torque [N·m] of the push slider; None for a real arm.
+        force: Force that is drawn as an arrow of full length [N].
         reach: Reach of the arm [m].
-        visuals: Shapes of the arm's URDF.
-        table: Height of the table under the arm [m]; None: not known.
+        visuals: Visual shapes of the arm's URDF.
+        table: Height of the table under the arm, base axes [m]; None: unknown.
     """
 
     figure: Any
@@ -46,7 +46,7 @@ class SceneInfo:
     axes: tuple[str, ...]
     joints: tuple[str, ...]
     start: Array
-    usable: Array
+    max_torque: Array
     scene: str
     scenes: Mapping[str, str]
     play: str
@@ -62,14 +62,15 @@ class SceneInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingsView:
-    """The settings in force, as controls show them.
+    """The settings in force, in the form of the page's controls.
 
     Attributes:
-        law: Law of the controller.
-        preset: The last chosen preset.
-        firm: True while no axis yields.
-        axes: Fields of `pliant.Axis` per task axis, with all arm-dependent values filled in.
-        thresholds: Effective d- and d+ of each axis (k, 2) [m or rad].
+        law: Control law: `cap`, `impedance` or `paper`.
+        preset: Name of the last chosen preset.
+        firm: True if the user has switched off the yielding of all axes.
+        axes: Fields of `pliant.Axis` by task axis; fields that the settings leave open have the
+            values that the controller uses.
+        thresholds: Deviations `soft_until` and `firm_from` that each axis uses (k, 2) [m or rad].
     """
 
     law: str
@@ -81,14 +82,15 @@ class SettingsView:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopTiming:
-    """Timing of the loop since torque on.
+    """Timing of the control loop since torque was switched on.
 
     Attributes:
-        rate: Requested ticks per second [Hz].
-        ticks: Ticks so far.
-        p50, p99, largest: Lateness of ticks [s].
-        missed, stale, refused, restarts: Counts of `pliant.Loop`.
-        delay: Time from a reading to the arrival of the goal [s]; None: not yet measured.
+        rate: Requested control rate [Hz].
+        ticks: Number of ticks so far.
+        p50, p99, largest: Median, 99th percentile and maximum of the lateness of ticks [s].
+        missed, missing, rejected, restarts: Counters of `pliant.Loop`.
+        delay: Time from sampling positions until the servos use the goals computed from them [s];
+            None before it is measured.
         speed: Simulated seconds per real second; 1 for a real arm.
     """
 
@@ -98,8 +100,8 @@ class LoopTiming:
     p99: float = 0.0
     largest: float = 0.0
     missed: int = 0
-    stale: int = 0
-    refused: int = 0
+    missing: int = 0
+    rejected: int = 0
     restarts: int = 0
     delay: float | None = None
     speed: float = 1.0
@@ -107,7 +109,11 @@ class LoopTiming:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """Controller state after a step; arrays as of `pliant.Controller`."""
+    """State of the controller after a step.
+
+    The fields are those of `Controller.diagnostics`, except for three: `target` is the target pose
+    (4, 4), `strength` is `axis_strength` there, and `limit` is `Command.torque_limit`.
+    """
 
     target: Array
     reference: Array
@@ -124,11 +130,11 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class ForceEstimate:
-    """Force at the tool, estimated from joint positions, base axes.
+    """Estimated external force on the tool, in base axes.
 
     Attributes:
-        force: Force and torque (6,) of the surroundings on the tool [N, N·m].
-        bound: Uncertainty of each (6,); inf if it cannot be estimated.
+        force: Force and torque (6,) on the tool [N, N·m].
+        bound: Uncertainty of each component (6,) [N, N·m]; inf: the component is unknown.
     """
 
     force: Array
@@ -136,29 +142,29 @@ class ForceEstimate:
 
     @property
     def significant_force(self) -> Array:
-        """The force (3,) [N] along the axes where it is above its bound; 0 along the others."""
+        """Force (3,) [N], with 0 for every component within its uncertainty."""
         return np.where(np.abs(self.force) > self.bound, self.force, 0.0)[:3]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot:
-    """State of the arm at one time.
+    """State of the arm at one time, which the loop sends to the page.
 
     Attributes:
-        time: On the arm's clock [s].
-        phase: Phase of the arm's life.
-        qpos: Generalised positions of the figure.
-        mocap: Positions and quaternions wxyz of the mocap bodies.
+        time: Time on the arm's clock [s].
+        phase: Phase of the run: `starting`, `running`, `lowering` or `down`.
+        qpos: Generalised positions of the MuJoCo model `SceneInfo.figure`.
+        mocap: Positions (m, 3) [m] and quaternions wxyz (m, 4) of the mocap bodies of that model.
         tool: Pose of the tool (4, 4).
-        step: The controller's step; None without one.
-        pull: Point of application (3,) [m] and force (3,) [N] of the hand; for a real arm, the
-            estimated force at the tool above its uncertainty. None: no hand.
-        felt: Estimated force at the tool; None without a controller.
-        health: Timing of the loop.
-        report: Sentences on the present pose.
-        notice: Number of errors and messages so far, the last one, and True if it is an error.
-        edit: Number of the last processed edit.
-        shown: The settings in force; None before the first.
+        step: State of the controller; None while no controller runs.
+        hand_force: Point of application (3,) [m] and force (3,) [N] of a simulated hand; for a real
+            arm, the significant part of the estimated force on the tool. None: no force.
+        contact_force: Estimated force on the tool; None while no controller runs.
+        health: Timing of the control loop.
+        report: Sentences on the forces that the arm can exert in its pose (`Controller.report`).
+        notice: Message to the user: number of its changes, its text, and True if it is an error.
+        edit: Number of the last change of the settings that was handled.
+        shown: The settings in force; None before the first run.
     """
 
     time: float
@@ -167,8 +173,8 @@ class Snapshot:
     mocap: tuple[Array, Array]
     tool: Array
     step: Step | None
-    pull: tuple[Array, Array] | None
-    felt: ForceEstimate | None
+    hand_force: tuple[Array, Array] | None
+    contact_force: ForceEstimate | None
     health: LoopTiming
     report: tuple[str, ...] = ()
     notice: tuple[int, str, bool] = (0, "", False)

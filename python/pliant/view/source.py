@@ -1,4 +1,4 @@
-"""Sources of the arm behind a page: a configuration, or the simulator with its scenes."""
+"""Sources of the arm for the browser page: a configuration, or a scene with a simulated arm."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Source(ABC):
-    """Source of the arms of a session.
+    """Base class of objects that create the arm for each run of a `Session`.
 
     Attributes:
-        where: `simulated`, or the backend of the joints.
-        axes: Task axes.
+        where: `simulated`, or the backend of the configuration.
+        axes: Names of the task axes, separated by spaces.
         rate: Control rate [Hz].
-        paced: True if its time is simulated and runs in step with real time.
-        settings: Initial settings; None: a preset of the scene.
-        scenes: Scenes by name; empty without.
-        name: Name of the scene.
-        config: The configuration; None without one.
-        urdf: File of the arm's URDF; None if the package contains it.
-        table: Height of the table under the arm [m]; None: not known.
+        paced: True: a simulation must be slowed down to real time.
+        settings: Initial settings; None: those of the preset of the scene.
+        scenes: Scenes by name; empty for a configuration.
+        name: Name of the present scene; empty for a configuration.
+        config: The configuration; None for a simulated scene.
+        urdf: Path of the URDF; None for a URDF in the package.
+        table: Height of the table under the arm, base axes [m]; None: unknown.
     """
 
     where: str
@@ -59,22 +59,22 @@ class Source(ABC):
 
     @property
     def scene(self) -> Scene | None:
-        """The present scene, None without scenes."""
+        """The present scene; None for a configuration, which has no scenes."""
         return self.scenes.get(self.name)
 
     @abstractmethod
     def arm(self) -> Arm:
-        """Return the arm, with its torque unchanged."""
+        """Return a new arm; its torque is not switched on."""
 
 
 class Simulated(Source):
-    """A built-in arm on the simulator, in one of its scenes.
+    """A built-in arm in a simulated scene.
 
     Args:
-        robot: Its name.
-        scene: Initial scene.
+        robot: Name of the built-in arm.
+        scene: Name of the initial scene.
         rate: Control rate [Hz].
-        paced: True: simulated time in step with real time; False: as fast as possible.
+        paced: True: simulate in real time; False: as fast as possible.
 
     Raises:
         ConfigError: The arm or scene does not exist.
@@ -83,7 +83,7 @@ class Simulated(Source):
     def __init__(
         self, robot: str, scene: str = "free", rate: float = 100.0, *, paced: bool = True
     ) -> None:
-        """Load the arm and its scenes."""
+        """Load the model of the arm, and its scenes."""
         self.model, known = scenes(robot)
         if scene not in known:
             raise ConfigError(f"{robot} has no scene {scene!r}; it has {', '.join(known)}")
@@ -93,7 +93,7 @@ class Simulated(Source):
         )
 
     def arm(self) -> Arm:
-        """Return an arm in a new simulation."""
+        """Return the arm in a new simulation of the present scene."""
         scene = self.scenes[self.name]
         plant = Plant(self.model, rate=self.rate, scene=scene.make())
         plant.reset(scene.q)
@@ -101,15 +101,15 @@ class Simulated(Source):
 
 
 class Configured(Source):
-    """The arm of a configuration, on its backend.
+    """The arm of a configuration file, on the backend that the file names.
 
     Args:
         config: The configuration.
-        **options: Options of `pliant.Arm`, in place of the file's.
+        **options: Options of `pliant.Arm` that override those of the file.
     """
 
     def __init__(self, config: Config, **options: Any) -> None:
-        """Read the configuration before any port is opened."""
+        """Take settings and paths from the configuration; no port is opened."""
         settings, path = config.settings(), config.robot.urdf
         super().__init__(
             where=config.backend,
@@ -124,47 +124,50 @@ class Configured(Source):
         self._connect = partial(connect, config, **options)
 
     def arm(self) -> Arm:
-        """Return the arm, on the port that the previous one has closed."""
+        """Return a new arm of the configuration, to be enabled after the last one has closed."""
         return self._connect()
 
 
-#: Largest delay that is caught up [s]; the rest of a longer delay is not.
-SLACK = 0.03
-#: Time window of the speed measurement [s].
-WINDOW = 2.0
+#: Maximum delay of a simulation behind real time that it catches up later [s].
+MAX_LATENESS = 0.03
+#: Time window over which the speed of the simulation is measured [s].
+SPEED_WINDOW = 2.0
 
 
 class RealtimePacer:
-    """Waits after every reading until real time has caught up with the simulation.
+    """Makes a simulation run in real time, by waiting after every reading of the drive.
 
-    If the computer is too slow, the simulation runs in slow motion and no tick is missed.
+    If the computer is too slow, the simulation runs in slow motion, and no tick is missed.
 
     Attributes:
-        lateness: Lateness of every reading.
+        lateness: Histogram of the lateness of readings behind real time.
     """
 
     def __init__(self, clock: Clock) -> None:
-        """Start now."""
+        """Start at the present time of `clock`, the clock of the simulation."""
         self._clock, self._wall = clock, MonotonicClock()
-        self._lag = self._wall.now() - clock.now()
-        self._seen: deque[tuple[float, float]] = deque([(self._wall.now(), clock.now())])
+        self._offset = self._wall.now() - clock.now()
+        self._history: deque[tuple[float, float]] = deque([(self._wall.now(), clock.now())])
         self.lateness = LatenessHistogram()
 
     def wait(self) -> None:
-        """Sleep, or accept the delay if the simulation is late."""
+        """Wait until real time has reached simulated time.
+
+        If the simulation is late by more than `MAX_LATENESS`, the excess is never caught up.
+        """
         now = self._clock.now()
-        late = self._wall.now() - (now + self._lag)
+        late = self._wall.now() - (now + self._offset)
         self.lateness.add(late)
-        if late > SLACK:
-            self._lag += late - SLACK
+        if late > MAX_LATENESS:
+            self._offset += late - MAX_LATENESS
         else:
-            self._wall.wait_until(now + self._lag)
-        self._seen.append((time.perf_counter(), now))
-        while self._seen[-1][0] - self._seen[0][0] > WINDOW:
-            self._seen.popleft()
+            self._wall.wait_until(now + self._offset)
+        self._history.append((time.perf_counter(), now))
+        while self._history[-1][0] - self._history[0][0] > SPEED_WINDOW:
+            self._history.popleft()
 
     @property
     def speed(self) -> float:
-        """Return the simulated seconds per real second, over the last two seconds."""
-        (wall, first), (end, last) = self._seen[0], self._seen[-1]
-        return min((last - first) / (end - wall), 1.0) if end - wall > 0.5 * WINDOW else 1.0
+        """Simulated seconds per real second over the last `SPEED_WINDOW` [1]; at most 1."""
+        (wall, first), (end, last) = self._history[0], self._history[-1]
+        return min((last - first) / (end - wall), 1.0) if end - wall > 0.5 * SPEED_WINDOW else 1.0

@@ -1,4 +1,4 @@
-//! Points, descent, hand guiding and thermal model of an arm: tests with a quasi-static arm and with invalid inputs.
+//! Points, descent, hand guiding, joint follower and thermal model of an arm: tests with a quasi-static arm and with invalid inputs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 mod common;
@@ -6,9 +6,11 @@ mod common;
 use std::sync::Arc;
 
 use common::arm7;
-use pliant_core::arm::{DEFAULT_SPEED, HandGuidingOptions, LoweringPhase, LoweringStart, SwingResult, ThermalOptions};
+use pliant_core::arm::{
+    DEFAULT_SPEED, HandGuidingOptions, JointFollowerOptions, LoweringPhase, LoweringStart, SwingResult, ThermalOptions,
+};
 use pliant_core::kinematics::{ArmPoints, Reference};
-use pliant_core::{HandGuiding, JointVec, Lowering, MAX_JOINTS, Model, Servos, ThermalModel};
+use pliant_core::{Command, HandGuiding, JointFollower, JointVec, Lowering, MAX_JOINTS, Model, Servos, ThermalModel};
 use proptest::prelude::*;
 
 const Q: [f64; 7] = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // [rad]
@@ -80,7 +82,7 @@ fn effective_mass_is_what_an_impulse_meets() {
     let here = points.evaluate(&padded(&Q));
     let dq = padded(&[0.3, -0.8, 0.5, 0.2, -0.4, 0.9, 0.1]);
     let velocity = here.velocity(&dq);
-    let mass = here.effective_mass(&velocity);
+    let mass = here.effective_mass(&velocity, 0.0);
     let inertia = nalgebra::DMatrix::from_fn(7, 7, |i, j| here.inertia()[i][j]).lu();
     for (k, rows) in here.jacobian().iter().enumerate() {
         let speed = velocity[k].iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -92,7 +94,7 @@ fn effective_mass_is_what_an_impulse_meets() {
             assert!((mass[k] * mobility - 1.0).abs() < 1e-9, "point {k}");
         }
     }
-    assert!(here.effective_mass(&here.velocity(&[0.0; MAX_JOINTS])).iter().all(|mass| *mass == 0.0));
+    assert!(here.effective_mass(&here.velocity(&[0.0; MAX_JOINTS]), 0.0).iter().all(|mass| *mass == 0.0));
 }
 
 /// The servos are stiffer or softer than the servo table says; the descent relies on measured positions only.
@@ -197,6 +199,101 @@ fn a_resting_arm_stays_and_a_led_arm_stays_where_it_is_left() {
     }
     let left_at = held(&model, &goal, KP, &q);
     assert!(left_at.iter().zip(&q).all(|(a, b)| (a - b).abs() < 2e-2), "{left_at:?} {q:?}");
+}
+
+const FORCE: f64 = 5.0; // [N]
+
+fn follower(model: &Arc<Model>, max_force: [f64; 3]) -> JointFollower {
+    let options = JointFollowerOptions { max_force, max_tool_speed: 0.6, max_joint_speed: 4.0 };
+    JointFollower::new(Arc::clone(model), &servos(), options).unwrap()
+}
+
+/// Returns the torques that bounded servos with this stiffness exert at q beyond those that carry the arm.
+fn exerted(model: &Model, command: &Command, q: &[f64]) -> Vec<f64> {
+    let gravity = model.gravity(q).unwrap();
+    (0..q.len())
+        .map(|i| {
+            let limit = command.torque_limit()[i];
+            (KP * (command.goal()[i] - q[i])).clamp(-limit, limit) - gravity[i]
+        })
+        .collect()
+}
+
+#[test]
+fn a_follower_at_its_target_carries_the_arm_and_nothing_else() {
+    let model = Arc::new(arm7());
+    let mut follower = follower(&model, [FORCE; 3]);
+    for _ in 0..10 {
+        let command = follower.step(&Q, &Q, DT).unwrap();
+        assert!(exerted(&model, &command, &Q).iter().all(|torque| torque.abs() < 1e-12));
+    }
+}
+
+#[test]
+fn a_blocked_follower_pushes_with_its_force_and_does_not_wind_up() {
+    let model = Arc::new(arm7());
+    let jacobian = model.jacobian(&Q, Reference::WorldAligned).unwrap();
+    let friction = servos().for_joints(7).unwrap().friction;
+    for axis in 0..3 {
+        let mut max_force = [0.0; 3];
+        max_force[axis] = FORCE;
+        let mut follower = follower(&model, max_force);
+        let target: Vec<f64> = (0..7).map(|i| Q[i] + 0.3 * jacobian[(axis, i)].signum()).collect();
+        let mut command = follower.step(&Q, &target, DT).unwrap();
+        for _ in 0..500 {
+            command = follower.step(&Q, &target, DT).unwrap();
+        }
+        for (i, torque) in exerted(&model, &command, &Q).iter().enumerate() {
+            let lever = jacobian[(axis, i)].abs().max(0.1 * jacobian[(axis + 3, i)].abs());
+            let most = FORCE * lever + friction[i];
+            assert!((torque.abs() - most).abs() < 1e-9, "axis {axis}, joint {i}: {torque} and {most}");
+            assert!((command.goal()[i] - Q[i]).abs() < 0.2, "joint {i} wound up to {}", command.goal()[i]);
+        }
+        // The force vanishes within the time in which the reference returns.
+        for _ in 0..20 {
+            command = follower.step(&Q, &Q, DT).unwrap();
+        }
+        assert!(exerted(&model, &command, &Q).iter().all(|torque| torque.abs() < 0.1), "{command:?}");
+    }
+}
+
+#[test]
+fn a_follower_keeps_its_speed_limits_and_the_position_limits() {
+    let model = Arc::new(arm7());
+    let mut follower = follower(&model, [f64::INFINITY; 3]);
+    let far: Vec<f64> = Q.iter().map(|q| q + 9.0).collect();
+    let (mut q, mut fastest) = (Q.to_vec(), 0.0_f64);
+    for _ in 0..2000 {
+        let command = follower.step(&q, &far, DT).unwrap();
+        let next = held(&model, command.goal(), KP, &q);
+        let before = model.forward_kinematics(&q).unwrap().position;
+        let after = model.forward_kinematics(&next).unwrap().position;
+        let path: f64 = before.iter().zip(&after).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        fastest = fastest.max(path / DT);
+        q = next;
+    }
+    // The feed-forward of damping adds to the goals while they accelerate.
+    assert!(fastest > 0.3 && fastest < 0.8, "{fastest} m/s");
+    assert!(q.iter().zip(model.upper()).all(|(q, upper)| *q < upper + 1e-2), "{q:?}");
+}
+
+#[test]
+fn a_follower_refuses_what_it_cannot_follow() {
+    let model = Arc::new(arm7());
+    let mut follower = follower(&model, [FORCE; 3]);
+    follower.reset(&Q).unwrap();
+    let before = follower.clone().step(&Q, &Q, DT).unwrap();
+    assert!(follower.step(&Q[..6], &Q, DT).unwrap_err().to_string().contains("q has shape (6,)"));
+    assert!(follower.step(&Q, &[f64::NAN; 7], DT).unwrap_err().to_string().contains("q_target[0]"));
+    assert!(follower.step(&Q, &Q, 0.0).unwrap_err().to_string().contains("dt"));
+    assert!(follower.reset(&[f64::INFINITY; 7]).is_err());
+    assert_eq!(follower.step(&Q, &Q, DT).unwrap(), before);
+    let mut options = *follower.options();
+    options.max_force[1] = -1.0;
+    assert!(follower.set_options(options).unwrap_err().to_string().contains("max_force[1]"));
+    options.max_force = [FORCE; 3];
+    options.max_tool_speed = f64::NAN;
+    assert!(follower.set_options(options).unwrap_err().to_string().contains("max_tool_speed"));
 }
 
 #[test]

@@ -6,13 +6,13 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 
-use pliant_core::arm::{DEFAULT_SPEED, HandGuidingOptions, LoweringStart, SwingResult};
+use pliant_core::arm::{DEFAULT_SPEED, HandGuidingOptions, JointFollowerOptions, LoweringStart, SwingResult};
 use pliant_core::kinematics::ArmPoints;
 use pliant_core::params::{
     Axis, CompliantSide, Follow, Frame, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Projector, Task,
     Tracking,
 };
-use pliant_core::{Controller, HandGuiding, Lowering, ModelOptions, Settings, StepInput};
+use pliant_core::{Controller, HandGuiding, JointFollower, Lowering, ModelOptions, Settings, StepInput};
 
 #[path = "common/seeded.rs"]
 mod seeded;
@@ -217,7 +217,7 @@ fn laws_of_an_arm_do_not_allocate() {
         torque_share: 0.3,
         payload_moments: [0.1, 0.0, 0.0, 0.01],
     };
-    let mut guiding = HandGuiding::new(model, &servos, &zeros, &swing, options).unwrap();
+    let mut guiding = HandGuiding::new(Arc::clone(&model), &servos, &zeros, &swing, options).unwrap();
     let count = calls(|| {
         for tick in 0..200 {
             position[0] = 0.2 + 0.002 * f64::from(tick.min(100));
@@ -225,4 +225,14 @@ fn laws_of_an_arm_do_not_allocate() {
         }
     });
     assert_eq!(count, 0, "hand guiding");
+
+    let options = JointFollowerOptions { max_force: [4.0; 3], max_tool_speed: 0.6, max_joint_speed: 4.0 };
+    let mut follower = JointFollower::new(model, &servos, options).unwrap();
+    let count = calls(|| {
+        for tick in 0..200 {
+            position[0] = 0.2 + 0.002 * f64::from(tick.min(100));
+            follower.step(&position, &q, 0.01).unwrap();
+        }
+    });
+    assert_eq!(count, 0, "joint follower");
 }

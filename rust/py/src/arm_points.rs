@@ -52,7 +52,7 @@ impl ArmPoints {
     #[doc = stub!(ArmPoints.effective_mass)]
     fn effective_mass<'py>(&self, q: &Bound<'py, PyAny>, dq: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let here = self.core.evaluate(&joints("q", q, self.n)?);
-        let mass = here.effective_mass(&here.velocity(&joints("dq", dq, self.n)?));
+        let mass = here.effective_mass(&here.velocity(&joints("dq", dq, self.n)?), 0.0);
         let count = here.position().len();
         Ok(new_array(q.py(), &[count], &mass[..count]))
     }

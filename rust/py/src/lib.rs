@@ -18,6 +18,7 @@ mod functions;
 mod groups;
 mod hand_guiding;
 mod in_use;
+mod joint_follower;
 mod kinds;
 mod kinematics;
 mod lowering;
@@ -65,6 +66,8 @@ mod _core {
     use crate::groups::{Compensation, NullSpace, PaperOptions, TorqueLimits, Tracking};
     #[pymodule_export]
     use crate::hand_guiding::HandGuidingLaw;
+    #[pymodule_export]
+    use crate::joint_follower::JointFollower;
     #[pymodule_export]
     use crate::lowering::{Lowering, torque_margin};
     #[pymodule_export]

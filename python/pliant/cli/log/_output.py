@@ -1,11 +1,11 @@
-"""Checks of the output file of `pliant log plot` and `pliant log export`."""
+"""Checks of the file that `pliant log plot` and `pliant log export` write."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from pliant._core import ConfigError
-from pliant.cli._flags import check_written
+from pliant.cli._flags import check_writable
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,7 +17,7 @@ def check_output(output: Path | None, command: str, suffixes: tuple[str, ...], h
     """Check that `--output` has a supported suffix and an existing folder.
 
     Raises:
-        ConfigError: It does not.
+        ConfigError: The suffix is not supported, or the folder does not exist.
     """
     if output is None:
         return
@@ -31,11 +31,12 @@ def check_output(output: Path | None, command: str, suffixes: tuple[str, ...], h
 
 
 def check_data(log: Path, data: Log, file: Path, kind: str) -> None:
-    """Check that a log has ticks and that the file may be written.
+    """Check that a log has ticks (control cycles) and that the output file can be written.
 
     Raises:
-        ConfigError: The log has no ticks, or see `pliant._files.check_output`.
+        ConfigError: The log has no ticks; or the output file cannot be written, is the log itself,
+            or exists and is not of this kind.
     """
-    check_written(file, kind, [log])
+    check_writable(file, kind, [log])
     if not len(data):
         raise ConfigError(f"{log} has no ticks")

@@ -1,4 +1,4 @@
-"""`pliant log export`: a log as a table, one row per tick."""
+"""`pliant log export`: convert a log to a table with one row per control cycle."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ def run(log: LogFile, *, output: File = None, parquet: bool = False) -> None:
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
-        output: File to write, by default beside the log. A table: .npz, or .parquet with --parquet.
-        parquet: Write Parquet for pandas, polars, DuckDB (needs pyarrow) instead of NumPy's npz.
+        output: Output file or folder. A file .npz, or .parquet with --parquet. Default: beside the
+            log.
+        parquet: Write Parquet instead of NumPy's npz (needs pyarrow).
     """
     from pliant.log import read
 
@@ -44,7 +45,7 @@ def run(log: LogFile, *, output: File = None, parquet: bool = False) -> None:
 
 
 def _parquet(file: Path, log: Log) -> None:
-    """Write one column per number, with the names of joints and axes."""
+    """Write a Parquet file; each quantity of the log has one column per joint or task axis."""
     try:
         import pyarrow as pa
         from pyarrow import parquet

@@ -1,4 +1,4 @@
-"""`pliant log info`: the contents of a log in words."""
+"""`pliant log info`: print a summary of a log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def run(log: LogFile) -> None:
-    """Show how long a log is, which joints and axes it has, and what stands out.
+    """Print length, joints, axes, timing, largest deviations and torque saturation of a log.
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
@@ -31,7 +31,7 @@ def run(log: LogFile) -> None:
 
 
 def _lines(path: Path, log: Log) -> list[str]:
-    """Return lines that describe the contents of a log."""
+    """Return the lines of the printed summary of a log."""
     run, axes = log.run, log.run["axes"]
     span = float(log.time[-1] - log.time[0]) if len(log) else 0.0
     lines = [

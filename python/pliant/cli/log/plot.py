@@ -1,4 +1,4 @@
-"""`pliant log plot`: a picture of a log's joints and task."""
+"""`pliant log plot`: plot joints and task axes of a log over time."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from pliant.log import Log
 
-#: Supported suffixes.
-PICTURES = (".png", ".svg", ".pdf")
-#: Figures of a log: columns and axis labels.
+#: Supported suffixes of the output file.
+SUFFIXES = (".png", ".svg", ".pdf")
+#: For each half of the picture: the plotted columns of the log with the labels of their y axes.
 FIGURES = {
     "joints": (
         ("q", "position [rad]"),
@@ -33,15 +33,15 @@ FIGURES = {
 
 
 def run(log: LogFile, *, output: File = None) -> None:
-    """Draw joints and task over time.
+    """Plot joints and task axes over time.
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
-        output: File to write, by default beside the log. A picture: .png, .svg or .pdf.
+        output: Output file or folder. A file .png, .svg or .pdf; default: beside the log.
     """
     from pliant.log import read
 
-    check_output(output, "pliant log plot", PICTURES, "")
+    check_output(output, "pliant log plot", SUFFIXES, "")
     data = read(log)
     file = output or log.with_suffix(".png")
     check_data(log, data, file, "picture")
@@ -51,7 +51,7 @@ def run(log: LogFile, *, output: File = None) -> None:
 
 
 def _plot(file: Path, log: Log) -> None:
-    """Plot the joints on the left, the task on the right."""
+    """Draw the quantities of a log over time to a file: joints on the left, task axes right."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

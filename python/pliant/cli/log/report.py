@@ -1,10 +1,10 @@
-"""`pliant log report`: why an arm was soft or not, as a page."""
+"""`pliant log report`: write an HTML report on the compliance in a log."""
 
 from __future__ import annotations
 
 from pliant._files import check_output
 from pliant.cli._console import print_line
-from pliant.cli._flags import File, LogFile, check_written
+from pliant.cli._flags import File, LogFile, check_writable
 
 
 def run(
@@ -12,12 +12,12 @@ def run(
     *,
     output: File = None,
 ) -> None:
-    """Write a page that says why the arm was soft or not.
+    """Write an HTML report that explains why the arm yielded or not.
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.
-        output: File to write, by default beside the log. A folder with report.html and its
-            pictures.
+        output: Output file or folder. A folder for report.html and pictures; default: beside the
+            log.
     """
     from pliant.log import read
     from pliant.log.report import report
@@ -25,7 +25,7 @@ def run(
     data = read(log)
     folder = output or log.with_name(f"{log.stem}_report")
     if folder.is_dir():
-        check_written(folder / "report.html", "page", [log])
+        check_writable(folder / "report.html", "page", [log])
     else:
         check_output(folder, "page", [log])
     page = report(data, folder, title=log.stem)

@@ -1,4 +1,4 @@
-"""`pliant log verify`: run the controller of a log again and compare every command."""
+"""`pliant log verify`: recompute the commands of a log and compare them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pliant.cli._flags import LogFile
 
 
 def run(log: LogFile) -> None:
-    """Run the controller again on the logged positions and compare every command.
+    """Run the controller again on the logged positions, and compare its commands with the log.
 
     Args:
         log: MCAP file of `pliant run --log` or `pliant.log.Recorder`.

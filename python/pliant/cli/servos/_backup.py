@@ -1,4 +1,4 @@
-"""Backups of `pliant servos setup`: saving, loading, and checks before a restore."""
+"""Backup files of `pliant servos setup` (old register values): save, load and check them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ if TYPE_CHECKING:
 
     from pliant.servo import ServoSpec
 
-#: Format of a file; before, it was the bare list of changes without models.
+#: Format of a backup file. Format 1 was a JSON list of changes without servo models.
 FORMAT = "pliant servos setup 2"
+#: Types of the required fields of an entry, which is the change of one register.
 _KINDS = {"joint": str, "id": int, "register": str, "old": int, "new": int, "why": str}
 
 
 def save(path: Path, arm: str, planned: Sequence[RegisterChange]) -> None:
-    """Save the old values before a change.
+    """Save the planned register changes of an arm, with the old values, as a new file.
 
     Raises:
         ConfigError: The file exists.
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     if path.exists():
         raise ConfigError(f"{path} exists: old values would be lost; give another --backup")
@@ -35,12 +36,12 @@ def save(path: Path, arm: str, planned: Sequence[RegisterChange]) -> None:
 
 
 def load(path: Path, arm: str) -> list[RegisterChange]:
-    """Load the changes of a backup.
+    """Return the register changes in a backup file.
 
     Raises:
-        ConfigError: It is another arm's.
-        FileNotFoundError: It does not exist.
-        ServoError: It is no backup.
+        ConfigError: The backup belongs to another arm.
+        FileNotFoundError: The file does not exist.
+        ServoError: The file is not a backup file.
     """
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
@@ -62,11 +63,16 @@ def load(path: Path, arm: str) -> list[RegisterChange]:
 
 
 def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpec]) -> None:
-    """Check that every old value belongs to a servo of the arm and can be written to it.
+    """Check that every old value of a backup can be written to a servo of the arm.
+
+    Args:
+        path: Path of the backup, for error messages.
+        former: Register changes in the backup.
+        specs: Servos of the arm.
 
     Raises:
-        ConfigError: A servo is not configured or is another model, a register is none that setup
-            writes or comes twice, or a value does not fit it.
+        ConfigError: A servo is not configured or has another model; a register is not one that
+            `pliant servos setup` writes, or occurs twice; or a value is out of range.
     """
     rows = {(spec.name, number): spec.row for spec in specs for number, _ in spec.servos}
     strange = dict.fromkeys(f"{c.joint} (id {c.id})" for c in former if (c.joint, c.id) not in rows)
@@ -102,7 +108,7 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
 
 
 def _change(entry: Any) -> RegisterChange:
-    """Parse one entry; all fields are required, except the model."""
+    """Return the register change in one entry of a backup; only the field `model` is optional."""
     kinds = {**_KINDS, "model": str}
     if not isinstance(entry, dict) or not set(_KINDS) <= set(entry) <= set(kinds):
         raise TypeError(f"an entry has {', '.join(f.name for f in fields(RegisterChange))}")

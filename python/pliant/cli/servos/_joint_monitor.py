@@ -1,4 +1,4 @@
-"""`pliant servos doctor --watch`: readings of joints moved by hand with torque off."""
+"""`pliant servos doctor --watch`: show joint angles while a hand moves the arm, torque off."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
     from pliant.config import Config
 
 
-#: Period of the readings [s].
+#: Time between two readings of the joint angles [s].
 PERIOD = 0.1
-#: Rotation above which a joint counts as moved [rad].
+#: Change of the angle above which a joint counts as moved [rad].
 MIN_MOTION = 0.05
-#: Distance beyond a limit up to which a joint counts as at the limit [rad].
+#: Angle by which a joint may exceed a position limit before it counts as out of range [rad].
 LIMIT_TOLERANCE = 0.01
 
 
 class JointMonitor:
-    """Motion of the joints since their first reading.
+    """Angles of all joints, and the expected motion of the tool for each joint.
 
     Attributes:
         model: The robot.
-        names: Joints of the drive, grippers included.
-        position: Last readings (N,) [rad]; NaN for a joint without a reply so far.
-        last_motion: Sentence on the last moved joint and the expected motion of the tool.
+        names: Names of the joints (N), grippers included.
+        position: Last measured angles (N,) [rad]; NaN for a joint that has never replied.
+        last_motion: Sentence on the joint that moved last and the expected motion of the tool.
     """
 
     def __init__(self, config: Config, model: Model, names: tuple[str, ...]) -> None:
-        """Start without readings."""
+        """Create a monitor without readings."""
         self.model, self.names = model, names
         self._up = -np.array(config.robot.gravity)
         self._limits = {
@@ -60,7 +60,10 @@ class JointMonitor:
         self.last_motion = ""
 
     def update(self, position: Array, ok: Mask) -> bool:
-        """Take a reading; return True if a joint has moved since the last report."""
+        """Process readings (N,) [rad], valid where `ok` is True; return True if a joint has moved.
+
+        A joint has moved if it differs by `MIN_MOTION` from its angle when True was last returned.
+        """
         self.position = np.where(ok, position, self.position)
         self._reference = np.where(np.isnan(self._reference), self.position, self._reference)
         motion = np.nan_to_num(self.position - self._reference)
@@ -73,28 +76,28 @@ class JointMonitor:
 
     @property
     def rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Joint, angle, limits, and expected motion of the tool as the angle grows."""
+        """Yield per joint: name, angle, limits, and tool motion expected as the angle grows."""
         phrases = self._directions()
         for name, q in zip(self.names, self.position, strict=True):
             low, high = self._limits.get(name, (-np.inf, np.inf))
             span = f"{low:+.2f} to {high:+.2f}" if np.isfinite([low, high]).all() else "none"
-            odd = (
+            outside = (
                 ""
                 if np.isnan(q) or low - LIMIT_TOLERANCE <= q <= high + LIMIT_TOLERANCE
                 else ", outside"
             )
             angle = "no answer" if np.isnan(q) else f"{q:+.2f} rad ({np.degrees(q):+.0f}°)"
-            yield name, angle, span + odd, phrases.get(name, "")
+            yield name, angle, span + outside, phrases.get(name, "")
 
     @property
     def tool(self) -> str:
-        """Position of the tool by the model."""
+        """Return a sentence with the position of the tool [m], by forward kinematics."""
         x, y, z = self.model.forward_kinematics(self._chain())[:3, 3]
         return f"tool at x {x:+.3f}, y {y:+.3f}, z {z:+.3f} m in {self.model.base}"
 
     @property
     def rest(self) -> str:
-        """The pose as a line for a configuration file; empty until all joints have replied."""
+        """Return the line `rest_q = [...]` with the present pose; "" until all joints replied."""
         known = dict(zip(self.names, self.position.tolist(), strict=True))
         pose = [known[name] for name in self.model.joint_names]
         if np.isnan(pose).any():
@@ -114,18 +117,18 @@ class JointMonitor:
         return dict(zip(self.model.joint_names, phrases, strict=True))
 
     def _chain(self) -> Array:
-        """Return the angles of the chain (n,) [rad]; 0 for joints without a reply."""
+        """Return the joint positions (n,) [rad] without grippers; 0 for joints without a reply."""
         known = dict(zip(self.names, np.nan_to_num(self.position), strict=True))
         return np.array([known[name] for name in self.model.joint_names])
 
 
 def watch(config: Config, console: Console, seconds: float | None) -> None:
-    """Show the joints until Ctrl-C, or for a time [s]; nothing is written to the servos.
+    """Show the joint angles until Ctrl-C, or for a time [s]; nothing is written to the servos.
 
-    Without a terminal there is a line whenever a joint has been moved.
+    A terminal shows a live table; other outputs get a line whenever a joint has moved.
 
     Raises:
-        ServoError: A port cannot be opened, or a servo is missing or cannot be driven.
+        ServoError: A port cannot be opened, or a servo is missing or unsuitable.
     """
     model = config.model()
     drive: Any = factory.make_drive(config, model)
@@ -147,14 +150,14 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
                 first = False
                 time.sleep(PERIOD)
     except KeyboardInterrupt:
-        pass  # the usual end
+        pass  # Ctrl-C is the normal end
     finally:
         drive.close()
         _end(console, monitor)
 
 
 def _end(console: Console, monitor: JointMonitor | None) -> None:
-    """Print the final pose, to copy into the configuration."""
+    """Print the final pose as the line `rest_q = [...]` for the configuration file."""
     if monitor is not None and monitor.rest:
         print_line(
             "If this is where the arm shall rest, write it under [life] of its file:", console
@@ -163,7 +166,7 @@ def _end(console: Console, monitor: JointMonitor | None) -> None:
 
 
 def _begin(console: Console, on: list[str]) -> None:
-    """Print instructions, and the joints whose torque is on."""
+    """Print instructions to the user, and the names `on` of joints whose torque is still on."""
     print_line(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
         "as its angle grows the tool must go where its line says. If it goes the other way, turn "
@@ -202,49 +205,49 @@ def _lines(console: Console, monitor: JointMonitor, *, first: bool, moved: bool)
         print_line(line, console)
 
 
-#: Tool motion below which a joint only turns the tool in place [m/rad].
-IN_PLACE = 0.02
-#: Least share of the motion from which on an axis is named.
+#: Tool translation per joint angle below which a joint is said to rotate the tool in place [m/rad].
+MIN_TRANSLATION = 0.02
+#: Minimum ratio of a vector component to the norm; smaller components are not shown in the text.
 MIN_SHARE = 0.3
 
 
 def joint_directions(
     model: Model, q: ArrayLike, *, up: ArrayLike, falling: bool = False
 ) -> tuple[str, ...]:
-    """Describe the motion of the tool as each joint angle grows, in base axes.
+    """Describe the motion of the tool as each joint angle grows, from the geometric Jacobian.
 
-    From the columns of the geometric Jacobian: the axes with most of the motion, with signs; if the
-    tool turns in place, the axes of rotation.
+    Each phrase gives the largest components of the linear motion, in base axes. For a joint that
+    only rotates the tool in place, the phrase gives the axes of rotation.
 
     Args:
         model: The robot.
         q: Joint positions (n,) [rad].
-        up: Upward vector (3,) in base axes; the axis along it is also labelled up or down.
-        falling: Describe the motion for a falling angle instead.
+        up: Upward vector (3,) in base axes; a component along it is labelled up or down.
+        falling: True to describe the motion as the joint angle decreases.
 
     Returns:
-        One phrase per joint, `goes +x 0.11, -z (down) 0.30 m/rad`.
+        One phrase per joint, such as `goes +x 0.11, -z (down) 0.30 m/rad`.
     """
     columns = np.asarray(model.jacobian(q)).T * (-1.0 if falling else 1.0)
-    rise = np.asarray(up, dtype=np.float64)
-    rise = rise / max(float(np.linalg.norm(rise)), 1e-9)
-    return tuple(_direction(column[:3], column[3:], rise) for column in columns)
+    up_axis = np.asarray(up, dtype=np.float64)
+    up_axis = up_axis / max(float(np.linalg.norm(up_axis)), 1e-9)
+    return tuple(_direction(column[:3], column[3:], up_axis) for column in columns)
 
 
 def _direction(linear: Array, angular: Array, up: Array) -> str:
-    if np.linalg.norm(linear) >= IN_PLACE:
+    if np.linalg.norm(linear) >= MIN_TRANSLATION:
         return f"goes {_axes(linear, up, numbers=True)} m/rad"
     return f"turns in place about {_axes(angular, up, numbers=False)}, as a screw goes in"
 
 
 def _axes(vector: Array, up: Array, *, numbers: bool) -> str:
-    """Format the large components of a vector, the largest first."""
+    """Return the large components of a vector (3,) as text, the largest first."""
     size, parts = np.abs(vector), []
     for axis in np.argsort(-size):
         if size[axis] >= MIN_SHARE * np.linalg.norm(vector):
             sign = 1.0 if vector[axis] > 0.0 else -1.0
-            tilt = sign * up[axis]
-            word = " (up)" if tilt > 0.9 else " (down)" if tilt < -0.9 else ""
+            upward = sign * up[axis]
+            word = " (up)" if upward > 0.9 else " (down)" if upward < -0.9 else ""
             number = f" {size[axis]:.2f}" if numbers else ""
             parts.append(f"{'+' if sign > 0.0 else '-'}{'xyz'[axis]}{word}{number}")
     return ", ".join(parts)

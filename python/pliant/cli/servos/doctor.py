@@ -10,7 +10,9 @@ from pliant.cli._flags import ArmName, ConfigFlags, Seconds, check_duration
 from pliant.cli.servos._joint_monitor import watch as watch_joints
 from pliant.config.doctor import examine
 
+#: Printed mark, with its colour, of each level of a finding.
 MARKS = {"good": "[green]ok  [/]", "note": "[yellow]note[/]", "bad": "[red]bad [/]"}
+#: Last line of the output if no problem was found on real or emulated servos.
 READY = (
     "ready, but for what no program sees: whether each joint is counted the right way round. "
     "Before torque comes on: the same command with --watch"
@@ -24,32 +26,34 @@ def run(
     watch: bool = False,
     duration: Seconds = None,
 ) -> None:
-    """Look at files, ports, servos and this machine; nothing is written and nothing moves.
+    """Check files, ports, servos and this machine; nothing is written and nothing moves.
 
-    Which way round a joint is counted no program sees: --watch shows the angles while a hand moves
-    the joints, and which way the tool must go as each grows.
+    The sign of a joint needs a check by eye: --watch shows the angles while a hand moves the
+    joints, and the direction in which the tool must move as each angle grows.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         override: Values that replace those of the configuration file.
-        watch: Show the joints, torque off, until Ctrl-C: to check their directions by eye.
-        duration: Ends by itself after this time [s]. Needs --watch.
+        watch: Show the joint angles until Ctrl-C, with torque off.
+        duration: Time after which the command ends [s]. Needs --watch.
     """
     if duration is not None and not watch:
         raise ConfigError("--duration belongs to --watch, which was not given")
     check_duration(duration)
-    console, bad = Console(), 0
-    read = override.load(arm)
+    console, problem_count = Console(), 0
+    arm_config = override.load(arm)
     if watch:
-        watch_joints(read, console, duration)
+        watch_joints(arm_config, console, duration)
         return
-    for finding in examine(read):
-        bad += finding.level == "bad"
+    for finding in examine(arm_config):
+        problem_count += finding.level == "bad"
         console.print(
             f"{MARKS[finding.level]} [bold]{escape(finding.about)}[/]: {escape(finding.text)}",
             soft_wrap=True,
             highlight=False,
         )
-    if bad:
-        raise PliantError(f"not ready: {bad} {'problem' if bad == 1 else 'problems'} to fix")
-    console.print("ready" if read.backend == "sim" else READY, highlight=False)
+    if problem_count:
+        raise PliantError(
+            f"not ready: {problem_count} {'problem' if problem_count == 1 else 'problems'} to fix"
+        )
+    console.print("ready" if arm_config.backend == "sim" else READY, highlight=False)

@@ -1,25 +1,33 @@
-"""`pliant servos emulate`: emulate the servos of a configuration on a virtual port."""
+"""`pliant servos emulate`: emulate the servos of a configuration on virtual serial ports."""
 
 from __future__ import annotations
 
 import signal
 import time
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
 from rich.console import Console
 
 from pliant._core import ConfigError
 from pliant._priority import raise_priority
 from pliant.cli._flags import ArmName, FileFlags, Seconds, check_duration
-from pliant.emulator import Faults, Timing
+from pliant.emulator import Faults, JointHand, Timing, ranges, wave
 
-#: Signals of a service manager, of a closing terminal, and Ctrl-\\.
-ENDS = tuple(
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from pliant.config import Config
+
+#: Motion of the emulated hand that moves the arm; None: no hand.
+Hand = Annotated[str | None, tyro.conf.arg(metavar="wave|ranges|FILE")]
+#: Signals that end the command, besides Ctrl-C: from a service manager, a closed terminal, Ctrl-\\.
+END_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
 )
 
-#: Reply latency above which a warning is printed [s]; LeRobot's timeout is 50 ms.
-LATE = 0.020
+#: Delay of an emulated reply above which a warning is printed [s]; LeRobot gives up after 0.050 s.
+MIN_REPORTED_LATENCY = 0.020
 
 
 def run(
@@ -28,20 +36,24 @@ def run(
     timing: Literal["off", "wire", "usb"] = "off",
     lose: float = 0.0,
     seed: int = 0,
+    hand: Hand = None,
     duration: Seconds = None,
     override: FileFlags,
 ) -> None:
-    """Emulate an arm's servos, with the simulated arm behind them, until Ctrl-C.
+    """Emulate the servos of a simulated arm on virtual serial ports until Ctrl-C.
 
-    Prints the path of each port: open it with any driver, or with `pliant view ARM --port PATH`.
+    The command prints the path of each port, for any driver or `pliant view ARM --port PATH`.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        timing: How long bytes take: not at all, as on the wire, or as through an FTDI adapter whose
-            latency timer is 16 ms.
-        lose: Share of the answers that get lost.
-        seed: Of all chance.
-        duration: Ends by itself after this time [s].
+        timing: Transmission time of bytes: off for none, wire as at the baud rate, usb also with
+            the 16 ms latency timer of an FTDI adapter.
+        lose: Share of the replies that get lost (0 to 1).
+        seed: Seed of the random faults.
+        hand: A hand that moves the arm, also without torque: wave swings every joint, ranges leads
+            each joint through its range (for lerobot-calibrate; without a table), or a motion of
+            `pliant teach`, forth and back. Default: the arm is held until its torque comes on.
+        duration: Time after which the command ends [s].
         override: Values that replace those of the configuration file.
     """
     from pliant.config.factory import make_emulator
@@ -49,35 +61,73 @@ def run(
     if not 0.0 <= lose <= 1.0:
         raise ConfigError(f"--lose is a share from 0 to 1, got {lose:g}")
     check_duration(duration)
-    read = override.load(arm, backend="emulator")
+    arm_config = override.load(arm, backend="emulator")
+    if hand == "ranges":
+        robot = arm_config.robot.model_copy(update={"table": None})
+        arm_config = arm_config.model_copy(update={"robot": robot})
+    moved_by = None if hand is None else JointHand(_motion(hand, arm_config))
     latency = 0.016 if timing == "usb" else 0.0
-    chosen = Timing(wire=timing != "off", usb_latency=latency)
+    bus_timing = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
-    # Remove the ports after any signal, as after Ctrl-C.
     raise_priority()
-    former = {number: signal.signal(number, _ended) for number in ENDS}
+    # Turn these signals into SystemExit, so that the virtual ports are removed after a signal too.
+    old_handlers = {number: signal.signal(number, _exit_on_signal) for number in END_SIGNALS}
     try:
-        with make_emulator(read, timing=chosen, faults=Faults(seed=seed, lose=lose)) as bus:
+        with make_emulator(
+            arm_config, timing=bus_timing, faults=Faults(seed=seed, lose=lose), hand=moved_by
+        ) as bus:
             for name, path in bus.ports.items():
                 console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
-            notice = "the arm is held until its torque comes on; Ctrl-C ends"
-            console.print(notice, style="dim")
+            what = "is held until its torque comes on" if hand is None else "is moved by a hand"
+            console.print(f"the arm {what}; Ctrl-C ends", style="dim")
             end = None if duration is None else time.monotonic() + duration
-            threshold = LATE
+            threshold = MIN_REPORTED_LATENCY
             while end is None or time.monotonic() < end:
                 time.sleep(0.1)
-                if (late := bus.late) > threshold:
-                    threshold = 2.0 * late  # a warning only per doubling of the latency
+                if (lateness := bus.late) > threshold:
+                    threshold = 2.0 * lateness  # warn again only when the lateness has doubled
                     console.print(
-                        f"this computer is busy: an answer left {late * 1e3:.0f} ms late, and "
+                        f"this computer is busy: an answer left {lateness * 1e3:.0f} ms late, and "
                         "drivers may take that for a lost one",
                         style="yellow",
                     )
     finally:
-        for number, handler in former.items():
+        for number, handler in old_handlers.items():
             signal.signal(number, handler)
 
 
-def _ended(number: int, _: object) -> None:
-    """Exit with the shell's code for a signal."""
+def _motion(hand: str, arm_config: Config) -> Callable[[float], Mapping[str, float]]:
+    """Return the motion named by `--hand`: a function from time [s] to joint positions by name.
+
+    Raises:
+        ConfigError: The file is not a motion file, or its joints are not those of the arm.
+    """
+    from pliant.config.factory import gripper_configs, start_pose
+    from pliant.teach import Motion
+
+    model = arm_config.model()
+    start = dict(zip(model.joint_names, start_pose(arm_config, model).tolist(), strict=True))
+    for name, gripper in gripper_configs(arm_config).items():
+        if gripper.opened is not None and gripper.closed is not None:
+            start[name] = 0.5 * (gripper.opened + gripper.closed)
+    if hand in ("wave", "ranges"):
+        return (wave if hand == "wave" else ranges)(model, start)
+    motion = Motion.load(hand)
+    unknown = [name for name in motion.joints if name not in start]
+    if unknown:
+        raise ConfigError(
+            f"--hand {hand}: a motion of other joints ({', '.join(motion.joints)}); this arm has "
+            f"{', '.join(start)}. Or choose wave or ranges"
+        )
+
+    def forth_and_back(time: float) -> Mapping[str, float]:
+        turn, within = divmod(time, motion.duration)
+        at = within if turn % 2 == 0 else motion.duration - within
+        return start | dict(zip(motion.joints, motion.at(at).tolist(), strict=True))
+
+    return forth_and_back
+
+
+def _exit_on_signal(number: int, _: object) -> None:
+    """Exit with the code that a shell reports for a signal: 128 plus its number."""
     raise SystemExit(128 + number)

@@ -1,4 +1,4 @@
-"""`pliant servos scan`: find servos by port, speed and id."""
+"""`pliant servos scan`: find the servos on all ports, at all baud rates, with their ids."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pliant.servo.scan import ALL, BAUDRATES, USUAL, ScannedServo, scan
 
 
 def run(*, port: Device = None, baud: int | None = None, deep: bool = False) -> None:
-    """Ask every id at every usual speed, in both protocols; nothing is written.
+    """Find servos by asking every id at every usual speed, in both protocols; nothing is written.
 
     Args:
-        port: Serial port. Default: all of this machine.
-        baud: Only this speed [bit/s].
-        deep: All 253 ids instead of 0 to 40.
+        port: Serial port. Default: all ports of this machine.
+        baud: Speed [bit/s]. Default: all usual speeds.
+        deep: Ask all 253 ids instead of 0 to 40.
     """
     if baud is not None and baud <= 0:
         raise ConfigError(f"--baud must be above 0 bit/s, got {baud}")
@@ -65,7 +65,7 @@ def _show(console: Console, found: list[ScannedServo]) -> None:
 
 
 def _model(servo: ScannedServo) -> str:
-    """Return the model name; variants with the same reply share the first part of their names."""
+    """Return the model name; models that share a model number give the common start of the name."""
     if len(servo.models) > 1:
         return f"{servo.models[0].partition('-')[0]} (one of {len(servo.models)} variants)"
     if servo.models:

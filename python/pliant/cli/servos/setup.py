@@ -1,4 +1,4 @@
-"""`pliant servos setup`: show EEPROM changes, ask, write, read back; or undo them."""
+"""`pliant servos setup`: write the EEPROM of servos after a prompt, or restore the old values."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ def run(
     set_id: Ids = None,
     override: BusFlags,
 ) -> None:
-    """Set the servos' EEPROM up for compliant control; LeRobot's own values stay as they are.
+    """Write the servos' EEPROM for compliant control; values that LeRobot sets stay unchanged.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        yes: Do not ask.
-        keep_overload: Leave the servos' overload shutdown on: they may drop a compliant arm.
-        undo: Backup of an earlier set-up whose values are to be put back.
-        backup: Where the old values go.
-        set_id: Give the servo that answers to id OLD the id NEW of the configuration, and do
-            nothing else. Connect only that servo.
+        yes: Write without a prompt.
+        keep_overload: Keep the servos' overload shutdown, which may drop a compliant arm.
+        undo: Backup of an earlier setup, whose old values are written back.
+        backup: File to which the old values are saved.
+        set_id: Change the id of one servo from OLD to NEW, and do nothing else. Connect only that
+            servo; NEW is an id of the configuration.
         override: Values that replace those of the configuration file.
     """
     if set_id is not None and undo is not None:
@@ -59,30 +59,30 @@ def run(
             "--set-id and --undo do not go together: --set-id NEW:OLD puts an id back"
         )
     ids = None if set_id is None else _ids(set_id)
-    former = None if undo is None else backups.load(undo, arm)
-    read = override.load(arm)
+    old_changes = None if undo is None else backups.load(undo, arm)
+    arm_config = override.load(arm)
     console = Console()
-    specs = factory.servo_specs(read, factory.port_paths(read))
+    specs = factory.servo_specs(arm_config, factory.port_paths(arm_config))
     if ids is not None:
-        _rename(read, specs, *ids, console, yes=yes)
+        _assign_id(arm_config, specs, *ids, console, yes=yes)
         return
-    if undo is not None and former is not None:
-        backups.check(undo, former, specs)
-    with _Ports(read, specs) as ports:
+    if undo is not None and old_changes is not None:
+        backups.check(undo, old_changes, specs)
+    with _Ports(arm_config, specs) as ports:
         planned: list[RegisterChange] = []
         for spec in specs:
             for number, _ in spec.servos:
                 servo = ports[spec.port], spec.name, number, spec.row
                 planned += (
                     plan_setup(*servo, overload=not keep_overload)
-                    if former is None
-                    else plan_restore(*servo, former)
+                    if old_changes is None
+                    else plan_restore(*servo, old_changes)
                 )
         if not planned:
             console.print("nothing to change" + ("; no backup is written" if undo is None else ""))
             return
         _show(console, planned)
-        if not (yes or _agreed(console)):
+        if not (yes or _confirm(console)):
             _cancel()
         if undo is None:
             backups.save(backup, arm, planned)
@@ -92,19 +92,19 @@ def run(
                 write_changes(ports[spec.port], spec.row.family, own)
     console.print(f"{len(planned)} registers written and read back")
     name = shlex.quote(arm)
-    again = " ".join(["pliant servos doctor", name, "--watch", *override.words()])
+    again = " ".join(["pliant servos doctor", name, "--watch", *override.as_arguments()])
     print_line(f"before torque comes on, see its directions: {again}", console)
     if undo is None:
         file = shlex.quote(str(backup))
-        back = " ".join(["pliant servos setup", name, "--undo", file, *override.words()])
+        back = " ".join(["pliant servos setup", name, "--undo", file, *override.as_arguments()])
         print_line(f"old values in {backup}; this puts them back: {back}", console)
 
 
 def _ids(text: str) -> tuple[int, int]:
-    """Parse old and new id.
+    """Return old and new servo id from the value OLD:NEW of `--set-id`.
 
     Raises:
-        ConfigError: The text is no such pair.
+        ConfigError: The text is not a pair of different ids.
     """
     parts = text.split(":")
     if len(parts) != 2 or not all(part.isdecimal() for part in parts):
@@ -115,27 +115,27 @@ def _ids(text: str) -> tuple[int, int]:
     return old, new
 
 
-def _rename(
-    read: Config, specs: list[ServoSpec], old: int, new: int, console: Console, *, yes: bool
+def _assign_id(
+    arm_config: Config, specs: list[ServoSpec], old: int, new: int, console: Console, *, yes: bool
 ) -> None:
-    """Give one servo its id."""
+    """Change the id of the only connected servo from `old` to `new`, after a prompt."""
     owners = [spec for spec in specs if new in dict(spec.servos)]
     if len(owners) != 1:
         there = ", ".join(f"{n} ({spec.name})" for spec in specs for n, _ in spec.servos)
         raise ConfigError(f"--set-id: id {new} is not that of one joint; there are {there}")
     (spec,) = owners
-    with _Ports(read, specs) as ports:
+    with _Ports(arm_config, specs) as ports:
         io = ports[spec.port]
         check_set_id(io, spec.name, spec.row, old, new)
         _show(console, [RegisterChange(spec.name, old, "id", old, new, "has an id of its own")])
-        if not (yes or _agreed(console)):
+        if not (yes or _confirm(console)):
             _cancel()
         set_id(io, spec.name, spec.row, old, new)
     console.print(f"the servo of {spec.name} answers to id {new} now", highlight=False)
 
 
-def _agreed(console: Console) -> bool:
-    """Ask the user; without an answer (end of input) it is no."""
+def _confirm(console: Console) -> bool:
+    """Ask the user to confirm; return True for yes. The end of the input counts as no."""
     try:
         return console.input("write this? [y/N] ").strip().lower() in {"y", "yes"}
     except EOFError:
@@ -143,13 +143,13 @@ def _agreed(console: Console) -> bool:
 
 
 def _cancel() -> NoReturn:
-    """Leave with exit code 1 after the user declined."""
+    """Exit with code 1 because the user declined."""
     Console(stderr=True).print("cancelled: nothing was written", highlight=False)
     raise SystemExit(1)
 
 
 class _Ports:
-    """The open ports by path; a request without a reply is repeated."""
+    """Context manager that opens the arm's serial ports; repeats requests without a reply."""
 
     def __init__(self, config: Config, specs: list[ServoSpec]) -> None:
         paths = factory.port_paths(config)

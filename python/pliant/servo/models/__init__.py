@@ -1,4 +1,4 @@
-"""Servo tables by name. Adding a servo is adding a row: docs/adding-a-servo.md."""
+"""Servo models by name; docs/adding-a-servo.md describes how to add a model."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _KEYS = {key.upper(): row for row in _MODELS.values() for key in (row.name, *row
 
 
 def list_models() -> tuple[str, ...]:
-    """Names of all servo models there are."""
+    """Return the names of all servo models."""
     return tuple(_MODELS)
 
 
 def get_model(name: str) -> ServoModel:
-    """Return the table row of a servo model, in any capitals.
+    """Return a servo model by its name or alias, ignoring case.
 
     Raises:
-        ConfigError: The name is not known; the message suggests those that are near.
+        ConfigError: The name is unknown; the message suggests similar names.
     """
     row = _KEYS.get(name.strip().upper())
     if row is not None:
@@ -39,5 +39,8 @@ def get_model(name: str) -> ServoModel:
 
 
 def by_number(number: int) -> tuple[ServoModel, ...]:
-    """Rows that answer with this model number; Feetech's variants share one."""
+    """Return the servo models whose register Model Number has this value.
+
+    There may be several: Feetech's variants share one number.
+    """
     return tuple(row for row in _MODELS.values() if row.model_number == number)

@@ -1,7 +1,7 @@
-"""What a servo table consists of: registers, a family of servos that share them, one row a model.
+"""Data types of the servo tables: registers, families with one control table, servo models.
 
-Data only. Numbers on the wire are little-endian; a register knows its sign and nothing else, units
-stand in the row.
+Values on the wire are little-endian. A `Register` defines address, size and sign of a value; a
+`ServoModel` defines the unit of the value.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ class Register:
 
     Attributes:
         address: Address of the first byte.
-        size: Bytes: 1, 2 or 4.
-        sign: `unsigned`; `twos` complement; `bit10` to `bit15`: magnitude with that sign bit.
+        size: Number of bytes: 1, 2 or 4.
+        sign: Coding of the sign: `unsigned`; `twos`: two's complement; `bit10` to `bit15`:
+            magnitude, and sign in that bit.
     """
 
     address: int
@@ -33,7 +34,7 @@ class Register:
     sign: Sign = "unsigned"
 
     def encode(self, value: int) -> bytes:
-        """Bytes of a value, which must fit."""
+        """Return the bytes that encode a value; size and sign coding must be able to hold it."""
         if self.sign == "twos":
             return value.to_bytes(self.size, "little", signed=True)
         if value < 0 and self.sign != "unsigned":
@@ -41,7 +42,7 @@ class Register:
         return value.to_bytes(self.size, "little")
 
     def decode(self, data: bytes) -> int:
-        """Value of as many bytes as the register has."""
+        """Return the value that these bytes of the register encode."""
         value = int.from_bytes(data, "little", signed=self.sign == "twos")
         if self.sign in {"unsigned", "twos"}:
             return value
@@ -52,11 +53,11 @@ class Register:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Bytes that one transaction reads.
+    """Contiguous registers that one transaction reads.
 
     Attributes:
-        address: Of the first byte.
-        size: Bytes.
+        address: Address of the first byte.
+        size: Number of bytes.
     """
 
     address: int
@@ -64,7 +65,10 @@ class Block:
 
 
 def nested_blocks(inner: Block, outer: Block) -> tuple[Block, ...]:
-    """Blocks of every length from `inner` to `outer`, each around the one before."""
+    """Return blocks of every length from that of `inner` to that of `outer`, the shortest first.
+
+    Each block contains the previous one.
+    """
     end = outer.address + outer.size
     sizes = range(inner.size, outer.size + 1)
     return tuple(Block(min(inner.address, end - size), size) for size in sizes)
@@ -72,25 +76,25 @@ def nested_blocks(inner: Block, outer: Block) -> tuple[Block, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Family:
-    """Servos with one control table and one way of speaking.
+    """Servo models with the same control table and protocol.
 
     Attributes:
-        name: As in the documentation.
+        name: Name of the family in the documentation.
         protocol: `p1` (Dynamixel 1.0, Feetech STS) or `p2` (Dynamixel 2.0).
-        status: Which reading of the status byte holds, see `pliant.servo._status`.
-        registers: Control table by field name.
-        read: Blocks with position, speed and load, from short to long: the shortest is read, a
-            longer one while an answer as long as that is missing.
-        write: Packets that carry limit, speed cap and goal, each of contiguous fields; one where
-            the control table has no gap between them, else the limit goes first.
-        sync_read: Whether one request reads many servos.
-        full_duty: Value of the duty limit at 100 %.
+        status: Encoding of the status byte, see `pliant.servo._status`.
+        registers: Control table by register name.
+        read: Blocks with position, speed and load, from short to long. The shortest is read, or a
+            longer one while a late reply of that length may still arrive.
+        write: Register names of each packet that writes limit, speed cap and goal. A packet can
+            only write contiguous registers, so there are two if the control table has a gap.
+        sync_read: True if one request can read several servos.
+        full_duty: Value of the register that limits duty at 100 %.
         full_load: Value of the load register at 100 %.
-        speed_max: Largest value of the speed cap.
-        ceiling: EEPROM field that bounds the limit from above.
-        multi_turn: Whether goals may leave one turn, so that software keeps the position limits.
-        drive_values: Further registers in RAM that limit torque or motion, and their values while
-            the servo is driven: a number, or the field that holds it.
+        speed_max: Largest value of the speed cap register.
+        ceiling: Name of the EEPROM register that bounds the limit register from above.
+        multi_turn: True if goals may exceed one turn: software enforces the position limits.
+        drive_values: Further RAM registers that limit torque or motion, and their values while the
+            servo is driven: a number, or the register that contains it.
     """
 
     name: str
@@ -109,21 +113,24 @@ class Family:
 
     @property
     def restored_registers(self) -> tuple[str, ...]:
-        """Registers that are written while we drive, the goal aside: to be handed back."""
+        """Names of the RAM registers whose initial values are restored after torque off.
+
+        They are all registers that are written, except the goal.
+        """
         cyclic = [name for names in self.write for name in names if name != "goal"]
         watchdog = ["watchdog"] if "watchdog" in self.registers else []
         return (*cyclic, *self.drive_values, *watchdog)
 
     def block(self, *names: str) -> Block:
-        """The block that spans some fields."""
+        """Return the block from the first to the last of the registers `names`."""
         found = [self.registers[name] for name in names]
         first = min(r.address for r in found)
         return Block(first, max(r.address + r.size for r in found) - first)
 
     def blocks(self, *names: str) -> tuple[Block, ...]:
-        """Blocks that hold some fields, all by default, and no address beside them.
+        """Return the blocks that contain the registers `names`, by default all registers.
 
-        Protocol 2.0 may refuse to read what the control table does not define.
+        The blocks contain no undefined addresses, of which Protocol 2.0 servos may reject reads.
         """
         chosen = [self.registers[name] for name in names or self.registers]
         found: list[Block] = []
@@ -136,7 +143,7 @@ class Family:
         return tuple(found)
 
     def decode(self, block: Block, data: bytes, name: str) -> int:
-        """A field out of the bytes of a block."""
+        """Return the value of the register `name` from the bytes `data` of a block."""
         register = self.registers[name]
         start = register.address - block.address
         return register.decode(data[start : start + register.size])
@@ -144,7 +151,7 @@ class Family:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mechanics:
-    """Gears and rotor, seen at the horn.
+    """Friction, damping and inertia of gears and rotor, as seen at the servo's output (horn).
 
     Attributes:
         friction: Dry friction [N·m].
@@ -158,39 +165,39 @@ class Mechanics:
 
 
 def estimated_mechanics(stall: float) -> Mechanics:
-    """Gears of a servo that was not identified, from its stall torque at rated voltage [N·m].
+    """Return friction, damping and inertia of a servo, estimated from its stall torque [N·m].
 
-    Shares that the identified servos (MX-64, MX-106, XL330, STS3215) have, to a factor of two.
+    `stall` is the stall torque at rated voltage. The ratios to it are those of the servos that were
+    identified (MX-64, MX-106, XL330, STS3215), which agree within a factor of two.
     """
     return Mechanics(friction=0.02 * stall, damping=0.005 * stall, armature=0.003 * stall)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServoModel:
-    """One servo model.
+    """Data of one servo model.
 
     Attributes:
-        name: As printed on the servo.
-        model_number: Model number in the servo.
-        family: Its registers.
-        limit_type: What the torque limit limits.
+        name: Model name printed on the servo.
+        model_number: Value of the register Model Number.
+        family: Family with its control table and protocol.
+        limit_type: Quantity that the limit register limits: `pwm` (duty) or `current`.
         counts_per_turn: Encoder counts per turn of the horn.
-        max_position: Positions run from 0 to this.
-        stall: Stall torque by supply voltage, ((V, N·m), ...), rising.
-        no_load: Speed without load by voltage, ((V, rpm), ...), rising.
-        gain: Duty per radian of error and per unit of the gain register; for slopes (EX, RX) the
-            register is the error in counts at which the duty is full, and this is 0.
-        gain_default: The gain register as the maker sets it.
+        max_position: Largest position of the encoder [counts]; the smallest is 0.
+        stall: Stall torque by supply voltage, ((V, N·m), ...), ascending.
+        no_load: No-load speed by supply voltage, ((V, rpm), ...), ascending.
+        gain: Motor duty [1] per radian of position error and per unit of the gain register. 0 for
+            EX and RX, whose register is the position error [counts] at full duty.
+        gain_default: Factory value of the gain register.
         speed_unit: One unit of the speed registers [rpm].
         current_unit: One unit of the current registers [A]; 0 without such registers.
-        current_max: Largest Current Limit.
-        stall_current: Current at the stall torque of the rated voltage [A], NaN where not used.
-        rated: Voltage that the maker recommends [V].
+        current_max: Largest value of the register Current Limit.
+        stall_current: Current at stall torque and rated voltage [A]; NaN if not used.
+        rated: Supply voltage that the maker recommends [V].
         voltage: Lowest and highest supply voltage [V].
-        overload: Share of full torque above which the servo's own overload protection counts; None
-            where the maker gives none.
-        mechanics: Friction and inertia of the gears.
-        aliases: Other names.
+        overload: Share of the full torque above which overload protection acts; None if unknown.
+        mechanics: Friction, damping and inertia of gears and rotor.
+        aliases: Other names of the model.
     """
 
     name: str

@@ -1,8 +1,9 @@
-"""Feetech STS3215 in its variants.
+"""Variants of the Feetech STS3215.
 
-Memory table: Feetech's sheet as huggingface/lerobot quotes it. Duty per radian: oscilloscope,
-Rhoban/bam (7.4 V variant). Stall torque and speed of the 1:191 and 1:147 gears are those of 1:345
-scaled by the ratio. All variants answer with the same model number: which one it is, the user says.
+Sources: the control table is Feetech's, as quoted by huggingface/lerobot; the duty per radian of
+position error is from oscilloscope measurements of Rhoban/bam (7.4 V variant). Stall torque and
+speed of the variants with gear ratios 1:191 and 1:147 are scaled from 1:345. All variants have the
+same model number, so the user names the variant.
 """
 
 from __future__ import annotations
@@ -59,15 +60,19 @@ STS = Family(
     drive_values={"acceleration_cap": 0},
 )
 
-KG_CM = 0.0980665  # [N·m]
+#: One kilogram-force centimetre [N·m].
+KG_CM = 0.0980665
 
 
-#: Identified at 1:345 and 7.4 V.
+#: Gear friction, damping and inertia, identified on the 7.4 V variant with gear ratio 1:345.
 GEARS = Mechanics(friction=0.052, damping=0.059, armature=0.028)
 
 
 def _geared(ratio: float) -> Mechanics:
-    """Friction goes with the ratio, rotor inertia and damping with its square."""
+    """Return `GEARS` scaled from gear ratio 345 to `ratio`.
+
+    Friction is proportional to the gear ratio, damping and inertia to its square.
+    """
     r = ratio / 345
     return Mechanics(
         friction=GEARS.friction * r,
@@ -84,7 +89,11 @@ def _sts3215(  # noqa: PLR0917 -- a row of a table
     voltage: tuple[float, float],
     mechanics: Mechanics,
 ) -> ServoModel:
-    """One variant; stall is (voltage, torque), the speed is at that voltage [rpm]."""
+    """Return the servo model of a variant of the STS3215.
+
+    `stall` is (voltage [V], stall torque [N·m]), `speed` the no-load speed at that voltage [rpm],
+    `voltage` the lowest and highest supply voltage [V].
+    """
     return ServoModel(
         name=name,
         model_number=777,
@@ -106,27 +115,31 @@ def _sts3215(  # noqa: PLR0917 -- a row of a table
     )
 
 
-_LOW = (4.0, 8.4)
-_STALL = 19.5 * KG_CM  # at 7.4 V and 1:345
+#: Supply range of the 7.4 V variants [V].
+_SUPPLY_7V4 = (4.0, 8.4)
+#: Stall torque at 7.4 V of the variant with gear ratio 1:345 [N·m].
+_STALL_7V4 = 19.5 * KG_CM
 MODELS = (
-    _sts3215("STS3215-7.4V", ("STS3215-C001", "STS3215"), (7.4, _STALL), 52.0, _LOW, GEARS),
+    _sts3215(
+        "STS3215-7.4V", ("STS3215-C001", "STS3215"), (7.4, _STALL_7V4), 52.0, _SUPPLY_7V4, GEARS
+    ),
     _sts3215(
         "STS3215-12V", ("STS3215-C018",), (12.0, 30.0 * KG_CM), 45.0, (6.0, 12.6), _geared(345)
     ),
     _sts3215(
         "STS3215-7.4V-191",
         ("STS3215-C044",),
-        (7.4, _STALL * 191 / 345),
+        (7.4, _STALL_7V4 * 191 / 345),
         52.0 * 345 / 191,
-        _LOW,
+        _SUPPLY_7V4,
         _geared(191),
     ),
     _sts3215(
         "STS3215-7.4V-147",
         ("STS3215-C046",),
-        (7.4, _STALL * 147 / 345),
+        (7.4, _STALL_7V4 * 147 / 345),
         52.0 * 345 / 147,
-        _LOW,
+        _SUPPLY_7V4,
         _geared(147),
     ),
 )

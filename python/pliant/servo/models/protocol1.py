@@ -1,6 +1,7 @@
-"""Dynamixel with Protocol 1.0: EX-106+, RX-64, MX-28, MX-64, MX-106.
+"""Dynamixel servos with Protocol 1.0: EX-106+, RX-64, MX-28, MX-64, MX-106.
 
-Control tables and data: ROBOTIS e-Manual. Duty per radian of the MX: oscilloscope, Rhoban/bam.
+Sources: control tables and data are from the ROBOTIS e-Manual. The motor duty per radian of
+position error of MX servos is from oscilloscope measurements of Rhoban/bam.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def _family(name: str, *, drive_values: Mapping[str, int | str], **own: Register
         protocol="p1",
         status="p1",
         registers={**_COMMON, **own},
-        # With the torque limit, which is 0 after an overload.
+        # Read the register Torque Limit with every reading: a servo sets it to 0 after an overload.
         read=nested_blocks(Block(34, 10), Block(0, 50)),
         write=(("goal", "speed_cap", "limit"),),
         sync_read=False,
@@ -64,9 +65,11 @@ def _family(name: str, *, drive_values: Mapping[str, int | str], **own: Register
     )
 
 
-# Register 28 is the clockwise compliance slope of EX and RX and the P gain of the MX.
+# Address 28 is the clockwise compliance slope of EX and RX servos, and the P gain of MX servos;
+# addresses 10 and 73 are Drive Mode and Goal Acceleration.
 _GAIN, _DUAL, _ACCELERATION = Register(28, 1), Register(10, 1), Register(73, 1)
-#: Compliance of EX and RX beside the slope: no torque within a margin, at least the punch beyond.
+#: Further registers of the position loop of EX and RX servos: dead zones on both sides, slope on
+#: the counterclockwise side, and minimum torque outside of the dead zones (punch).
 _COMPLIANCE = {
     "margin_cw": Register(26, 1),
     "margin_ccw": Register(27, 1),
@@ -76,16 +79,21 @@ _COMPLIANCE = {
 
 
 def _compliance(punch: int) -> dict[str, int | str]:
-    """The maker's margins and punch, and one slope on both sides."""
+    """Return the values of `_COMPLIANCE` while an EX or RX servo is driven.
+
+    The dead zones (margins) are those of the factory, `punch` is the minimum torque, and the
+    counterclockwise slope equals the clockwise one.
+    """
     return {"margin_cw": 1, "margin_ccw": 1, "slope_ccw": "gain", "punch": punch}
 
 
 RX = _family("RX-64", drive_values=_compliance(32), gain=_GAIN, **_COMPLIANCE)
 EX = _family("EX-106+", drive_values=_compliance(0), gain=_GAIN, drive_mode=_DUAL, **_COMPLIANCE)
-_FREE = {"acceleration_cap": 0}
-MX = _family("MX-28, MX-64", drive_values=_FREE, gain=_GAIN, acceleration_cap=_ACCELERATION)
+#: Further register of MX servos while they are driven: 0 means no acceleration limit.
+_UNLIMITED = {"acceleration_cap": 0}
+MX = _family("MX-28, MX-64", drive_values=_UNLIMITED, gain=_GAIN, acceleration_cap=_ACCELERATION)
 MX_DUAL = _family(
-    "MX-106", drive_values=_FREE, gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION
+    "MX-106", drive_values=_UNLIMITED, gain=_GAIN, drive_mode=_DUAL, acceleration_cap=_ACCELERATION
 )
 
 
@@ -97,7 +105,10 @@ def _mx(  # noqa: PLR0917 - a row of a table
     no_load: tuple[float, float, float],
     mechanics: Mechanics,
 ) -> ServoModel:
-    """Return an MX: stall torques [N·m] and speeds [rpm] at 11.1, 12.0 and 14.8 V."""
+    """Return an MX servo model.
+
+    Stall torques [N·m] and no-load speeds [rpm] are those at 11.1, 12.0 and 14.8 V.
+    """
     volts = (11.1, 12.0, 14.8)
     return ServoModel(
         name=name,

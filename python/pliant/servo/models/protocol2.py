@@ -1,8 +1,9 @@
-"""Dynamixel with Protocol 2.0: the X series and the MX with 2.0 firmware.
+"""Dynamixel servos with Protocol 2.0: the X series and the MX with 2.0 firmware.
 
-Control tables and data: ROBOTIS e-Manual. Duty per radian: K_P = P/128 PWM counts per position
-count, 885 counts being 100 %; the XL330's has been measured at 0.00246 (Rhoban/bam), which stays
-open. A current-limited servo in mode 5 follows `pliant.servo.spec` instead.
+Sources: control tables and data are from the ROBOTIS e-Manual. It gives a motor output of P/128 PWM
+counts per encoder count of position error, for the value P of the register Position P Gain; 885 PWM
+counts are 100 % duty. For the XL330, Rhoban/bam measured a duty of 0.00246 per radian of error and
+unit of P, which differs for unknown reasons. `Units.stiffness` describes current-limited servos.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _COMMON = {
     "temperature": Register(146, 1),
 }
 
-#: Of both kinds, whose control tables have no gap here.
+#: Blocks with position, speed and load; the control tables have no gap in these addresses.
 READ = nested_blocks(Block(126, 10), Block(104, 43))
 
 CURRENT = Family(
@@ -86,7 +87,7 @@ DUTY = Family(
         "load": Register(126, 2, "twos"),
     },
     read=READ,
-    # 102 is not in their tables, and a packet across it would be refused: two packets.
+    # Write two packets: a servo of this family has no address 102 and rejects packets with it.
     write=(("limit",), ("speed_cap", "goal")),
     sync_read=True,
     full_duty=885,
@@ -96,10 +97,12 @@ DUTY = Family(
     drive_values={"acceleration_cap": 0},
 )
 
+#: Motor duty [1] per radian of position error and per unit of the register Position P Gain, from
+#: the e-Manual.
 DUTY_PER_RADIAN = 4096 / (2 * pi) / 128 / 885
 
 
-# Rows of a table read better without the names of their columns.
+# Positional arguments, because the calls in `MODELS` are the rows of a table.
 def _current(  # noqa: PLR0917
     name: str,
     number: int,
@@ -112,7 +115,13 @@ def _current(  # noqa: PLR0917
     voltage: tuple[float, float],
     mechanics: Mechanics | None = None,
 ) -> ServoModel:
-    """A servo with current limit; `rated` is (voltage, stall torque, stall current)."""
+    """Return a servo model whose torque limit is a current.
+
+    `rated` is (voltage [V], stall torque [N·m], stall current [A]). `number` is the model number,
+    `unit` is `current_unit` [A] and `largest` is `current_max` of `ServoModel`. `stall` and
+    `no_load` are pairs (voltage [V], stall torque [N·m] or speed [rpm]). `gain` is the factory
+    value of the gain register.
+    """
     return ServoModel(
         name=name,
         model_number=number,
@@ -143,7 +152,10 @@ def _duty(  # noqa: PLR0917
     gain: int,
     voltage: tuple[float, float],
 ) -> ServoModel:
-    """A servo whose only limiter is the PWM; `rated` is (voltage, stall torque)."""
+    """Return a servo model whose torque limit is a PWM duty.
+
+    `rated` is (voltage [V], stall torque [N·m]); the other arguments are as in `_current`.
+    """
     return ServoModel(
         name=name,
         model_number=number,
@@ -162,8 +174,8 @@ def _duty(  # noqa: PLR0917
     )
 
 
-def _at(*pairs: float) -> tuple[tuple[float, float], ...]:
-    """Voltage, value, voltage, value, ... as pairs."""
+def _pairs(*pairs: float) -> tuple[tuple[float, float], ...]:
+    """Return pairs (voltage, value) from the flat list voltage, value, voltage, value, ..."""
     return tuple(zip(pairs[::2], pairs[1::2], strict=True))
 
 
@@ -171,83 +183,83 @@ _12V = (10.0, 14.8)
 MODELS = (
     _current(
         "XL330-M077", 1190, 0.001, 1750, (5.0, 0.215, 1.47),
-        _at(3.7, 0.18, 5.0, 0.215, 6.0, 0.228), _at(3.7, 278, 5.0, 383, 6.0, 456),
+        _pairs(3.7, 0.18, 5.0, 0.215, 6.0, 0.228), _pairs(3.7, 278, 5.0, 383, 6.0, 456),
         400, (3.7, 6.0),
     ),
     _current(
         "XL330-M288", 1200, 0.001, 1750, (5.0, 0.52, 1.47),
-        _at(3.7, 0.42, 5.0, 0.52, 6.0, 0.60), _at(3.7, 76, 5.0, 103, 6.0, 123),
+        _pairs(3.7, 0.42, 5.0, 0.52, 6.0, 0.60), _pairs(3.7, 76, 5.0, 103, 6.0, 123),
         400, (3.7, 6.0), Mechanics(friction=0.013, damping=0.0037, armature=0.0018),
     ),
     _current(
         "XC330-T181", 1210, 0.001, 910, (11.1, 0.76, 0.80),
-        _at(9.0, 0.65, 11.1, 0.76, 12.0, 0.80), _at(9.0, 83, 11.1, 104, 12.0, 113),
+        _pairs(9.0, 0.65, 11.1, 0.76, 12.0, 0.80), _pairs(9.0, 83, 11.1, 104, 12.0, 113),
         900, (6.5, 12.0),
     ),
     _current(
         "XC330-T288", 1220, 0.001, 910, (11.1, 0.92, 0.80),
-        _at(9.0, 0.76, 11.1, 0.92, 12.0, 1.00), _at(9.0, 52, 11.1, 65, 12.0, 71),
+        _pairs(9.0, 0.76, 11.1, 0.92, 12.0, 1.00), _pairs(9.0, 52, 11.1, 65, 12.0, 71),
         900, (6.5, 12.0),
     ),
     _current(
         "XM430-W210", 1030, 0.00269, 1193, (12.0, 3.0, 2.3),
-        _at(11.1, 2.7, 12.0, 3.0, 14.8, 3.7), _at(11.1, 70, 12.0, 77, 14.8, 95), 800, _12V,
+        _pairs(11.1, 2.7, 12.0, 3.0, 14.8, 3.7), _pairs(11.1, 70, 12.0, 77, 14.8, 95), 800, _12V,
     ),
     _current(
         "XM430-W350", 1020, 0.00269, 1193, (12.0, 4.1, 2.3),
-        _at(11.1, 3.8, 12.0, 4.1, 14.8, 4.8), _at(11.1, 43, 12.0, 46, 14.8, 57), 800, _12V,
+        _pairs(11.1, 3.8, 12.0, 4.1, 14.8, 4.8), _pairs(11.1, 43, 12.0, 46, 14.8, 57), 800, _12V,
     ),
     _current(
         "XM540-W150", 1130, 0.00269, 2047, (12.0, 7.3, 4.4),
-        _at(11.1, 6.9, 12.0, 7.3, 14.8, 8.9), _at(11.1, 50, 12.0, 53, 14.8, 66), 800, _12V,
+        _pairs(11.1, 6.9, 12.0, 7.3, 14.8, 8.9), _pairs(11.1, 50, 12.0, 53, 14.8, 66), 800, _12V,
     ),
     _current(
         "XM540-W270", 1120, 0.00269, 2047, (12.0, 10.6, 4.4),
-        _at(11.1, 10.0, 12.0, 10.6, 14.8, 12.9), _at(11.1, 28, 12.0, 30, 14.8, 37), 800, _12V,
+        _pairs(11.1, 10.0, 12.0, 10.6, 14.8, 12.9), _pairs(11.1, 28, 12.0, 30, 14.8, 37), 800, _12V,
     ),
     _current(
         "XH430-W210", 1010, 0.00269, 648, (12.0, 2.5, 1.3),
-        _at(11.1, 2.2, 12.0, 2.5, 14.8, 3.1), _at(11.1, 46, 12.0, 50, 14.8, 62), 900, _12V,
+        _pairs(11.1, 2.2, 12.0, 2.5, 14.8, 3.1), _pairs(11.1, 46, 12.0, 50, 14.8, 62), 900, _12V,
     ),
     _current(
         "XH430-W350", 1000, 0.00269, 648, (12.0, 3.4, 1.3),
-        _at(11.1, 3.1, 12.0, 3.4, 14.8, 4.2), _at(11.1, 27, 12.0, 30, 14.8, 37), 900, _12V,
+        _pairs(11.1, 3.1, 12.0, 3.4, 14.8, 4.2), _pairs(11.1, 27, 12.0, 30, 14.8, 37), 900, _12V,
     ),
     _current(
         "XH540-W150", 1110, 0.00269, 2047, (12.0, 7.1, 4.9),
-        _at(11.1, 6.6, 12.0, 7.1, 14.8, 8.5), _at(11.1, 66, 12.0, 70, 14.8, 86), 800, _12V,
+        _pairs(11.1, 6.6, 12.0, 7.1, 14.8, 8.5), _pairs(11.1, 66, 12.0, 70, 14.8, 86), 800, _12V,
     ),
     _current(
         "XH540-W270", 1100, 0.00269, 2047, (12.0, 9.9, 4.9),
-        _at(11.1, 9.2, 12.0, 9.9, 14.8, 11.7), _at(11.1, 36, 12.0, 39, 14.8, 46), 800, _12V,
+        _pairs(11.1, 9.2, 12.0, 9.9, 14.8, 11.7), _pairs(11.1, 36, 12.0, 39, 14.8, 46), 800, _12V,
     ),
     _current(
         "MX-64(2.0)", 311, 0.00336, 1941, (12.0, 6.0, 4.1),
-        _at(11.1, 5.5, 12.0, 6.0, 14.8, 7.3), _at(11.1, 58, 12.0, 63, 14.8, 78), 850, _12V,
+        _pairs(11.1, 5.5, 12.0, 6.0, 14.8, 7.3), _pairs(11.1, 58, 12.0, 63, 14.8, 78), 850, _12V,
         mechanics=Mechanics(friction=0.090, damping=0.012, armature=0.012),
     ),
     _current(
         "MX-106(2.0)", 321, 0.00336, 2047, (12.0, 8.4, 5.2),
-        _at(11.1, 8.0, 12.0, 8.4, 14.8, 10.0), _at(11.1, 41, 12.0, 45, 14.8, 55), 850, _12V,
+        _pairs(11.1, 8.0, 12.0, 8.4, 14.8, 10.0), _pairs(11.1, 41, 12.0, 45, 14.8, 55), 850, _12V,
         mechanics=Mechanics(friction=0.104, damping=0.035, armature=0.027),
     ),
     _duty(
         "MX-28(2.0)", 30, (12.0, 2.5),
-        _at(11.1, 2.3, 12.0, 2.5, 14.8, 3.1), _at(11.1, 50, 12.0, 55, 14.8, 67), 850, _12V,
+        _pairs(11.1, 2.3, 12.0, 2.5, 14.8, 3.1), _pairs(11.1, 50, 12.0, 55, 14.8, 67), 850, _12V,
     ),
     _duty(
         "XL430-W250", 1060, (11.1, 1.4),
-        _at(9.0, 1.0, 11.1, 1.4, 12.0, 1.5), _at(9.0, 47, 11.1, 57, 12.0, 61), 640,
+        _pairs(9.0, 1.0, 11.1, 1.4, 12.0, 1.5), _pairs(9.0, 47, 11.1, 57, 12.0, 61), 640,
         (6.5, 12.0),
     ),
     _duty(
         "XC430-W150", 1070, (12.0, 1.6),
-        _at(9.0, 1.2, 11.1, 1.4, 12.0, 1.6), _at(9.0, 80, 11.1, 99, 12.0, 106), 800,
+        _pairs(9.0, 1.2, 11.1, 1.4, 12.0, 1.6), _pairs(9.0, 80, 11.1, 99, 12.0, 106), 800,
         (6.5, 14.8),
     ),
     _duty(
         "XC430-W240", 1080, (12.0, 1.9),
-        _at(9.0, 1.4, 11.1, 1.7, 12.0, 1.9), _at(9.0, 52, 11.1, 65, 12.0, 70), 800,
+        _pairs(9.0, 1.4, 11.1, 1.7, 12.0, 1.9), _pairs(9.0, 52, 11.1, 65, 12.0, 70), 800,
         (6.5, 14.8),
     ),
 )  # fmt: skip

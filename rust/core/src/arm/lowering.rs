@@ -7,11 +7,15 @@
 //! `goal ← goal + dt r u`, `u = −40/s (goal − q − ℓ*)`.
 //!
 //! So every joint moves in the direction in which its real load pulls it, until the object on which the arm comes to
-//! rest carries the weight. Motion that would raise the tool is removed. `ℓ* = ∓ 2 τ_f / k_p` lets a joint press
-//! downward with little more than its own friction. The factor r keeps the speed v of every point of the arm below the
-//! allowed speed, and the force of its impact on an object of stiffness k, `v √(k m)`, below the allowed force; m is
-//! the effective mass of the point along its path. r decreases further if a point is measured above 60 % of its allowed
-//! speed, and is 0 above 110 %.
+//! rest carries the weight. The tool does not rise above its height at the start, and approaches it slowly.
+//! `ℓ* = ∓ (2 τ_f + d |dq|) / k_p` lets a joint press downward with little more than its own friction and damping. The
+//! factor r keeps the speed v of every point of the arm below the allowed speed, and the force of its impact on an object
+//! of stiffness k, `v √(k m)`, below the allowed force; m is the effective mass of the point along its path. u is first
+//! limited to what each joint alone may do. r decreases further if a point is measured above 110 % of its allowed speed,
+//! and is 0 above 150 %.
+//!
+//! In the end the torque limits fall to zero. They rise again while the arm slides, and torque is off only after the arm
+//! has stood still without any.
 //!
 //! If positions no longer arrive, positions computed with the model of the arm replace them.
 
@@ -23,7 +27,7 @@ use crate::controller::Command;
 use crate::error::{Error, Result};
 use crate::kinematics::{ArmGeometry, ArmPoints, GroupMasses, MAX_POINTS};
 use crate::model::Model;
-use crate::params::Servos;
+use crate::params::{LimitType, Servos};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Ratio of the least torque limit of a joint during a descent to its gravity torque.
@@ -40,7 +44,7 @@ const REST_RATE: f64 = 4.0;
 /// Ratio of goal speed to the excess of the lead when descending without a rest pose [1/s].
 const DOWN_RATE: f64 = 40.0;
 /// Time in which the goals' speed rises from zero at the start of a phase [s].
-const FADE_IN: f64 = 0.3;
+const FADE_IN: f64 = 0.2;
 /// Largest distance of a joint from the rest pose at which the arm counts as arrived [rad].
 const ARRIVED: f64 = 0.02;
 /// Smallest decrease of the distance to the rest pose that counts as progress [rad].
@@ -49,37 +53,47 @@ const MIN_PROGRESS: f64 = 0.01;
 /// joints of a descending arm count as unloaded [s].
 const STANDSTILL_TIME: f64 = 1.5;
 /// Largest allowed force of an impact [N]; less for arms whose reach is below [`FULL_FORCE_REACH`].
-const IMPACT_FORCE: f64 = 10.0;
+const IMPACT_FORCE: f64 = 12.0;
 /// Assumed stiffness of an object that the arm hits [N/m].
 const OBJECT_STIFFNESS: f64 = 2e4;
-/// Unknown load that is added to the effective mass of each point of the arm [kg].
+/// Unknown load at the tool that the effective masses of the arm's points include [kg].
 const UNKNOWN_LOAD: f64 = 0.5;
 /// Reach above which the full impact force is allowed [m]; below, the force is proportional to the reach.
-const FULL_FORCE_REACH: f64 = 0.55;
+const FULL_FORCE_REACH: f64 = 0.7;
 /// Ratio of the torque with which a joint presses downward to its friction.
 const PRESS_RATIO: f64 = 2.0;
 /// Largest force with which the lowest point that a joint moves presses downward [N].
 const MAX_PRESS_FORCE: f64 = 1.5;
 /// Ratio of gravity torque to friction above which a joint presses with its full torque; below, in proportion.
 const FULL_PRESS_RATIO: f64 = 0.5;
+/// Ratio of the largest speed at which the tool rises to its depth below its height at the start [1/s].
+const RISE_RATE: f64 = 1.0;
 /// Time in which a torque limit changes by the usable torque of its servo [s].
 const LIMIT_CHANGE_TIME: f64 = 0.1;
 /// Time constant with which goals slow down if the arm is too fast [s].
 const SLOWDOWN_TIME: f64 = 0.2;
+/// Ratios of measured to allowed speed at which goals begin to slow down, and at which they stop.
+const BRAKE_START: f64 = 1.1;
+const BRAKE_END: f64 = 1.5;
 /// Increase of the lead above which a joint counts as sinking [rad]; at least two encoder counts are required.
 const SINKING: f64 = 0.004;
 /// Excess of the lead below which a joint counts as unloaded [rad]; 1.5 encoder counts if that is more.
 const ZERO_LEAD: f64 = 0.003;
-/// Time for which all joints must be unloaded before the press or the descent ends [s].
-const SETTLING_TIME: f64 = 0.3;
+/// Time for which all joints must be unloaded before the press or the descent ends, and for which the arm must stand
+/// without torque before torque is switched off [s].
+const SETTLING_TIME: f64 = 0.2;
 /// Window over which the speed of the arm is measured [s].
 const SPEED_WINDOW: f64 = 0.15;
 /// Speed of the arm's points below which the arm counts as still [m/s].
 const STILL: f64 = 0.01;
-/// Speed of the arm's points above which the arm counts as sliding [m/s].
+/// Speed of the arm's points above which the arm counts as sliding: torque limits that fall rise again [m/s].
 const SLIDING: f64 = 0.04;
+/// Speed of the arm's points above which an arm whose torque limits fall is lowered further [m/s].
+const FALLING: f64 = 0.06;
 /// Time in which the torque limits fall to zero if all joints have positions [s].
-const RAMP_TIME: f64 = 1.0;
+const RAMP_TIME: f64 = 0.6;
+/// Share of the torque limits that remains while the arm moves.
+const LAST_SHARE: f64 = 0.05;
 /// Time in which the torque limits fall to zero if a joint has no position [s].
 const BLIND_RAMP_TIME: f64 = 6.0;
 /// Time without a position after which a joint keeps its goal [s]. Once it has passed for all joints, positions of the
@@ -89,6 +103,10 @@ const MAX_SILENCE: f64 = 0.2;
 const MAX_DURATION: f64 = 60.0;
 /// Upper bound on the time between two ticks [s]; a longer time counts as this one.
 const MAX_TICK: f64 = 0.1;
+/// Change of a position above which it is not rounding error [rad].
+const MIN_CHANGE: f64 = 1e-6;
+/// Largest encoder count that is concluded from changes of position [rad].
+const MAX_ENCODER_STEP: f64 = 0.006;
 /// Largest number of entries in a history of positions or goals.
 const HISTORY: usize = 256;
 
@@ -99,7 +117,7 @@ pub enum LoweringPhase {
     Rest,
     /// Descends until no joint carries a load.
     Down,
-    /// Reduces the limits to zero, and waits while anything moves.
+    /// Reduces the limits to zero, and waits until the arm stands still without torque.
     Ramp,
     /// The torque limits are zero; torque can be switched off.
     Done,
@@ -125,6 +143,14 @@ pub struct LoweringStart<'a> {
 pub fn torque_margin(servos: &Servos, gravity: &[f64]) -> Vec<f64> {
     let rows = servos.max_torque.iter().zip(&servos.friction).zip(gravity);
     rows.map(|((max_torque, friction), gravity)| margin(*max_torque, *friction, *gravity)).collect()
+}
+
+/// Returns the torque per speed of each joint's gears and, where the torque limit is a voltage, of its back-EMF
+/// [N·m·s/rad].
+fn damping(servos: &Servos) -> Vec<f64> {
+    let no_load = servos.no_load_speed.as_deref().filter(|_| servos.limit_type == LimitType::Pwm);
+    let back_emf = |i: usize| no_load.map_or(0.0, |speed| servos.max_torque[i] / speed[i]);
+    servos.damping.iter().enumerate().map(|(i, gears)| gears + back_emf(i)).collect()
 }
 
 fn margin(max_torque: f64, friction: f64, gravity: f64) -> f64 {
@@ -176,7 +202,13 @@ pub struct Lowering {
     kp: JointVec,
     max_torque: JointVec,
     friction: JointVec,
+    /// Torque per speed of gears and back-EMF [N·m·s/rad].
+    damping: JointVec,
+    /// Assumed encoder count, or the smallest change of position that was observed if that is more [rad].
     encoder_step: JointVec,
+    assumed_step: JointVec,
+    /// Smallest change between two positions so far [rad]; infinite while there was none.
+    least_change: JointVec,
     lower: JointVec,
     upper: JointVec,
     up: [f64; 3],
@@ -190,6 +222,8 @@ pub struct Lowering {
     silence: JointVec,
     goal: JointVec,
     torque_limit: JointVec,
+    /// 1.1 times the gravity torque plus [`torque_margin`], at the last update of the limits [N·m].
+    holding_torque: JointVec,
     lead: JointVec,
     /// Smallest recent |lead| [rad]; it follows a larger |lead| at a distance of two [`SINKING`].
     least_lead: JointVec,
@@ -199,11 +233,13 @@ pub struct Lowering {
     free_lead: JointVec,
     positions: History,
     goals: History,
+    /// Height of the tool at the start of the descent, along `up` in base axes [m].
+    start_height: f64,
     /// Time since the start of this phase [s].
     phase_time: f64,
     /// Time since the start of the descent [s].
     time: f64,
-    /// Time for which all joints have been unloaded and the arm calm [s].
+    /// Time for which all joints have been unloaded and the arm calm; later, for which it has stood without torque [s].
     rest_time: f64,
     /// Time without progress toward the rest pose; later, time at a standstill [s].
     standstill: f64,
@@ -249,7 +285,10 @@ impl Lowering {
             kp: padded(&servos.kp, 1.0),
             max_torque: padded(&servos.max_torque, 0.0),
             friction: padded(&servos.friction, 0.0),
+            damping: padded(&damping(&servos), 0.0),
             encoder_step: padded(&servos.encoder_step, 0.0),
+            assumed_step: padded(&servos.encoder_step, 0.0),
+            least_change: [f64::INFINITY; MAX_JOINTS],
             lower: padded(model.lower(), f64::NEG_INFINITY),
             upper: padded(model.upper(), f64::INFINITY),
             up,
@@ -262,12 +301,14 @@ impl Lowering {
             silence: [0.0; MAX_JOINTS],
             goal: q,
             torque_limit: [0.0; MAX_JOINTS],
+            holding_torque: [f64::INFINITY; MAX_JOINTS],
             lead: [0.0; MAX_JOINTS],
             least_lead: [0.0; MAX_JOINTS],
             unmodelled_lead: [0.0; MAX_JOINTS],
             free_lead: [0.0; MAX_JOINTS],
             positions: History::new(0.0, &q),
             goals: History::new(0.0, &q),
+            start_height: points.evaluate(&q).tool_height(&up),
             phase_time: 0.0,
             time: 0.0,
             rest_time: 0.0,
@@ -340,8 +381,11 @@ impl Lowering {
         self.time += dt;
         let mut speed_limit = [f64::INFINITY; MAX_JOINTS];
         if good.contains(&true) {
-            for i in 0..self.n {
-                self.q[i] = if good[i] { q[i] } else { self.q[i] };
+            for i in (0..self.n).filter(|i| good[*i]) {
+                if !self.blind {
+                    self.observe_step(i, (q[i] - self.q[i]).abs());
+                }
+                self.q[i] = q[i];
             }
             if self.blind {
                 self.resume_measured();
@@ -359,6 +403,14 @@ impl Lowering {
             return Ok(None);
         }
         Ok(Some(Command::new(self.n, self.goal, self.torque_limit, speed_limit)))
+    }
+
+    /// Updates the encoder count of joint i from a change of its position [rad]; counts may be coarser than assumed.
+    fn observe_step(&mut self, i: usize, change: f64) {
+        if change > MIN_CHANGE && change < self.least_change[i] {
+            self.least_change[i] = change;
+            self.encoder_step[i] = self.assumed_step[i].max(change.min(MAX_ENCODER_STEP));
+        }
     }
 
     /// Updates goals and torque limits for one tick; a `lost` joint keeps its goal while others have positions.
@@ -383,6 +435,7 @@ impl Lowering {
                 u[i] = if blocked { 0.0 } else { u[i] };
             }
             if self.phase == LoweringPhase::Down {
+                self.limit_joint_speeds(&here, &mut u);
                 self.remove_rise(&here, &gravity, &mut u);
             }
             self.pace(&here, &mut u, &speeds, dt);
@@ -408,17 +461,21 @@ impl Lowering {
     fn downward(&self, here: &ArmGeometry, gravity: &JointVec) -> JointVec {
         let load = self.excess_lead(here, gravity);
         std::array::from_fn(|i| {
-            let half = 0.5 * self.encoder_step[i];
+            let half = 0.25 * self.encoder_step[i];
             -DOWN_RATE * (load[i] - clip(load[i], half))
         })
     }
 
     /// Returns lead − ℓ* [rad], with ℓ* the lead of a joint that presses lightly downward; ℓ* = 0 without press.
     fn excess_lead(&self, here: &ArmGeometry, gravity: &JointVec) -> JointVec {
-        let lever = here.lowest_lever(&self.up);
+        let (lever, speed) = (here.lowest_lever(&self.up), self.joint_velocities());
         std::array::from_fn(|i| {
-            let press =
-                if self.presses { (PRESS_RATIO * self.friction[i]).min(MAX_PRESS_FORCE * lever[i]) } else { 0.0 };
+            let mut press = 0.0;
+            if self.presses {
+                press = (PRESS_RATIO * self.friction[i]).min(MAX_PRESS_FORCE * lever[i]);
+                // What damping takes of the servo's torque does not press on an object.
+                press += self.damping[i] * (-sign(gravity[i]) * speed[i]).max(0.0);
+            }
             let clear = (FULL_PRESS_RATIO * self.friction[i]).max(1e-9);
             self.lead[i] + press / self.kp[i] * (gravity[i] / clear).clamp(-1.0, 1.0)
         })
@@ -461,25 +518,33 @@ impl Lowering {
         (u < 0.0 && self.q[i] <= self.lower[i]) || (u > 0.0 && self.q[i] >= self.upper[i])
     }
 
-    /// Removes from the goal velocities u [rad/s] the part that raises the tool.
+    /// Removes from the goal velocities u [rad/s] the part that raises the tool toward its height at the start.
     fn remove_rise(&self, here: &ArmGeometry, gravity: &JointVec, u: &mut JointVec) {
-        let rise = here.tool_rise(&self.up);
-        let climb = dot(&rise, u);
+        let load = self.excess_lead(here, gravity);
+        let presses: [bool; MAX_JOINTS] =
+            std::array::from_fn(|i| load[i] * sign(gravity[i]) < -0.5 * self.encoder_step[i]);
+        let mut rise = here.tool_rise(&self.up);
+        for i in 0..self.n {
+            // A joint that presses on an object does not lift the tool when it presses less.
+            if presses[i] && u[i] * gravity[i] > 0.0 {
+                rise[i] = 0.0;
+            }
+        }
+        let max_climb = (RISE_RATE * (self.start_height - here.tool_height(&self.up))).max(0.0);
+        let climb = dot(&rise, u) - max_climb;
         if climb <= 0.0 {
             return;
         }
         let soft: JointVec = std::array::from_fn(|i| if u[i] == 0.0 { 0.0 } else { rise[i] / self.kp[i] });
         let gain = climb / dot(&rise, &soft).max(1e-9);
-        // A joint that already presses enough must not press more to keep the tool down.
-        let load = self.excess_lead(here, gravity);
         for i in 0..self.n {
             u[i] -= soft[i] * gain;
-            let presses = load[i] * sign(gravity[i]) < -0.5 * self.encoder_step[i];
-            if presses && u[i] * gravity[i] < 0.0 {
+            // A joint that already presses enough must not press more to keep the tool down.
+            if presses[i] && u[i] * gravity[i] < 0.0 {
                 u[i] = 0.0;
             }
         }
-        let climb = dot(&rise, u);
+        let climb = dot(&rise, u) - max_climb;
         if climb > 0.0 {
             let lift: f64 = (0..self.n).map(|i| (rise[i] * u[i]).max(0.0)).sum();
             for (u, rise) in u.iter_mut().zip(&rise) {
@@ -490,14 +555,31 @@ impl Lowering {
         }
     }
 
+    /// Returns the largest allowed speed of each point along its velocity [m/s]; see the module's formula.
+    fn max_speeds(&self, here: &ArmGeometry, velocity: &[[f64; 3]; MAX_POINTS]) -> [f64; MAX_POINTS] {
+        let mass = here.effective_mass(velocity, UNKNOWN_LOAD);
+        mass.map(|mass| self.speed.min(self.impact_force / (OBJECT_STIFFNESS * mass).sqrt().max(1e-9)))
+    }
+
+    /// Limits each goal velocity of u [rad/s] to the allowed speed of the points that this joint alone moves.
+    ///
+    /// Without it a soft servo, whose lead is large, would leave no share of the speed to a stiff one.
+    fn limit_joint_speeds(&self, here: &ArmGeometry, u: &mut JointVec) {
+        let max = self.max_speeds(here, &here.velocity(u));
+        for i in 0..self.n {
+            let alone = here.jacobian().iter().zip(&max).map(|(rows, max)| norm(&rows.map(|row| row[i])) / max);
+            let demand = u[i].abs() * alone.fold(0.0, f64::max);
+            u[i] /= demand.max(1.0);
+        }
+    }
+
     /// Scales the goal velocities u [rad/s] down to the allowed speed; `speeds` are the measured speeds of the arm's
     /// points [m/s].
     fn pace(&mut self, here: &ArmGeometry, u: &mut JointVec, speeds: &[f64; MAX_POINTS], dt: f64) {
         let velocity = here.velocity(u);
-        let mass = here.effective_mass(&velocity);
+        let max_speeds = self.max_speeds(here, &velocity);
         let (mut fastest, mut demand, mut measured) = (0.0_f64, 0.0_f64, 0.0_f64);
-        for ((velocity, mass), seen) in velocity.iter().zip(&mass).zip(speeds) {
-            let max = self.speed.min(self.impact_force / (OBJECT_STIFFNESS * (mass + UNKNOWN_LOAD)).sqrt());
+        for ((velocity, max), seen) in velocity.iter().zip(&max_speeds).zip(speeds) {
             let speed = norm(velocity);
             fastest = fastest.max(speed);
             demand = demand.max(speed / max);
@@ -508,7 +590,7 @@ impl Lowering {
         let mut scale = 1.0_f64.min(1.0 / demand.max(1e-9)).min(MAX_JOINT_SPEED / joint_speed.max(1e-9));
         scale *= (self.phase_time / FADE_IN).min(1.0);
         // If the arm comes near its allowed speed, slow the goals down so that the servos brake it.
-        let allowed = (2.2 - 2.0 * measured).clamp(0.0, 1.0);
+        let allowed = ((BRAKE_END - measured) / (BRAKE_END - BRAKE_START)).clamp(0.0, 1.0);
         self.slowdown += (dt / SLOWDOWN_TIME).min(1.0) * (allowed - self.slowdown);
         scale *= self.slowdown;
         self.goal_speed = scale * fastest;
@@ -523,12 +605,16 @@ impl Lowering {
             let (size, weight) = (self.lead[i].abs(), gravity[i].abs());
             let sinks = size > self.least_lead[i] + SINKING.max(2.0 * self.encoder_step[i]);
             self.least_lead[i] = self.least_lead[i].max(size - 2.0 * SINKING).min(size);
-            let enough = (SUPPORT * weight).max(self.kp[i] * size) + self.margin(i, gravity[i]);
+            let margin = self.margin(i, gravity[i]);
+            let enough = (SUPPORT * weight).max(self.kp[i] * size) + margin;
+            // The limit grows with the weight, or the joint would sink until its lead has grown.
+            let growth = (SUPPORT * weight + margin - self.holding_torque[i]).max(0.0);
+            self.holding_torque[i] = SUPPORT * weight + margin;
             let change = self.max_torque[i] * dt / LIMIT_CHANGE_TIME;
             let limit = if sinks {
                 self.torque_limit[i] + change
             } else {
-                self.torque_limit[i].min(enough).max(self.torque_limit[i] - change).max(SUPPORT * weight)
+                (self.torque_limit[i] + growth).min(enough).max(self.torque_limit[i] - change).max(SUPPORT * weight)
             };
             self.torque_limit[i] = limit.min(self.max_torque[i]);
         }
@@ -557,7 +643,7 @@ impl Lowering {
             (0..self.n).all(|i| idle[i] || load[i] * sign(gravity[i]) < ZERO_LEAD.max(1.5 * self.encoder_step[i]));
         let light = light || self.standstill > STANDSTILL_TIME;
         let calm = if self.presses { self.demand < 0.5 && fastest < SLIDING } else { fastest < STILL };
-        self.rest_time = if light && calm { self.rest_time + dt } else { 0.0 };
+        self.rest_time = (self.rest_time + if light && calm { dt } else { -dt }).max(0.0);
         if self.is_late() || (self.rest_time > SETTLING_TIME && !self.presses) {
             self.enter(LoweringPhase::Ramp);
         } else if self.rest_time > SETTLING_TIME {
@@ -572,26 +658,30 @@ impl Lowering {
         self.time > MAX_DURATION && !self.blind
     }
 
-    /// Reduces leads and torque limits to zero while the arm is still; descends again if the arm slides.
+    /// Reduces leads and torque limits to zero, brakes an arm that slides, and descends again if it falls.
     fn release(&mut self, dt: f64, fastest: f64, lost: &[bool; MAX_JOINTS]) {
         let late = self.is_late();
-        if fastest > SLIDING && !late {
+        if fastest > FALLING && !late {
             self.enter(LoweringPhase::Down);
             return;
         }
-        if fastest < STILL || late {
-            let duration = if self.blind || lost.contains(&true) { BLIND_RAMP_TIME } else { RAMP_TIME };
-            self.ramp = (self.ramp - dt / duration).max(0.0);
-        }
+        let duration = if self.blind || lost.contains(&true) { BLIND_RAMP_TIME } else { RAMP_TIME };
+        // Limits rise again while the arm slides faster than `SLIDING`: they brake it.
+        let pace = if late { 1.0 } else { ((SLIDING - fastest) / (SLIDING - STILL)).clamp(-3.0, 1.0) };
+        let least = if fastest < STILL || late { 0.0 } else { LAST_SHARE.min(self.ramp) };
+        self.ramp = (self.ramp - dt / duration * pace).max(least).min(1.0);
         for i in 0..self.n {
             self.torque_limit[i] = self.ramp * self.ramp_limit[i];
-            // Keep goals near a sliding arm; otherwise it would jump back once limits rise again.
-            let max = self.ramp * self.ramp_lead[i];
+            // The limit brakes an arm that slides. Goals stay near it, so that it does not jump back later.
+            let max = self.ramp * self.ramp_lead[i].max(self.ramp_limit[i] / self.kp[i]);
             if !lost[i] {
                 self.goal[i] = self.q[i] + clip(self.goal[i] - self.q[i], max);
             }
         }
-        if self.ramp <= 0.0 {
+        // The arm must stand still without torque before torque is switched off.
+        let stands = self.ramp <= 0.0 && fastest < STILL;
+        self.rest_time = if stands { self.rest_time + dt } else { 0.0 };
+        if self.ramp <= 0.0 && (late || self.rest_time > SETTLING_TIME) {
             self.phase = LoweringPhase::Done;
         }
     }

@@ -1,9 +1,11 @@
-//! Functions of an arm beside the controller: descent, hand guiding, and the thermal limits of its servos.
+//! Functions of an arm beside the controller: descent, hand guiding, following of joint targets, and the thermal limits
+//! of its servos.
 //!
-//! Each is called once per tick and does not allocate in that call. Descent and hand guiding measure joint positions
-//! only.
+//! Each is called once per tick and does not allocate in that call. Except for the thermal limits, they
+//! measure joint positions only.
 
 mod hand_guiding;
+mod joint_follower;
 mod lowering;
 mod thermal;
 
@@ -13,6 +15,7 @@ use crate::model::Model;
 use crate::{JointVec, MAX_JOINTS};
 
 pub use hand_guiding::{HandGuiding, HandGuidingOptions, SwingResult};
+pub use joint_follower::{JointFollower, JointFollowerOptions};
 pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, SUPPORT, torque_margin};
 pub use thermal::{ThermalModel, ThermalOptions};
 

@@ -248,9 +248,9 @@ impl ArmGeometry {
     }
 
     /// Returns the effective mass [kg] of each point along its own velocity [m/s]: `1 / (dᵀ J M⁻¹ Jᵀ d)` with d the
-    /// direction of the velocity (Khatib 1995); 0 for a point at rest.
-    pub fn effective_mass(&self, velocity: &[[f64; 3]; MAX_POINTS]) -> [f64; MAX_POINTS] {
-        let factor = self.cholesky();
+    /// direction of the velocity (Khatib 1995); 0 for a point at rest. M includes a point mass `load` at the tool [kg].
+    pub fn effective_mass(&self, velocity: &[[f64; 3]; MAX_POINTS], load: f64) -> [f64; MAX_POINTS] {
+        let factor = self.cholesky(load);
         let mut mass = [0.0; MAX_POINTS];
         for ((mass, v), rows) in mass.iter_mut().zip(velocity).zip(&self.jacobian) {
             let speed = norm(v);
@@ -287,6 +287,11 @@ impl ArmGeometry {
         lever
     }
 
+    /// Returns the height of the tool along `up`, a unit vector in base axes, above the base's origin [m].
+    pub fn tool_height(&self, up: &[f64; 3]) -> f64 {
+        dot3(up, &self.position[self.points - 1])
+    }
+
     /// Returns the rise of the tool along `up`, a unit vector in base axes, per joint motion [m/rad].
     pub fn tool_rise(&self, up: &[f64; 3]) -> JointVec {
         let rows = &self.jacobian[self.points - 1];
@@ -294,13 +299,15 @@ impl ArmGeometry {
     }
 
     /// Returns the lower triangular factor L of the mass matrix, M = L Lᵀ; the pivot of a joint without inertia is tiny
-    /// but positive.
-    fn cholesky(&self) -> [JointVec; MAX_JOINTS] {
+    /// but positive. M includes a point mass `load` at the tool [kg].
+    fn cholesky(&self, load: f64) -> [JointVec; MAX_JOINTS] {
+        let tool = &self.jacobian[self.points - 1];
         let mut factor = [[0.0; MAX_JOINTS]; MAX_JOINTS];
         for i in 0..self.n {
             for j in 0..=i {
                 let known: f64 = (0..j).map(|k| factor[i][k] * factor[j][k]).sum();
-                let left = self.inertia[i][j] - known;
+                let added: f64 = tool.iter().map(|row| row[i] * row[j]).sum();
+                let left = self.inertia[i][j] + load * added - known;
                 factor[i][j] = if i == j { left.max(1e-15).sqrt() } else { left / factor[j][j] };
             }
         }

@@ -1,4 +1,4 @@
-"""Models, settings and servos as JSON and back, bit for bit, without executing code."""
+"""Conversion of models, settings and servos to JSON and back, without loss of precision."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from pliant._core import (
 )
 from pliant.functional import PaperOptions
 
+#: Classes of objects that `write` converts to JSON and `read` restores, by class name.
 _TYPES = {
     kind.__name__: kind
     for kind in (
@@ -41,22 +42,24 @@ _TYPES = {
 
 
 def write(value: Any) -> str:
-    """Return JSON of numbers, arrays, settings, axes, tasks, servos, payloads, and lists of them.
+    """Return a value as JSON text; `read` restores it.
+
+    The value is a number, a string, an array, an object of `_TYPES`, or a container of such values.
 
     Raises:
-        ConfigError: The value has another type.
+        ConfigError: A value has a type that is not supported.
     """
-    return json.dumps(_plain(value), ensure_ascii=False)
+    return json.dumps(_to_json(value), ensure_ascii=False)
 
 
 def read(text: str) -> Any:
-    """Return the value that was given to `write`; arrays come back as lists.
+    """Return the value in a JSON text written by `write`; arrays become lists.
 
     Raises:
         ConfigError: The text is invalid.
     """
     try:
-        return _rich(json.loads(text))
+        return _from_json(json.loads(text))
     except (
         ArithmeticError,
         AttributeError,
@@ -69,7 +72,7 @@ def read(text: str) -> Any:
 
 
 def model(source: Any) -> Model:
-    """Return the model of a description by `describe`.
+    """Return the robot model that `describe` has described.
 
     Raises:
         ConfigError, UrdfError: The description is invalid.
@@ -82,41 +85,41 @@ def model(source: Any) -> Model:
         raise ConfigError(f"not the description of a model: {error}") from error
 
 
-def describe(given: Model) -> dict[str, Any]:
-    """Return URDF and options of a model."""
-    text, options = given.source
+def describe(robot_model: Model) -> dict[str, Any]:
+    """Return the URDF text and the options of a robot model, from which `model` recreates it."""
+    text, options = robot_model.source
     return {"urdf": text, "options": options}
 
 
-def _plain(value: Any) -> Any:
+def _to_json(value: Any) -> Any:
     name = type(value).__name__
     if name in _TYPES and isinstance(value, _TYPES[name]):
         if isinstance(value, Payload):
             return {"type": name, "fields": {"mass": value.mass, "com": value.com.tolist()}}
         fields = value.__getnewargs_ex__()[1]
-        return {"type": name, "fields": {key: _plain(item) for key, item in fields.items()}}
+        return {"type": name, "fields": {key: _to_json(item) for key, item in fields.items()}}
     if isinstance(value, dict):
-        return {"table": [[_plain(key), _plain(item)] for key, item in value.items()]}
+        return {"table": [[_to_json(key), _to_json(item)] for key, item in value.items()]}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, tuple):
-        return {"tuple": [_plain(item) for item in value]}
+        return {"tuple": [_to_json(item) for item in value]}
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_to_json(item) for item in value]
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if hasattr(value, "items"):
-        return _plain(dict(value))
+        return _to_json(dict(value))
     raise ConfigError(f"cannot write a {name} into a log")
 
 
-def _rich(value: Any) -> Any:
+def _from_json(value: Any) -> Any:
     if isinstance(value, list):
-        return [_rich(item) for item in value]
+        return [_from_json(item) for item in value]
     if not isinstance(value, dict):
         return value
     if "tuple" in value:
-        return tuple(_rich(item) for item in value["tuple"])
+        return tuple(_from_json(item) for item in value["tuple"])
     if "table" in value:
-        return {_rich(key): _rich(item) for key, item in value["table"]}
-    return _TYPES[value["type"]](**_rich({"table": list(value["fields"].items())}))
+        return {_from_json(key): _from_json(item) for key, item in value["table"]}
+    return _TYPES[value["type"]](**_from_json({"table": list(value["fields"].items())}))

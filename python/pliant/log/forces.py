@@ -1,7 +1,7 @@
-"""Estimated forces on the tool in a logged run, and the pose report of its controller.
+"""Estimation of the forces on the tool in a logged run.
 
-The log holds all inputs of the controller. A new controller with a `ContactEstimator` gets them
-again, so no forces need to be recorded.
+The log contains no forces, but all inputs of the controller: a new controller and a
+`ContactEstimator` run on the same inputs and yield the forces.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from pliant.log.reader import Log
 
 
-#: Rotation that weighs as much as a deviation of one metre [rad].
+#: To compare deviations of different axes: rotation that counts as much as one metre [rad].
 RADIANS_PER_METRE = 4.0
 
 
 @dataclass(frozen=True)
-class Felt:
-    """Forces along the task axes (N, k), and the controller's report at the largest deviation.
+class ForceEstimates:
+    """Estimated forces in the N ticks of a log, along k task axes.
 
     Attributes:
-        force: Force of the surroundings on the tool, positive toward + [N, N·m].
-        bound: Uncertainty of the force; infinite if it cannot be estimated.
-        worst: Tick of the largest deviation of any axis.
-        report: The controller's report at that tick.
-        strengths: Settings of each axis at its largest deviation, by axis name.
+        force: External force on the tool (N, k) [N, N·m].
+        bound: Uncertainty of the force (N, k) [N, N·m]; infinite if it cannot be estimated.
+        worst: Index of the tick with the largest deviation of any axis.
+        report: Forces that the arm could exert at the tick `worst` (`Controller.report`).
+        strengths: Settings of each axis at the tick of the axis' largest deviation, by axis name.
     """
 
     force: Array
@@ -45,14 +45,14 @@ class Felt:
     strengths: dict[str, Axis]
 
 
-def feel(log: Log) -> Felt | None:
-    """Run the log's controller again with a `ContactEstimator` beside it.
+def estimate_forces(log: Log) -> ForceEstimates | None:
+    """Estimate the forces in a log by running its controller again with a `ContactEstimator`.
 
     Returns:
-        None if ticks and steps do not correspond: not exactly one step per tick.
+        The forces; None if the log does not have exactly one step of the controller per tick.
 
     Raises:
-        ConfigError: The log has no controller, or is of another version of pliant.
+        ConfigError: The log has no controller or no ticks, or is of another version of pliant.
     """
     axes, ticks = log.run["axes"], len(log)
     if not axes or not ticks:
@@ -61,7 +61,7 @@ def feel(log: Log) -> Felt | None:
     farthest = size.argmax(axis=0)
     weight = [1.0 if name in "xyz" else 1.0 / RADIANS_PER_METRE for name in axes]
     worst = int((size * weight).max(axis=1).argmax())
-    primes = _primes(log)
+    priming_steps = _priming_steps(log)
     force = np.zeros((ticks, len(axes)))
     bound = np.full_like(force, np.inf)
     strengths: dict[str, Axis] = {}
@@ -73,16 +73,16 @@ def feel(log: Log) -> Felt | None:
         nonlocal contact
         if contact is None:
             contact = ContactEstimator(controller)
-        elif call.sequence in primes:
+        elif call.sequence in priming_steps:
             contact.reset()
-        if call.sequence not in primes and tick < ticks:
+        if call.sequence not in priming_steps and tick < ticks:
             estimate = contact.update(np.array(call.q), dt=None if np.isnan(call.dt) else call.dt)
             rows = [AXES.index(name) for name in axes]
             force[tick], bound[tick] = estimate.force[rows], estimate.uncertainty[rows]
 
     for call, controller, _ in steps(log, before=before):
-        if call.sequence in primes or tick >= ticks:
-            tick += call.sequence not in primes
+        if call.sequence in priming_steps or tick >= ticks:
+            tick += call.sequence not in priming_steps
             continue
         if tick in farthest:
             here = [name for name, at in zip(axes, farthest, strict=True) if at == tick]
@@ -92,11 +92,14 @@ def feel(log: Log) -> Felt | None:
         tick += 1
     if found is None or tick != ticks:
         return None
-    return Felt(force, bound, worst, found, strengths)
+    return ForceEstimates(force, bound, worst, found, strengths)
 
 
-def _primes(log: Log) -> set[int]:
-    """Return the steps by which a loop primes a controller; they belong to no tick."""
+def _priming_steps(log: Log) -> set[int]:
+    """Return the sequence numbers of controller steps that belong to no tick of the loop.
+
+    After a reset, a loop makes one long step with `dt = PRIME`, whose command is not sent.
+    """
     pairs = zip(log.calls, log.calls[1:], strict=False)
     return {
         after.sequence

@@ -1,0 +1,139 @@
+"""LeRobot's own arms on the same emulated servos, before, beside and after ours."""
+
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+from conftest import MOTORS, calibration, emulated
+from emulated_leader import swinging
+from lerobot.robots.koch_follower import KochFollower, KochFollowerConfig
+from lerobot.robots.so_follower import SO101Follower, SO101FollowerConfig
+from lerobot.teleoperators.so_leader import SO101Leader, SO101LeaderConfig
+from lerobot_robot_pliant import PliantFollower, PliantFollowerConfig
+
+import pliant
+from pliant.emulator.process import EmulatorProcess
+
+STOCK = {
+    "so101": (SO101Follower, SO101FollowerConfig),
+    "koch": (KochFollower, KochFollowerConfig),
+}
+#: Registers that a servo changes by itself, and the goal that each program sets.
+CHANGING = ("Present", "Moving", "Realtime", "Trajectory", "Goal_Position", "Status", "Goal_PWM")
+HOME = {f"{motor}.pos": 0.0 for motor in MOTORS[:5]}
+AWAY = {"shoulder_pan.pos": 20.0, "elbow_flex.pos": -25.0, "wrist_flex.pos": 15.0}
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Give LeRobot's drivers time for an emulator on a busy machine."""
+    import dynamixel_sdk
+    import scservo_sdk
+
+    monkeypatch.setattr(dynamixel_sdk.port_handler, "LATENCY_TIMER", 500.0)
+    monkeypatch.setattr(scservo_sdk.port_handler, "LATENCY_TIMER", 500.0)
+
+
+def registers(robot):
+    """Return the registers of all servos, by LeRobot's own table."""
+    bus = robot.bus
+    return {
+        (motor, name): bus.read(name, motor, normalize=False, num_retry=5)
+        for motor in bus.motors
+        for name in bus.model_ctrl_table[bus.motors[motor].model]
+        if not any(part in name for part in CHANGING)
+    }
+
+
+def course(robot):
+    """Move home and away; return the positions on the way."""
+    robot.send_action(HOME | {"gripper.pos": 20.0})
+    time.sleep(3.0)
+    robot.send_action(AWAY)
+    begin, places = time.perf_counter(), []
+    for k in range(1, 31):
+        time.sleep(max(begin + 0.05 * k - time.perf_counter(), 0.0))
+        places.append(robot.get_observation())
+    return places
+
+
+def setup(name, port, folder, *undo):
+    """Run `pliant servos setup`: LeRobot gives a Koch's small servos a mode without a limit."""
+    run = subprocess.run(
+        [
+            *(sys.executable, "-m", "pliant.cli", "servos", "setup", name, "--yes"),
+            *("--port", port, "--calibration", folder / "stock.json"),
+            *(undo or ("--backup", folder / "setup.json")),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+@pytest.mark.parametrize("name", ["so101", "koch"])
+def test_the_stock_arm_moves_after_ours_as_before(name, tmp_path):
+    robot_class, config_class = STOCK[name]
+    with emulated(name, tmp_path) as (emulator, file):
+        folder = tmp_path / "calibration"
+        folder.mkdir()
+        (folder / "stock.json").write_text(file.read_text("utf-8"), "utf-8")
+        options = {"id": "stock", "calibration_dir": folder, "use_degrees": True}
+
+        def stock():
+            return robot_class(config_class(port=emulator.port, **options))
+
+        with stock() as robot:
+            assert robot.is_calibrated
+            before, first = registers(robot), course(robot)
+        if name == "koch":
+            setup(name, emulator.port, folder)
+        ours = PliantFollower(
+            PliantFollowerConfig(arm=name, port=emulator.port, id="stock", calibration_dir=folder)
+        )
+        with ours:
+            ours.send_action(HOME | {"gripper.pos": 20.0})
+            time.sleep(2.0)
+            ours.send_action(AWAY)
+            time.sleep(2.0)
+            moved = ours.get_observation()
+            for motor, value in AWAY.items():
+                assert moved[motor] == pytest.approx(value, abs=4.0)
+        if name == "koch":
+            setup(name, emulator.port, folder, "--undo", folder / "setup.json")
+        with stock() as robot:
+            after, second = registers(robot), course(robot)
+    assert {k: (v, after[k]) for k, v in before.items() if after[k] != v} == {}
+    for motor in HOME:
+        for one, other in zip(first, second, strict=True):
+            assert other[motor] == pytest.approx(one[motor], abs=3.0)
+        assert second[-1][motor] == pytest.approx(first[-1][motor], abs=0.5)
+
+
+def test_lerobots_leader_moves_our_follower(tmp_path):
+    folder = tmp_path / "calibration"
+    folder.mkdir()
+    (folder / "lead.json").write_text(json.dumps(calibration()), "utf-8")
+    file = pliant.config.load("so101", calibration=folder / "lead.json")
+    with EmulatorProcess(swinging, file) as lead, emulated("so101", tmp_path) as (arm, path):
+        leader = SO101Leader(
+            SO101LeaderConfig(port=lead.port, id="lead", calibration_dir=folder, use_degrees=True)
+        )
+        follower = PliantFollower(PliantFollowerConfig(port=arm.port, calibration=path))
+        gaps, seen = [], []
+        with leader, follower:
+            assert leader.is_calibrated
+            begin = time.perf_counter()
+            while time.perf_counter() < begin + 12.0:
+                wanted, have = leader.get_action(), follower.get_observation()
+                follower.send_action(wanted)
+                if time.perf_counter() > begin + 5.0:
+                    gaps.append(max(abs(wanted[f"{m}.pos"] - have[f"{m}.pos"]) for m in MOTORS[:5]))
+                    seen.append(wanted["shoulder_pan.pos"])
+                time.sleep(1 / 30)
+    assert max(seen) - min(seen) > 15.0
+    assert sorted(gaps)[len(gaps) // 2] < 5.0
+    assert max(gaps) < 12.0

@@ -1,0 +1,147 @@
+"""Simulated hand of a person who guides an emulated arm whose torque is off."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from pliant.sim import Plant
+    from pliant.sim._model_builder import Build, Robot
+
+    Motion = Callable[[float], Mapping[str, float]]
+
+#: Natural frequency of a joint's inertia on the spring of the hand's grip [rad/s].
+GRIP = 30.0
+#: Largest torque of the hand on a joint, in addition to the torque that carries the arm [N·m].
+MAX_TORQUE = 1.0
+#: Motion `wave`: amplitude [rad], period of the first joint [s], and how much longer the period of
+#: each next joint is [s].
+AMPLITUDE, PERIOD, PERIOD_STEP = 0.3, 4.0, 0.7
+#: Time in which the hand moves the joints from their initial positions to those of the motion [s].
+TAKE_TIME = 3.0
+#: Motion `ranges`: time for which all joints stay in the middle of their ranges [s], and time in
+#: which one joint then moves through its range and back [s].
+MIDDLE_TIME, RANGE_TIME = 20.0, 6.0
+
+
+class JointHand:
+    """Simulated hand that moves joints along a motion and carries their weight.
+
+    A damped spring of bounded torque pulls each joint. A servo with torque on resists the hand.
+
+    Args:
+        motion: Function of the time [s] that returns joint positions by name [rad]; the hand does
+            not touch other joints.
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        self._motion = motion
+        self._start: dict[str, float] = {}
+        self._inertia: dict[str, float] = {}
+
+    def add(self, build_spec: Build) -> None:
+        """Add nothing: a hand has no body."""
+
+    def place(self, plant: Plant) -> None:
+        """Release the joints at a reset; the next step starts from their positions at that time."""
+        self._start = {}
+
+    def before(self, plant: Plant) -> None:
+        """Do nothing before a physics step."""
+
+    def after(self, plant: Plant) -> None:
+        """Do nothing after a physics step."""
+
+    def during(self, plant: Plant) -> None:
+        """Apply the hand's torques to the joints in a physics step, including their weight."""
+        model, data = plant.mj_model, plant.mj_data
+        wanted = self._motion(data.time)
+        if not self._start:
+            self._take_hold(plant, wanted)
+        taken = _smooth(data.time / TAKE_TIME)
+        for name, position in wanted.items():
+            at = int(model.joint(name).dofadr[0])
+            here, speed = float(data.joint(name).qpos[0]), float(data.qvel[at])
+            goal = self._start[name] + taken * (position - self._start[name])
+            pull = self._inertia[name] * GRIP * (GRIP * (goal - here) - 2.0 * speed)
+            pull = min(max(pull, -MAX_TORQUE), MAX_TORQUE)
+            data.qfrc_applied[at] += pull + float(data.qfrc_bias[at])
+
+    def _take_hold(self, plant: Plant, names: Iterable[str]) -> None:
+        """Store the present position and inertia of each joint.
+
+        A spring stiffness in proportion to the inertia keeps the simulation stable.
+        """
+        from pliant.sim._mujoco import mujoco
+
+        model, data = plant.mj_model, plant.mj_data
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        for name in names:
+            at = int(model.joint(name).dofadr[0])
+            self._start[name], self._inertia[name] = float(data.joint(name).qpos[0]), mass[at, at]
+
+
+def wave(model: Robot, start: Mapping[str, float]) -> Motion:
+    """Return a motion in which every joint swings around its start, each with another period.
+
+    Args:
+        model: The robot, for the position limits.
+        start: Initial joint positions by name [rad].
+    """
+    limits = _limits(model)
+
+    def motion(time: float) -> dict[str, float]:
+        out = {}
+        for number, (name, middle) in enumerate(start.items()):
+            low, high = limits.get(name, (-math.inf, math.inf))
+            period = PERIOD + PERIOD_STEP * number
+            place = middle + AMPLITUDE * math.sin(2.0 * math.pi * time / period)
+            out[name] = min(max(place, low), high)
+        return out
+
+    return motion
+
+
+def ranges(model: Robot, start: Mapping[str, float]) -> Motion:
+    """Return a motion for calibration: all joints in mid-range, then one by one end to end.
+
+    Args:
+        model: The robot, for the position limits.
+        start: Initial joint positions by name [rad]; a joint without limits stays there.
+    """
+    limits = {name: ends for name, ends in _limits(model).items() if name in start}
+    middle = dict(start) | {name: 0.5 * (low + high) for name, (low, high) in limits.items()}
+
+    def motion(time: float) -> dict[str, float]:
+        out = dict(middle)
+        if time > MIDDLE_TIME and limits:
+            number, within = divmod((time - MIDDLE_TIME) / RANGE_TIME, 1.0)
+            name = list(limits)[int(number) % len(limits)]
+            low, high = limits[name]
+            out[name] += 0.5 * (high - low) * math.sin(2.0 * math.pi * within)
+        return out
+
+    return motion
+
+
+def _limits(model: Robot) -> dict[str, tuple[float, float]]:
+    """Return lower and upper position limit by joint name, for joints with finite limits."""
+    return {
+        joint.name: (joint.lower, joint.upper)
+        for joint in model.joints
+        if joint.lower is not None
+        and joint.upper is not None
+        and math.isfinite(joint.upper - joint.lower)
+    }
+
+
+def _smooth(share: float) -> float:
+    """Return ``3 s² - 2 s³`` for s = `share` clipped to [0, 1]: a smooth rise from 0 to 1."""
+    share = min(max(share, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)

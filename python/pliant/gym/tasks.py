@@ -1,0 +1,209 @@
+"""Tasks of the environments: scene, start, progress and force."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from pliant import sim
+from pliant.sim.postures import AT_DOOR, VERTICAL
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pliant._typing import Array
+    from pliant.sim import Plant
+
+#: Force band in which a surface counts as touched well [N].
+TOUCH = (2.0, 10.0)
+
+
+@dataclass
+class Episode:
+    """One episode of a task.
+
+    Attributes:
+        scene: Objects of `pliant.sim.Plant`, with the episode's random parameters.
+        progress: How far the task has come, 0 at the start and 1 at success.
+        force: Present force on the tool [N].
+        parameters: The random parameters, for `info`.
+    """
+
+    scene: Sequence[Any]
+    parameters: dict[str, float]
+    progress: float = field(default=0.0, init=False)
+    force: float = field(default=0.0, init=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(ABC):
+    """A task: what the arm meets, and what counts as progress.
+
+    The reward of a step is the progress in it, less `force_weight` times the force beyond
+    `free_force` over `free_force` times the time, and 1 at success.
+
+    Attributes:
+        seconds: Length of an episode [s].
+        decision_rate: Steps of the environment per second [Hz].
+        free_force: Force on the tool that costs nothing [N].
+        force_weight: Cost per second of a force of twice that [1/s].
+        max_force: Force at which an episode ends in failure [N].
+    """
+
+    seconds: float = 8.0
+    decision_rate: float = 20.0
+    free_force: float = 15.0
+    force_weight: float = 0.1
+    max_force: float = 150.0
+    #: Axes whose softness an action sets.
+    soft: ClassVar[str] = "y yaw"
+    #: Initial joint positions of `arm7` (7,) [rad].
+    start: ClassVar[Array] = VERTICAL
+
+    @abstractmethod
+    def episode(self, rng: np.random.Generator) -> Episode:
+        """Return an episode with random parameters."""
+
+    @abstractmethod
+    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
+        """Update progress and force of an episode after a control tick of dt [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Door(Task):
+    """Open a door of unknown radius and friction by 60°; its handle is in a rigid grip.
+
+    Attributes:
+        radius: Least and largest distance of the handle from the hinge [m].
+        friction: Least and largest dry friction of the hinge [N·m].
+    """
+
+    radius: tuple[float, float] = (0.2, 0.45)
+    friction: tuple[float, float] = (0.2, 3.0)
+    start: ClassVar[Array] = AT_DOOR
+
+    def episode(self, rng: np.random.Generator) -> Episode:
+        """Return a closed door that opens toward the arm."""
+        radius, friction = rng.uniform(*self.radius), rng.uniform(*self.friction)
+        door = sim.Door(hinge=(0.0, -radius, 0.0), friction=friction, grip="rigid")
+        return Episode([door], {"radius": radius, "friction": friction})
+
+    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
+        """Count the opening, and the force in the grip."""
+        (door,) = episode.scene
+        episode.progress = min(float(door.widest) / np.deg2rad(60.0), 1.0)
+        episode.force = float(np.linalg.norm(door.force))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawer(Task):
+    """Pull a drawer open by 0.2 m; its slide is not parallel to the x axis.
+
+    Attributes:
+        angle: Largest horizontal angle between slide and x axis [deg].
+        friction: Least and largest dry friction of the slide [N].
+    """
+
+    angle: float = 20.0
+    friction: tuple[float, float] = (1.0, 8.0)
+    start: ClassVar[Array] = AT_DOOR
+
+    def episode(self, rng: np.random.Generator) -> Episode:
+        """Return a closed drawer."""
+        angle, friction = rng.uniform(-self.angle, self.angle), rng.uniform(*self.friction)
+        axis = (-float(np.cos(np.deg2rad(angle))), float(np.sin(np.deg2rad(angle))), 0.0)
+        return Episode(
+            [sim.drawer(axis=axis, friction=friction)], {"angle": angle, "friction": friction}
+        )
+
+    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
+        """Count the opening, and the force in the grip."""
+        (box,) = episode.scene
+        episode.progress = min(float(box.widest) / 0.2, 1.0)
+        episode.force = float(np.linalg.norm(box.force))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wall(Task):
+    """Find a wall at an unknown distance and touch it with 2 to 10 N for 2 s.
+
+    Attributes:
+        distance: Least and largest distance of the wall along x [m].
+        stiffness: Least and largest stiffness of the wall [N/m]; drawn on a logarithmic scale.
+    """
+
+    distance: tuple[float, float] = (0.02, 0.10)
+    stiffness: tuple[float, float] = (1e3, 3e4)
+    soft: ClassVar[str] = "x"
+
+    def episode(self, rng: np.random.Generator) -> Episode:
+        """Return a wall across x."""
+        distance = rng.uniform(*self.distance)
+        stiffness = float(np.exp(rng.uniform(*np.log(self.stiffness))))
+        wall = sim.Wall(distance=distance, stiffness=stiffness)
+        return Episode([wall], {"distance": distance, "stiffness": stiffness})
+
+    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
+        """Count the time within the force band."""
+        episode.force = float(np.linalg.norm(plant.hands[0].force))
+        if TOUCH[0] <= episode.force <= TOUCH[1]:
+            episode.progress = min(episode.progress + dt / 2.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wipe(Task):
+    """Wipe 0.3 m of an uneven surface along y, with a force of 2 to 10 N.
+
+    Attributes:
+        unevenness: Least and largest amplitude of the surface's height [m].
+        below: Least and largest distance of the surface below the tool at the start [m].
+    """
+
+    unevenness: tuple[float, float] = (0.0, 0.012)
+    below: tuple[float, float] = (0.005, 0.03)
+    soft: ClassVar[str] = "z roll pitch"
+
+    def episode(self, rng: np.random.Generator) -> Episode:
+        """Return a surface below the tool."""
+        unevenness, below = rng.uniform(*self.unevenness), rng.uniform(*self.below)
+        surface = sim.Surface(unevenness=unevenness, below=below)
+        return Episode([surface], {"unevenness": unevenness, "below": below})
+
+    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
+        """Count the distance along y within the force band."""
+        episode.force = float(np.linalg.norm(plant.hands[0].force))
+        place = float(plant.tool[1, 3])
+        last = episode.parameters.get("y", place)
+        episode.parameters["y"] = place
+        if TOUCH[0] <= episode.force <= TOUCH[1]:
+            episode.progress = min(episode.progress + abs(place - last) / 0.3, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plug(Task):
+    """Insert a plug 28 mm deep into a hole that is offset and tilted by an unknown amount.
+
+    Attributes:
+        offset: Largest offset of the hole along x and y [m].
+        tilt: Largest tilt of the hole about x and y [deg].
+    """
+
+    offset: float = 0.003
+    tilt: float = 2.0
+    soft: ClassVar[str] = "x y z roll pitch"
+
+    def episode(self, rng: np.random.Generator) -> Episode:
+        """Return a hole 20 mm below the plug."""
+        x, y = rng.uniform(-self.offset, self.offset, 2)
+        roll, pitch = np.deg2rad(rng.uniform(-self.tilt, self.tilt, 2))
+        hole = sim.Socket(offset=(x, y, -0.02), tilt=(roll, pitch, 0.0))
+        return Episode([hole], {"x": x, "y": y, "roll": float(roll), "pitch": float(pitch)})
+
+    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
+        """Count the depth, and the force of the contacts."""
+        (hole,) = episode.scene
+        episode.progress = min(max(float(hole.deepest) / 0.028, 0.0), 1.0)
+        episode.force = float(hole.force)

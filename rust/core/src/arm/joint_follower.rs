@@ -1,0 +1,249 @@
+//! Following of joint targets, of a leader arm or a policy, with the force of the tool bounded along x, y and z.
+//!
+//! The goals follow the targets in joint space, so that every joint goes where its target goes, also near a singular
+//! pose. The torque limits carry the weight and the largest forces F_a along the base axes. Per joint i, with the
+//! reference r, the gravity torque g, the friction ρ, and the damping d, which includes back-EMF:
+//!
+//! ```text
+//! r′   = r + s (q_target − r)                          with s ≤ 1 so that tool and joints keep their speed limits
+//! v    = low-pass((r′ − r) / dt); of a joint that the clip holds back, at most its own speed
+//! f_i  = maxₐ F_a max(|J_ai|, l |J_ωai|) + ρ_i
+//! r    = clip(r′, q ± f / k_p)
+//! goal = r + (g + b_d d v + b_f ρ tanh(v / v₀)) / k_p
+//! limit_i = |g_i| + f_i + b_d |d_i v_i|
+//! ```
+//!
+//! The clip keeps the goal no farther from the joint than its torque needs, so that an arm that was held back starts to
+//! return at once. Its lead in the direction of motion fades near the speed limits, because a soft servo stores energy
+//! in its lead. A joint that moves the tool point little, such as a wrist's roll, is measured at the lever l from it.
+
+use std::sync::Arc;
+
+use super::{finite_joint_vector, holding_torque, padded};
+use crate::controller::Command;
+use crate::error::{Error, Result};
+use crate::kinematics::{GroupMasses, Reference};
+use crate::model::Model;
+use crate::params::{LimitType, Servos};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
+
+/// Share b_f of the friction that is fed forward.
+const FRICTION_SHARE: f64 = 0.8;
+/// Share b_d of the viscous damping that is fed forward.
+const DAMPING_SHARE: f64 = 0.8;
+/// Speed v₀ in the friction feed-forward `tanh(v/v₀)` [rad/s].
+const FRICTION_SPEED: f64 = 0.1;
+/// Time constant of the low-pass of the reference's speed [s]: targets come in steps, 30 a second.
+const SPEED_FILTER: f64 = 0.03;
+/// Distance l from the tool point at which the forces also hold [m]: about the length of a finger.
+const LEVER: f64 = 0.1;
+/// Time constant of the low-pass of the joints' speeds [s].
+const OWN_SPEED_FILTER: f64 = 0.02;
+/// Share of the speed limits from which the lead that accelerates the arm fades.
+const FADE_FROM: f64 = 0.8;
+/// Share of the speed limits at which that lead is 0.
+const FADE_TO: f64 = 1.2;
+/// Longest time by which one step moves the reference [s].
+const LONGEST_STEP: f64 = 0.1;
+
+/// Options of [`JointFollower`].
+#[derive(Debug, Clone, Copy)]
+pub struct JointFollowerOptions {
+    /// Largest force of the tool along x, y and z of the base [N]; ∞: the servos' usable torque.
+    pub max_force: [f64; 3],
+    /// Speed limit of the tool point [m/s]; ∞ for none.
+    pub max_tool_speed: f64,
+    /// Speed limit of each joint [rad/s]; ∞ for none.
+    pub max_joint_speed: f64,
+}
+
+impl JointFollowerOptions {
+    fn validate(&self) -> Result<()> {
+        for (axis, &force) in self.max_force.iter().enumerate() {
+            if force.is_nan() || force < 0.0 {
+                return Err(Error::out_of_range(format!("max_force[{axis}]"), force, "[0, ∞] N"));
+            }
+        }
+        for (name, speed, unit) in
+            [("max_tool_speed", self.max_tool_speed, "m/s"), ("max_joint_speed", self.max_joint_speed, "rad/s")]
+        {
+            if speed.is_nan() || speed <= 0.0 {
+                return Err(Error::out_of_range(name, speed, format!("(0, ∞] {unit}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Goals that follow joint targets, and torque limits that bound the force; call [`JointFollower::step`] once per tick.
+#[derive(Debug, Clone)]
+pub struct JointFollower {
+    model: Arc<Model>,
+    masses: GroupMasses,
+    options: JointFollowerOptions,
+    n: usize,
+    kp: JointVec,
+    max_torque: JointVec,
+    friction: JointVec,
+    /// Sum of viscous damping, derivative gain and back-EMF [N·m·s/rad].
+    damping: JointVec,
+    /// Reference r [rad]; `None` before the first step.
+    reference: Option<JointVec>,
+    /// Low-passed speed v of the reference [rad/s].
+    speed: JointVec,
+    /// Low-passed speeds of the joints [rad/s].
+    own_speed: JointVec,
+    /// Positions in the last step [rad]; `None` before the first.
+    last_q: Option<JointVec>,
+}
+
+impl JointFollower {
+    /// Creates a follower that starts from the first position it measures.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] for an option out of range; [`Error::Config`], [`Error::Shape`] if the servos do not fit
+    /// the model.
+    pub fn new(model: Arc<Model>, servos: &Servos, options: JointFollowerOptions) -> Result<Self> {
+        options.validate()?;
+        let n = model.n();
+        let servos = servos.for_joints(n)?;
+        let max_torque = padded(&servos.max_torque, 0.0);
+        let no_load = match (servos.limit_type, &servos.no_load_speed) {
+            (LimitType::Pwm, Some(speed)) => padded(speed, f64::INFINITY),
+            _ => [f64::INFINITY; MAX_JOINTS],
+        };
+        let (damping, kv) = (padded(&servos.damping, 0.0), padded(&servos.kv, 0.0));
+        Ok(Self {
+            masses: model.chain().masses(model.payload()),
+            model,
+            options,
+            n,
+            kp: padded(&servos.kp, 1.0),
+            max_torque,
+            friction: padded(&servos.friction, 0.0),
+            damping: std::array::from_fn(|i| damping[i] + kv[i] + max_torque[i] / no_load[i]),
+            reference: None,
+            speed: [0.0; MAX_JOINTS],
+            own_speed: [0.0; MAX_JOINTS],
+            last_q: None,
+        })
+    }
+
+    /// Returns the options.
+    pub const fn options(&self) -> &JointFollowerOptions {
+        &self.options
+    }
+
+    /// Replaces the options while running; the goals continue from their present values.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`]; the options are then unchanged.
+    pub fn set_options(&mut self, options: JointFollowerOptions) -> Result<()> {
+        options.validate()?;
+        self.options = options;
+        Ok(())
+    }
+
+    /// Starts again from joint positions q (n) [rad], at rest.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] if q does not have n entries; [`Error::OutOfRange`] if one is not finite.
+    pub fn reset(&mut self, q: &[f64]) -> Result<()> {
+        self.reference = Some(finite_joint_vector("q", self.n, q)?);
+        (self.speed, self.own_speed, self.last_q) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], None);
+        Ok(())
+    }
+
+    /// Computes goals and torque limits for measured positions q (n) and targets (n) [rad]; `dt` is the time since the
+    /// last step [s]. Targets are clipped to the position limits.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a vector without n entries; [`Error::OutOfRange`] for a number that is not finite, or `dt`
+    /// not above 0. After an error the state is unchanged.
+    pub fn step(&mut self, q: &[f64], target: &[f64], dt: f64) -> Result<Command> {
+        let (q, target) = (finite_joint_vector("q", self.n, q)?, finite_joint_vector("q_target", self.n, target)?);
+        if !(dt > 0.0 && dt.is_finite()) {
+            return Err(Error::out_of_range("dt", dt, "(0, ∞) s"));
+        }
+        let dt = dt.min(LONGEST_STEP);
+        let mut rows: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+        self.model.kinematics_into(&q[..self.n], Reference::WorldAligned, &mut rows)?;
+        let gravity = holding_torque(&self.model, &self.masses, &q);
+        self.update_own_speed(&q, dt);
+        let fade = self.lead_fade(&rows);
+        let before = self.reference.unwrap_or(q);
+        let moved = self.toward(&before, &target, &rows, dt);
+        let share = dt / (SPEED_FILTER + dt);
+        let (mut goal, mut limit, mut reference) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], moved);
+        for i in 0..self.n {
+            let force = self.force_torque(&rows, i).min(self.max_torque[i]);
+            let lead = force / self.kp[i];
+            let (back, ahead) = if self.own_speed[i] > 0.0 { (lead, fade * lead) } else { (fade * lead, lead) };
+            reference[i] = moved[i].max(q[i] - back).min(q[i] + ahead);
+            let wanted = (moved[i] - before[i]) / dt;
+            let is_clipped = (reference[i] - moved[i]).abs() > f64::EPSILON;
+            // A blocked joint gets no feed-forward for a motion that it does not make.
+            let made = self.own_speed[i].max(wanted.min(0.0)).min(wanted.max(0.0));
+            let rate = if is_clipped { made } else { wanted };
+            self.speed[i] += (rate - self.speed[i]) * share;
+            let viscous = DAMPING_SHARE * self.damping[i] * self.speed[i];
+            let dry = FRICTION_SHARE * self.friction[i] * (self.speed[i] / FRICTION_SPEED).tanh();
+            goal[i] = reference[i] + (gravity[i] + viscous + dry) / self.kp[i];
+            limit[i] = self.max_torque[i].min(gravity[i].abs() + force + viscous.abs());
+        }
+        (self.reference, self.last_q) = (Some(reference), Some(q));
+        Ok(Command::new(self.n, goal, limit, [self.options.max_joint_speed; MAX_JOINTS]))
+    }
+
+    /// Updates the low-passed speeds of the joints.
+    fn update_own_speed(&mut self, q: &JointVec, dt: f64) {
+        let last = self.last_q.unwrap_or(*q);
+        for i in 0..self.n {
+            self.own_speed[i] += ((q[i] - last[i]) / dt - self.own_speed[i]) * dt / (OWN_SPEED_FILTER + dt);
+        }
+    }
+
+    /// Returns the share of a lead that accelerates the arm: 1 up to `FADE_FROM` of the speed limits, 0 from `FADE_TO`.
+    fn lead_fade(&self, rows: &Rows) -> f64 {
+        let fastest = self.own_speed.iter().fold(0.0_f64, |most, speed| most.max(speed.abs()));
+        let ratio = (fastest / self.options.max_joint_speed)
+            .max(self.tool_path(rows, &self.own_speed) / self.options.max_tool_speed);
+        ((FADE_TO - ratio) / (FADE_TO - FADE_FROM)).clamp(0.0, 1.0)
+    }
+
+    /// Returns the length of the tool point's path for small joint motions, or its speed for joint speeds [m, m/s].
+    fn tool_path(&self, rows: &Rows, joints: &JointVec) -> f64 {
+        (0..3).map(|axis| (0..self.n).map(|i| rows[axis][i] * joints[i]).sum::<f64>().powi(2)).sum::<f64>().sqrt()
+    }
+
+    /// Returns the reference moved straight toward the targets, within the speed limits of tool and joints.
+    fn toward(&self, from: &JointVec, target: &JointVec, rows: &Rows, dt: f64) -> JointVec {
+        let (lower, upper) = (self.model.lower(), self.model.upper());
+        let mut gap = [0.0; MAX_JOINTS];
+        for i in 0..self.n {
+            gap[i] = target[i].max(lower[i]).min(upper[i]) - from[i];
+        }
+        let largest = gap.iter().fold(0.0_f64, |most, step| most.max(step.abs()));
+        let path = self.tool_path(rows, &gap);
+        let mut share = 1.0_f64;
+        if largest > self.options.max_joint_speed * dt {
+            share = share.min(self.options.max_joint_speed * dt / largest);
+        }
+        if path > self.options.max_tool_speed * dt {
+            share = share.min(self.options.max_tool_speed * dt / path);
+        }
+        std::array::from_fn(|i| share.mul_add(gap[i], from[i]))
+    }
+
+    /// Returns the torque of joint i for the largest force along any base axis, plus its friction [N·m].
+    fn force_torque(&self, rows: &Rows, i: usize) -> f64 {
+        let mut most = 0.0_f64;
+        for (axis, &force) in self.options.max_force.iter().enumerate() {
+            if force.is_infinite() {
+                return self.max_torque[i];
+            }
+            most = most.max(force * rows[axis][i].abs().max(LEVER * rows[axis + 3][i].abs()));
+        }
+        most + self.friction[i]
+    }
+}

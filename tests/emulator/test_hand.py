@@ -1,0 +1,88 @@
+"""A hand that moves an emulated arm whose torque is off."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from emulator.helpers import p1
+from emulator.test_arm import ask, counts
+
+from pliant import config
+from pliant.cli.servos.emulate import _motion
+from pliant.config.factory import make_emulator
+from pliant.emulator import JointHand
+from pliant.emulator.hand import MIDDLE_TIME, RANGE_TIME
+from pliant.teach import Motion
+
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+
+
+@pytest.fixture
+def so101():
+    read = config.load("so101", backend="emulator")
+    return read.model_copy(update={"robot": read.robot.model_copy(update={"table": None})})
+
+
+def moved(own, motion, seconds, every=0.1):
+    """Return joint positions (N, 6) [rad] and what servos report of them [counts]."""
+    with make_emulator(own, clock="steps", hand=JointHand(_motion(motion, own))) as bus:
+        joints, reported = [], []
+        for _ in range(round(seconds / every)):
+            bus.world.advance(every)
+            joints.append([float(bus.plant.mj_data.joint(name).qpos[0]) for name in NAMES])
+            reported.append(counts(bus))
+        return np.array(joints), np.array(reported)
+
+
+@pytest.mark.slow
+def test_a_wave_moves_every_joint_of_a_limp_arm_and_its_servos_report_it(so101):
+    joints, reported = moved(so101, "wave", 12.0)
+    assert np.ptp(joints, axis=0).min() > 0.4
+    assert np.abs(joints[40:, :5]).max() < 0.35
+    turned = np.ptp(reported, axis=0) * 2.0 * np.pi / 4096
+    np.testing.assert_allclose(turned, np.ptp(joints, axis=0), atol=0.01)
+
+
+@pytest.mark.slow
+def test_ranges_begin_in_the_middle_and_lead_every_joint_from_end_to_end(so101):
+    joints, _ = moved(so101, "ranges", MIDDLE_TIME + 6 * RANGE_TIME + 1.0)
+    limits = {joint.name: (joint.lower, joint.upper) for joint in so101.model().joints}
+    low, high = np.array([limits[name] for name in NAMES]).T
+    np.testing.assert_allclose(joints[int(MIDDLE_TIME * 10) - 5], (low + high) / 2.0, atol=0.05)
+    np.testing.assert_allclose(joints.min(axis=0), low, atol=0.05)
+    np.testing.assert_allclose(joints.max(axis=0), high, atol=0.05)
+
+
+@pytest.mark.slow
+def test_a_taught_motion_is_led_forth_and_back(so101, tmp_path):
+    time = np.linspace(0.0, 4.0, 41)
+    q = np.zeros((41, 5))
+    q[:, 1] = 0.5 * time / 4.0
+    file = tmp_path / "led.json"
+    Motion(joints=NAMES[:5], time=time, q=q).save(file)
+    joints, _ = moved(so101, str(file), 8.0)
+    assert joints[39, 1] == pytest.approx(0.5, abs=0.05)
+    assert joints[-1, 1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_motion_of_another_arm_is_refused(so101, tmp_path):
+    file = tmp_path / "other.json"
+    Motion(joints=("a", "b"), time=np.array([0.0, 1.0]), q=np.zeros((2, 2))).save(file)
+    with pytest.raises(config.factory.ConfigError, match=r"joints \(a, b\).*choose wave or ranges"):
+        _motion(str(file), so101)
+
+
+@pytest.mark.slow
+def test_a_servo_with_torque_resists_the_hand(so101):
+    with make_emulator(so101, clock="steps", hand=JointHand(_motion("wave", so101))) as bus:
+        ask(bus, p1(2, 3, 40, 1))  # torque of shoulder_lift on
+        bus.world.advance(0.1)
+        start = float(bus.plant.mj_data.joint("shoulder_lift").qpos[0])
+        largest = {"shoulder_lift": 0.0, "elbow_flex": 0.0}
+        for _ in range(80):
+            bus.world.advance(0.1)
+            for name, most in largest.items():
+                here = float(bus.plant.mj_data.joint(name).qpos[0])
+                largest[name] = max(most, abs(here - start))
+    assert largest["shoulder_lift"] < 0.7 * largest["elbow_flex"]

@@ -1,0 +1,131 @@
+"""Environments of `pliant.gym`: contract, determinism, actions and what softness does."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("gymnasium")
+
+import gymnasium
+from gymnasium.utils.env_checker import check_env
+
+import pliant
+import pliant.gym
+from pliant.gym import Door, SoftAction, TaskEnv, Wall
+
+TASKS = ("Door", "Drawer", "Plug", "Wall", "Wipe")
+
+
+def run(env, motion, softness, steps, seed=0):
+    """Repeat one action; return rewards, the largest true force [N] and the last info."""
+    env.reset(seed=seed)
+    size = env.action_space.shape[0] - len(motion)
+    action = np.concatenate([motion, np.full(size, softness)]).astype(np.float32)
+    rewards, largest, info = [], 0.0, {}
+    for _ in range(steps):
+        _, reward, terminated, _, info = env.step(action)
+        rewards.append(reward)
+        largest = max(largest, info["force"])
+        if terminated:
+            break
+    return rewards, largest, info
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TASKS)
+def test_gymnasiums_own_checks_pass(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # positions and forces have no bounds
+        check_env(gymnasium.make(f"pliant/{name}-v0").unwrapped)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", ["twist", "pose", "joints"])
+def test_a_seed_repeats_an_episode_bit_for_bit(motion):
+    env = TaskEnv(Door(), action=SoftAction(motion=motion))
+    actions = np.random.default_rng(1).uniform(-0.3, 0.3, (10, env.action_space.shape[0]))
+    runs = []
+    for _ in range(2):
+        first, _ = env.reset(seed=3)
+        steps = [env.step(action) for action in actions]
+        runs.append([first, *(step[0] for step in steps)])
+        forces = [step[4]["force"] for step in steps]
+    for one, other in zip(*runs, strict=True):
+        for key, value in one.items():
+            np.testing.assert_array_equal(value, other[key])
+    assert max(forces) > 0.0
+    env.reset(seed=4)
+    assert not np.array_equal(env.step(actions[0])[0]["force"], runs[0][1]["force"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", ["twist", "pose", "joints"])
+def test_the_first_entries_move_the_target(motion):
+    env = TaskEnv(Wall(distance=(0.5, 0.5)), action=SoftAction(soft="", motion=motion))
+    size = env.action_space.shape[0]
+    first, _ = env.reset(seed=0)
+    action = np.zeros(size)
+    action[0] = 1.0
+    for _ in range(10):
+        last, *_ = env.step(action)
+    moved = last["tool"][:3] - first["tool"][:3]
+    if motion == "joints":
+        assert last["q"][0] - first["q"][0] > 0.1
+    else:
+        assert moved[0] > 0.015
+        assert np.abs(moved[1:]).max() < 0.01
+
+
+def test_softness_sets_cap_and_adaptation_together():
+    action = SoftAction(soft="y")
+    settings, hold = pliant.Settings(), {"y": 40.0}
+    soft, middle, firm = (
+        action.softened(settings, hold, np.array([s])).axes["y"] for s in (-1.0, 0.0, 1.0)
+    )
+    assert (soft.adaptation, middle.adaptation, firm.adaptation) == (0.9, 0.45, 0.0)
+    assert soft.soft == pytest.approx((0.8, 0.8))
+    assert middle.soft[0] == pytest.approx(40.0 * 0.02**0.5)
+    assert firm.soft == pytest.approx((40.0, 40.0))
+
+
+@pytest.mark.slow
+def test_a_soft_policy_opens_the_door_with_less_force_than_a_firm_one():
+    env = TaskEnv(Door(radius=(0.3, 0.3), friction=(0.5, 0.5)))
+    pull = [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
+    _, soft_force, soft_info = run(env, pull, -0.5, 100)
+    _, firm_force, _ = run(env, pull, 1.0, 100)
+    assert soft_info["progress"] > 0.5
+    assert soft_force < 0.5 * firm_force
+
+
+@pytest.mark.slow
+def test_too_much_force_ends_the_episode_and_costs():
+    env = TaskEnv(Wall(distance=(0.03, 0.03), stiffness=(3e4, 3e4), max_force=20.0))
+    rewards, force, info = run(env, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0, 100)
+    assert force > 20.0
+    assert len(rewards) < 100
+    assert rewards[-1] < -0.9
+    assert not info["is_success"]
+
+
+@pytest.mark.slow
+def test_a_light_touch_succeeds():
+    env = TaskEnv(Wall(distance=(0.03, 0.03), stiffness=(1e4, 1e4)))
+    rewards, _, info = run(env, [0.4, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0, 160)
+    assert info["is_success"]
+    assert sum(rewards) > 1.5
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"soft": "q"}, "'q' is no axis of the task, which has x, y"),
+        ({"motion": "force"}, "choose from twist, pose, joints"),
+        ({"max_speed": (0.0, 1.0)}, "max_speed must be above 0"),
+    ],
+)
+def test_wrong_actions_are_refused(options, said):
+    with pytest.raises(pliant.ConfigError, match=said):
+        TaskEnv(Wall(), action=SoftAction(**options))

@@ -1,0 +1,34 @@
+"""Stand-in for draccus: configurations by type name."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+
+class ChoiceRegistry:
+    """Base of configurations that are found by a name."""
+
+    _choices: ClassVar[dict[str, type]]
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if ChoiceRegistry in cls.__bases__:
+            cls._choices = {}
+
+    @classmethod
+    def register_subclass(cls, name: str) -> Any:
+        def register(choice: type) -> type:
+            cls._choices[name] = choice
+            return choice
+
+        return register
+
+    @property
+    def type(self) -> str:
+        return next(name for name, choice in self._choices.items() if choice is type(self))
+
+
+def decode(kind: Any, values: dict[str, Any]) -> Any:
+    """Return the configuration of a table with its `type`."""
+    rest = dict(values)
+    return kind._choices[rest.pop("type")](**rest)

@@ -1,0 +1,1 @@
+"""Stand-in for the names of LeRobot that the plugin uses; the real one needs PyTorch."""

@@ -1,0 +1,273 @@
+"""What fails, and what becomes of the arm."""
+
+import gc
+import signal
+import threading
+import time
+
+import pytest
+from lerobot_plugin.helpers import (
+    MOTORS,
+    arm_of,
+    plant_of,
+    positions,
+    powered,
+    wait,
+    wait_for,
+)
+
+import pliant
+
+#: Near the table, so that lowering is short.
+REST = [0.0, -1.2, 1.2, 0.6, 0.0]
+
+
+@pytest.fixture
+def make(plugin):
+    """Make robots, and disconnect them at the end."""
+    made = []
+
+    def build(**options):
+        robot = plugin.PliantFollower(plugin.PliantFollowerConfig(backend="sim", **options))
+        made.append(robot)
+        return robot
+
+    yield build
+    while made:
+        if made[-1].is_connected:
+            made[-1].disconnect()
+        made.pop()
+
+
+def test_a_bus_that_fails_lowers_the_arm_once_it_is_back(make, errors, monkeypatch):
+    """The program makes no call meanwhile: the control loop acts by itself."""
+    robot = make(rest_q=REST)
+    robot.connect()
+    arm = arm_of(robot)
+    read = arm.drive.read
+    broken = threading.Event()
+
+    def unplugged():
+        if broken.is_set():
+            raise pliant.ServoError("unplugged")
+        return read()
+
+    monkeypatch.setattr(arm.drive, "read", unplugged)
+    broken.set()
+    wait(0.5)
+    broken.clear()
+    assert wait_for(lambda: not powered(arm))
+    for call in (robot.get_observation, lambda: robot.send_action({})):
+        with pytest.raises(errors.DeviceNotConnectedError, match="unplugged"):
+            call()
+    # LeRobot's programs disconnect only what is connected.
+    assert robot.is_connected
+    robot.disconnect()
+    assert not robot.is_connected
+    robot.connect()
+    assert robot.get_observation()
+
+
+def test_an_error_in_the_loop_lowers_the_arm_at_once(make, errors, monkeypatch):
+    robot = make(rest_q=REST)
+    robot.connect()
+    arm = arm_of(robot)
+
+    def fail(*_):
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr(robot._session.behavior, "step", fail)
+    assert wait_for(lambda: not powered(arm))
+    with pytest.raises(errors.DeviceNotConnectedError, match="a defect"):
+        robot.get_observation()
+
+
+def test_an_error_in_the_loop_leaves_the_arm_held_if_wanted(make, errors, monkeypatch):
+    robot = make(on_exit="leave_enabled")
+    robot.connect()
+    arm, start = arm_of(robot), plant_of(robot).q.copy()
+    monkeypatch.setattr(robot._session.behavior, "step", lambda *_: 1 / 0)
+    assert wait_for(lambda: not arm.enabled)
+    wait(1.0)
+    arm.drive.read()
+    assert powered(arm)
+    assert plant_of(robot).q == pytest.approx(start, abs=0.02)
+    robot.disconnect()
+    assert powered(arm)
+
+
+def test_a_robot_that_is_deleted_lowers_its_arm(make, plugin):
+    robot = plugin.PliantFollower(plugin.PliantFollowerConfig(backend="sim", rest_q=REST))
+    robot.connect()
+    arm = arm_of(robot)
+    del robot
+    gc.collect()
+    assert not powered(arm)
+
+
+@pytest.fixture
+def interruptible():
+    """Let Ctrl-C raise: a shell starts programs in the background with it ignored."""
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, former)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_ctrl_c_reaches_the_program_and_disconnect_lowers(make):
+    """As in LeRobot's programs: the exception ends the loop, and the end disconnects."""
+    robot = make(rest_q=REST)
+    robot.connect()
+    arm = arm_of(robot)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert powered(arm)
+    assert robot.get_observation()
+    robot.disconnect()
+    assert not powered(arm)
+
+
+class Camera:
+    """A camera of LeRobot's interface."""
+
+    def __init__(self, fails=False, **options):
+        self.is_connected, self._fails = False, fails
+        self.height, self.width = 4, 6
+        vars(self).update(options)
+
+    def connect(self):
+        if self._fails:
+            raise ConnectionError("no such camera")
+        self.is_connected = True
+
+    def disconnect(self):
+        self.is_connected = False
+
+    def read_latest(self):
+        if self._fails:
+            raise TimeoutError("too old")
+        return "colour"
+
+    def read_latest_depth(self):
+        return "depth"
+
+
+def test_a_camera_that_fails_to_open_keeps_torque_off(make):
+    robot = make()
+    first = Camera()
+    robot.cameras = {"top": first, "wrist": Camera(fails=True)}
+    with pytest.raises(ConnectionError, match="no such camera"):
+        robot.connect()
+    assert not robot.is_connected
+    assert not first.is_connected
+
+
+def test_a_camera_that_fails_later_leaves_the_arm_connected(make):
+    """LeRobot's programs must find it connected, or they would not lower it."""
+    robot = make(on_exit="leave_enabled")
+    camera, depth = Camera(), Camera(use_depth=True)
+    robot.cameras = {"top": camera, "wrist": depth}
+    assert robot.observation_features["wrist"] == (4, 6, 3)
+    assert robot.observation_features["wrist_depth"] == (4, 6, 1)
+    robot.connect()
+    observation = robot.get_observation()
+    assert list(observation) == list(robot.observation_features)
+    assert (observation["wrist"], observation["wrist_depth"]) == ("colour", "depth")
+    camera._fails, camera.is_connected = True, False
+    with pytest.raises(TimeoutError, match="too old"):
+        robot.get_observation()
+    assert robot.is_connected
+    robot.disconnect()
+    assert not depth.is_connected
+
+
+@pytest.fixture
+def pair(plugin):
+    options = {
+        side: plugin.follower.PliantFollowerOptions(backend="sim", on_exit="leave_enabled")
+        for side in ("left", "right")
+    }
+    config = plugin.BiPliantFollowerConfig(
+        id="pair", left_arm_config=options["left"], right_arm_config=options["right"]
+    )
+    robot = plugin.BiPliantFollower(config)
+    yield robot
+    if robot.is_connected:
+        robot.disconnect()
+
+
+def test_two_arms_move_together_or_not_at_all(pair, errors):
+    pair.connect()
+    assert list(pair.get_observation()) == list(pair.observation_features)
+    assert {arm.id for arm in pair._arms.values()} == {"pair_left", "pair_right"}
+    pair.send_action(dict.fromkeys(pair.action_features, 0.0))
+    targets = [arm._session.behavior.target for arm in pair._arms.values()]
+    with pytest.raises(ValueError, match="nan"):
+        pair.send_action({"left_shoulder_pan.pos": 5.0, "right_shoulder_pan.pos": float("nan")})
+    assert [arm._session.behavior.target for arm in pair._arms.values()] == targets
+    sent = pair.send_action({"left_shoulder_pan.pos": 5.0})
+    assert sent == {"left_shoulder_pan.pos": pytest.approx(5.0)}
+    wait(1.5)
+    observation = pair.get_observation()
+    assert observation["left_shoulder_pan.pos"] == pytest.approx(5.0, abs=1.5)
+    assert observation["right_shoulder_pan.pos"] == pytest.approx(0.0, abs=1.5)
+    pair.disconnect()
+    with pytest.raises(errors.DeviceNotConnectedError):
+        pair.disconnect()
+
+
+def test_an_arm_that_fails_to_connect_disconnects_the_other(pair):
+    left, right = pair._arms.values()
+    right.cameras = {"wrist": Camera(fails=True)}
+    with pytest.raises(ConnectionError, match="no such camera"):
+        pair.connect()
+    assert not pair.is_connected
+    assert not left.is_connected
+
+
+def test_one_dead_arm_ends_the_other_too(pair, errors, monkeypatch):
+    pair.connect()
+    left, right = pair._arms.values()
+    arms = [arm_of(left), arm_of(right)]
+    monkeypatch.setattr(left._session.behavior, "step", lambda *_: 1 / 0)
+    assert wait_for(lambda: not arms[0].enabled)
+    with pytest.raises(errors.DeviceNotConnectedError, match="division by zero"):
+        pair.get_observation()
+    assert pair.is_connected
+    assert arms[1].enabled
+    pair.disconnect()
+    assert not arms[1].enabled
+
+
+def test_motors_have_the_units_of_lerobot(make):
+    robot = make(use_degrees=False, on_exit="leave_enabled")
+    robot.connect()
+    values = positions(robot)
+    assert set(values) == {f"{motor}.pos" for motor in MOTORS}
+    robot.send_action({"shoulder_pan.pos": 100.0, "gripper.pos": 100.0})
+    target = robot._session.behavior.target
+    assert abs(target.q[0]) == pytest.approx(abs(arm_of(robot).model.upper[0]), abs=1e-3)
+    assert target.extra["gripper"] == pytest.approx(arm_of(robot).gripper.opened, abs=1e-3)
+
+
+def test_a_pulled_cable_ends_with_an_error_and_disconnect_returns(plugin, errors):
+    """Over serial bytes: the emulated adapter is pulled out, and nothing can lower the arm."""
+    robot = plugin.PliantFollower(plugin.PliantFollowerConfig(backend="emulator"))
+    robot.connect()
+    arm = arm_of(robot)
+    arm.drive.emulator.call("pull")
+
+    def has_failed():
+        try:
+            robot.get_observation()
+        except errors.DeviceNotConnectedError:
+            return True
+        return False
+
+    assert wait_for(has_failed)
+    assert robot.is_connected
+    begin = time.monotonic()
+    robot.disconnect()
+    assert time.monotonic() < begin + 10.0
+    assert not robot.is_connected
+    assert not arm.enabled
