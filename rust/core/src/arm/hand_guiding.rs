@@ -18,7 +18,7 @@
 
 use std::sync::Arc;
 
-use super::{finite_joint_vector, holding_torque, padded};
+use super::{MIN_STEP, finite_joint_vector, holding_torque, padded};
 use crate::controller::Command;
 use crate::error::{Error, Result};
 use crate::kinematics::{GroupMasses, Reference};
@@ -228,6 +228,7 @@ impl HandGuiding {
         if !(dt > 0.0 && dt.is_finite()) {
             return Err(Error::out_of_range("dt", dt, "(0, ∞) s"));
         }
+        let dt = dt.max(MIN_STEP);
         self.update_speed(&q, dt);
         let ahead: JointVec = std::array::from_fn(|i| q[i] + PREDICTION_SHARE * self.options.delay * self.speed[i]);
         let gravity = self.holding_torque(&ahead);

@@ -19,7 +19,7 @@
 
 use std::sync::Arc;
 
-use super::{finite_joint_vector, holding_torque, padded};
+use super::{MIN_STEP, finite_joint_vector, holding_torque, padded};
 use crate::controller::Command;
 use crate::error::{Error, Result};
 use crate::kinematics::{GroupMasses, Reference};
@@ -165,7 +165,7 @@ impl JointFollower {
         if !(dt > 0.0 && dt.is_finite()) {
             return Err(Error::out_of_range("dt", dt, "(0, ∞) s"));
         }
-        let dt = dt.min(LONGEST_STEP);
+        let dt = dt.clamp(MIN_STEP, LONGEST_STEP);
         let mut rows: Rows = [[0.0; MAX_JOINTS]; MAX_AXES];
         self.model.kinematics_into(&q[..self.n], Reference::WorldAligned, &mut rows)?;
         let gravity = holding_torque(&self.model, &self.masses, &q);

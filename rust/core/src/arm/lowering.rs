@@ -22,7 +22,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::{finite_joint_vector, holding_torque, padded};
+use super::{MAX_VALUE, MIN_STEP, finite_joint_vector, holding_torque, padded};
 use crate::controller::Command;
 use crate::error::{Error, Result};
 use crate::kinematics::{ArmGeometry, ArmPoints, GroupMasses, MAX_POINTS};
@@ -354,7 +354,7 @@ impl Lowering {
 
     /// Computes goals, torque limits and speed limits of one tick; `None` if torque can be switched off.
     ///
-    /// `q` (n) [rad] are the last positions, `fresh` (n) marks those that are new; NaN and infinities count as lost.
+    /// `q` (n) [rad] are the last positions, `fresh` (n) marks those that are new; NaN and |q| > 10⁶ rad count as lost.
     /// `dt` is the time since the last tick [s], `age` the age of the goals that were in force when q was sampled [s].
     /// Speed limits [rad/s] are finite only while no positions arrive, so that a joint that missed packets does not
     /// jump to a later goal.
@@ -374,7 +374,7 @@ impl Lowering {
         let dt = if dt > 0.0 { dt.min(MAX_TICK) } else { 0.0 };
         let mut good = [false; MAX_JOINTS];
         for i in 0..self.n {
-            good[i] = fresh[i] && q[i].is_finite();
+            good[i] = fresh[i] && q[i].abs() <= MAX_VALUE;
             self.silence[i] = if good[i] { 0.0 } else { self.silence[i] + dt };
         }
         self.phase_time += dt;
@@ -693,7 +693,7 @@ impl Lowering {
         std::array::from_fn(|i| {
             let moved = self.q[i] - q[i];
             let moved = moved - clip(moved, self.encoder_step[i]);
-            if duration > 0.0 { moved / duration } else { 0.0 }
+            if duration > 0.0 { moved / duration.max(MIN_STEP) } else { 0.0 }
         })
     }
 

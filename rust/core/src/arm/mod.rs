@@ -19,13 +19,18 @@ pub use joint_follower::{JointFollower, JointFollowerOptions};
 pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, SUPPORT, torque_margin};
 pub use thermal::{ThermalModel, ThermalOptions};
 
-/// Copies n numbers into a joint vector; returns an error for another length or a number that is not finite.
+/// Largest |number| in a joint vector; larger ones would overflow in squares and rates.
+const MAX_VALUE: f64 = 1e6;
+/// Lower bound on the time between two steps [s]; a shorter time counts as this one.
+const MIN_STEP: f64 = 1e-6;
+
+/// Copies n numbers into a joint vector; returns an error for another length or a number outside ±[`MAX_VALUE`].
 fn finite_joint_vector(name: &str, n: usize, values: &[f64]) -> Result<JointVec> {
     if values.len() != n {
         return Err(Error::length(name, values.len(), n));
     }
-    if let Some(i) = values.iter().position(|value| !value.is_finite()) {
-        return Err(Error::out_of_range(format!("{name}[{i}]"), values[i], "the finite numbers"));
+    if let Some(i) = values.iter().position(|value| value.is_nan() || value.abs() > MAX_VALUE) {
+        return Err(Error::out_of_range(format!("{name}[{i}]"), values[i], "[-10⁶, 10⁶]"));
     }
     Ok(padded(values, 0.0))
 }
