@@ -209,6 +209,7 @@ $(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE THIRD_P
 	@rm -rf $(WHEELS)
 	@$(BIN)/maturin build --release $(LOCKED) --quiet --interpreter $(BIN)/python --out $(WHEELS) \
 	  --compression-level 9
+	@$(BIN)/python tools/recompress_wheel.py $(WHEELS)/*.whl
 	@$(BIN)/maturin sdist --out $(WHEELS)
 	@touch $@
 
