@@ -49,7 +49,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 peers soak wheel notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 peers soak wheel wheels notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -212,6 +212,9 @@ $(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE THIRD_P
 	@$(BIN)/python tools/recompress_wheel.py $(WHEELS)/*.whl
 	@$(BIN)/maturin sdist --out $(WHEELS)
 	@touch $@
+
+wheels: $(BIN)/python ## Slow: build and check the wheels of all platforms; TARGETS='x86_64-pc-windows-gnu' picks
+	@tools/wheels.sh $(CURDIR)/$(BIN)/python $(TARGETS)
 
 notices: setup ## Write THIRD_PARTY_LICENSES for the crates of Cargo.lock
 	@$(BIN)/python tools/notices.py

@@ -6,6 +6,7 @@ test fake); `ServoBus(..., transport=...)` takes a function that opens such an o
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from pliant._core import ServoError
@@ -207,7 +208,17 @@ def _cannot_open(port: str, text: str) -> str:
 
 
 def serial_ports() -> tuple[str, ...]:
-    """Return the paths of the serial ports of this machine, stable names first (Linux, macOS)."""
+    """Return the serial ports of this machine: paths, on Linux stable names first, or COM3."""
+    if sys.platform == "win32":
+        import winreg
+
+        try:
+            key = winreg.OpenKey(winreg.HKEY_LOCAL_MACHINE, r"HARDWARE\DEVICEMAP\SERIALCOMM")
+        except FileNotFoundError:
+            return ()
+        with key:
+            count = winreg.QueryInfoKey(key)[1]
+            return tuple(sorted(str(winreg.EnumValue(key, i)[1]) for i in range(count)))
     from pathlib import Path
 
     found = sorted(str(p) for p in Path("/dev/serial/by-id").glob("*"))
