@@ -176,7 +176,14 @@ def label_end(
 def names(
     ax: Axes, entries: Sequence[tuple[str, str]], *, right: bool = True, top: bool = True
 ) -> None:
-    """Write each (text, colour) of `entries` into a corner of the axes, in one line each."""
+    """Write coloured texts into a corner of the axes, one per line.
+
+    Args:
+        ax: Axes to draw into.
+        entries: Text and colour of each line.
+        right: True: right corner; False: left corner.
+        top: True: upper corner; False: lower corner.
+    """
     for row, (text, colour) in enumerate(entries if top else list(reversed(entries))):
         ax.annotate(
             text,

@@ -32,7 +32,7 @@ LogFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 #: TCP port of the browser page.
 HttpPort = Annotated[int, tyro.conf.arg(metavar="PORT")]
-#: Present and new id of a servo, as text; None: no id is changed.
+#: Present and new id of a servo, as text "OLD:NEW"; None: no id is changed.
 Ids = Annotated[str | None, tyro.conf.arg(metavar="OLD:NEW")]
 #: Path of a serial port; None: the default of the command.
 Device = Annotated[str | None, tyro.conf.arg(metavar="DEVICE")]
@@ -46,7 +46,7 @@ Duration = Annotated[float, tyro.conf.arg(metavar="SECONDS")]
 Axes = Annotated[str, tyro.conf.arg(metavar="AXES")]
 #: Names of task axes, separated by spaces; None if the flag is not given.
 OtherAxes = Annotated[str | None, tyro.conf.arg(metavar="AXES")]
-#: Path or name of the configuration of a second arm; None if the flag is not given.
+#: Path or name of an arm's configuration, for an optional flag; None if the flag is not given.
 OtherArm = Annotated[str | None, tyro.conf.arg(metavar="ARM")]
 #: Name of a frame of the URDF; None if the flag is not given.
 Frame = Annotated[str | None, tyro.conf.arg(metavar="FRAME")]
@@ -118,7 +118,8 @@ def check_writable(path: Path, kind: str, inputs: Iterable[Path | str | None] = 
     """Check that a file can be written; print a warning if an existing file will be replaced.
 
     Raises:
-        ConfigError: The file cannot be written, is one of the inputs, or is of another kind.
+        ConfigError: The file cannot be written, is one of the inputs, or exists and is not of this
+            kind.
     """
     if check_output(path, kind, inputs):
         text = f"{path}: the {kind} that is there will be replaced"

@@ -168,7 +168,7 @@ class NoTargets:
 
 
 class FileTargets(NoTargets):
-    """Targets of a file, one line per control cycle; the constructor checks the whole file."""
+    """Targets in a file: one line per control cycle. The constructor checks the whole file."""
 
     def __init__(self, path: Path, model: Model) -> None:
         try:
@@ -226,7 +226,7 @@ class RejectedTargets:
         self._next, self._unreported = now + REPORT_PERIOD, 0
 
     def close(self) -> None:
-        """Print how many invalid targets were not reported, because of the bounded rate."""
+        """Print the number of invalid targets whose errors the bounded rate has suppressed."""
         if self._unreported:
             print(f"{self._unreported} more targets were refused", file=sys.stderr)
 

@@ -100,7 +100,11 @@ def _follow(
     source: Targets,
     quiet: bool,
 ) -> None:
-    """Run the control loop; the tool follows the targets. Append arm, loop and notes to `runs`."""
+    """Run the control loop, in which the tool follows the targets.
+
+    The tuple (arm, loop, notes) is appended to `runs` at the start, so that a summary can be
+    printed after an error too.
+    """
     notes: list[str] = []
     runs.append((arm, loop, notes))
     ticks_per_refresh = max(round(1.0 / (TABLE_RATE * loop.period)), 1)

@@ -108,7 +108,7 @@ def _configured(arm: str, override: ConfigFlags) -> Source:
 
 
 def _check_extra() -> None:
-    """Raise an ImportError with the install command if the extra `view` is not installed."""
+    """Raise a `PliantError` with the install command if the extra `view` is not installed."""
     from importlib import import_module
 
     for name in ("viser", "mjviser"):

@@ -91,7 +91,10 @@ def resolve(
 
 
 def _make(fields: dict[str, Any], preset: str | dict[str, Any] | None, rate: float) -> Settings:
-    """Return the settings of a preset with its fields replaced; the axes are `Axis` objects."""
+    """Return the settings of a preset, with the values in `fields` in place of its own.
+
+    `fields` holds groups and axes as objects (`Tracking`, `Axis`, ...), not as tables.
+    """
     values = {"rate": rate, **fields}
     name, arguments = _preset(preset)
     if name is None:
@@ -121,7 +124,10 @@ def _axes(table: Any, wrong: list[str]) -> dict[str, Axis]:
 
 
 def _axis(key: str, value: Any, wrong: list[str]) -> Axis | None:
-    """Return one entry of the table `axes`; if it is invalid, None, and append to `wrong`."""
+    """Return one entry of the table `axes`.
+
+    If it is invalid, append its errors to `wrong` and return None.
+    """
     if not isinstance(value, dict):
         wrong.append(f"axes.{key} is a table such as {{ soft = 4.0 }}, got {value!r}")
         return None
@@ -131,7 +137,10 @@ def _axis(key: str, value: Any, wrong: list[str]) -> Axis | None:
 
 
 def _group(name: str, table: Any, wrong: list[str]) -> Any:
-    """Return a group, such as `Tracking`; if it is invalid, None, and append errors to `wrong`."""
+    """Return a group of settings, such as `Tracking`, from its table in the file.
+
+    If the table is invalid, append its errors to `wrong` and return None.
+    """
     if not isinstance(table, dict):
         wrong.append(f"{name} is a table such as [settings.{name}], got {table!r}")
         return None
@@ -170,7 +179,7 @@ def _leave_out(left: dict[str, Any], message: str) -> bool:
     axes = left.get("axes")
     if name == "axes" and axes:
         key = re.split(r"[:.]", rest)[0]
-        # A key may name several axes, and then equals no axis of an error: remove all axes.
+        # If a key names several axes, it differs from the single axis in the error: remove all.
         left["axes"] = {k: v for k, v in axes.items() if k != key} if key in axes else {}
         return True
     found = re.match(r"\w+", message)

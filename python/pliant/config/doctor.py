@@ -32,7 +32,8 @@ Level = Literal["good", "note", "bad"]
 MAX_LATENCY_TIMER = 0.0015
 #: Number of timed readings of all joints, and duration of the test of the loop's clock [s].
 CYCLES, CLOCK_TEST_TIME = 200, 1.0
-#: Largest acceptable lateness (99.9 %) of a control cycle, as a share of the control period [1].
+#: Largest acceptable 99.9th percentile of the lateness of control cycles, as a share of the control
+#: period [1].
 MAX_LATENESS = 0.2
 #: Task axes for the check that the servos can carry the arm; for n < 3 joints, the first n of them.
 ANY_TASK = "xyz"
@@ -142,7 +143,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
 
 
 def _clock(rate: float) -> Diagnosis:
-    """Measure how late this machine wakes up from waits for deadlines at `rate` [Hz]."""
+    """Measure how late this machine wakes up from waits for periodic deadlines at `rate` [Hz]."""
     clock, late, period = MonotonicClock(), LatenessHistogram(), 1.0 / rate
     deadline = clock.now()
     end = deadline + CLOCK_TEST_TIME

@@ -206,9 +206,9 @@ def make_arm(config: Config, **options: Any) -> Arm:
 
 
 def _fixed(model: Model, made: Drive) -> dict[str, GripperConfig]:
-    """Return a `GripperConfig` that holds its joint in place, for joints without position limits.
+    """Return grippers, by joint name, that hold joints without position limits in place.
 
-    Only joints that are not part of the controlled chain are considered.
+    Joints of the controlled chain are left out.
     """
     known = {joint.name for joint in model.joints if _has_ends(joint.lower, joint.upper)}
     places = zip(made.names, made.read().position.tolist(), strict=True)
@@ -233,7 +233,7 @@ def _on_table(config: Config, height: float | bool | None) -> Config:
 
 
 def _backend_options(config: Config, options: dict[str, Any]) -> dict[str, Any]:
-    """Return those options that are for the simulator or the emulator, not for `pliant.Arm`.
+    """Return the options that are for the simulator or the emulator, not for `pliant.Arm`.
 
     Raises:
         ConfigError: The backend of the configuration does not have one of the options.
@@ -298,7 +298,7 @@ def make_simulated(
 
 
 def table_fixtures(config: Config) -> list[Tabletop]:
-    """Return a list with the table of the file, an object of the simulated scene; else empty."""
+    """Return the objects of the simulated scene that the file defines: its table, or none."""
     if config.robot.table is None:
         return []
     from pliant.sim import Tabletop
@@ -438,7 +438,7 @@ class EmulatedBus(ServoBus):
 
 
 def make_emulator(config: Config, *, q: ArrayLike | None = None, **options: Any) -> ArmEmulator:
-    """Return an emulator of the arm of a configuration, which runs in real time; do not start it.
+    """Create an emulator of the arm of a configuration; it is not started yet.
 
     The arm stands on the configuration's table, and is held in place until torque is switched on.
     The supply has the configuration's voltage.

@@ -94,7 +94,7 @@ def _motor(file: Path, name: str, entry: object) -> Calibration:
     return out
 
 
-#: Kinds of devices with a LeRobot calibration; the last word of the names of their folders.
+#: For each kind of device with a LeRobot calibration: last word of the names of its folders.
 _KINDS = {"robots": "follower", "teleoperators": "leader"}
 #: Start of the names of LeRobot's calibration folders for each built-in arm, newest name first:
 #: LeRobot 0.6 has one folder for all SO arms, earlier versions one folder per arm.

@@ -95,7 +95,7 @@ class Port(StrictModel):
     Attributes:
         name: Name that servos refer to.
         path: Path of the device, or `auto` for the only serial port.
-        baud: Baud rate [bit/s].
+        baud: Baud rate [bit/s], 9600 to 4 500 000.
     """
 
     name: str = "main"
@@ -219,7 +219,7 @@ class Loop(StrictModel):
 
 
 class Life(StrictModel):
-    """Table of what the arm does at the end of its `with` block.
+    """Table of the arm's behaviour at the end of its `with` block.
 
     Attributes:
         rest_q: Joint positions (n,) [rad] in which the arm rests without torque; the arm moves

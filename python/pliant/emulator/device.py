@@ -48,7 +48,7 @@ class Device:
         return f"Device({self.model.name!r}, id={self.id})"
 
     def build(self, baud: int | None) -> Servo:
-        """Return the emulated servo.
+        """Create and return the emulated servo that this object describes.
 
         Args:
             baud: Baud rate unless `registers` sets it [bit/s]; None keeps the factory value.

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 GRIP = 30.0
 #: Largest torque of the hand on a joint, in addition to the torque that carries the arm [N·m].
 MAX_TORQUE = 1.0
-#: Motion `wave`: amplitude [rad], period of the first joint [s], and how much longer the period of
-#: each next joint is [s].
+#: Motion `wave`: amplitude [rad], period of the first joint [s], and increase of the period from
+#: joint to joint [s].
 AMPLITUDE, PERIOD, PERIOD_STEP = 0.3, 4.0, 0.7
 #: Time in which the hand moves the joints from their initial positions to those of the motion [s].
 TAKE_TIME = 3.0
@@ -88,7 +88,7 @@ class JointHand:
 
 
 def wave(model: Robot, start: Mapping[str, float]) -> Motion:
-    """Return a motion in which every joint swings around its start, each with another period.
+    """Return a motion in which every joint swings about its start with a period of its own.
 
     Args:
         model: The robot, for the position limits.

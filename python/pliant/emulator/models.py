@@ -45,7 +45,7 @@ class Motor:
         return self.stall / self.amps
 
     # Friction, gear damping and rotor inertia are not published. They are assumed as shares of
-    # `stall` and `slope`, so that an unloaded servo settles as in published videos.
+    # `stall` and `slope`, chosen so that an unloaded servo comes to rest as it does in videos.
 
     @property
     def friction(self) -> float:
@@ -138,7 +138,7 @@ ALIASES = {"STS3215": "STS3215-7.4V", "STS3215-C001": "STS3215-7.4V", "STS3215-C
 
 
 def find(name: str) -> Model:
-    """Return the servo model with the maker's model name `name` or this alias.
+    """Return the servo model with this name: the maker's model name, or an alias of it.
 
     Raises:
         ConfigError: No model has this name; the message lists the nearest names.

@@ -1,4 +1,4 @@
-"""Half-duplex bus with its servos: turns request bytes into reply bytes; no clock, no thread."""
+"""Half-duplex bus with its servos: converts request bytes to reply bytes, without a thread."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class SerialLine:
 
     @staticmethod
     def _pause(frame: Frame, index: int, servo: Servo) -> float:
-        """Return the delay of a servo before the reply number `index` [s].
+        """Return the delay of a servo before its reply [s]; `index` counts the replies from 0.
 
         In a fast read (Protocol 2.0) only the first servo delays its reply.
         """

@@ -36,7 +36,19 @@ SYNC_TIME = 10.0
 
 @dataclass
 class Port:
-    """State of one port: bus, pseudo-terminal, and bytes that are not processed or sent yet."""
+    """State of one port, with the bytes that are not processed or not sent yet.
+
+    Attributes:
+        line: The bus.
+        pty: Pseudo-terminal of the port.
+        marker: Bytes that `Server.sync` waits for; empty: no call of `sync` waits.
+        waiting: Event that is set when the marker has been read.
+        held: Bytes from the host that may be the beginning of the marker.
+        last: Time of the last bytes from the host [s].
+        busy: Time until which the transactions occupy the bus [s].
+        due: Time at which to send, and bytes, of each delayed reply.
+        stale: Replies to send just before the replies to the next request.
+    """
 
     line: SerialLine
     pty: Pty
@@ -250,7 +262,7 @@ class Server:
             self._world.advance(max(behind, 0.0), settle=False)
 
     def _serve(self, port: Port) -> None:
-        """Pass the bytes that the host has sent to the bus; report a marker of `sync` in them."""
+        """Pass bytes from the host to the bus; if they contain the marker of `sync`, report it."""
         data = port.held + port.pty.read()
         port.held = b""
         while port.marker and data:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pliant.emulator.motion import Physics
     from pliant.emulator.servo import Servo
 
-#: Longest emulated time between updates of the servos' protections and watchdogs [s].
+#: Longest emulated time between two updates of the servos' protections and watchdogs [s].
 SLICE = 0.010
 
 

@@ -27,13 +27,13 @@ REVERSAL_SHARE = 0.2
 #: A joint counts as blocked if it lags behind its planned position by `tracking_tolerance` plus
 #: this angle [rad].
 BLOCKED_LAG = 0.2
-#: While a joint is driven by its torque limit: stiffness of the spring in that limit toward the
-#: planned position, as a share of the servo's stiffness k_p [1].
+#: While a torque limit drives a joint, it includes a spring toward the planned position: stiffness
+#: of this spring, as a share of the servo's stiffness k_p [1].
 SPRING_SHARE = 0.15
 #: Share of the assumed friction that is fed forward while a joint is driven by its torque limit.
 FRICTION_SHARE = 0.8
-#: A joint driven by its torque limit is stopped if it leaves its swing by a distance that grows
-#: with its friction, between these bounds [rad].
+#: A joint driven by its torque limit is stopped if it overshoots the ends of its swing too far. The
+#: allowed overshoot grows with the friction of the joint, within these bounds [rad].
 OVERSHOOT_RANGE = (0.06, 0.25)
 #: Minimum lead (goal minus position) of a joint driven by its torque limit [rad].
 MIN_LEAD = 0.05
@@ -69,7 +69,7 @@ class Record:
 
 
 class Excitation:
-    """Generators of slow joint motions for identification; each motion is recorded.
+    """Slow joint motions for identification, as generators of commands; each motion is recorded.
 
     Args:
         model: The arm.
@@ -81,7 +81,7 @@ class Excitation:
     Attributes:
         extra_torque: Gravity torque of a payload that the model lacks (n,) [N·m].
         records: Records of all motions.
-        undriven: Indices of joints for which the motion by torque limit was stopped.
+        undriven: Indices of joints whose motion by torque limit was stopped; see `drive_by_limit`.
     """
 
     def __init__(
@@ -173,9 +173,13 @@ class Excitation:
             )
 
     def send(self, q: Array, goal: Array, limit: Array, speed: Array) -> Motion:
-        """Run one tick, and return the positions read in the next tick (n,) [rad].
+        """Record and send one command; return the positions read in the next tick (n,) [rad].
 
-        The goal is rounded to encoder counts, recorded with the other arguments, and sent.
+        Args:
+            q: Positions read in this tick (n,) [rad].
+            goal: Goals (n,) [rad]; they are rounded to encoder counts.
+            limit: Torque limits (n,) [N·m].
+            speed: Planned speeds (n,) [rad/s], which are only recorded.
         """
         goal = np.where(
             self.count > 0.0, np.round(goal / self._count_or_one) * self._count_or_one, goal
@@ -191,10 +195,12 @@ class Excitation:
         return (yield Command(goal, limit))
 
     def follow(self, q: Array, path: Array, speed: Array) -> Motion:
-        """Move through planned positions (N, n) [rad], one per tick.
+        """Move through planned positions, one per tick; return the last positions read (n,) [rad].
 
-        `speed` (N, n) [rad/s] is the planned speed, which is only recorded. The last measured
-        positions are returned.
+        Args:
+            q: Present measured positions (n,) [rad].
+            path: Planned positions (N, n) [rad].
+            speed: Planned speeds (N, n) [rad/s], which are only recorded.
 
         Raises:
             ServoError: A joint is farther from its planned position than `BLOCKED_LAG` allows.
@@ -225,7 +231,7 @@ class Excitation:
     def travel(self, q: Array, start: Array, end: Array) -> Motion:
         """Move from pose `start` to pose `end` (n,) [rad] and rest there for 0.4 s.
 
-        q are the measured positions; the last positions read are returned.
+        q are the present measured positions (n,) [rad]. Return the last positions read.
         """
         seconds = max(0.5 * np.pi * np.abs(end - start).max() / TRAVEL_SPEED, self.period)
         count = max(int(np.ceil(seconds / self.period)), 1)
@@ -267,7 +273,7 @@ class Excitation:
         for w, rate in zip(wave, slope * size / seconds, strict=True):
             planned = pose[joint] + w * size
             if abs(pose[joint] - q[joint]) > size + overshoot:
-                # The joint leaves its swing, as load or friction are wrong: stop, drop the record.
+                # The assumed load or friction is wrong: stop the joint and drop the record.
                 self.records.pop()
                 self.undriven.append(joint)
                 self.start_record()
@@ -287,7 +293,10 @@ class Excitation:
         return q
 
     def steps(self, q: Array, pose: Array, joint: int, size: float, count: int) -> Motion:
-        """Step the goal of one joint by ±size [rad] `count` times, every `STEP_TIME`."""
+        """Change the goal of one joint in `count` steps between ±size [rad], every `STEP_TIME`.
+
+        The last step leads back to the pose. Return the last positions read (n,) [rad].
+        """
         rest = round(STEP_TIME / self.period)
         for k in range(count):
             target = pose.copy()

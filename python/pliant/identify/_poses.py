@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 #: Number of random candidate poses, and largest gravity torque of a servo in a candidate, as a
 #: share of its maximum torque [1].
 CANDIDATES, MAX_HOLDING_SHARE = 200, 0.6
-#: Largest allowed argument `span` [rad], and smallest and largest allowed `amplitude` [rad].
+#: Largest allowed value of the argument `span` [rad], and range of the argument `amplitude` [rad].
 SPAN, SWING = np.pi, (0.01, 0.5)
 #: Largest distance by which the tool may be below its present height in a chosen pose [m].
 MAX_DROP = 0.05
@@ -55,7 +55,7 @@ def check_poses(poses: int | ArrayLike, n: int) -> int | Array:
 def pose_list(
     rig: Excitation, q: Array, poses: int | Array, span: float, size: Array
 ) -> list[Array]:
-    """Return the poses in `poses` as a list; if it is a number, choose that many poses near q.
+    """Return the poses of a procedure: those given, or chosen ones if `poses` is a number.
 
     Args:
         rig: Model and servo parameters of the arm.
@@ -105,7 +105,7 @@ def choose_poses(rig: Excitation, q: Array, count: int, span: float, size: Array
 
 
 def _height(rig: Excitation, q: Array) -> float:
-    """Return the height of the tool above the base [m]; height is measured against gravity."""
+    """Return the height of the tool over the base [m], opposite to gravity; 0 without gravity."""
     down = np.asarray(rig.model.gravity_vector)
     size = float(np.linalg.norm(down))
     tool = rig.model.forward_kinematics(q)[:3, 3]
@@ -126,7 +126,7 @@ def _information(rig: Excitation, q: Array) -> Array:
 
 
 def _ordered(poses: Sequence[Array]) -> list[Array]:
-    """Return the poses sorted: the first, then always the nearest of those that remain."""
+    """Return the poses in a new order: the first one, then always the nearest remaining one."""
     remaining, path = list(poses[1:]), [poses[0]]
     while remaining:
         nearest = int(np.argmin([np.abs(pose - path[-1]).max() for pose in remaining]))

@@ -164,7 +164,7 @@ def _fit(
         right[k] /= sigma
     mean, sd = _prior(rig, priors, width, column)
     if last is not None:
-        # Prior of mass times centre: that of the centre, scaled by the mass of the last iteration.
+        # Convert the prior of the centre to one of mass times centre by the mass found last.
         sd[-3:] = (
             np.maximum(COM_SIGMA * max(last.payload[0], 0.05), 1e-6) if priors.payload else sd[-3:]
         )
@@ -196,7 +196,10 @@ def _fit(
 def _prior(
     rig: Excitation, priors: Priors, width: int, column: dict[str, int]
 ) -> tuple[Array, Array]:
-    """Return means and standard deviations of the priors of all unknowns (width,) each."""
+    """Return means and standard deviations (width,) of the priors of all unknowns.
+
+    `column` maps the name of an unknown to its first column; it has one column per joint.
+    """
     n = rig.n
     mean, sd = np.zeros(width), np.full(width, 1e-9)
     outer = rig.damping + rig.back_emf
@@ -275,7 +278,11 @@ def fit_delay(
 
 
 def _parabola_minimum(grid: Array, cost: Array) -> float:
-    """Return where a sampled curve is lowest, by a parabola through the three lowest neighbours."""
+    """Return the minimum position of a sampled curve, by a parabola through three samples.
+
+    The parabola passes through the lowest sample and its two neighbours. If the lowest sample is
+    the first or the last one, its position is returned.
+    """
     k = int(np.argmin(cost))
     if not 0 < k < len(grid) - 1:
         return float(grid[k])

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Integral gain of the goals while the arm is held [1/s], and last share of the holding time in
-#: which positions and goals are averaged [1].
+#: Integral gain of the goals while the arm is held [1/s]. Positions and goals are averaged over the
+#: last part of the holding time, of this share [1].
 INTEGRATION_RATE, AVERAGED_SHARE = 4.0, 0.25
 #: If the check fails: shares of the friction and damping feed-forward that are tried instead [1],
 #: and time for which the arm is held stiffly before each try [s].
@@ -52,7 +52,7 @@ class GravityCapture:
         bound: Maximum allowed motion of the tool in the check [m].
         joint_names: Names of the joints.
         remedy: If the check failed, the settings with less feed-forward of friction and damping
-            under which the arm stayed; None if the arm stayed under no such settings, or if the
+            under which the arm stayed; None if the arm moved under all such settings, or if the
             check passed.
     """
 

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Steps
 
 
-#: Factor by which the assumed stiffness may be too small or too large [1], with and without
-#: `stiffness_known` of the servo parameters.
+#: Factor by which the assumed stiffness may be too small or too large [1]: if `stiffness_known` of
+#: the servo parameters is True, and if it is False.
 KNOWN_STIFFNESS_FACTOR, UNKNOWN_STIFFNESS_FACTOR = 1.1, 2.2
 #: Time for which the arm rests after the first swing [s].
 REST_TIME = 0.4
@@ -141,7 +141,7 @@ class HandGuiding:
     def reset(self, q: ArrayLike) -> None:
         """Restart at positions q (n,) [rad] with the first swing; all learned values are lost."""
         q = self._positions(q)
-        # Clip the period: `Excitation` would reject that of a very early or late first tick.
+        # Clip the period, because `Excitation` rejects that of a very early or late first tick.
         period = min(max(self._dt, 1e-3), 0.1)
         self._rig = Excitation(
             self._model, self._table, period, stiffness_uncertainty=self._stiffness_factor

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Assumed relative standard deviation of the servo stiffness, with and without `stiffness_known`.
+#: Assumed relative standard deviation of the servo stiffness [1]: if `stiffness_known` of the servo
+#: parameters is True, and if it is False.
 KNOWN_STIFFNESS_SIGMA, UNKNOWN_STIFFNESS_SIGMA = 0.05, 0.3
 
 

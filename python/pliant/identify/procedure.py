@@ -91,14 +91,14 @@ class Procedure(Generic[T]):
                 `pliant.Tick.step` run a procedure like a controller.
 
         Raises:
-            ShapeError, ServoError: q is invalid, or the procedure failed. A failed procedure has
-                restored everything that it had changed.
+            ShapeError: q is not n finite numbers.
+            ServoError: The procedure failed, and has restored everything that it had changed.
         """
         try:
             q = vector(q, self._n, "q", "rad")
         except ShapeError:
             if self._steps is not None and np.shape(q) != (self._n,):
-                self.close()  # another number of joints means another arm
+                self.close()  # end the procedure: another number of joints means another arm
             raise
         try:
             if self._steps is None:
@@ -132,7 +132,10 @@ class Procedure(Generic[T]):
 
 
 class Guided(Generic[P, Q, T_co]):
-    """A function that runs a procedure on an arm; its method `procedure` makes the procedure."""
+    """Function that runs a procedure on an arm in a loop of its own.
+
+    The method `procedure` returns the procedure instead, to be run in any other loop.
+    """
 
     def __init__(self, function: Callable[P, T_co], make: Callable[Q, Procedure[T_co]]) -> None:
         """Wrap `function`, which runs a procedure, and `make`, which returns that procedure."""
@@ -149,7 +152,10 @@ class Guided(Generic[P, Q, T_co]):
 
 
 def guided(make: Callable[Q, Procedure[T]]) -> Callable[[Callable[P, T]], Guided[P, Q, T]]:
-    """Return a decorator that turns a function into a `Guided` with the procedure of `make`."""
+    """Return a decorator that turns a function into a `Guided`.
+
+    `make` returns the procedure that the decorated function runs.
+    """
     return lambda function: Guided(function, make)
 
 
@@ -199,7 +205,7 @@ class _PlantTick:
 
 
 def _ticks(arm: Any, rate: float | None) -> Iterator[Tick]:
-    """Yield ticks: of a `pliant.Loop`, or for an arm with `advance()` one per simulated period."""
+    """Yield the ticks of a `pliant.Loop`; for an arm with `advance()`, of a simulated loop."""
     if hasattr(arm, "advance"):
         while True:
             yield _PlantTick(np.asarray(arm.read().q), arm)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pliant.identify._regression import Delay, Solution
 
 
-#: Direction of the payload's moments counts as determined by the data if `separated` is above this.
+#: Value of `PayloadEstimate.separated` from which on a direction counts as determined by the data.
 MIN_SEPARATION = 0.5
 
 
@@ -144,7 +144,7 @@ class Identification:
         share = np.where(share > 1e-6, share, 0.0)
         speed = rig.servos.no_load_speed
         if speed is not None:
-            # Measured damping below the assumed back-EMF: the assumed no-load speed is too low.
+            # If the measured damping is below the assumed back-EMF, raise the no-load speed.
             min_speed = rig.torque / np.maximum(outer, 1e-6 * rig.torque)
             speed = np.where(outer < rig.back_emf, min_speed, np.asarray(speed))
         servos = rig.servos.replace(

@@ -26,14 +26,15 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Amplitude of a goal minus the wanted amplitude of its joint, in units of friction/stiffness [1].
+#: Difference between the amplitude of a goal and that of its joint, in units of friction over
+#: stiffness [1].
 FRICTION_SWING = 4.0
 #: Largest amplitude of a goal [rad], and largest number of times that the amplitude is widened.
 MAX_SWING, MAX_WIDENINGS = 0.4, 2
-#: Period [s] and number of swings at every pose; periods and numbers of two more swings, which are
-#: made at the first pose only.
+#: `SLOW_SWING`: period [s] and number of the swings at every pose. `FASTER_SWINGS`: periods and
+#: numbers of further swings at the first pose.
 SLOW_SWING, FASTER_SWINGS = (2.6, 1.75), ((1.8, 2.25), (5.0, 1.25))
-#: Periods [s] and numbers of swings of one joint that is driven by its torque limit.
+#: Periods [s] and numbers of the swings in which a joint is driven by its torque limit.
 LIMIT_SWINGS = ((1.8, 2.25), (5.0, 1.25))
 #: Number of step changes of each joint's goal, from which the delay is identified.
 STEP_COUNT = 7

@@ -79,7 +79,7 @@ def _true_ranges(time: Array, on: Mask) -> list[tuple[int, int]]:
 
 
 def _loading_axis(log: Log, joint: int, first: int, last: int) -> str | None:
-    """Return the task axis that loads a joint most from tick `first` to `last`; None: no axis does.
+    """Return the task axis that loads a joint most between two ticks; None: no axis loads it.
 
     The load is the joint's share in the axis (activation matrix, equation 10 of the paper) times
     the commanded force along the axis. Law `paper` computes no such force; for it, the load is the
@@ -93,7 +93,7 @@ def _loading_axis(log: Log, joint: int, first: int, last: int) -> str | None:
 
 
 def describe_setting(axis: Axis | None, name: str) -> str:
-    """Return a phrase on the settings of an axis: whether it yields, its caps, its adaptation."""
+    """Return a phrase on the settings of an axis: yielding directions, caps, adaptation."""
     if axis is None:
         return "–"
     newton = unit(name, force=True)
@@ -139,7 +139,10 @@ def largest_force_tick(forces: ForceEstimates, k: int) -> int | None:
 
 
 def exceeded_share(log: Log, forces: ForceEstimates, k: int) -> float:
-    """Return the share of ticks with a force on axis k above cap + friction + force uncertainty."""
+    """Return the share of ticks in which the force on axis k exceeds its bound.
+
+    The bound is the sum of cap, friction and uncertainty of the force.
+    """
     friction = forces.report.axes[log.run["axes"][k]].friction
     allowed = log.axis_strength[:, k] + friction + forces.bound[:, k]
     return float((np.abs(forces.force[:, k]) > allowed).mean())

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from pliant.log.reader import Log
 
 
-#: To compare deviations of different axes: rotation that counts as much as one metre [rad].
+#: Rotation that counts as much as a translation of one metre when deviations of different axes are
+#: compared [rad/m].
 RADIANS_PER_METRE = 4.0
 
 

@@ -1,4 +1,4 @@
-"""Binary frames of a log, sent by a pipe from the control loop to the writer without blocking."""
+"""Binary frames of a log: the control loop sends them to the writer by a pipe, without blocking."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import IO
 
 #: Header of a frame: kind of the frame, and length of its body [bytes].
 HEADER = struct.Struct("<BI")
-#: Kinds of frames: description of the run, control cycle, step of the controller, other call of the
-#: controller, counters at the end.
+#: Kinds of frames: description of the run, control cycle, call of the controller's `step`, another
+#: call of the controller, counters at the end of the run.
 RUN, TICK, STEP, CALL, END = range(5)
 #: Maximum size of frames that wait for the writer process [bytes]; further frames are dropped.
 MAX_BACKLOG = 8_000_000

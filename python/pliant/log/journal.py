@@ -141,7 +141,10 @@ class Journal:
     def _record_step(
         self, slot: str, q: ArrayLike, target: Array, inputs: StepInputs, command: Command
     ) -> None:
-        """Record a successful call of `step` or `step_joints`."""
+        """Record a successful call of `step` (slot `target`) or `step_joints` (slot `q_target`).
+
+        `slot` is the piece of the record into which the target is written.
+        """
         slots = self._slots
         self._row.fill(np.nan)
         is_joint_target = slot == "q_target"

@@ -166,7 +166,7 @@ CALL = "uint64 sequence\nstring what\nstring arguments\nfloat64 dt\n" + "".join(
 
 
 def numbers(pieces: dict[str, Array], names: Iterable[str]) -> dict[str, Any]:
-    """Return the named pieces as message fields by name; a list of only NaN becomes empty."""
+    """Return the named pieces as message fields by name; a piece of only NaN as an empty list."""
     out: dict[str, Any] = {}
     for name in names:
         values = pieces[name]

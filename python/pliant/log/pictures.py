@@ -23,12 +23,15 @@ if TYPE_CHECKING:
 ROW_HEIGHT = 1.45
 #: Colours of the joints' curves, from base to tip; after the last colour they start again.
 COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.RED, style.PURPLE, style.SKY, style.MUTED)
-#: Minimum plotted range of deviations and forces, by unit, so that noise at rest fills no plot.
+#: Minimum plotted range of deviations and forces, by unit: it keeps the noise at rest small.
 MIN_RANGE = {"mm": 2.0, "mrad": 8.0, "N": 2.0, "N·m": 0.4}
 
 
 def softness(folder: Path, log: Log, forces: ForceEstimates | None) -> None:
-    """Write a figure to `folder`: for each task axis, deviation with thresholds, force with cap."""
+    """Write the figure `softness` to `folder`: deviation and estimated force of each task axis.
+
+    The thresholds of the deviation and the cap of the force are drawn too.
+    """
     axes, time = log.run["axes"], elapsed_time(log)
     thinned = style.thin(time, rate=50.0)
     with style.canvas(len(axes), 2, size=(style.WIDE, ROW_HEIGHT * len(axes)), sharex=True) as (
@@ -77,7 +80,10 @@ def _deviation(ax: Axes, name: str, time: Array, deviation: Array) -> None:
 
 
 def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
-    """Write a figure to `folder`: torque limits as shares of maximum torque, spans at a limit."""
+    """Write the figure `strength` to `folder`: torque limits over time, and spans at a limit.
+
+    Torque limits are drawn as shares of the maximum torque; `bounds` are the spans.
+    """
     joints, time = log.run["joints"], elapsed_time(log)
     thinned = style.thin(time)
     usable = np.asarray(log.servos.max_torque) if log.servos is not None else np.nan
@@ -107,7 +113,10 @@ def strength(folder: Path, log: Log, bounds: list[Span]) -> None:
 
 
 def loop(folder: Path, log: Log) -> None:
-    """Write a figure to `folder`: time between ticks; voltage and temperature if reported."""
+    """Write the figure `loop` to `folder`: time between ticks, and voltage and temperature.
+
+    Voltage or temperature is left out if no servo reports it.
+    """
     time, timing = elapsed_time(log), health(log)
     reported: list[tuple[str, Array, Any]] = [
         (label, values, log.run["joints"])

@@ -101,7 +101,7 @@ class Log:
 
 
 def read(path: str | Path) -> Log:
-    """Read a log written by `Recorder`; an incomplete or damaged log up to its last valid record.
+    """Read a log written by `Recorder`; a damaged log is read up to its last valid record.
 
     Raises:
         ConfigError: The file is not a log, is of another layout version, or ends before the first
@@ -217,7 +217,7 @@ def _check(run: Any) -> None:
 
 
 def _columns(run: dict[str, Any], ticks: list[Any]) -> dict[str, Array]:
-    """Return the columns of a log by name: arrays with one row per tick message."""
+    """Return the columns of a log by name: arrays with one row per message in `ticks`."""
     n, axes = len(run["joints"]), run["axes"]
     vector = layout.tick(n, None if axes is None else len(axes), len(run["extra"]))
     out: dict[str, Array] = {}

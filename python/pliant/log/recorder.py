@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pliant.config import Config
     from pliant.loop import Commanded, Tick
 
-#: In `close`: timeout for sending buffered data, and another one for the end of the writer [s].
+#: Timeout of `close` for sending the buffered data, and once more for the end of the writer [s].
 CLOSE_TIMEOUT = 5.0
 
 

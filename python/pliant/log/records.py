@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 MAGIC = b"\x89MCAP0\r\n"
 #: Maximum unpacked size of a chunk [bytes]; chunks of a `Recorder`, of half a second, are smaller.
 MAX_CHUNK = 1 << 26
-#: Maximum unpacked size of all chunks: the larger of `MAX_UNPACKED` [bytes] and `MAX_EXPANSION`
-#: times the size of the file.
+#: The maximum unpacked size of all chunks together is the larger of `MAX_UNPACKED` [bytes] and
+#: `MAX_EXPANSION` times the size of the file.
 MAX_UNPACKED, MAX_EXPANSION = 1 << 28, 200
 #: Largest possible ratio of unpacked to packed size with LZ4 compression [1].
 LZ4_EXPANSION = 255

@@ -257,7 +257,10 @@ def _loop(log: Log, folder: Path) -> str:
 
 
 def _age(median: float, largest: float) -> str:
-    """Return a phrase with median and largest age [s] of positions at the beginning of a tick."""
+    """Return a phrase on the age of the positions at the beginning of a tick: median, maximum [s].
+
+    A negative median means that the positions were sampled after the beginning of the tick.
+    """
     if median < 0.0:
         return f"sampled {-1e3 * median:.2f} ms after a tick began (median)"
     return f"{1e3 * median:.2f} ms old when a tick began (median; at most {1e3 * largest:.2f} ms)"

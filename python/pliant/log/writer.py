@@ -1,7 +1,7 @@
 """Writer process of a log: ``python -m pliant.log.writer FILE``, with frames on standard input.
 
-The process writes chunks of about half a second. When the input ends, also because the program that
-runs the loop has died, it completes the file.
+The process writes chunks of about half a second. It completes the file when the input ends, so a
+crash of the program that runs the loop leaves a valid file.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 #: Time span of the ticks in one chunk of the MCAP file [s].
 CHUNK_TIME = 0.5
-#: For the estimated size of a chunk: number of messages per tick, and size of a message without its
-#: numbers [bytes].
+#: Number of messages per tick, and size of a message without its numbers [bytes]; both serve to
+#: estimate the size of a chunk.
 MESSAGES, OVERHEAD = 8, 150
 
 
@@ -167,7 +167,7 @@ class LogFile:
 
 
 def _pad(value: Array, length: int) -> Array:
-    """Pad values with NaN to a given length, for joints outside the chain, which lack the value."""
+    """Return values padded with NaN to a given length: joints outside the chain have no values."""
     return np.concatenate((value, np.full(length - value.size, np.nan)))
 
 

@@ -52,7 +52,7 @@ class Running:
         return target
 
     def over(self, now: TickContext) -> bool | None:
-        """Return True once the action is complete; None: the reaction's condition decides when."""
+        """Return True if the action is complete, False if not, None if the reaction decides."""
         return None
 
     def end(self, now: TickContext) -> None:
@@ -62,7 +62,7 @@ class Running:
 class Action(ABC):
     """Base class of actions; an action begins when the condition of its reaction becomes true."""
 
-    #: True if in a reaction without `until`, only `ReactionMonitor.resume()` ends the action.
+    #: True if only `ReactionMonitor.resume()` ends the action in a reaction without `until`.
     is_latching = False
     #: True if the action is complete as soon as it has begun.
     is_one_shot = False
@@ -227,7 +227,7 @@ class Follow(Action):
 
 
 class _MovingAway(Running):
-    """Running action whose target moves from a pose by a distance in one direction, then stays."""
+    """Running action that moves the target along a straight line, and keeps it at the end."""
 
     def __init__(self, pose: Array, direction: Array, distance: float, speed: float) -> None:
         self._pose, self._direction = pose, direction
@@ -267,7 +267,7 @@ class Retract(Action):
         return self.along is None
 
     def begin(self, now: TickContext) -> Running:
-        """Return a running action whose target moves; with an estimated force of 0, it stays."""
+        """Return a running action whose target moves; it stays if the estimated force is 0."""
         push = now.force().force_base[:3] if self.along is None else np.asarray(self.along, float)
         size = float(np.linalg.norm(push))
         direction = push / size if size > 0.0 else np.zeros(3)

@@ -156,7 +156,10 @@ class Condition(ABC):
         raise TypeError("join conditions with &, | and ~, not with and, or, not")
 
     def for_seconds(self, seconds: float) -> Condition:
-        """Return a condition that is true once this one has been true for `seconds` [s] on end."""
+        """Return a condition that is true after this one has been true for `seconds` [s].
+
+        A tick in which this condition is false restarts the time.
+        """
         return Lasting(self, seconds)
 
 
@@ -233,7 +236,7 @@ class Not(Condition):
 
 @dataclass(frozen=True, repr=False)
 class Lasting(Condition):
-    """True once the condition `inner` has been true without a break for `seconds` [s].
+    """True if the condition `inner` has been true without a break for `seconds` [s].
 
     In the first tick in which `inner` is true, the duration is 0.
     """
@@ -307,7 +310,7 @@ class Force(Condition):
     needs_force = True
 
     def __post_init__(self) -> None:
-        """Check the arguments once."""
+        """Check the arguments."""
         indices(self.axes)
         _check_thresholds(self.above, self.below, "Force")
         if self.toward not in {"both", "+", "-"}:
@@ -367,7 +370,7 @@ class ContactEvent(Condition):
     needs_force = True
 
     def __post_init__(self) -> None:
-        """Check the arguments once."""
+        """Check the arguments."""
         indices(self.axes)
         if self.kind not in {"touch", "stop"}:
             raise ConfigError(f"ContactEvent.kind is 'touch' or 'stop', not {self.kind!r}")
@@ -417,7 +420,7 @@ class _TaskCondition(Condition):
     below: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the arguments once."""
+        """Check the arguments."""
         indices(self.axes)
         _check_thresholds(self.above, self.below, type(self).__name__)
 
@@ -539,5 +542,5 @@ class Saturated(Condition):
 
 
 def _format_threshold(axes: str, above: float | None, below: float | None) -> str:
-    """Return the arguments of a condition as text, for its `repr`."""
+    """Return axes and threshold of a condition as text, for its `repr`."""
     return f"{axes!r}, below={below:g}" if above is None else f"{axes!r}, above={above:g}"

@@ -78,8 +78,8 @@ def names() -> tuple[str, ...]:
     return tuple(_ARMS)
 
 
-#: Joint positions [rad] in which each built-in arm rests without torque; height of the table under
-#: each arm that stands on one, in base axes [m].
+#: `_REST`: joint positions [rad] in which each built-in arm rests without torque. `_TABLE`: height
+#: of the table under each arm that stands on one, in base axes [m].
 _REST: dict[str, tuple[float, ...]] = {
     "arm7": (0.0, 0.0, 0.0, -0.04, 0.0, 0.0, 0.0),
     "so101": (0.0, -1.74, 1.57, 0.85, 0.0),

@@ -21,7 +21,7 @@ STIFFNESS, FORCE_LIMIT = 800.0, 30.0
 
 
 def prepare(arm: Arm) -> Callable[[], None]:
-    """Return a function that starts the scripted hand; import the simulator before.
+    """Import the simulator, and return a function that starts the scripted hand.
 
     The import takes 0.6 s, which would be too long between two cycles of the control loop.
 
@@ -29,7 +29,7 @@ def prepare(arm: Arm) -> Callable[[], None]:
         ConfigError: The arm is real.
         ImportError: The extra `sim` is missing.
     """
-    from pliant import sim  # noqa: F401 - in advance, for `_hands`
+    from pliant import sim  # noqa: F401 - so that `_hands` need not import it during the loop
 
     drive, reach = arm.drive, arm.model.reach
     plant, emulator = getattr(drive, "plant", None), getattr(drive, "emulator", None)
@@ -46,7 +46,7 @@ def prepare(arm: Arm) -> Callable[[], None]:
 
 
 def lead(arm: Arm) -> None:
-    """Start the scripted hand.
+    """Start the scripted hand, which pulls the tool of the simulated arm and lets go.
 
     Raises:
         ConfigError: The arm is real.

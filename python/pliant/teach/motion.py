@@ -27,7 +27,8 @@ RATE, DIGITS = 50.0, 5
 #: Distance from the first or last position of a motion within which a joint counts as at rest
 #: [rad], and duration of the rest that `Motion.trimmed` keeps at both ends [s].
 REST_TOLERANCE, REST_TIME = 0.02, 0.2
-#: If the tool would start farther than this from the recorded start, the arm is another one [m].
+#: Largest accepted distance between the start of the tool and the recorded start [m]; a larger one
+#: means that the motion was recorded on another arm.
 START_TOLERANCE = 0.03
 #: Minimum number of samples of a motion, and maximum number after smoothing.
 MIN_SAMPLES, MAX_SAMPLES = 2, 10_000_000
@@ -108,7 +109,7 @@ class Motion:
         return float(self.time[-1])
 
     def at(self, time: float) -> Array:
-        """Return the joint positions (n,) [rad] at a time [s]; beyond the ends, those at the end.
+        """Return the joint positions (n,) [rad] at a time [s], clipped to 0 and `duration`.
 
         The interpolation is cubic, with slopes from the neighbouring samples (Catmull-Rom).
         """

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 #: Text that `record` passes to `on_status` when the recording begins.
 RECORDING = "recording"
-#: Part of a text that `record` passes to `on_status` if `should_toggle` is given.
+#: Hint on the Enter key, part of a text that `record` passes to `on_status` if `should_toggle` is
+#: given.
 STARTS_AND_STOPS = "Enter starts and stops"
 #: A gripper counts as pressed shut within this share of its range from the closed end [1].
 PRESSED_SHARE = 0.15

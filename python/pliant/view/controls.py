@@ -27,7 +27,8 @@ YIELD_VALUES = {
 }
 #: Label on the page for each value of `Axis.yields`.
 YIELD_LABELS = {value: key for key, value in YIELD_VALUES.items()}
-#: While a push button is held down: rate of `Push` messages [Hz], and push time of each one [s].
+#: While the push button is held down: rate at which `Push` messages are sent [Hz], and duration of
+#: the push that each message requests [s].
 REPEAT_RATE, HELD_PUSH_TIME = 10.0, 0.4
 #: Duration of the push after one click on the button for a push of fixed duration [s].
 TIMED_PUSH_TIME = 2.0
@@ -46,7 +47,7 @@ class Controls:
         self._gui, self._info, self._send = server.gui, info, send
         self._edit_numbers = itertools.count(1)
         self._last_edit = 0
-        #: Last known value of each control, set by the loop or by a user; by `id` of the control.
+        #: Last known value of each control by `id(control)`, set by the loop or by a user.
         self._known: dict[int, Any] = {}
         self._scene()
         self._softness()
@@ -141,9 +142,9 @@ class Controls:
             timed.on_click(lambda _: self._send(self._push_message(TIMED_PUSH_TIME)))
 
     def _set_push_range(self, max_push: tuple[float, float]) -> None:
-        """Set range and unit of the push slider for its axis: [N] along or [N·m] about the axis.
+        """Set range and unit of the push slider: force along or torque about the chosen axis.
 
-        `max_push` is the maximum force [N] and torque [N·m].
+        `max_push` is the maximum force [N] and the maximum torque [N·m].
         """
         rotational = self.side.value[1:] not in {"x", "y", "z"}
         label = "Torque [N·m]" if rotational else "Force [N]"
@@ -204,9 +205,9 @@ class Controls:
     def show(self, now: Snapshot) -> None:
         """Show the positions and the settings of a snapshot.
 
-        The settings are not shown while the loop has not handled the user's last edit. Snapshots
-        and changes by users come in different threads: a control that differs from its last known
-        value keeps its value, because the message with the user's change is about to be sent.
+        The settings are shown only if the loop has handled the user's last edit. A control that
+        differs from its last known value keeps its value: snapshots and changes by users come in
+        different threads, so the message with the user's change may not have been sent yet.
         """
         self._positions.content = html.positions(now)
         if now.shown is not None and now.edit >= self._last_edit:

@@ -226,13 +226,13 @@ def matrix(info: SceneInfo, step: Step) -> str:
 
 
 def summary(lines: Sequence[str]) -> str:
-    """Return an HTML list of sentences, those of the report on forces in the present pose."""
+    """Return the sentences of the report on forces in the present pose as an HTML list."""
     items = "".join(f'<li style="margin:3px 0">{escape(line)}</li>' for line in lines)
     return _box(f'<ul style="margin:0;padding-left:16px">{items}</ul>')
 
 
 def notice(text: str, wrong: bool) -> str:
-    """Return a box with an error or a message; an empty text gives an empty string."""
+    """Return a box with an error (if `wrong`) or a message; no box for an empty text."""
     if not text:
         return ""
     colour = ALERT if wrong else "#2f855a"

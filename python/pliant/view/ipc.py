@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 SNAPSHOT_RATE = 30.0
 #: Timeout for the start and for the end of the page's process [s].
 TIMEOUT = 30.0
-#: Minimum time between two sendings by the page [s], and maximum number of objects that the loop
-#: takes from the pipe in one call.
+#: Minimum time between two transmissions from the page to the loop [s], and maximum number of
+#: objects that the loop reads from the pipe in one call.
 MESSAGE_PERIOD, MAX_RECEIVED = 0.02, 4
 #: Minimum time between two changes of the settings that the loop handles [s].
 EDIT_PERIOD = 0.05
@@ -139,7 +139,8 @@ class Link:
     def due(self) -> bool:
         """Return True if a snapshot can be sent.
 
-        The period of snapshots must be over, and the page must have acknowledged the last object.
+        At least 1 / `SNAPSHOT_RATE` must have passed since the last snapshot, and the page must
+        have acknowledged the last object.
         """
         return time.perf_counter() >= self._due and self._listen() and self._acknowledged
 

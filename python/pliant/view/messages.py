@@ -82,8 +82,8 @@ class Edit(Message):
     """Base class of messages that change the settings of the controller.
 
     Attributes:
-        number: Serial number given by the page. A snapshot contains the number of the last handled
-            edit, so that the page knows which changes it includes.
+        number: Serial number that the page assigns. Each snapshot contains the number of the last
+            handled edit, so that the page knows which changes the snapshot includes.
     """
 
     number: int
@@ -168,7 +168,8 @@ class Queue:
     def put(self, message: Message) -> None:
         """Add a message and remove those that it makes obsolete.
 
-        If `MAX_QUEUED` messages are left, the oldest one is dropped, but never a `Stop`.
+        If the queue still holds `MAX_QUEUED` messages, the oldest one that is not a `Stop` is
+        dropped.
         """
         remaining = [queued for queued in self._messages if not _replaces(message, queued)]
         if len(remaining) >= MAX_QUEUED:

@@ -49,7 +49,10 @@ class MouseForce:
         self.applied: tuple[Array, Array] | None = None
 
     def push(self, force: ArrayLike, torque: ArrayLike, until: float) -> None:
-        """Push the tool with a force (3,) [N] and a torque (3,) [N·m] until simulated time [s]."""
+        """Push the tool with a force (3,) [N] and a torque (3,) [N·m].
+
+        The push ends at the simulated time `until` [s].
+        """
         if self._pull_toward is not None:
             self.let_go()
         self._wrench = np.concatenate((np.asarray(force), np.asarray(torque))).astype(np.float64)
@@ -77,7 +80,11 @@ class MouseForce:
         self._pull_toward = np.asarray(toward, dtype=np.float64)
 
     def force(self, ground_truth: GroundTruth, t: float) -> Wrench:
-        """Return force (3,) [N], torque (3,) [N·m] and point of application (3,) [m], base axes."""
+        """Return the force on the arm at simulated time t [s].
+
+        Returns:
+            Force (3,) [N], torque (3,) [N·m] and point of application (3,) [m], base axes.
+        """
         frame = ground_truth.frame(self.at)
         if self._pull_toward is None:
             if t < self._until or self.applied is not None:

@@ -57,7 +57,7 @@ class StopPanel:
         panel.float(x=STOP_MARGIN, y=-STOP_MARGIN, width=STOP_WIDTH)
 
     def show(self, now: Snapshot) -> None:
-        """Show the phase of the run and the message to the user in a snapshot; update buttons."""
+        """Show phase and message of a snapshot, and the buttons that apply in this phase."""
         self._status.content = html.status(self._info, now)
         self.stop.visible, self.start.visible = now.phase != "down", now.phase == "down"
         self.stop.disabled = now.phase == "lowering"

@@ -89,10 +89,13 @@ class Publisher:
     def observe(
         self, arm: Arm, robot: RobotView, observer: DriveObserver, pacer: RealtimePacer | None
     ) -> None:
-        """Send snapshots of the arm of a new run from now on.
+        """Start a new run, whose snapshots show `arm`.
 
-        `observer` gives the readings of the drive, `robot` the drawing data; `pacer` keeps a
-        simulation in real time (None: no pacing).
+        Args:
+            arm: The arm of the run.
+            robot: Data to draw the arm.
+            observer: Wrapper of the arm's drive, which keeps the last reading.
+            pacer: Object that keeps a simulation in real time; None: no pacing.
         """
         self._arm, self._robot, self._observer, self._pacer = arm, robot, observer, pacer
         self._step: Step | None = None
@@ -111,7 +114,7 @@ class Publisher:
             self.notice, self._cause = (self.notice[0] + 1, "", False), None
 
     def request_report(self) -> None:
-        """Compute the report on forces in the present pose again for the next snapshot."""
+        """Mark the report on forces as outdated: the next snapshot gets a new one."""
         self._report: tuple[float, tuple[str, ...]] = (-np.inf, ())
 
     # While a controller runs.
@@ -178,11 +181,11 @@ class Publisher:
     # While no controller runs.
 
     def on_read(self) -> None:
-        """After a reading, let a simulation wait for real time; while lowering, send a snapshot."""
+        """Handle a new reading: pace a simulation; during a descent, send a snapshot."""
         if self._pacer is not None:
             self._pacer.wait()
         if self.phase == "lowering":
-            # Ignore that the page has ended: the arm must still be lowered to the end.
+            # Ignore the end of the page's process: the descent of the arm must be completed.
             with contextlib.suppress(PageGone):
                 self.publish_reading()
 

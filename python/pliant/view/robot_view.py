@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 DEFAULT_COLOUR = (0.42, 0.48, 0.56, 1.0)
 #: Exponent that converts gamma-encoded colours (0 to 1) to linear colours.
 SCREEN_GAMMA = 2.2
-#: Maximum size of a mesh file [bytes], and number of folders above that of a URDF in which its mesh
-#: files are searched.
+#: Maximum size of a mesh file [bytes], and number of parent folders of the URDF's folder in which
+#: mesh files are searched.
 MAX_MESH_SIZE, PARENT_FOLDERS = 40_000_000, 4
 
 
@@ -210,7 +210,7 @@ class RobotView:
     """
 
     def __init__(self, arm: Arm, urdf: Path | None = None) -> None:
-        """Use the simulation of the arm, or build one; `urdf` is the path of the URDF file."""
+        """Use the arm's own simulation, or create one for a real arm; `urdf`: path of its URDF."""
         plant = getattr(arm.drive, "plant", None)
         self.simulated = plant is not None
         self.plant: Plant = plant if plant is not None else Plant(arm.model)

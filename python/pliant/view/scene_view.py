@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     Send = Callable[[messages.Message], None]
 
-#: Reach of an arm for which the lengths of drawn objects are used as given [m]; for an arm with a
-#: smaller reach, they are scaled down.
+#: Reach from which on an arm's target, arrows and axes are drawn in nominal size [m]; for an arm
+#: with a smaller reach, they are scaled down in proportion.
 REFERENCE_REACH = 0.71
 #: Length of the force arrow for the largest push, radius of its shaft, radius and length of its
 #: head, all [m].
@@ -304,7 +304,8 @@ def _floor_height(info: SceneInfo) -> float:
         return float(figure.geom_pos[planes[0], 2])
     if info.table is not None:
         return info.table
-    # Without a known table: if the shapes of the base end near its frame's height, it stands there.
+    # Without a known table, assume that the base stands on the floor if its lowest point is near
+    # the base frame.
     standing = [v for v in info.visuals if figure.body(v.body).parentid[0] == 0]
     lows = [v.mesh().bounds[0, 2] for v in standing if v.kind != "mesh"]
     if lows and abs(min(lows)) < TABLE_TOLERANCE:
@@ -359,7 +360,8 @@ def camera_view(
     sizes = np.append(figure.geom_rbound[arm], room)
     centre = 0.5 * ((points - sizes[:, None]).min(axis=0) + (points + sizes[:, None]).max(axis=0))
     radius = float((np.linalg.norm(points - centre, axis=1) + sizes).max())
-    # Compute with the width, because the window between the panels is narrower than high.
+    # Use the horizontal field of view: the part of the window between the panels is narrower than
+    # it is high.
     half = np.arctan(np.tan(0.5 * FOV) * ASPECT)
     return centre, centre + radius / np.sin(half) * VIEW_DIRECTION
 

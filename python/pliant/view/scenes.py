@@ -23,15 +23,17 @@ if TYPE_CHECKING:
 #: Scripted target: speed [m/s], distance of a pull at door or drawer [m], and pause before it
 #: returns [s].
 TARGET_SPEED, PULL_DISTANCE, REST_TIME = 0.06, 0.26, 1.5
-#: Start postures (joint positions) of small arms [rad]: gripper in front of the base, with room.
+#: Start postures (joint positions) of small arms [rad]: the gripper is in front of the base, and
+#: every joint can move in both directions.
 START_POSTURES = {"so101": (0.0, -0.3, 0.3, 0.9, 0.0), "koch": (0.0, -0.3, 0.3, 0.9, 0.0)}
 #: Distance that the scripted target moves toward the wall, and initial distance of the tool from
 #: the wall [m].
 WALL_TRAVEL, WALL_DISTANCE = 0.12, 0.05
-#: Force of a simulated person who takes the object: start after the click on the button, time of
-#: rise, and duration, all [s].
+#: Force of a simulated person who takes the object from the gripper: start after the click on the
+#: button, time in which the force rises, and duration, all [s].
 TAKE_PROFILE = ForceProfile(start=0.3, rise=1.5, end=30.0)
-#: Force of that person before the click on the button: it never starts during a run [s].
+#: Force of the simulated person before the click on the button: starts so late that it is zero
+#: throughout a run [s].
 NO_FORCE = ForceProfile(start=1e9, rise=1.0, end=2e9)
 
 
@@ -140,7 +142,7 @@ def start_posture(robot: str, model: Model) -> Array:
 
 
 def generic_scenes(q: Array) -> Mapping[str, Scene]:
-    """Return scenes, by name, that suit any arm; q are the joint positions at the start [rad]."""
+    """Return the scenes that suit any arm, by name; q: joint positions at the start (n,) [rad]."""
     return {
         "free": Scene(
             about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=q

@@ -92,7 +92,10 @@ class Session:
     # One run, from torque on to torque off.
 
     def _run_session(self) -> None:
-        """Switch torque on, control the arm, and lower it; to change the scene, only torque off."""
+        """Switch torque on, control the arm, and lower it.
+
+        If the user changes the scene, the torque is switched off without a descent.
+        """
         arm = self._source.arm()
         observer = arm.drive = DriveObserver(arm.drive)
         self._arm, self._robot = arm, RobotView(arm, self._source.urdf)
@@ -109,7 +112,7 @@ class Session:
                 self.publisher.show_error(str(error), "fault")
                 raise
             finally:
-                # Set the phase in which the page shows how the arm is lowered.
+                # In this phase the publisher sends the readings of the descent to the page.
                 self.publisher.phase = "lowering"
             if self._next == "scene":
                 arm.disable_torque()
@@ -155,9 +158,9 @@ class Session:
         return command
 
     def _prepare(self, arm: Arm) -> Controller:
-        """Create the controller and the user's force; send the scene to the page.
+        """Create and return the controller of a run; create the user's force; describe the scene.
 
-        Return the controller.
+        The description of the scene is sent to the page.
         """
         q = arm.read().q
         if self._source.scene is not None and self._is_new_scene:
@@ -290,7 +293,10 @@ class Session:
         self._play_start = self._arm.clock.now()
 
     def _update_scripted_target(self, now: float) -> None:
-        """Set the target that the scene scripts for the time `now` [s]; release a pulled object."""
+        """Move the scripted target of the scene to its pose at the time `now` [s].
+
+        If a simulated person pulls the object in the gripper, the gripper opens.
+        """
         scene = self._source.scene
         if scene is None:
             return

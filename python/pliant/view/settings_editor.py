@@ -155,7 +155,7 @@ class SettingsEditor:
 
     @staticmethod
     def _axes(settings: Settings) -> dict[str, Axis]:
-        """Return the entries of `Settings.axes` for the task axes; it has all six axes."""
+        """Return the entries of `Settings.axes`, which has six axes, for the axes of the task."""
         return {name: a for name, a in settings.axes.items() if name in settings.task.names}
 
     def _make(self, name: str) -> Settings:

@@ -124,11 +124,11 @@ class Configured(Source):
         self._connect = partial(connect, config, **options)
 
     def arm(self) -> Arm:
-        """Return a new arm of the configuration, to be enabled after the last one has closed."""
+        """Return a new arm of the configuration; enable it only after the last one has closed."""
         return self._connect()
 
 
-#: Maximum delay of a simulation behind real time that it catches up later [s].
+#: Largest lag of a simulation behind real time that it catches up later [s].
 MAX_LATENESS = 0.03
 #: Time window over which the speed of the simulation is measured [s].
 SPEED_WINDOW = 2.0

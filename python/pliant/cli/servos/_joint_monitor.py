@@ -62,7 +62,8 @@ class JointMonitor:
     def update(self, position: Array, ok: Mask) -> bool:
         """Process readings (N,) [rad], valid where `ok` is True; return True if a joint has moved.
 
-        A joint has moved if it differs by `MIN_MOTION` from its angle when True was last returned.
+        A joint has moved if its angle differs by `MIN_MOTION` or more from the angle at the last
+        call that returned True.
         """
         self.position = np.where(ok, position, self.position)
         self._reference = np.where(np.isnan(self._reference), self.position, self._reference)
@@ -166,7 +167,7 @@ def _end(console: Console, monitor: JointMonitor | None) -> None:
 
 
 def _begin(console: Console, on: list[str]) -> None:
-    """Print instructions to the user, and the names `on` of joints whose torque is still on."""
+    """Print instructions to the user; `on`: names of joints whose torque is on, also printed."""
     print_line(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
         "as its angle grows the tool must go where its line says. If it goes the other way, turn "
