@@ -1,4 +1,4 @@
-"""Arms of tests: without a configuration file, or with one that leaves the arm enabled."""
+"""Arms for tests: without a configuration file, or with a file that leaves the arm enabled."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,8 @@ from pliant.sim import Plant, SimDrive
 def left_enabled(folder: Path) -> str:
     """Write the ready file of an SO-101 that stays enabled, and return its path.
 
-    An emulated arm descends as slowly as a real one. On a busy machine replies may come late.
+    This saves the descent, which takes as long as that of a real arm. The reply timeout is long,
+    because a busy machine may delay replies.
     """
     loop = "[loop]\nreply_timeout_min = 0.2\ncomm_timeout = 10.0\n\n"
     life = f'{loop}[life]\non_exit = "leave_enabled"\n'

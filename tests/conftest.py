@@ -23,7 +23,7 @@ SLOW = {
     "teach",
     "view",
 }
-#: Files of the same kind outside these folders.
+#: Slow test files outside these folders.
 SLOW_FILES = {
     "config/test_arm.py",
     "config/test_rest.py",
@@ -49,8 +49,8 @@ SHARED = (
 UNITS = {name: line[0] for line in SHARED for name in line}
 #: Further test files that start a separate program in each test.
 PROGRAMS = {"tests/test_house.py"}
-#: Workers beyond the number of cores: many tests wait for an emulated bus or another process. With
-#: more of them, arms in real time miss their replies.
+#: Number of workers in addition to the number of cores, because many tests wait for an emulated bus
+#: or another process. More workers would delay replies of emulated buses too much.
 WAITING = 1
 
 
@@ -64,7 +64,10 @@ def pytest_xdist_auto_num_workers() -> int | None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Distribute slow tests one by one, the others by files, and shared runs together."""
+    """Return a scheduler that distributes slow tests singly, the others by file.
+
+    Tests that share a simulated run (`SHARED`) go to the same worker.
+    """
     from xdist.scheduler import LoadScopeScheduling
 
     class Units(LoadScopeScheduling):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from experiments.simulation import Conditions
     from pliant.sim.friction import Friction
 
-#: Stands for a random value, which only has to differ from that of the other side.
+#: Placeholder for a random value, which only has to differ from that of the other side.
 DRAWN = float("nan")
 #: Relative difference below which two numbers are equal.
 SAME = 1e-6
@@ -37,16 +37,16 @@ SAME = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """Parameters of one side: of the plant, or as assumed.
+    """Parameters of one side: those of the plant, or the assumed ones.
 
     Attributes:
-        kp, friction, damping, torque: Over the robot's servo table, scalars or (n,). Damping is
-            that of gears and back-EMF.
+        kp, friction, damping, torque: Ratios to the robot's servo table, scalars or (n,). Damping
+            is the sum of gear damping and back-EMF.
         payload: Mass at the tool [kg].
-        delay: From sampling to reading and from a write to the servo, together [s]; of the
-            assumptions only a controller's are read.
-        reach: Upper less lower position limits over those of the plant's model, scalar or (n,).
-        gears: Friction by speed and load in place of the table's, None where it is constant.
+        delay: Delay from sampling to reading plus that from a write to the servo [s]; of the
+            assumed side, only the delay in a controller is compared.
+        reach: Ratio of the joint ranges to those of the plant's model, scalar or (n,).
+        gears: Friction model by speed and load, in place of the table; None: constant friction.
     """
 
     kp: ArrayLike = 1.0
@@ -69,7 +69,11 @@ def differs(plant: ArrayLike, assumed: ArrayLike) -> bool:
 
 
 def under(conditions: Conditions) -> Mismatch:
-    """Return the mismatch of these conditions, for a `with` block; they must have one."""
+    """Return the mismatch that `conditions` state, for a `with` block.
+
+    Raises:
+        AssertionError: Plant and assumptions are equal.
+    """
     delay = sum(conditions.delay) / conditions.rate
     plant = Parameters(delay=delay, gears=conditions.gears)
     share = conditions.believed
@@ -82,9 +86,9 @@ class Mismatch:
     """Context manager that checks the objects created in its block against the stated parameters.
 
     Attributes:
-        plant, assumed: The two sides.
-        plants, consumers: Objects made in the block: plants; controllers, arms and the rigs of
-            identification and hand guiding.
+        plant, assumed: Parameters of the two sides.
+        plants: Plants made in the block.
+        consumers: Controllers, arms, identifications and hand guidings made in the block.
     """
 
     def __init__(
@@ -93,7 +97,7 @@ class Mismatch:
         """State both sides; only the parameters named in `compared` are compared.
 
         Raises:
-            AssertionError: They are equal.
+            AssertionError: The two sides are equal.
         """
         self.plant, self.assumed, self.compared = plant, assumed, compared
         self.plants: list[Plant] = []
@@ -134,7 +138,7 @@ class Mismatch:
         )
 
     def __enter__(self) -> Mismatch:
-        """Start to record."""
+        """Start to record the plants, controllers, arms, ... that are made."""
         for cls, made in (
             (Plant, self.plants),
             (Arm, self.consumers),
@@ -145,16 +149,17 @@ class Mismatch:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        """Compare, unless an exception was raised."""
+        """Compare the recorded objects with the statement, unless an exception was raised."""
         self._stack.close()
         if kind is None:
             self.check()
 
     def check(self, *consumers: Any) -> None:
-        """Compare plants and consumers, also those named here, with the statement.
+        """Compare the recorded plants and consumers, and `consumers`, with the statement.
 
         Raises:
-            AssertionError: One differs from the statement, or there is no pair.
+            AssertionError: An object differs from the statement, or there is no plant or no
+                consumer.
         """
         pairs = [
             (plant, consumer)
@@ -217,20 +222,20 @@ def _of_consumer(consumer: Any, plant: Plant) -> dict[str, Any]:
 
 
 def _chain(column: ArrayLike, n: int) -> np.ndarray:
-    """Return the entries of the chain's joints (n,); an arm's table appends its gripper's."""
+    """Return the first n entries, those of the chain's joints; an arm's table has grippers too."""
     values = np.asarray(column, dtype=float)
     return values[:n] if values.size > n else np.broadcast_to(values, n)
 
 
 def _over(one: ArrayLike, other: ArrayLike) -> np.ndarray:
-    """Return the ratio; 1 where both are equal, such as 0 and 0 or two infinities."""
+    """Return `one` over `other`; 1 for equal values, also for 0 and 0 or two infinities."""
     one, other = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     ratio = np.ones(np.broadcast_shapes(one.shape, other.shape))
     return np.divide(one, other, out=ratio, where=(one != other) & (other != 0.0))
 
 
 def _damping(table: pliant.Servos, n: int) -> np.ndarray:
-    """Return damping of gears and back-EMF (n,) [N·m·s/rad]."""
+    """Return the sum of gear damping and back-EMF (n,) [N·m·s/rad]."""
     total = _chain(table.damping, n)
     if table.limit_type == "pwm" and table.no_load_speed is not None:
         total = total + _chain(table.max_torque, n) / _chain(table.no_load_speed, n)
@@ -246,7 +251,7 @@ def _mass(plant: Plant) -> float:
 
 
 def _recorded(cls: type, made: list[Any]) -> Any:
-    """Return an `__init__` that records the objects it makes."""
+    """Return an `__init__` for `cls` that appends each new object to `made`."""
     init = cls.__init__
 
     @functools.wraps(init)
@@ -258,7 +263,10 @@ def _recorded(cls: type, made: list[Any]) -> Any:
 
 
 def _recorder(made: list[Any]) -> type:
-    """Return a stand-in of the compiled controller class, whose `__init__` cannot be replaced."""
+    """Return a stand-in for the class `Controller` that appends each new object to `made`.
+
+    It is needed because the `__init__` of a compiled class cannot be replaced.
+    """
     compiled = pliant.Controller
 
     class Meta(type):

@@ -1,8 +1,8 @@
-"""Programs in processes of their own, without the cost of importing the package in each.
+"""Programs in separate processes that need not import the package again.
 
-A server imports the package and forks for each program. A fork is like `python -c CODE`,
-`python FILE` or `python -m MODULE`: it has its own `sys.argv`, folder, environment, standard
-streams and handlers of signals, and the interpreter's own end, with its traceback and exit code.
+A server process imports the package, and forks for each program. A fork is like `python -c CODE`,
+`python FILE` or `python -m MODULE`: it has its own `sys.argv`, working folder, environment,
+standard streams and signal handlers, and it ends like an interpreter, with traceback and exit code.
 It cannot draw with OpenGL, whose threads do not survive a fork.
 """
 
@@ -25,7 +25,7 @@ from pathlib import Path
 from subprocess import DEVNULL, PIPE
 from typing import Any
 
-#: Modules that most programs load.
+#: Modules that the server imports before it forks, because most programs need them.
 MODULES = (
     *("numpy", "mujoco", "rustypot", "pydantic", "rich.console", "tyro", "pliant", "pliant.arm"),
     *("pliant.cli", "pliant.config.factory", "pliant.emulator", "pliant.servo", "pliant.sim"),
@@ -37,7 +37,7 @@ SIZE, LOOK = 1 << 18, 0.005
 def serve(number: int) -> Any:
     """Fork a program for each request on a socket; return, in the fork, the code to run."""
     for name in MODULES:
-        with suppress(ImportError):  # of an extra that is absent
+        with suppress(ImportError):  # if an extra is not installed
             importlib.import_module(name)
     gc.freeze()  # a fork does not touch, and so not copy, the memory of the modules
     with socket.socket(fileno=number) as line:
@@ -117,11 +117,12 @@ class Program:
     """A running program, used like `subprocess.Popen` with text streams.
 
     Args:
-        *words: As after `python`.
+        *words: Command-line words after `python`.
         stdin, stdout, stderr: A file, `PIPE` or `DEVNULL`.
-        cwd: Folder.
+        cwd: Working folder.
         env: Whole environment; None: that of this process.
-        start_new_session: True: signals to its group reach it alone.
+        start_new_session: True: start a new session, so that the program's group has no other
+            process.
     """
 
     def __init__(
@@ -183,7 +184,7 @@ class Program:
         return self.returncode
 
     def communicate(self, timeout: float = 100.0) -> tuple[str, str]:
-        """Return all output and errors, of piped streams, and wait for the end."""
+        """Wait for the end of the program; return the text of stdout and stderr, if piped."""
         until, said = time.monotonic() + timeout, {self.stdout: "", self.stderr: ""}
         if self.stdin is not None:
             self.stdin.close()
@@ -203,12 +204,12 @@ class Program:
         return said[self.stdout], said[self.stderr]
 
     def send_signal(self, number: int) -> None:
-        """Send a signal, unless it has ended."""
+        """Send a signal to the program, unless it has ended."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the program."""
         self.send_signal(signal.SIGKILL)
 
     def _close(self) -> None:

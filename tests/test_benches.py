@@ -1,4 +1,4 @@
-"""All peers of the benches compute the same results; instruction counts detect regressions."""
+"""Benchmarks: all compared libraries compute the same results; counts detect regressions."""
 
 from __future__ import annotations
 

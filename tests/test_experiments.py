@@ -1,4 +1,4 @@
-"""Shared code of the experiments: jobs for other processes, workers, and the search for robots."""
+"""Code that the experiments share: jobs for other processes, workers, search for robot files."""
 
 import importlib
 import re
@@ -20,7 +20,7 @@ from experiments import arms, runner
 from experiments.runner import run_jobs
 
 FOLDER = Path(experiments.__file__).parent
-#: Options with which a module makes its jobs within a second.
+#: Options with which a module lists few jobs, so that it takes less than a second.
 FEW = {"descent": ["--arm", "so101", "--poses", "1"]}
 
 
@@ -79,7 +79,7 @@ def test_results_come_in_order_from_every_backend(backend, capsys):
 
 @dataclass(frozen=True)
 class Noted:
-    """Job that notes its run in a file."""
+    """Job that appends a line to a file when it runs."""
 
     side: int
     notes: Path

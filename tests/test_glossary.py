@@ -15,9 +15,9 @@ from pliant.config.factory import ARM_OPTIONS
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 ROWS = [line for line in TEXT.splitlines() if line.startswith("| ")]
-#: Backticked words of the first column.
+#: Words in backticks in the first column of the glossary's tables.
 TERMS = {word for row in ROWS for word in re.findall(r"`([^`]+)`", row.split("|")[1])}
-#: Self-explanatory options, or explained with their class.
+#: Options that need no entry: they are self-explanatory, or explained with their class.
 SELF_EXPLAINING = {"grippers", "handle_signals", "power_budget", "rate", "table", "watchdog"}
 
 

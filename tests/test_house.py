@@ -1,4 +1,4 @@
-"""Rules of the project: one version, light import, documents that run, complete wheel."""
+"""Rules of the project: one version number, light import, documents that run, complete wheel."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ import pliant
 
 ROOT = Path(__file__).resolve().parents[1]
 EXTRAS = ("mujoco", "matplotlib", "pydantic", "tyro", "rich", "rustypot", "mcap", "viser")
-#: The goal, 1.6e6 [bytes], is missed: 1.53e6 are the compiled module, 0.14e6 of them urdf-rs.
+#: Maximum size of the wheel [bytes]. The goal of 1.6e6 is missed: the compiled module takes 1.53e6,
+#: of which 0.14e6 are urdf-rs.
 LARGEST_WHEEL = 2.05e6
 LONGEST_RUN = 120  # [s] per example and per document
 
 
 def run(*args: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run Python in a process of its own, without a display and without the caller's sys.path."""
+    """Run Python in a new process, without a display and without the caller's `sys.path`."""
     return subprocess.run(
         [sys.executable, *args],
         cwd=cwd,
@@ -41,7 +42,7 @@ def run(*args: str, cwd: Path, **environment: str) -> subprocess.CompletedProces
 
 
 def run_program(script: Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a script in a process of its own; one that draws with OpenGL pays for its imports."""
+    """Run a script in a separate process; only one that draws with OpenGL imports everything."""
     if "render" in script.read_text(encoding="utf-8"):
         return run(str(script), cwd=cwd, **environment)
     environment = {**os.environ, "MPLBACKEND": "Agg", **environment}
@@ -77,7 +78,7 @@ def documents() -> list[Path]:
     return [p for p in files if p.exists() and python_blocks(p.read_text(encoding="utf-8"))]
 
 
-# Blocks of one document share names, as for a reader who types them one after the other.
+# The blocks of a document run one after the other with common variables.
 @pytest.mark.slow
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.stem)
 def test_python_in_documents_runs(document, tmp_path):
@@ -90,7 +91,7 @@ def test_python_in_documents_runs(document, tmp_path):
 
 @pytest.mark.parametrize("document", ["docs/rust.md", "rust/core/README.md"])
 def test_rust_in_documents_is_the_program_that_is_tested(document):
-    """Compare line by line with the example of lib.rs, which `cargo test --doc` runs."""
+    """Compare the Rust code line by line with the example in lib.rs, a documentation test."""
     crate = (ROOT / "rust" / "core" / "src" / "lib.rs").read_text(encoding="utf-8").split("```")[1]
     shown = [line[4:] for line in crate.splitlines()[1:] if not line.startswith("//! #")]
     text = (ROOT / document).read_text(encoding="utf-8").split("```rust\n")[1].split("```")[0]
@@ -112,7 +113,8 @@ def test_gallery_is_of_this_example(example):
     assert said, "it prints nothing"
 
 
-#: Run again as for the gallery: a second or two each, output independent of the machine.
+#: Examples whose output is compared with the gallery: they take a second or two, and their output
+#: does not depend on the machine.
 AGAIN = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "11", "13", "14", "15", "16")
 SHORT = [
     pytest.param(path, id=path.stem, marks=pytest.mark.full if path.stem[:2] in AGAIN else ())
@@ -120,8 +122,8 @@ SHORT = [
 ]
 
 
-# PLIANT_SHORT=1 requests the shortest run that still does everything once; those of AGAIN always
-# run in full.
+# PLIANT_SHORT=1 selects the shortest run that still does everything once. Examples in AGAIN are run
+# in full by another test.
 @pytest.mark.slow
 @pytest.mark.parametrize("example", SHORT)
 def test_example_runs(example, tmp_path):
@@ -139,7 +141,7 @@ def near(kept: str, now: str) -> bool:
     return abs(x - y) <= max(0.05 * abs(x), 1.01 * digit)
 
 
-# The digest detects a changed example; this, a changed law.
+# The test of digests detects a changed example; this test detects changed behaviour.
 @pytest.mark.slow
 @pytest.mark.parametrize("number", AGAIN)
 def test_gallery_is_of_this_law(number, tmp_path):
@@ -156,7 +158,10 @@ def test_gallery_is_of_this_law(number, tmp_path):
 
 
 def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
-    """Their methods are safe, but need a processor that only `SimdLevel` has checked."""
+    """Only the module that checks the processor may use vector types.
+
+    Their methods are safe functions, but they need instructions that the processor may lack.
+    """
     text = (ROOT / "rust" / "core" / "src" / "math" / "simd" / "mod.rs").read_text(encoding="utf-8")
     shared = "".join(re.findall(r"^ *pub[^;]*;", text, re.MULTILINE))
     assert "Sse2" in shared, "every x86-64 processor has it"
@@ -164,7 +169,10 @@ def test_vector_types_are_seen_by_the_module_that_enters_their_code_alone():
 
 
 def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
-    """A slice of this memory is sound only if the caller ensures that no other code changes it."""
+    """Functions that return a slice of NumPy's memory must be `unsafe`.
+
+    Such a slice is sound only if the caller ensures that no other code changes the array.
+    """
     text = (ROOT / "rust" / "py" / "src" / "ndarray.rs").read_text(encoding="utf-8")
     signatures = re.findall(r"^(?:pub\(crate\) )?(?:unsafe )?fn [^{;]*", text, re.MULTILINE)
     lenders = [s for s in signatures if re.search(r"->[^{]*&'?\w* ?(mut )?\[f64\]", s)]
@@ -173,7 +181,7 @@ def test_memory_of_numpy_arrays_is_lent_by_unsafe_functions_alone():
 
 
 def built(pattern: str) -> Path:
-    """Return the file built by `make wheel`."""
+    """Return the path of the file that `make wheel` has built."""
     files = sorted((ROOT / "build" / "wheels").glob(pattern))
     if not files:
         pytest.skip(f"no {pattern} in build/wheels: run `make wheel`")

@@ -1,4 +1,4 @@
-"""The program behind `make bench`: percentiles of a step, any arm, one-line errors."""
+"""`benches/latency.py` (`make bench`): percentiles of a step, choice of the arm, errors."""
 
 import importlib.util
 import re

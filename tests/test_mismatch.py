@@ -1,7 +1,7 @@
-"""Experiments, examples and documented rows with wrong assumptions are built with them.
+"""Experiments with wrong assumptions: the controller must not get the plant's true parameters.
 
-Each runs up to its first tick of physics; then its plant is compared with the inputs of its
-controller, arm or identification.
+Each experiment, example or documented row runs up to its first tick of physics; then its plant is
+compared with the inputs of its controller, arm or identification.
 """
 
 import runpy
@@ -43,11 +43,11 @@ GEARS = campaign.REAL_GEARS["arm7"]
 
 
 class Built(Exception):
-    """Everything is built: physics is about to begin."""
+    """Raised at the first tick of physics, when plant and controller have been built."""
 
 
 def build(gap, run):
-    """Run until physics begins, and compare."""
+    """Run until the first tick of physics, and compare plant and assumptions with `gap`."""
     begins = patch.object(Plant, "advance", side_effect=Built)
     with gap, begins, pytest.raises(Built):
         run()
@@ -61,7 +61,7 @@ def plant(**differs):
 
 
 def promise(disturbance):
-    """Run one promise of the campaign."""
+    """Run the measurement of one force cap of the campaign under a disturbance."""
     arm = load("arm7")
     bench = campaign.Bench(arm, disturbance)
     return bench.keep(0, arm.poses(1)[0], "y", 1.0, 5.0, guided=False)
@@ -83,7 +83,7 @@ def stress_gap(conditions):
 
 
 def cases():
-    """Return name, difference and call of each case."""
+    """Return name, mismatch and function to run of each case."""
     for title, options in lifecycle.CASES:
         differs = {
             name: options[key]

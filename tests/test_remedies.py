@@ -35,7 +35,7 @@ MODULES = [pliant] + [
         *("emulator", "servo", "sim", "teach", "view"),
     )
 ]
-#: Classes of the objects that texts name.
+#: By variable name in error texts: classes of the objects that it stands for.
 OBJECTS = {
     "arm": import_module("pliant.arm").Arm,
     "controller": pliant.Controller,
@@ -54,19 +54,20 @@ OBJECTS = {
     "found": import_module("pliant.identify").GravityCapture,
     "array": np.ma.MaskedArray,
 }
-#: Words that follow "pliant" in a sentence and are not commands.
+#: Words that follow "pliant" in the sentences of error texts and are not commands.
 WORDS = {"arm", "counts", "does", "motion", "reads", "task", "was"}
-#: Brackets that are units or rich's markup, and words that may follow a section of a file.
+#: `UNITS`: texts in brackets that are units or markup tags of rich, not tables of a configuration.
+#: `BESIDE_SECTION`: words that may follow the name of a table in a sentence.
 UNITS = {"m", "mm", "ms", "kg", "rad", "s", "bold", "dim", "green", "red", "yellow"}
 BESIDE_SECTION = {"a", "and", "in", "of", "the"}
-#: Placeholders in the words of a command.
+#: Values that replace the placeholders of a command.
 STAND_INS = {"ARM": "so101", "OLD:NEW": "1:2"}
-#: Commands of the system that texts name.
+#: Commands of the operating system that error texts name.
 SYSTEM = {"lsusb", "sudo", "usermod"}
 
 
 def python_texts(path: Path) -> list[str]:
-    """Return the sentences of a module, without docstrings; a placeholder is an ellipsis."""
+    """Return the texts in a module, without docstrings; fields of f-strings become "..."."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     docs, parts, texts = set(), set(), []
     for node in ast.walk(tree):
@@ -104,7 +105,7 @@ RUST = re.compile(
 
 
 def rust_texts(path: Path) -> list[str]:
-    """Return string literals of a file outside of its tests that are sentences."""
+    """Return the string literals of a Rust file that are sentences; tests are left out."""
     code = path.read_text(encoding="utf-8").split("#[cfg(test)]")[0]
     found = [match["text"] for match in RUST.finditer(code) if match["text"] is not None]
     joined = [re.sub(r"\\\n\s*", "", text).replace('\\"', '"') for text in found]
@@ -113,7 +114,7 @@ def rust_texts(path: Path) -> list[str]:
 
 @cache
 def texts() -> dict[str, str]:
-    """Return texts of the package, with their files."""
+    """Return all texts of the package, and the file of each text."""
     python = sorted((ROOT / "python" / "pliant").rglob("*.py"))
     rust = sorted(
         path for crate in ("core", "py") for path in (ROOT / "rust" / crate / "src").rglob("*.rs")
@@ -127,7 +128,7 @@ def texts() -> dict[str, str]:
 
 
 def wrong(find, judge) -> list[str]:
-    """Return texts with a remedy, extracted by `find`, that does not exist by `judge`."""
+    """Return the texts with a remedy, found by `find`, for which `judge` returns False."""
     return [
         f"{file}: {remedy!r} in {text!r}"
         for text, file in texts().items()
@@ -137,7 +138,7 @@ def wrong(find, judge) -> list[str]:
 
 
 def command_of(words: list[str]) -> tuple[str, list[str]]:
-    """Return the command that words begin with, empty if there is none, and the words after it."""
+    """Return the command at the beginning of a list of words ("" if none), and the other words."""
     for size in (2, 1):
         if " ".join(words[:size]) in COMMANDS:
             return " ".join(words[:size]), words[size:]
@@ -146,7 +147,7 @@ def command_of(words: list[str]) -> tuple[str, list[str]]:
 
 @cache
 def parser(command: str):
-    """Return the parser of a command."""
+    """Return the argument parser of a `pliant` command."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         return tyro.extras.get_parser(
@@ -161,7 +162,7 @@ def flags(command: str) -> set[str]:
 
 
 def test_texts_are_found():
-    """The tests below examine these."""
+    """Check that texts are extracted at all: without texts, the tests below would pass."""
     assert len(texts()) > 1000
     for sure in (
         "`pliant servos setup ARM --set-id OLD:NEW`",
@@ -176,7 +177,7 @@ def commands(text: str, _file: str) -> list[str]:
 
 
 def is_command(words: str) -> bool:
-    """Return True if a command has these flags and, first, this choice."""
+    """Return True if a command accepts these words: its flags exist, and its first argument."""
     command, rest = command_of(words.split())
     if words.split(maxsplit=1)[0] in WORDS:
         return True
@@ -200,7 +201,7 @@ def quoted_commands(text: str, _file: str) -> list[str]:
 
 
 def is_accepted(words: str) -> bool:
-    """Return True if the shell accepts a command as written, up to its action."""
+    """Return True if a command parses as written; it is not executed."""
     command, rest = command_of([STAND_INS.get(word, word) for word in words.split()])
     if not command:
         return False
@@ -226,7 +227,7 @@ def test_quoted_commands_are_taken_by_the_shell(capsys):
 
 
 def flags_of(text: str, file: str) -> list[tuple[str, str]]:
-    """Return flags with the command of their text, empty where it may be any."""
+    """Return the flags in a text, each with its command, or "" if it may be any command."""
     path = file.removeprefix("python/pliant/cli/").removesuffix(".py")
     own = path.replace("/", " ") if path != file.removesuffix(".py") else ""
     bare = re.sub(r"`[^`]*`|pliant [a-z]+ [^;,:.]*", "", text)
@@ -248,7 +249,7 @@ def test_flags_exist():
 
 
 def members(name: str) -> list[object]:
-    """Return the possible members behind a bare name: of a module, or of a class of one."""
+    """Return all members with a name: of a public module, or of a class in a public module."""
     found = [getattr(module, name) for module in MODULES if hasattr(module, name)]
     classes = {
         thing for module in MODULES for thing in vars(module).values() if isinstance(thing, type)
@@ -263,7 +264,7 @@ def members(name: str) -> list[object]:
 
 
 def resolve(dotted: str) -> list[object]:
-    """Return the possible objects of a dotted name."""
+    """Return all objects that a dotted name may refer to."""
     head, *tail = dotted.split(".")
     if head == "pliant" and tail:
         with contextlib.suppress(ImportError):
@@ -297,12 +298,15 @@ CALL = re.compile(r"(?<![\w.`'&])([A-Za-z_][\w.]*)\(((?:[^()\"]|\([^()]*\)|\"[^\
 
 
 def calls(text: str, _file: str) -> list[tuple[str, str]]:
-    """Return calls by name and arguments; a command is shown as one and never made by a user."""
+    """Return the calls in a text, as name and arguments.
+
+    `Command(...)` is left out: it is the `repr` of an object that users do not create.
+    """
     return [call for call in CALL.findall(text) if call[0] != "Command"]
 
 
 def takes(thing: object, arguments: str) -> bool:
-    """Return True if a function or method takes these arguments; "..." stands for any."""
+    """Return True if a function accepts these arguments; "..." stands for any arguments."""
     if not callable(thing):
         return False
     flat = re.sub(r"\([^()]*\)|\[[^\[\]]*\]|\"[^\"]*\"", "0", arguments)
@@ -324,14 +328,14 @@ def takes(thing: object, arguments: str) -> bool:
 
 
 def needs_object(thing: object) -> bool:
-    """Return True if a function of a class needs an object of it first."""
+    """Return True if a function of a class is a method that needs an object."""
     if inspect.isfunction(thing):
         return "." in thing.__qualname__
     return inspect.ismethoddescriptor(thing) and type(thing).__name__ == "method_descriptor"
 
 
 def is_callable_so(call: tuple[str, str]) -> bool:
-    """Return True if something of this name takes these arguments."""
+    """Return True if a function or class with this name accepts these arguments."""
     name, arguments = call
     return any(takes(thing, arguments) for thing in resolve(name))
 
@@ -348,13 +352,13 @@ OPEN = re.compile(
 
 
 def examples(text: str, _file: str) -> list[str]:
-    """Return complete calls of anything but an object at hand."""
+    """Return the complete calls in a text that can be run without an object of the user."""
     found = [f"{name}({arguments})" for name, arguments in CALL.findall(text)]
     return [call for call in found if not OPEN.search(call) and not is_method(call.split("(")[0])]
 
 
 def is_method(name: str) -> bool:
-    """Return True if a name is a method of an object."""
+    """Return True if a dotted name is a method of an object in `OBJECTS`."""
     head, _, last = name.rpartition(".")
     if head in OBJECTS or (not head and not last[0].isupper() and not made_by(last)):
         return True
@@ -366,12 +370,12 @@ def is_method(name: str) -> bool:
 
 
 def made_by(name: str) -> bool:
-    """Return True if a bare name is a function of the package itself, or of its robots."""
+    """Return True if a bare name is in `pliant` or in `pliant.robots`."""
     return name in pliant.__all__ or hasattr(pliant.robots, name)
 
 
 def runs(call: str) -> bool:
-    """Return True if an example runs unchanged."""
+    """Return True if a call in an error text runs unchanged."""
     names = {
         key: getattr(module, key)
         for module in reversed(MODULES)
@@ -398,7 +402,7 @@ def accepted(text: str, _file: str) -> list[str]:
 
 
 def is_risk(risk: str) -> bool:
-    """Return True if a risk can be accepted by this name."""
+    """Return True if a setting exists that accepts the risk with this name."""
     controller = pliant.Controller(pliant.robots.so101(), pliant.Settings(task="xyz"))
     for take in (
         lambda: pliant.Settings(**{risk: True}),
@@ -439,12 +443,12 @@ def every_keyword() -> set[str]:
 
 
 def is_keyword(name: str) -> bool:
-    """Return True if anything public takes this keyword."""
+    """Return True if a public function or class has this keyword argument."""
     return name in every_keyword()
 
 
 def bare_keywords(text: str, file: str) -> list[str]:
-    # URDF attributes, and the axis of `--soft y=2`.
+    # Ignore what is not a keyword argument: attributes of a URDF, and the axis in `--soft y=2`.
     if file.startswith("rust/core/src/model/") or "--soft" in text:
         return []
     return re.findall(r"(?<![\w.{])([a-z_]{2,})=(?![=>])", CALL.sub("", text))
@@ -479,7 +483,7 @@ def sections(text: str, _file: str) -> list[tuple[str, str]]:
 
 
 def is_section(pair: tuple[str, str]) -> bool:
-    """Return True if a configuration has this table, and the table this key."""
+    """Return True if the schema of configurations has this table, with this key."""
     section, key = pair
     fields = {field.alias or name: field for name, field in Config.model_fields.items()}
     if section not in fields:
@@ -506,7 +510,7 @@ def test_sections_and_keys_of_a_configuration_exist():
 
 
 def test_extras_exist():
-    """The second argument of `missing` is an extra of `pyproject.toml`."""
+    """Check that the second argument of every call of `missing` is an extra in pyproject.toml."""
     known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     named = [
         node.args[1].value

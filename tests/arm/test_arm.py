@@ -111,7 +111,7 @@ def test_an_exception_lowers_and_stays_the_error(make):
     assert not arm.enabled
     plant = arm.drive.plant
     assert plant.tool[2, 3] < -0.6
-    # A joint that friction had stopped short of its rest may still swing there.
+    # A joint that friction stopped before its rest position may still swing there.
     assert np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]) < 0.03
     for _ in range(100):
         plant.advance()

@@ -1,4 +1,4 @@
-"""Heat, temperature and supply: limits fall before the hardware trips."""
+"""Limits by heat, temperature and supply current: they decrease before the servos shut down."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_the_supply_is_shared_above_the_weight():
     limit = it.limit_current([10.0, -10.0], [3.0, 1.0], [10.0, 10.0])
     assert 0.2 * limit.sum() == pytest.approx(2.0, abs=0.01)
     assert np.all(limit >= [3.0, 1.0])
-    # Joints that draw nothing are not cut.
+    # The limits of joints without current are not reduced.
     assert it.limit_current([4.0, 4.0], [0.0, 0.0], [10.0, 10.0]) == pytest.approx([10, 10])
 
 
@@ -59,9 +59,9 @@ def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
     with arm:
         torque, q = np.asarray(arm.servos.max_torque), arm.read().q
         for heat, share in ((0.5, 1.0), (0.9, 0.7), (1.1, 0.4)):
-            arm.clock.wait_until(arm.clock.now() + 0.6)  # limits have risen
+            arm.clock.wait_until(arm.clock.now() + 0.6)  # the limits ramp up after torque on
             arm.read()
-            # At this constant torque the heat ends at this value.
+            # A joint with this constant torque settles at the thermal load `heat`.
             constant = np.sqrt(heat) * Budget().continuous * arm._io._usable
             arm._io.thermal.update(constant, 1e9)
             arm.write(q, torque)

@@ -1,4 +1,4 @@
-"""One clock that starts with the loop: simulated and over bytes, in ticks, events and logs."""
+"""Times in ticks, events and logs are on one clock that starts with the loop, on every drive."""
 
 from contextlib import contextmanager
 

@@ -6,9 +6,9 @@ pytest.importorskip("mujoco", reason="descents run on the simulator: extra sim")
 
 from experiments import descent
 
-#: Numbers of the runs of `descent.descents` that are always tested, by arm. Even runs are in free
+#: By arm: numbers of the runs of `descent.descents` that are always tested. Even runs are in free
 #: air, odd ones over a table. Run 7 of `so101` tests the bound of the force on the table: without
-#: it the arm pressed with 11.4 N, although its resting weight is 5 N.
+#: this bound the arm pressed with 11.4 N, although only 5 N of its weight rest on the table.
 RUNS = {"arm7": (0, 1), "so101": (0, 1, 7), "koch": (0, 3)}
 #: Largest force of an arm on the table [N].
 FORCE = {"so101": 10.0, "koch": 10.0}
@@ -16,7 +16,7 @@ LARGE = 15.0
 
 
 def check(job, run):
-    # True and assumed stiffness must differ; a drive that passes on the true values fails here.
+    # Fails if the drive passes the true stiffness to the arm, which must assume another one.
     assert run.apart == pytest.approx(max(max(s, 1.0 / s) for s in job.truth.stiffness))
     assert run.moved < 0.020
     assert run.jerk < 0.10
@@ -55,15 +55,15 @@ def test_down_from_the_ready_pose_within_fifteen_seconds(arm, number):
     job = job_of(arm, number, False)
     run = job.run()
     check(job, run)
-    assert run.seconds < 15.0  # (14.5 and 11.6; 20.2 and 18.1 before)
+    assert run.seconds < 15.0  # measured 14.5 and 11.6
 
 
 def test_an_arm_that_swings_is_taken_over_without_being_swung_further():
-    # The tool swings at 0.08 m/s, because a count of the encoder is more than the friction.
+    # The tool swings at 0.08 m/s: the torque of one encoder count exceeds the friction.
     job = job_of("arm7", 11, False)
     run = job.run()
     assert run.apart > 2.0
-    assert run.jerk < 0.10  # (0.09; 0.29 where each reading was drawn back)
+    assert run.jerk < 0.10  # measured 0.09; 0.29 if the goal followed each reading back
     assert run.moved < 0.020
 
 
@@ -72,7 +72,7 @@ def test_torque_off_only_where_the_arm_stands_without_it():
     # The shoulder falls backward while the tool lies on the table.
     run = job_of("vx300s", 35, True).run()
     assert run.apart > 1.4
-    assert run.after < 0.10  # (0.20 before, after 60 s without an end)
+    assert run.after < 0.10
     assert run.seconds < 30.0
 
 

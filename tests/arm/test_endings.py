@@ -1,4 +1,4 @@
-"""The end of a program prints messages, and completes even if standard error cannot be written."""
+"""The end of a program: its messages, and that it ends even if standard error cannot be written."""
 
 import contextlib
 import logging
@@ -64,7 +64,7 @@ def begin(program, stderr=PIPE):
     try:
         yield process
     finally:
-        process.kill()  # some of these tests examine whether it ends
+        process.kill()  # if the program has not ended by itself, which some of these tests check
         process.wait()
 
 

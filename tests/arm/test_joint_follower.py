@@ -25,7 +25,10 @@ def connect(name, **options):
 
 
 def follow(name, joint, amplitude, *, max_force=4.0, **options):
-    """Follow a sine with one joint, in steps of 30 Hz; return lag [s], gain, and others' motion."""
+    """Let one joint follow a sine, sampled at 30 Hz; return its lag [s] and gain [1].
+
+    The largest motion of the other joints [rad] is returned too.
+    """
     times, places = [], []
     with connect(name, table=False, **options) as arm:
         follower = JointFollower(arm.model, arm.servos, max_force=max_force)
@@ -65,7 +68,7 @@ def test_a_wrong_stiffness_costs_lag_and_sag_only(kp):
     right, _, _ = follow("so101", 1, math.radians(25.0))
     assert (lag > right) == (kp < 1.0)
     assert 0.85 < gain < 1.15
-    assert others < math.radians(6.0)  # sag: gravity acts on a stiffness that is assumed
+    assert others < math.radians(6.0)  # sag, as the true stiffness differs from the assumed one
 
 
 def pushed(axis, force, max_force):
@@ -90,7 +93,7 @@ def pushed(axis, force, max_force):
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", range(3))
 def test_a_push_above_the_force_and_friction_moves_the_arm(axis):
-    """The arm resists a push of its force like a stiff one, yields to more, and returns slowly."""
+    """A push of `max_force` moves the arm little; it yields to a larger one and returns slowly."""
     force = 2.0
     stiff, _, _ = pushed(axis, 0.8 * force, math.inf)
     resisted, _, _ = pushed(axis, 0.8 * force, force)
@@ -104,7 +107,7 @@ def test_a_push_above_the_force_and_friction_moves_the_arm(axis):
 
 @pytest.mark.slow
 def test_a_target_inside_the_table_is_pressed_with_the_force():
-    """Beside a stock follower, which sends the same joint targets at full torque."""
+    """The reference is a follower without force limit, with the same joint targets."""
     held = {}
     for max_force in (2.0, math.inf):
         with connect("so101", table=0.0) as arm:

@@ -28,10 +28,10 @@ from pliant.sim import Plant, SimDrive
 
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 NUMBERS = [getattr(signal, name) for name in HANDLED if hasattr(signal, name)]
-#: Two signals REPEATED [s] apart count as one request, DELIBERATE [s] apart as two.
+#: Times between two signals [s] that count as one request (`REPEATED`) or as two (`DELIBERATE`).
 REPEATED, DELIBERATE = 0.1, 2.0
 LOW = np.array([0.0, 1.5, 0.0, 0.0, 0.0])
-#: Number of loop iterations of the simulated descent, which replaces a real one here.
+#: Number of loop iterations of the stand-in for a descent in these tests.
 TURNS = 12
 
 
@@ -140,7 +140,7 @@ class Life(RuleBasedStateMachine):
         self.during = []
 
     def foresee(self, come):
-        """Predict the effect of signals during a descent: an exception, torque on or off."""
+        """Predict the result of a descent in which signals come: exception, torque on or off."""
         time, last, interrupts, kind = self.time, self.last, 0, None
         for number, gap in come:
             time += gap
@@ -175,7 +175,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: len(getattr(self, "arms", [])) == 2)
     @rule(number=st.sampled_from(NUMBERS), swap=st.booleans())
     def with_both(self, number, swap):
-        """A signal inside two nested `with` blocks lowers both arms, in either order of nesting."""
+        """Check that a signal inside nested `with` blocks of two arms lowers both of them."""
         first, second = self.arms[::-1] if swap else self.arms
         self.last = (0, -10.0)
 
@@ -192,7 +192,7 @@ class Life(RuleBasedStateMachine):
 
     @rule(data=st.data())
     def lower_elsewhere(self, data):
-        """Another thread lowers it; signals in the main thread are for the remaining ones."""
+        """Lower one arm in another thread; signals in the main thread affect the other arms."""
         index = self.which(data)
         thread = threading.Thread(target=self.arms[index].lower)
         thread.start()

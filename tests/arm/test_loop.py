@@ -161,7 +161,7 @@ def test_lateness_is_bounded_and_right_within_a_bin():
     assert LatenessHistogram().percentile(50.0) == 0.0
 
 
-#: Reaction of the arm, and the highest speeds before and during the descent [m/s].
+#: By case: reaction of the arm, and largest tool speed before and during the descent [m/s].
 EXPECTED = {
     "Ctrl-C, or any exception": ("is lowered", 0.01, 0.18),
     "the program stalls for 1 s": ("is lowered", 0.01, 0.18),
@@ -203,7 +203,7 @@ def test_a_target_that_jumps_pushes_a_hand_with_what_its_axes_may(grasp):
     lever = np.linalg.pinv(model.jacobian(grasp))[:, :3]
     gears = np.abs(lever).T @ np.asarray(model.servos.friction)
     got = run_fault(next(m for m in FAULT_CASES if m.title.startswith("target jumps")), held=True)
-    # x and z are stiff and push with their `hold`, y is soft; all within the band of a cap.
+    # x and z are stiff (cap `hold`), y is soft; the force on each stays within 15 % of its cap.
     most = 1.15 * np.asarray(controller.diagnostics.axis_strength[:3]) + gears
     assert got.along[0] > 0.9 * controller.diagnostics.axis_strength[0]
     assert np.all(got.along < most), (got.along, most)

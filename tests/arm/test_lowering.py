@@ -9,7 +9,7 @@ from experiments.lifecycle import LOAD, lower, postures
 from pliant._core import ArmPoints
 from pliant.arm import Lowering
 
-#: Delays of sampling and of writing by one tick each [s].
+#: Total delay of sampling and writing, one tick each [s].
 TICKS = 0.02
 #: A posture stretched forward.
 STRETCHED = np.array([-1.3, -0.1, 0.0, -0.2, 0.0, 0.0, 0.0])
@@ -44,7 +44,7 @@ def test_servos_stiffer_than_assumed(grasp, known):
     assert run.speed < 0.18
     assert run.rise < 0.015
     # If goal offsets were computed from the assumed stiffness, the descent would take a minute.
-    assert run.seconds < 15.0  # (14.0)
+    assert run.seconds < 15.0  # measured 14.0
 
 
 @pytest.mark.parametrize("robot", ["so101", "koch"])
@@ -69,7 +69,7 @@ def test_goes_to_a_rest_pose_first(make):
 def test_ten_poses_over_a_table(bring, ticks):
     runs = [bring(q, over_table=True, ticks=ticks) for q in postures(10)]
     assert max(run.speed for run in runs) < (0.2 if ticks else 0.18)
-    # The force on the table cannot be smaller than the weight that finally rests on it.
+    # The bound is 15 N, or the weight that finally rests on the table if that is larger.
     assert max(run.force - max(run.resting, 15.0) for run in runs) < 2.0
 
 
@@ -187,7 +187,7 @@ def test_a_joint_with_a_short_lever_presses_with_no_more_force_than_the_others()
 
 
 def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
-    """A leaning arm loses its support while its limits fall: it is caught, and lowered slowly."""
+    """An arm that loses its support while its torque limits ramp down is caught and lowered."""
     model = pliant.robots.arm7()
     q, kp, points = STRETCHED.copy(), np.asarray(model.servos.kp), ArmPoints(model)
     lowering = Lowering(model, model.servos, q)
@@ -206,11 +206,11 @@ def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
             break
         goal, limit = order.goal, order.torque_limit
         weight = np.asarray(model.gravity(q))
-        # Without inertia: gears turn as slowly as their damping allows.
+        # Model without inertia: only the damping of the gears limits the speed.
         torque = np.clip(kp * (goal - q), -limit, limit) - weight
         new = q + 0.01 * torque / (np.asarray(model.servos.damping) + 0.1 * kp)
         moved = np.linalg.norm(points.position(new) - points.position(q), axis=1).max()
-        # It sinks into its servos' springs at first.
+        # Ignore the first 50 ticks, in which the arm sags by the compliance of its servos.
         most = max(most, moved if tick > 50 else 0.0)
         q = new
     assert order is None

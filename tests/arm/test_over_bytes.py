@@ -61,12 +61,12 @@ def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=
 
 
 def switches(bus, id):
-    """Return torque on and off of a servo, in order."""
+    """Return the writes of a servo's Torque Enable register, in order."""
     return [step for step in bus.log.order(id) if step.startswith("torque")]
 
 
 def unknown(load):
-    """A load [kg] that the model does not have, on emulated servos as the arm reads them."""
+    """Return a `Mismatch` with a load [kg] that the model lacks, on emulated servos."""
     return Mismatch(plant=Parameters(payload=load), assumed=Parameters(), compared=("payload",))
 
 
@@ -98,7 +98,7 @@ def test_enabled_in_order_controlled_and_held(family):
         for tick in loop:
             command = controller.step(tick.q, start, dt=tick.dt)
             tick.write(command)
-        # The speed registers have the controller's command, rounded down.
+        # The speed registers hold the speed limits of the command, rounded down.
         bus.sync()
         register, unit = {"sts": ("goal_velocity", STEP), "x": ("profile_velocity", RPM)}[family]
         speeds = unit * np.array([bus.servo(k).get(register) for k in range(1, 6)])
@@ -116,7 +116,7 @@ def test_enabled_in_order_controlled_and_held(family):
         assert np.linalg.norm(bus.plant.tool[:3, 3] - start) < 0.01
 
 
-#: Poses 32 and 3 cm above the end of their descents [rad].
+#: Poses in which the tool is 32 cm and 3 cm above the end of its descent [rad].
 HIGH, LOW = [0.0, 0.2, 0.0, 0.2, 0.0], [0.0, 1.5, 0.0, 0.0, 0.0]
 
 
@@ -206,9 +206,9 @@ def test_no_lost_packet_of_enabling_lets_an_old_goal_move_the_arm(family):
 def test_torque_does_not_go_off_where_servos_refuse_the_way_down(
     cleared, monkeypatch, capsys, caplog
 ):
-    """The line is dead for longer than the watchdog, then the arm is lowered."""
+    """The bus is short-circuited for longer than the watchdog time; then the arm is lowered."""
     if not cleared:
-        # As if the watchdog could not be cleared.
+        # Simulate that the servos' watchdogs cannot be cleared.
         monkeypatch.setattr("pliant.servo._port.Port.clear_watchdogs", lambda *_: None)
         monkeypatch.setattr("pliant.servo._port.Port.set_watchdog", lambda *_: [])
     with arm_over_bytes("x", LOW, watchdog=0.1) as (bus, arm):
@@ -291,7 +291,7 @@ def test_an_unknown_load_sinks_and_is_brought_back_slowly(monkeypatch):
     ("family", "pose"), [("sts", 2), pytest.param("x", 5, marks=pytest.mark.full)]
 )
 def test_what_is_in_the_way_of_a_descent_feels_no_more_than_15_newtons(family, pose):
-    # Without pacing by energy these pressed with 17.8 and 19.2 N.
+    # Without the limit of kinetic energy, these arms pressed with 17.8 and 19.2 N.
     q = bus_lower.poses(family, 6)[pose]
     with unknown(LOAD):
         run = bus_lower.lower(family, q, load=LOAD, over_table=True)

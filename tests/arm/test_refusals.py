@@ -9,7 +9,7 @@ import pliant
 
 
 def write_for(arm, limit, seconds=0.5):
-    """Write a limit at every tick, as a program without a controller does."""
+    """Write the same torque limit at every tick, as a program without a controller does."""
     q = arm.read().q
     for tick in pliant.Loop(arm, duration=seconds):
         tick.write(SimpleNamespace(goal=q, torque_limit=limit))
@@ -35,7 +35,7 @@ def test_limits_that_carry_the_weight_and_a_controllers_are_not_warned_of(make, 
         weight = np.abs(arm.model.gravity(grasp))
         write_for(arm, 0.6 * weight, 0.1)
         write_for(arm, 1.1 * weight)
-        # Without gravity in its limits the arm sags, as intended.
+        # This controller's torque limits lack gravity on purpose, so that the arm sags.
         controller = pliant.Controller(
             arm.model, pliant.Settings.soft("x y z", gravity=False), arm.servos
         )

@@ -14,7 +14,7 @@ from pliant.arm._supervisor import Supervisor
 
 
 def until(condition):
-    """Compute without pause until a condition holds: a program that never returns."""
+    """Run a busy loop until a condition holds, like a program that does not call the arm."""
     rounds = 0
     while not condition():
         rounds += 1

@@ -1,7 +1,8 @@
 """Bands: bounds that results on the simulated arm must satisfy, with a fixed random seed.
 
-Each test names the preset in `experiments.controllers` that reaches its band. Brackets hold the
-value when the band was set. Marked `full`: the long form of a test that always runs in part.
+Each test names the preset in `experiments.controllers` that reaches its band. "Measured" in a
+comment is the value at the time when the band was set. Tests marked `full` are the long forms of
+tests that always run in part.
 """
 
 import pytest

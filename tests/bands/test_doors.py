@@ -4,20 +4,20 @@ import pytest
 
 from experiments import controllers, doors
 
-#: Bounds by scene and grip: least angle [deg], largest force [N]. Brackets: the measured values.
+#: Bounds by scene and grip: smallest angle [deg] and largest force [N], with the measured values.
 CAP = {
-    ("door", "rigid"): (64.0, 32.0),  # (67.7, 24.4)
-    ("door", "turning"): (64.0, 25.0),  # (69.3, 9.8)
-    ("fridge", "rigid"): (64.0, 34.0),  # (67.9, 26.5)
-    ("fridge", "turning"): (64.0, 32.0),  # (70.0, 23.3)
-    ("horizontal", "rigid"): (64.0, 33.0),  # (67.6, 25.5)
-    ("horizontal", "turning"): (64.0, 25.0),  # (69.2, 8.8)
-    ("oven", "rigid"): (57.0, 26.0),  # (60.8, 18.1)
-    ("oven", "turning"): (57.0, 15.0),  # (60.2, 5.3)
-    ("base door", "rigid"): (63.0, 52.0),  # (66.5, 41)
-    ("base door", "turning"): (65.0, 25.0),  # (68.8, 9.2)
-    ("base fridge", "rigid"): (63.0, 52.0),  # (66.7, 40)
-    ("base fridge", "turning"): (65.0, 32.0),  # (69.8, 23.2)
+    ("door", "rigid"): (64.0, 32.0),  # measured 67.7, 24.4
+    ("door", "turning"): (64.0, 25.0),  # measured 69.3, 9.8
+    ("fridge", "rigid"): (64.0, 34.0),  # measured 67.9, 26.5
+    ("fridge", "turning"): (64.0, 32.0),  # measured 70.0, 23.3
+    ("horizontal", "rigid"): (64.0, 33.0),  # measured 67.6, 25.5
+    ("horizontal", "turning"): (64.0, 25.0),  # measured 69.2, 8.8
+    ("oven", "rigid"): (57.0, 26.0),  # measured 60.8, 18.1
+    ("oven", "turning"): (57.0, 15.0),  # measured 60.2, 5.3
+    ("base door", "rigid"): (63.0, 52.0),  # measured 66.5, 41
+    ("base door", "turning"): (65.0, 25.0),  # measured 68.8, 9.2
+    ("base fridge", "rigid"): (63.0, 52.0),  # measured 66.7, 40
+    ("base fridge", "turning"): (65.0, 32.0),  # measured 69.8, 23.2
 }
 RESISTING = ("door", "fridge", "horizontal", "oven")
 
@@ -39,30 +39,30 @@ def test_cap_opens(scene, grip):
     assert seen.angle > least
     assert seen.force < most
     if (scene, grip) == ("door", "rigid"):
-        assert seen.torque < 3.0  # [N·m] (2.1)
+        assert seen.torque < 3.0  # [N·m], measured 2.1
 
 
 def test_rows_free_opens_a_rigidly_gripped_door():
     seen = doors.open_door(controllers.rows_free)
-    assert seen.angle > 60.0  # [deg] (66)
-    assert seen.force < 60.0  # [N] (42)
-    assert seen.torque < 6.0  # [N·m] (4.0)
+    assert seen.angle > 60.0  # [deg], measured 66
+    assert seen.force < 60.0  # [N], measured 42
+    assert seen.torque < 6.0  # [N·m], measured 4.0
 
 
 def test_rec_jams_on_a_rigidly_gripped_door():
-    assert 42.0 <= doors.open_door(controllers.rec).angle <= 66.0  # [deg] (55)
+    assert 42.0 <= doors.open_door(controllers.rec).angle <= 66.0  # [deg], measured 55
 
 
 @pytest.mark.parametrize("law", [controllers.rec, controllers.rows_free], ids=["rec", "rows_free"])
 def test_jacobian_forms_open_a_door_whose_handle_turns(law):
     seen = doors.open_door(law, "door", "turning")
-    assert seen.angle > 60.0  # [deg] (69)
-    assert seen.force < 25.0  # [N] (13)
+    assert seen.angle > 60.0  # [deg], measured 69
+    assert seen.force < 25.0  # [N], measured 13
 
 
 def test_all_stiff_jams_and_pulls_hard():
     rigid = doors.open_door(all_stiff)
-    assert rigid.angle < 35.0  # [deg] (22)
+    assert rigid.angle < 35.0  # [deg], measured 22
     assert rigid.force >= 2.0 * doors.open_door(controllers.cap).force
     turning = doors.open_door(all_stiff, "door", "turning")
     assert turning.force >= 2.0 * doors.open_door(controllers.rec, "door", "turning").force  # (4.0)
@@ -78,6 +78,6 @@ def test_cap_opens_and_closes_by_resistance(scene, grip):
     seen = doors.open_and_close(controllers.cap, scene, grip)
     assert len(seen.ends) == 2
     opened, closed = seen.ends
-    assert opened == pytest.approx(45.0, abs=1.0)  # [deg] (45.1)
-    assert closed == pytest.approx(0.0, abs=1.0)  # [deg] (-.2)
-    assert seen.force < 65.0  # [N] (53)
+    assert opened == pytest.approx(45.0, abs=1.0)  # [deg], measured 45.1
+    assert closed == pytest.approx(0.0, abs=1.0)  # [deg], measured -0.2
+    assert seen.force < 65.0  # [N], measured 53

@@ -1,4 +1,4 @@
-"""Arms after a host loss in mid-motion, against the report."""
+"""Force on a hand after a host loss in mid-motion, compared with the controller's report."""
 
 import pytest
 
@@ -7,11 +7,11 @@ from experiments.arms import load
 from experiments.host_loss import Bench
 
 #: Measured force may be below the reported one by this share.
-LOW = 0.3  # (0.16)
+LOW = 0.3  # measured 0.16
 
 
-#: Arm and number of the pose. In poses of the second line a joint at its stop reverses during the
-#: motion, or the arm springs back.
+#: Arm and number of the pose. In the poses of the second line, a joint at its stop reverses during
+#: the motion, or the springs of the servos push the arm back.
 POSES = [
     *(("arm7", 2), ("arm7", 11), ("so101", 6), ("koch", 2)),
     *(("so101", 12), ("koch", 28), ("koch", 30), ("koch", 25)),

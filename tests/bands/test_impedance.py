@@ -1,4 +1,4 @@
-"""Law `impedance`: springs on the stiff axes, the soft ones free, from goals alone."""
+"""Law `impedance`: stiff axes are springs, soft axes are free, by goals without force sensors."""
 
 import re
 from functools import partial
@@ -20,8 +20,8 @@ DELAYED = Conditions(delay=(1, 1))
 FAST = Conditions(rate=200.0, delay=(1, 1))
 SLOW = Conditions(rate=50.0, delay=(1, 1))
 
-#: By loop: conditions, law; for a door least angle [deg], largest force [N]; for a hand of at most
-#: 15 N largest force [N], drift [m]. The comment behind each entry has the measured values.
+#: By loop: conditions and law; for a door, smallest angle [deg] and largest force [N]; for a hand
+#: of at most 15 N, largest force [N] and drift [m]. Comments of entries have the measured values.
 LOOPS = {
     "100 Hz": (NOMINAL, controllers.impedance, 65.0, 16.0, 5.8, 0.0040),  # 65.6, 15.1, 5.3, .0034
     "100 Hz, 1+1": (
@@ -36,8 +36,8 @@ LOOPS = {
     "200 Hz, 1+1": (FAST, controllers.impedance, 65.0, 15.5, 6.2, 0.0045),  # 66.2, 14.0, 5.6, .0039
     "200 Hz, 1+1, as asked": (FAST, asked, 65.0, 15.5, 6.2, 0.0042),  # 66.2, 14.0, 5.6, .0036
 }
-#: By loop: factor on the stiffness of 800 N/m and 20 N·m/rad at which the loop oscillates. ρ T_e is
-#: then .11, .07, .14, .14 s.
+#: By loop: factor on the stiffness of 800 N/m and 20 N·m/rad at which the loop oscillates. The
+#: product of stiffness ratio ρ and loop delay T_e is then 0.11, 0.07, 0.14 and 0.14 s.
 RINGING = {"100 Hz": 8.0, "100 Hz, 1+1": 1.0, "200 Hz, 1+1": 4.0, "50 Hz, 1+1": 1.0}
 CONDITIONS = {
     "100 Hz": NOMINAL,
@@ -53,13 +53,13 @@ def test_opens_a_rigidly_gripped_door_with_the_least_force(loop):
     seen = doors.open_door(law, conditions=conditions)
     assert seen.angle > angle
     assert seen.force < force
-    assert seen.torque < 1.5  # [N·m] (1.1)
+    assert seen.torque < 1.5  # [N·m], measured 1.1
 
 
 def test_opens_a_door_whose_handle_turns():
     seen = doors.open_door(controllers.impedance, "door", "turning")
-    assert seen.angle > 65.0  # [deg] (67.8)
-    assert seen.force < 10.0  # [N] (7.5)
+    assert seen.angle > 65.0  # [deg], measured 67.8
+    assert seen.force < 10.0  # [N], measured 7.5
 
 
 @pytest.mark.parametrize("loop", LOOPS)
@@ -86,7 +86,7 @@ def test_taps_ring_beyond_the_bound(loop):
 
 def test_a_slow_loop_with_a_tick_each_way_is_stable():
     seen = disturbances.idle(controllers.impedance(), conditions=SLOW)
-    assert seen.speed < 0.002  # [rad/s] (.0005; with the full springs .48)
+    assert seen.speed < 0.002  # [rad/s], measured 0.0005; with the full springs 0.48
     dragged = disturbances.drag(controllers.impedance(), DRAG_15N, conditions=SLOW)
     assert dragged.moved > 0.2  # [m]
     assert dragged.position < 0.015  # [m]
@@ -112,7 +112,10 @@ def test_a_damper_is_quiet():
 
 
 def test_well_damped_servos_bear_more_than_their_own_stiffness():
-    """SO-101, d/k_p 0.12 s: ρ 2.2 at 100 Hz with a tick each way, where others may have 1.2."""
+    """An SO-101 with damping over k_p of 0.12 s allows a stiffness ratio ρ of 2.2.
+
+    The loop runs at 100 Hz with a delay of a tick each way, for which other arms allow 1.2.
+    """
     arm, q = robots.load("so101"), np.array([0.2, -0.3, 0.3, 0.9, 0.0])
     rows = arm.jacobian(q)[:3]
     give = np.linalg.eigvalsh(rows @ np.diag(1.0 / np.asarray(arm.servos.kp)) @ rows.T)[-1]
@@ -133,11 +136,14 @@ def test_well_damped_servos_bear_more_than_their_own_stiffness():
         plant.advance()
         speeds.append(plant.dq)
     assert controller.diagnostics.gain_factor == 1.0
-    assert np.sqrt(np.mean(np.square(speeds[-50:]))) < 0.005  # [rad/s] (.0004)
+    assert np.sqrt(np.mean(np.square(speeds[-50:]))) < 0.005  # [rad/s], measured 0.0004
 
 
 def rings(rate, stiffness, accept_high_stiffness=False):
-    """Return the fastest joint [rad/s] from a second after a tap on, with a tick each way."""
+    """Return the largest joint speed [rad/s] later than a second after a tap.
+
+    The loop has a delay of one tick for reading and one for writing.
+    """
     controller = Controller(
         robots.load("arm7"),
         Settings(
@@ -168,6 +174,6 @@ def test_what_is_refused_rings_and_what_is_proposed_instead_does_not():
         r"(x|y|z|roll|pitch|yaw)=([\d.]+) N", str(refused.value).split(": use ")[1]
     )
     assert len(proposed) == 6
-    assert rings(50.0, asked_for, accept_high_stiffness=True) > 0.1  # [rad/s] (1.1)
+    assert rings(50.0, asked_for, accept_high_stiffness=True) > 0.1  # [rad/s], measured 1.1
     nearest = {name: Axis(stiffness=float(value)) for name, value in proposed}
-    assert rings(50.0, nearest) < 0.005  # [rad/s] (.001)
+    assert rings(50.0, nearest) < 0.005  # [rad/s], measured 0.001

@@ -6,15 +6,15 @@ import pytest
 from experiments import cap_accuracy, controllers, disturbances
 
 #: Largest accepted force on the hand [N], by direction of its motion.
-DEAD = {"+y": 11.0, "-y": 17.0, "-x": 14.0, "-z": 11.0}  # (7.9, 12.4, 9.7, 6.9)
-LEAST_KEPT = 0.92  # (.98)
+DEAD = {"+y": 11.0, "-y": 17.0, "-x": 14.0, "-z": 11.0}  # measured 7.9, 12.4, 9.7, 6.9
+LEAST_KEPT = 0.92  # measured 0.98
 
 
 @pytest.mark.parametrize("push", DEAD)
 def test_cap_leaves_little_force_when_the_host_dies(push):
     seen = disturbances.lose_host(controllers.cap(eta=0.0), push)
     assert seen.force < DEAD[push]
-    assert abs(seen.force - seen.formula) < 2.5  # [N] (1.7)
+    assert abs(seen.force - seen.formula) < 2.5  # [N], measured 1.7
 
 
 def test_cap_stands_still_when_the_host_dies():
@@ -27,7 +27,7 @@ def kept(count, margin):
     return [run.kept for run in runs]
 
 
-# One pose has every axis, nine in ten of both signs; test_campaign.py has more poses.
+# One pose covers every axis, most of them in both directions; test_campaign.py has more poses.
 @pytest.mark.parametrize("count", [1, pytest.param(4, marks=pytest.mark.full)])
 def test_cap_is_kept_in_some_random_poses(count):
     assert np.mean(kept(count, cap_accuracy.CLEAR)) >= LEAST_KEPT

@@ -1,4 +1,4 @@
-"""Steps of 10 cm of small arms with stiff axes: within speed and overshoot bounds."""
+"""Steps of 10 cm of small arms with stiff axes: bounds of speed and overshoot."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from experiments import steps
 from experiments.arms import BESIDE, ROBOTS
 
 COUNT = 3
-#: Case of a bug report: the tool moved at 0.38 m/s despite a bound of 0.25, and 28 mm too far.
+#: Case of a bug report: the tool moved at 0.38 m/s despite a bound of 0.25, and overshot by 28 mm.
 TRIED = steps.Step((0.0, -0.3, 0.3, 0.9, 0.0), (0.0164, 0.0, 0.1044))
 
 
@@ -41,7 +41,7 @@ def test_a_vx300s_keeps_them_under_law_paper(speed):
 @pytest.mark.parametrize("speed", steps.SPEEDS)
 @pytest.mark.parametrize("law", ["cap", "impedance"])
 def test_a_vx300s_is_near_them_under_the_other_laws(law, speed):
-    """Not met yet: the friction feed-forward releases too much at once (0.155 m/s, 8.9 mm)."""
+    """The bounds are missed: 0.155 m/s and 8.9 mm, because the friction feed-forward jumps."""
     present("vx300s")
     settings = steps.settings("vx300s", law, speed)
     for step in steps.steps("vx300s", COUNT):

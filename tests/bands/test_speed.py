@@ -1,4 +1,4 @@
-"""Tool speed when the target speed is bounded: after breaking away from friction it catches up."""
+"""Tool speed with a bounded target speed: after it overcomes friction, the tool catches up."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from pliant import robots, sim
 
 START = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657]  # [rad]
 WAY = 0.15  # [m]
-#: Largest excess of the tool's speed while it catches up [m/s]; (0.08).
+#: Largest excess of the tool's speed while it catches up [m/s]; measured 0.08.
 FASTER = 0.1
 
 

@@ -1,4 +1,4 @@
-"""Rates, delays, encoders, and wrongly assumed friction."""
+"""Closed loop at several rates, delays and encoder resolutions, and with wrong friction."""
 
 import numpy as np
 import pytest
@@ -31,9 +31,9 @@ LOOPS = {
 }
 #: Bounds by encoder count [deg]: idle speed [rad/s], force of a slow drag [N], drift in 2 s [m].
 COUNTS = {
-    0.06: (0.006, 4.0, 0.003),  # (.002, 1.9)
-    0.088: (0.01, 4.0, 0.003),  # (.004, 1.8)
-    0.29: (0.09, 5.0, 0.012),  # (.044, 3.3)
+    0.06: (0.006, 4.0, 0.003),  # measured 0.002, 1.9
+    0.088: (0.01, 4.0, 0.003),  # measured 0.004, 1.8
+    0.29: (0.09, 5.0, 0.012),  # measured 0.044, 3.3
 }
 
 
@@ -41,7 +41,7 @@ COUNTS = {
 def test_rec_at_other_rates_and_delays(bus):
     seen = disturbances.drag(controllers.rec(), DRAG_30N, conditions=BUSES[bus])
     assert seen.moved > 0.19  # [m]
-    assert seen.position < 0.010  # [m] (.0029, .0042, .0040, .0016, .0029)
+    assert seen.position < 0.010  # [m], measured 0.0029, 0.0042, 0.0040, 0.0016, 0.0029
     assert metrics.speed(seen.trace, 1.0, 2.0) < 0.03  # [rad/s] at rest before
     assert metrics.speed(seen.trace, 8.0, 9.0) < 0.03  # [rad/s] and after
 
@@ -58,7 +58,7 @@ def test_cap_predicts_over_the_delay(loop):
     seen = disturbances.drag(controllers.cap(), DRAG_15N, conditions=conditions)
     assert seen.force < force
     assert seen.position < drift
-    assert doors.open_door(controllers.cap, conditions=conditions).force < 28.0  # [N] (21)
+    assert doors.open_door(controllers.cap, conditions=conditions).force < 28.0  # [N], measured 21
 
 
 @pytest.mark.parametrize("loop", DELAYED)
@@ -78,9 +78,9 @@ def test_cap_with_friction_known_to_30_percent(loop, believed):
     with Mismatch(plant=Parameters(delay=late), assumed=assumed):
         seen = disturbances.drag(controllers.cap(), DRAG_15N, conditions=conditions)
         door = doors.open_door(controllers.cap, conditions=conditions)
-    assert seen.force < 9.0  # [N] (5.3-7.3)
-    assert seen.position < 0.006  # [m] (.0024-.0040)
-    assert door.force < 40.0  # [N] (14-31)
+    assert seen.force < 9.0  # [N], measured 5.3-7.3
+    assert seen.position < 0.006  # [m], measured 0.0024-0.0040
+    assert door.force < 40.0  # [N], measured 14-31
 
 
 @pytest.mark.parametrize("rate", [100.0, 200.0])

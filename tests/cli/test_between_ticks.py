@@ -63,7 +63,7 @@ def command(tmp_path):
 
     def run(name, *flags, each="pass", backend="emulator"):
         words = (name, arm, *flags, "--backend", backend)
-        # An import between two ticks is detected only in a process that has not loaded the module.
+        # Use a new process: an import between ticks shows only if the module is not loaded yet.
         start = run_alone if backend == "emulator" else programs.run
         done = start("-c", PROGRAM.replace("{each}", each), *words)
         assert done.stdout, done.stderr

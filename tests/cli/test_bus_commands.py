@@ -23,7 +23,7 @@ MODELS = ("XM430-W350",) * 3 + ("XL430-W250",) * 3
 
 @pytest.fixture
 def arm(tmp_path):
-    """Return factory-new servos on an emulated bus, and the file that describes them."""
+    """Return servos with factory settings on an emulated bus, and their arm's file."""
     devices = [Device(model, id=i) for i, model in enumerate(MODELS, 1)]
     with Emulator(devices) as bus:
         file = tmp_path / "arm.toml"
@@ -168,7 +168,7 @@ def test_run_follows_a_file(tmp_path, capsys):
     assert "250 ticks" in capsys.readouterr().out
 
 
-#: Errors at open that name `pliant servos setup`: model, EEPROM values.
+#: Model and EEPROM values for which opening the bus fails with the remedy `pliant servos setup`.
 MENDABLE = [
     ("XM430-W350", {"operating_mode": 3}),
     ("XM430-W350", {"operating_mode": 5, "drive_mode": 0b10}),

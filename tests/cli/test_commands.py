@@ -1,4 +1,4 @@
-"""The commands as a whole: groups, suggestions, and one meaning per flag."""
+"""All commands: groups in the help, suggestions for typos, and one meaning per flag."""
 
 import re
 import tomllib
@@ -16,7 +16,7 @@ import tyro
 from pliant import config
 from pliant.cli import COMMANDS, GROUPS, PREFIXES, main
 
-#: Commands that start other programs: their flags follow other rules.
+#: Commands that start other programs; their flags are not checked here.
 EXPERIMENTS = set(GROUPS.get("experiments", {}))
 
 

@@ -1,4 +1,4 @@
-"""`pliant servos doctor` on files with errors that otherwise appear only on the arm."""
+"""`pliant servos doctor` finds errors of a file that would otherwise appear on the arm."""
 
 import os
 import re

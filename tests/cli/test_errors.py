@@ -1,4 +1,4 @@
-"""Errors of a new user, and the answers of the command line and `pliant.connect`."""
+"""Mistakes of a new user, and the error messages of the command line and `pliant.connect`."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ GOOD = '{"position": [0.2, 0.0, 0.2]}\n'
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Make one of each kind of file that a command reads."""
+    """Make a folder with one file of each kind that a command reads."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.urdf").write_text(pliant.robots.koch().source[0])
     (tmp_path / "mine.toml").write_text(TOML)

@@ -7,7 +7,7 @@ from pliant.config._soft import apply_soft
 
 MODEL = pliant.robots.so101()
 TASK = pliant.Task(axes="xyz")
-#: All values differ from the defaults, so that preserved ones can be recognised.
+#: Settings in which every value differs from its default, so that kept values can be recognised.
 SETTINGS = pliant.Settings(
     task=TASK, axes={"x": pliant.Axis(soft=1.5), "z": pliant.Axis(soft=1.0, adaptation=0.5)}
 )

@@ -221,7 +221,7 @@ def test_a_target_that_was_not_reached_is_said(tmp_path, capsys):
 
 
 def test_joints_at_their_limits_are_named_where_a_target_was_not_reached():
-    """From the folded rest pose an SO-101 cannot lift its tool: its limits block the path."""
+    """An SO-101 in its rest pose cannot reach a target above it, because of its joint limits."""
     from pliant.cli.run import _describe_target_error
 
     folded = np.array([0.0, -1.75, 1.7, 0.0, 0.0])

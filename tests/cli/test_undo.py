@@ -64,7 +64,7 @@ def test_the_column_is_shows_what_the_servo_has(done, capsys, monkeypatch):
     bus, file, backup, _ = done
     data = json.loads(backup.read_text())
     change = next(c for c in data["changes"] if c["register"] == "return_delay" and c["id"] == 2)
-    change["new"] = 77  # what the file assumes
+    change["new"] = 77  # not the value in the servo
     backup.write_text(json.dumps(data))
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert main(["servos", "setup", str(file), "--undo", str(backup)]) == 1
@@ -108,7 +108,7 @@ def test_what_does_not_belong_is_refused_before_the_first_write(change, said, do
     bus, file, backup, _ = done
     data = json.loads(backup.read_text())
     data["changes"][0].update(change)
-    # The first write came before.
+    # Put the invalid change last: valid changes that precede it must not be written either.
     data["changes"].append(data["changes"].pop(0))
     backup.write_text(json.dumps(data))
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2

@@ -49,7 +49,7 @@ def test_a_file_on_the_simulator_becomes_an_arm():
 
 
 def move(arm, name):
-    """Move every joint by a tenth of a radian; return target and position of the tool (3,)."""
+    """Move every joint by 0.1 rad; return target and final position of the tool (3,) [m]."""
     controller = pliant.Controller(arm.model, config.load(name).settings(), arm.servos)
     state = arm.read()
     target = arm.model.forward_kinematics(state.q + 0.1)

@@ -106,6 +106,6 @@ def test_calibrations_are_found_where_each_version_left_them(tmp_path, monkeypat
     assert config.find_calibration("mine", "my_arm.toml").parent.name == "so_follower"
     with pytest.raises(pliant.ConfigError, match=r"'mine' .*koch_follower: run lerobot-calibrate"):
         config.find_calibration("mine", "koch")
-    # A leader of the same id is another arm.
+    # A leader with the same id as a follower is another arm.
     with pytest.raises(pliant.ConfigError, match=r"'lead' .*so_follower; there are mine"):
         config.find_calibration("lead", "so101")

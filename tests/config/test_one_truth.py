@@ -80,7 +80,7 @@ def test_the_arm_assumes_the_same_servos_on_every_backend(name, tmp_path):
             table.limit_type,
             table.stiffness_known,
         )
-    # The plant matches the arm's assumptions unless the caller overrides them.
+    # By default, the simulated servos have the parameters that the arm assumes.
     np.testing.assert_array_equal(truth.kp, simulated.kp)
     np.testing.assert_array_equal(truth.torque, simulated.max_torque)
     np.testing.assert_array_equal(truth.friction, simulated.friction)
@@ -133,7 +133,7 @@ def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
 
 
 def test_a_finger_without_ends_that_no_file_describes_stays(tmp_path):
-    """As on the bus, where such a joint has no servo; the simulator must not reject the arm."""
+    """The simulator holds such a joint in place: on a bus it has no servo and cannot move."""
     link = '<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" \
 izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
     joint = '<joint name="{2}" type="{3}"><parent link="{0}"/><child link="{1}"/><origin \

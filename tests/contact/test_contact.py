@@ -1,4 +1,4 @@
-"""Contact estimation from Python: estimates of a simulated push, and rejections."""
+"""Contact estimation from Python: estimates of a simulated push, and errors for bad input."""
 
 import numpy as np
 import pytest
@@ -48,8 +48,8 @@ def test_a_push_is_felt_within_the_bound(force):
     last = pushed(pliant.ContactEstimator(controller(), **KNOWN), force)[-1]
     error = np.abs(last.force_base[:3] - force)
     assert (error <= last.uncertainty_base[:3]).all()
-    assert error.max() < 1.5  # [N] (.6)
-    assert last.uncertainty[:3].max() < 4.0  # [N] (2.5)
+    assert error.max() < 1.5  # [N], measured 0.6
+    assert last.uncertainty[:3].max() < 4.0  # [N], measured 2.5
     assert last.force.shape == last.touch.shape == (6,)
     assert last.torque_residual.shape == last.saturated.shape == (7,)
 
@@ -85,7 +85,7 @@ def test_a_tare_takes_a_wrong_stiffness_out():
     gap.check(contact.controller)
     assert contact.tared
     before, after, pressed = seen[44], seen[49], seen[-1]
-    assert np.abs(before.force[:3]).max() > 1.0  # [N]: feels like a weight
+    assert np.abs(before.force[:3]).max() > 1.0  # [N], the estimate before the tare
     assert np.abs(after.force[:3]).max() < 0.3
     error = np.abs(pressed.force_base[:3] - (0.0, 0.0, 8.0))
     assert (error <= pressed.uncertainty_base[:3]).all()
@@ -142,13 +142,13 @@ def test_free_motion_stays_within_the_bound_and_strong_contacts_are_seen():
         free = [bench.free(number, 20.0) for number in range(2)]
         met = [bench.contact(number) for number in range(12)]
     facts = table.estimate_errors(free, met)
-    assert facts["free beyond"] < 0.001  # (.0000 in an hour)
-    assert facts["free rms"] < 1.5  # [N] (.77)
+    assert facts["free beyond"] < 0.001  # measured 0.0000 in an hour
+    assert facts["free rms"] < 1.5  # [N], measured 0.77
     strength = table.STRONG_FORCE * bench.arm.median_capacity[0]
     guarded = table.evaluate("short", table.Rule("guarded", 0.6), strength, free, met)
     assert guarded.alarms == 0
-    assert guarded.missed <= 0.2  # (.045 of 581)
-    assert guarded.seen >= 0.6  # (.80)
+    assert guarded.missed <= 0.2  # measured 0.045 of 581
+    assert guarded.seen >= 0.6  # measured 0.80
 
 
 def test_a_run_repeats():
@@ -162,6 +162,6 @@ def test_contacts_in_full():
     by_rule = {str(row.rule): row for row in rows}
     guarded = by_rule["force > 0.6 × bound"]
     assert guarded.alarms == 0
-    assert guarded.missed < 0.06  # (.045)
-    assert guarded.late[0] <= 0.08  # [s] (.06)
+    assert guarded.missed < 0.06  # measured 0.045
+    assert guarded.late[0] <= 0.08  # [s], measured 0.06
     assert facts["free beyond"] < 1e-4

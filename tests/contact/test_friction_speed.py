@@ -1,4 +1,4 @@
-"""A `ContactEstimator` models the friction that the controller feeds forward, at every speed."""
+"""The friction in a `ContactEstimator` equals the controller's feed-forward at every speed."""
 
 import numpy as np
 import pytest

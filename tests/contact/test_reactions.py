@@ -1,4 +1,4 @@
-"""Conditions, actions and the monitor, tick by tick."""
+"""Conditions, actions and `ReactionMonitor`, tested tick by tick."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ TARGET = arm().forward_kinematics(VERTICAL)
 
 
 class Felt:
-    """Replaces an estimate in the conditions."""
+    """Stand-in for a `WrenchEstimate` with a given force."""
 
     def __init__(self, force=(0.0,) * 6, bound=(1.0,) * 6, evidence=0.0):
         self.force, self.uncertainty = np.array(force), np.array(bound)
@@ -121,7 +121,7 @@ def test_a_watch_refuses_what_its_arm_cannot_tell_or_do():
 
 
 def watched(then, when=None, **more):
-    """Run a monitor over time: its condition holds from 0.1 s to 0.3 s."""
+    """Run a monitor with a reaction whose condition is true from 0.1 s to 0.3 s."""
     if when is None:
         when = rx.After(0.1) & ~rx.After(0.3)
     return rx.ReactionMonitor(controller(), [rx.Reaction(when, then, **more)])

@@ -1,4 +1,4 @@
-"""Every chapter measures finite numbers, and the numbers decide its verdicts."""
+"""Chapters of the demo: their measured numbers are finite and decide the verdicts."""
 
 import copy
 import math
@@ -23,7 +23,7 @@ def measured(quick_demo):
 
     def numbers(number):
         saved = copy.deepcopy(quick_demo[2]["experiments"][str(number)]["numbers"])
-        saved.pop("back_below", None)  # bounds that the second chapter saves with its numbers
+        saved.pop("back_below", None)  # a bound, which the second chapter saves too
         return saved
 
     return numbers

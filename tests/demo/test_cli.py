@@ -1,4 +1,4 @@
-"""The demo's command line: fast errors, each printed on one line."""
+"""The demo's command line: errors are detected early and printed on one line."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""A whole run: it finishes, writes its results, and the report is self-contained."""
+"""A whole run of the demo: it finishes and writes its results and a self-contained report."""
 
 import json
 import math
@@ -59,7 +59,7 @@ def check_page(path):
 
 
 def check_numbers(value, where="results"):
-    """Check numbers: JSON has no NaN; null stands for 'not back' and for open bounds only."""
+    """Check that results have no NaN, and null only for "not back" and for missing bounds."""
     if isinstance(value, dict):
         for key, item in value.items():
             if item is None:
@@ -100,7 +100,7 @@ def test_quick_demo_leaves_a_report_that_needs_nothing(quick_demo):
 
 
 def test_processes_do_not_change_a_digit(demo_command, quick_demo, tmp_path):
-    """Experiment 2 in one process, and in the whole demo with its two."""
+    """Compare experiment 2 run in one process with the whole demo, which uses two processes."""
     two, _, saved = quick_demo
     done = demo_command("--quick", "--only", "2", "--jobs", "1", "--out", "1")
     assert done.returncode == 0, done.stderr
@@ -120,7 +120,7 @@ def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(demo_command,
     assert "data:image/" not in text
 
 
-# Both have five joints and the same experiments; descriptions of both are run below.
+# One arm is enough by default: both have five joints and run the same experiments.
 @pytest.mark.parametrize("robot", ["so101", pytest.param("koch", marks=pytest.mark.full)])
 def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
     done = demo_command("--quick", "--robot", robot, "--out", "here")
@@ -134,7 +134,7 @@ ALWAYS = {"so101", "ur5e", "panda"}
 
 
 def robots():
-    """Return reference arms and their chains, where available."""
+    """Return the reference arms whose URDF is available, with base and tip of their chains."""
     found = []
     for file in sorted(SHARED.glob("*/reference_fk.json")):
         chain = json.loads(file.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Requests written out by hand, independent of the emulator's own packets."""
+"""Requests to emulated servos as bytes, built without the emulator's own packet functions."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ BAUD = 1_000_000
 
 
 def wire(*devices, **options):
-    """Return servos on a bare line."""
+    """Return a serial line with servos, without a pseudo-terminal."""
     return SerialLine([device.build(BAUD) for device in devices], **options)
 
 
 def one(model, **registers):
-    """Return one servo with id 1 on a bare line, and that servo."""
+    """Return a serial line with one servo of id 1, and this servo."""
     line = wire(Device(model, 1, **registers))
     return line, line.servos[0]
 
@@ -30,23 +30,23 @@ def p1(id, instruction, *params):
 
 
 def ask(line, request):
-    """Return all bytes that come back at once."""
+    """Send a request; return all reply bytes that no fault delays."""
     return b"".join(d.data for d in line.feed(request, BAUD) if d.after is not None)
 
 
 def write1(line, address, *data, id=1):
-    """Return the error byte of a write under Protocol 1.0."""
+    """Write `data` by Protocol 1.0; return the error byte of the reply."""
     return ask(line, p1(id, 3, address, *data))[4]
 
 
 def read1(line, address, length, id=1):
-    """Return error byte and data of a read under Protocol 1.0."""
+    """Read `length` bytes by Protocol 1.0; return error byte and data of the reply."""
     answer = ask(line, p1(id, 2, address, length))
     return answer[4], answer[5:-1]
 
 
 def pass_time(servo, seconds, dt=0.01):
-    """Update a servo without any physics."""
+    """Let time pass for a servo [s] without physics: only its protections are updated."""
     for _ in range(round(seconds / dt)):
         servo.now += dt
         servo.update(dt)
@@ -89,5 +89,5 @@ class Host:
 
 
 def without_extra():
-    """Stand in for a factory whose simulator is not installed: raise the error that it raises."""
+    """Raise the error of an emulator factory if the simulator is not installed."""
     raise ImportError(missing("pliant.sim", "sim"))

@@ -1,4 +1,4 @@
-"""Installed drivers over a real pseudo-terminal."""
+"""The makers' SDKs and other installed drivers as clients of the emulator's pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -171,8 +171,8 @@ def test_feetech_sdk(open_sdk):
 
 
 def test_a_stale_answer_reaches_a_driver_that_retries_at_once():
-    # The reason why drivers must drain after a failure: the reply to the first request is taken for
-    # that to the second.
+    # A driver that does not drain the line after a timeout takes the late reply to the first
+    # request for the reply to the second.
     with bus("STS3215") as emulator:
         host = rustypot.Sts3215PyController(emulator.port, BAUD, 0.05)
         emulator.faults.inject("late", 1)

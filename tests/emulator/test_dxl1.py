@@ -1,4 +1,4 @@
-"""Rules of the Protocol 1.0 servos."""
+"""Behaviour of emulated Dynamixel Protocol 1.0 servos, register by register."""
 
 from __future__ import annotations
 

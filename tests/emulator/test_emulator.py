@@ -1,4 +1,4 @@
-"""Ports, clock and faults of the whole emulator."""
+"""The class `Emulator`: ports, clock, faults."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_wire_time_passes_under_the_clock_of_steps():
     with sts(timing=Timing(wire=True)) as emulator, Host(emulator.port) as host:
         for _ in range(100):
             host.ask(p1(1, 2, 56, 15), 21)
-        # A host that has the reply sees the time after it, without waiting.
+        # A host that has received the reply must see the time after its transmission.
         spent = sum(transaction.duration for transaction in emulator.log)
         assert emulator.time == pytest.approx(spent, abs=0.0011)
         assert spent == pytest.approx(100 * (290e-6 + 30e-6), rel=0.01)

@@ -1,4 +1,4 @@
-"""Ordered and random faults, collisions, and their record in the log."""
+"""Injected and random faults, collisions of replies, and their entries in the log."""
 
 from __future__ import annotations
 

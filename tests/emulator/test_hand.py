@@ -25,7 +25,7 @@ def so101():
 
 
 def moved(own, motion, seconds, every=0.1):
-    """Return joint positions (N, 6) [rad] and what servos report of them [counts]."""
+    """Return joint positions (N, 6) [rad], and the positions that the servos report [counts]."""
     with make_emulator(own, clock="steps", hand=JointHand(_motion(motion, own))) as bus:
         joints, reported = [], []
         for _ in range(round(seconds / every)):
@@ -76,7 +76,7 @@ def test_a_motion_of_another_arm_is_refused(so101, tmp_path):
 @pytest.mark.slow
 def test_a_servo_with_torque_resists_the_hand(so101):
     with make_emulator(so101, clock="steps", hand=JointHand(_motion("wave", so101))) as bus:
-        ask(bus, p1(2, 3, 40, 1))  # torque of shoulder_lift on
+        ask(bus, p1(2, 3, 40, 1))  # switch on the torque of shoulder_lift
         bus.world.advance(0.1)
         start = float(bus.plant.mj_data.joint("shoulder_lift").qpos[0])
         largest = {"shoulder_lift": 0.0, "elbow_flex": 0.0}

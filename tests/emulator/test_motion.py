@@ -119,7 +119,7 @@ def test_no_load_speed_is_the_makers():
     set_goal(servo, servo.position + 30000, 1.0)
     made.advance(1.0)
     motor = servo.model.motor
-    # The maker's figure less the effect of 97 % duty and this package's gear friction.
+    # No-load speed of the data sheet, reduced by the maximum duty of 97 % and by gear friction.
     expected = (0.97 * motor.stall - motor.friction) / (motor.slope + motor.damping)
     assert servo.shaft.speed == pytest.approx(expected, rel=0.01)
     assert 0.75 * motor.speed < servo.shaft.speed < motor.speed

@@ -1,4 +1,4 @@
-"""An emulator in a process of its own."""
+"""`EmulatorProcess`: an emulator in a child process."""
 
 from __future__ import annotations
 

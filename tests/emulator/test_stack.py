@@ -102,12 +102,12 @@ def run(bus, chain, model, settings, share):
         struck = any(t.faults for t in list(bus.log)[-(bus.log.count - before) :])
         drives = [servo.drive() for servo in bus.servos]
         if not struck:
-            # One count of the register, and 0.2 % between the two tables' stall torques.
+            # Tolerance: one count of the register, and 0.2 % difference of the two stall torques.
             room = 0.002 * ceiling + ceiling / 500.0
             assert np.all(np.abs([d.ceiling for d in drives] - command.torque_limit) <= room)
         assert np.all([d.ceiling for d in drives] <= ceiling * 1.001)
     away = np.linalg.norm(bus.plant.tool[:3, 3] - target[:3, 3])
-    # Dry friction of the gears.
+    # Deviation that the dry friction of the gears can cause [rad].
     stiction = [servo.model.motor.friction for servo in bus.servos] / np.asarray(chain.servos.kp)
     assert away < 1.5 * np.abs(model.jacobian(pose)[:3] @ np.diag(stiction)).sum(axis=1).max()
     assert missed <= 200 * share

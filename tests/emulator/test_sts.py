@@ -1,4 +1,4 @@
-"""Rules of the STS3215, and the examples of its maker's protocol sheet."""
+"""Behaviour of the emulated STS3215, and the examples of its maker's protocol sheet."""
 
 from __future__ import annotations
 

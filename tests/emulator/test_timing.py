@@ -1,4 +1,4 @@
-"""Time on the wire and at the USB adapter."""
+"""Transmission times on the serial line, and delays of the USB adapter."""
 
 from __future__ import annotations
 

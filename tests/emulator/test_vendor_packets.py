@@ -9,7 +9,7 @@ from pliant.emulator.packets import crc16, stuff, unstuff
 
 
 def line(*devices, **values):
-    """Return servos on a bare line; `values` are written to the first one's memory."""
+    """Return a serial line with servos; `values` are registers of the first servo."""
     servos = [device.build(1_000_000) for device in devices]
     made = SerialLine(servos)
     for name, value in values.items():
@@ -38,7 +38,7 @@ def test_p1_broadcast_write_sets_the_id_without_an_answer():
 
 
 def test_p1_checksum_example_is_understood():
-    # ID 1, write 100, 170 to address 12: both voltage limits.
+    # Write 100 and 170 to addresses 12 and 13 of servo 1: both voltage limits.
     made = line(Device("RX-64", 1))
     assert exchange(made, "FF FF 01 05 03 0C 64 AA DC") == "FF FF 01 02 00 FC"
     assert (made.servos[0].get("min_voltage_limit"), made.servos[0].get("max_voltage_limit")) == (
@@ -71,7 +71,7 @@ def test_p1_sync_write():
 
 
 def test_p1_bulk_read():
-    # The manual prints it for an RX-64, which lacks the instruction; an MX has it.
+    # The manual's example has RX-64 servos, which lack the instruction; MX servos have it.
     made = line(Device("MX-28", 1), Device("MX-28", 2))
     made.servos[0].put("goal_position", -0x8000)
     made.servos[1].stuck["present_position"] = -0x8000
@@ -198,7 +198,7 @@ def test_p2_fast_bulk_read():
     made.servos[1].stuck["present_pwm"] = 421
     made.servos[2].temperature = 31.0
     body = bytes.fromhex("FF FF FD 00 FE 12 00 9A 03 84 00 04 00 07 7C 00 02 00 04 92 00 01 00")
-    # The manual prints the CRC of the previous example here; this is the CRC of these bytes.
+    # The manual repeats the CRC of its previous example here; compute the correct one.
     request = (body + crc16(body).to_bytes(2, "little")).hex()
     answer = "FF FF FD 00 FE 14 00 55 00 03 A6 00 00 00 67 A4 00 07 A5 01 24 74 00 04 1F D9 C1"
     assert exchange(made, request) == answer

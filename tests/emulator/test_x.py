@@ -1,4 +1,4 @@
-"""Rules of the Protocol 2.0 servos."""
+"""Behaviour of emulated Dynamixel Protocol 2.0 servos, register by register."""
 
 from __future__ import annotations
 
@@ -247,7 +247,7 @@ def test_stuffed_data_arrives_whole():
     line, servo = current_mode()
     assert write(line, 116, 0xFF, 0xFF, 0xFD, 0xFF) == 0
     assert servo.get("goal_position") == 0xFFFDFFFF - (1 << 32)
-    # `read` does not unstuff: this is what the host receives.
+    # The helper `read` does not remove byte stuffing: these are the bytes on the line.
     assert read(line, 116, 4)[1] == bytes([0xFF, 0xFF, 0xFD, 0xFD, 0xFF])
 
 

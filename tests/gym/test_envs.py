@@ -1,4 +1,4 @@
-"""Environments of `pliant.gym`: contract, determinism, actions and what softness does."""
+"""Environments of `pliant.gym`: Gymnasium interface, determinism, actions, effect of softness."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Shared poses of the identification tests."""
+"""Poses that the tests of identification share."""
 
 import numpy as np
 import pytest

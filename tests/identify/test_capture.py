@@ -1,4 +1,4 @@
-"""Guided capture of the gravity offset."""
+"""`capture_gravity`: measured offset, check, remedy and errors."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ FOLLOWING = pliant.Settings(
 
 
 def standing(arm, q, settings=FOLLOWING, **differs):
-    """Return an arm that differs from the controller's assumptions, and the controller."""
+    """Return an arm in pose q and a controller; `differs`: true values that it does not know."""
     if differs:
         gap = Mismatch(plant=Parameters(**differs), assumed=Parameters())
         plant = gap.build(arm, encoder_step=COUNT)
@@ -36,7 +36,7 @@ def test_an_arm_that_would_drift_stays_after_the_capture(arm, grasp, kp):
     plant, controller = standing(arm, grasp, kp=kp)
     found = identify.capture_gravity(plant, controller)
     assert found.stays, str(found)
-    assert found.drift < 2e-3  # (.0007)
+    assert found.drift < 2e-3  # measured 0.0007
     assert controller.settings == FOLLOWING
     heavy = np.abs(found.gravity) > 1.0
     assert np.abs(found.stiffness[heavy] / (kp * found.assumed[heavy]) - 1.0).max() < 0.3
@@ -44,7 +44,7 @@ def test_an_arm_that_would_drift_stays_after_the_capture(arm, grasp, kp):
 
 
 def test_a_drifting_arm_is_stopped_with_a_remedy():
-    """k_p twice the assumed one: twice the friction is fed forward, and the tool drifts."""
+    """If k_p is twice the assumed one, the friction feed-forward is too, and the tool drifts."""
     so101 = pliant.robots.so101()
     settings = FOLLOWING.replace(
         task="xyz", axes={"y": pliant.Axis(yields="both", adaptation=0.999)}
@@ -80,7 +80,7 @@ def test_settings_come_back_after_an_exception(arm, grasp):
     with pytest.raises(pliant.ShapeError):
         procedure.step(np.full(7, np.nan))
     with pytest.raises(pliant.PliantError):
-        procedure.step(np.zeros(3))  # another arm's positions
+        procedure.step(np.zeros(3))  # positions of an arm with another number of joints
     assert controller.settings == FOLLOWING
 
 
@@ -97,7 +97,7 @@ def test_numbers_out_of_range_are_refused(arm):
     with pytest.raises(pliant.OutOfRangeError, match="seconds"):
         identify.capture_gravity.procedure(controller, seconds=0.2)
     bare = pliant.Controller(arm, pliant.Settings.paper())
-    assert bare.servos is not None  # built-in arms have their own
+    assert bare.servos is not None  # built-in models have servo parameters
 
 
 @pytest.mark.parametrize("kp", [0.8, 2.0])

@@ -11,7 +11,7 @@ from experiments.hand_guiding import guide
 
 
 def afloat(arm, pose, kp):
-    """Run hand guiding with servos of this share of the assumed stiffness."""
+    """Run hand guiding on servos whose true stiffness is `kp` times the assumed one."""
     known = kp == 1.0
     with nullcontext() if known else Mismatch(plant=Parameters(kp=kp), assumed=Parameters()):
         return guide(arm, pose, kp)
@@ -38,7 +38,7 @@ def test_nineteen_of_twenty_poses_stay(arm, kp):
 
 
 def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
-    """Between two rests nothing is integrated: the goal is constant."""
+    """The law has no integrator: while the arm rests, its goal is constant."""
     floating = pliant.HandGuiding(arm)
     orders = []
     for _ in range(3000):
@@ -52,7 +52,7 @@ def test_goals_of_an_arm_at_rest_do_not_move(arm, grasp):
 
 @pytest.mark.parametrize("dt", [0.005, 0.02])
 def test_it_takes_the_time_of_a_loop_at_another_rate(arm, grasp, dt):
-    """The first swing takes as long, and a joint moved at 0.2 rad/s is detected at that speed."""
+    """At every time step, the first swing takes as long, and speeds are estimated correctly."""
     hundred, other = pliant.HandGuiding(arm), pliant.HandGuiding(arm)
     times, speeds = [], []
     for floating, step in ((hundred, 0.01), (other, dt)):

@@ -1,4 +1,4 @@
-"""An arm identifies itself: identified against true values, and the benefit of a correct table."""
+"""`identify_servos`: identified against true values, and the benefit for the controller."""
 
 import numpy as np
 import pytest
@@ -10,10 +10,11 @@ from pliant import identify, robots
 from pliant.sim import Plant
 
 #: Largest errors: k_p of joints with and without gravity, friction, damping [1]; delay [s].
-BANDS = (0.06, 0.15, 0.22, 0.25, 2.5e-3)  # (.037, .133, .17, .20, .0018)
+BANDS = (0.06, 0.15, 0.22, 0.25, 2.5e-3)  # measured 0.037, 0.133, 0.17, 0.20, 0.0018
 
 
-#: The arm, where the identification assumes its table, no load and no delay.
+#: By case: true parameters of the arm. The identification assumes the servo table of the arm, no
+#: load and no delay.
 SIDES = {
     "k_p × 0.8": {"kp": 0.8},
     "k_p × 1.25": {"kp": 1.25},
@@ -28,7 +29,7 @@ SIDES = {
     "gears as they are": {"gears": True},
     "several at once": {"kp": 0.8, "friction": 1.3, "delay": 0.02, "lift": 2 / 3},
 }
-#: Cases in which plant and assumptions are equal.
+#: Cases in which the assumed parameters are the true ones.
 AS_ASSUMED = {"as the table", "dead band 0.06°"}
 
 
@@ -66,7 +67,8 @@ def test_an_arm_finds_its_servos_payload_and_delay(arm, case):
     assert_right(identified(arm, case))
 
 
-#: Real gears have no dry friction with a constant share of the load: reported, with wider bounds.
+#: All cases but the one with measured gear friction, which the model fits less well; that case has
+#: a test with wider bounds.
 OTHERS = [case for case in experiment.CASES if case != "gears as they are"]
 
 
@@ -82,7 +84,7 @@ def test_every_disturbance_is_found(arm, case):
 def test_real_gears_of_small_arms_show_their_load(arm):
     one = identified(arm, "gears as they are")
     assert np.abs(one.kp - 1.0).max() < 0.08
-    assert np.abs(one.friction - 1.0).max() < 0.35  # (.27)
+    assert np.abs(one.friction - 1.0).max() < 0.35  # measured 0.27
     assert one.found.servos.load_friction.max() > 0.3  # STS3215: 0.245 + 0.142 of the load, at rest
 
 
@@ -130,7 +132,7 @@ BARE = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="
 
 
 def test_an_arm_that_is_held_is_left_holding():
-    """A torque limit far below gravity has the effect of a hand that holds the arm down."""
+    """A torque limit far below gravity stands for a hand that holds the arm down."""
     model = robots.arm7()
     weak = 3.0 / np.asarray(model.servos.max_torque)
     gap = Mismatch(plant=Parameters(payload=1.5), assumed=Parameters(torque=weak))

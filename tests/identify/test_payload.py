@@ -1,4 +1,4 @@
-"""Payload estimation: the error bars contain the true values as often as they claim."""
+"""`estimate_payload`: the error bars contain the true values as often as they should."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def test_rows_are_what_a_payload_adds_to_gravity(arm, grasp):
 
 
 def weighed(name, seed):
-    """Return errors of (m, m c) in their standard deviations, for random payload and servos."""
+    """Return the errors of (m, m c) over their standard deviations, for a random payload."""
     rng, model = np.random.default_rng(seed), robots.load(name)
     mass, com = rng.uniform(0.15, 1.0) * LIFTS[name], rng.uniform(-0.05, 0.05, 3)
     table = model.servos.replace(encoder_step=COUNT)
@@ -43,7 +43,7 @@ def test_a_payload_is_weighed_within_its_error_bars(name):
     assert np.abs(bars).max() < 3.0
     assert found.found
     assert found.mass == pytest.approx(mass, rel=0.35)
-    # The controller carries it from now on.
+    # The controller compensates the estimated payload from now on.
     q = STARTS[name]
     controller.step(q, controller.model.forward_kinematics(q))
     expected = controller.model.gravity(q) + payload_rows(controller.model, q) @ found.moments
@@ -59,7 +59,7 @@ def test_error_bars_contain_the_true_values_as_often_as_they_claim(name):
 
 
 def test_poses_without_information_are_reported():
-    """With a vertical tool axis in every pose the height of the centre is undetermined."""
+    """If the tool axis is vertical in every pose, the height of the centre is undetermined."""
     model = robots.so101()
     gap = Mismatch(plant=Parameters(payload=0.1), assumed=Parameters())
     plant = gap.build(model, payload=(0.1, (0.0, 0.0, 0.05)))

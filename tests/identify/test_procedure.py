@@ -1,4 +1,4 @@
-"""Procedures run in any loop, and restore what they changed."""
+"""`Procedure` and `run_procedure`: any loop can run them, and they restore the settings."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_drive_runs_an_arm_that_advances():
     arm = Still()
     result = run_procedure(arm, Procedure(counting(4, []), 2))
     np.testing.assert_array_equal(result, [4.0, 4.0])
-    assert len(arm.sent) == 5  # the last command holds
+    assert len(arm.sent) == 5  # four steps, and the last command again
 
 
 def test_what_was_changed_is_put_back_when_the_arm_fails():

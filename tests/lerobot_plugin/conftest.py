@@ -1,4 +1,4 @@
-"""The plugin with LeRobot, or with a stand-in for the few names that it uses."""
+"""Fixtures for tests of the LeRobot plugin, with LeRobot itself or with a stand-in for it."""
 
 import importlib
 import sys
@@ -47,7 +47,7 @@ def errors(plugin):
 
 @pytest.fixture(autouse=True, scope="module")
 def fast():
-    """Make the simulator fast; all times of the plugin are on its clock."""
+    """Run the simulator faster than real time; the plugin's times are simulated times."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drive, "MonotonicClock", FastClock)
         yield

@@ -1,4 +1,4 @@
-"""Simulated time that runs faster, and values of the arm behind a robot."""
+"""Helpers for tests of the LeRobot plugin: fast simulated time, and waits in that time."""
 
 import os
 import time
@@ -8,7 +8,7 @@ import numpy as np
 
 from pliant.drive import MonotonicClock
 
-#: Simulated seconds per second: lowering an arm takes a quarter of a minute.
+#: Simulated seconds per real second; in real time, a descent would take a quarter of a minute.
 SPEED = 4.0
 MOTORS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 
@@ -24,12 +24,12 @@ class FastClock(MonotonicClock):
 
 
 def wait(seconds):
-    """Wait for simulated seconds."""
+    """Wait for `seconds` of simulated time."""
     time.sleep(seconds / SPEED)
 
 
 def wait_for(condition, seconds=40.0):
-    """Wait until a condition holds; return whether it did within simulated seconds."""
+    """Wait until a condition holds; return False if it does not within `seconds` (simulated)."""
     end = time.monotonic() + seconds / SPEED
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)

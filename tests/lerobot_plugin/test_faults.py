@@ -1,4 +1,4 @@
-"""What fails, and what becomes of the arm."""
+"""Failures of bus, camera, program and cable, and the reaction of the plugin's arm."""
 
 import gc
 import signal
@@ -18,13 +18,13 @@ from lerobot_plugin.helpers import (
 
 import pliant
 
-#: Near the table, so that lowering is short.
+#: Initial joint positions near the table [rad], so that the descent is short.
 REST = [0.0, -1.2, 1.2, 0.6, 0.0]
 
 
 @pytest.fixture
 def make(plugin):
-    """Make robots, and disconnect them at the end."""
+    """Return a function that makes robots; they are disconnected at the end of the test."""
     made = []
 
     def build(**options):
@@ -40,7 +40,7 @@ def make(plugin):
 
 
 def test_a_bus_that_fails_lowers_the_arm_once_it_is_back(make, errors, monkeypatch):
-    """The program makes no call meanwhile: the control loop acts by itself."""
+    """The control loop lowers the arm by itself, while the program makes no call."""
     robot = make(rest_q=REST)
     robot.connect()
     arm = arm_of(robot)
@@ -60,7 +60,7 @@ def test_a_bus_that_fails_lowers_the_arm_once_it_is_back(make, errors, monkeypat
     for call in (robot.get_observation, lambda: robot.send_action({})):
         with pytest.raises(errors.DeviceNotConnectedError, match="unplugged"):
             call()
-    # LeRobot's programs disconnect only what is connected.
+    # LeRobot's programs call `disconnect` only if `is_connected` is True.
     assert robot.is_connected
     robot.disconnect()
     assert not robot.is_connected
@@ -107,7 +107,7 @@ def test_a_robot_that_is_deleted_lowers_its_arm(make, plugin):
 
 @pytest.fixture
 def interruptible():
-    """Let Ctrl-C raise: a shell starts programs in the background with it ignored."""
+    """Make Ctrl-C raise KeyboardInterrupt; a test run in the background would ignore it."""
     former = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, former)
@@ -115,7 +115,7 @@ def interruptible():
 
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_reaches_the_program_and_disconnect_lowers(make):
-    """As in LeRobot's programs: the exception ends the loop, and the end disconnects."""
+    """As in LeRobot's programs, the exception ends the loop, and `disconnect` is called then."""
     robot = make(rest_q=REST)
     robot.connect()
     arm = arm_of(robot)
@@ -128,7 +128,7 @@ def test_ctrl_c_reaches_the_program_and_disconnect_lowers(make):
 
 
 class Camera:
-    """A camera of LeRobot's interface."""
+    """Camera with LeRobot's interface; `fails`: it cannot be connected."""
 
     def __init__(self, fails=False, **options):
         self.is_connected, self._fails = False, fails
@@ -163,7 +163,7 @@ def test_a_camera_that_fails_to_open_keeps_torque_off(make):
 
 
 def test_a_camera_that_fails_later_leaves_the_arm_connected(make):
-    """LeRobot's programs must find it connected, or they would not lower it."""
+    """`is_connected` stays True; otherwise LeRobot's programs would not lower the arm."""
     robot = make(on_exit="leave_enabled")
     camera, depth = Camera(), Camera(use_depth=True)
     robot.cameras = {"top": camera, "wrist": depth}
@@ -251,7 +251,7 @@ def test_motors_have_the_units_of_lerobot(make):
 
 
 def test_a_pulled_cable_ends_with_an_error_and_disconnect_returns(plugin, errors):
-    """Over serial bytes: the emulated adapter is pulled out, and nothing can lower the arm."""
+    """The emulated USB adapter is unplugged, so that no command can reach the servos."""
     robot = plugin.PliantFollower(plugin.PliantFollowerConfig(backend="emulator"))
     robot.connect()
     arm = arm_of(robot)

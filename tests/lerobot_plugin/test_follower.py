@@ -36,7 +36,7 @@ def test_features_are_the_keys_of_observation_and_action(robot):
     assert list(observation) == list(robot.observation_features)
     assert {type(value) for value in observation.values()} == {float}
     assert list(robot.action_features) == [*(f"{m}.pos" for m in MOTORS), "cap_z.vel"]
-    # LeRobot's rollout passes on no other names.
+    # LeRobot's rollout uses only these names.
     names = [*robot.observation_features, *robot.action_features]
     assert all(name.endswith((".pos", ".vel")) for name in names)
     action = dict.fromkeys(robot.action_features, 1.0)
@@ -68,7 +68,7 @@ def test_targets_are_clipped_and_the_clipped_ones_returned(robot):
     target = robot._session.behavior.target
     sent = robot.send_action({"shoulder_lift.pos": 500.0, "gripper.pos": -7.0, "cap_z.vel": -1.0})
     highest = math.degrees(arm_of(robot).model.upper[1])
-    # LeRobot divides a turn by 4095.
+    # A turn has 4096 counts, but LeRobot's unit is 360° / 4095.
     assert sent["shoulder_lift.pos"] == pytest.approx(highest * 4096 / 4095)
     assert sent["gripper.pos"] == pytest.approx(0.0, abs=1e-9)
     assert sent["cap_z.vel"] == 0.0
@@ -118,7 +118,7 @@ def test_a_slow_policy_is_held_and_then_approached_slowly(robot, pause):
 
 
 def test_a_stall_of_the_interpreter_does_not_lower_the_arm(robot, monkeypatch):
-    """A library that keeps the global lock, as in loading a policy, also within a tick."""
+    """The global interpreter lock is held for a while, as when a policy is loaded."""
     before = positions(robot)
     ctypes.PyDLL(None).usleep(400_000)
     behavior = robot._session.behavior
@@ -137,7 +137,7 @@ def test_a_stall_of_the_interpreter_does_not_lower_the_arm(robot, monkeypatch):
 
 
 def test_the_force_in_the_action_is_the_force_at_the_table(robot):
-    """The same target inside the table, with two forces."""
+    """The same target inside the table is sent with two values of `max_force`."""
     arm, model = arm_of(robot), arm_of(robot).model
     inside = np.array([0.0, 0.0, 0.9, 0.6, 0.0])
     assert np.asarray(model.forward_kinematics(inside))[2, 3] < -0.02

@@ -1,4 +1,4 @@
-"""`pliant_leader` and `pliant_softness`, and the calibrations that LeRobot has."""
+"""Teleoperators `pliant_leader` and `pliant_softness`, and LeRobot's calibration files."""
 
 import json
 import math
@@ -30,7 +30,7 @@ def leader(plugin):
 
 
 def fastest(leader, seconds):
-    """Return the largest joint speed within simulated seconds [rad/s]."""
+    """Return the largest joint speed [rad/s] during `seconds` of simulated time."""
     plant, places = plant_of(leader), []
     wait_for(lambda: places.append((plant.time, plant.q.copy())), seconds)
     times = np.array([time for time, _ in places])
@@ -40,7 +40,7 @@ def fastest(leader, seconds):
 
 
 def test_a_leader_hands_over_and_back_without_a_jump(leader):
-    """It is ready once connected; a far target of a policy is approached slowly."""
+    """The leader is ready once connected, and approaches a far target of a policy slowly."""
     guiding = leader._session.control._loop.controller
     assert guiding.ready
     assert list(leader.get_action()) == list(leader.action_features)
@@ -70,7 +70,7 @@ def test_a_leader_hands_over_and_back_without_a_jump(leader):
 
 
 def test_a_gap_in_the_loop_does_not_swing_the_leader_again(leader):
-    """A swing under a hand would end the loop."""
+    """The first swing of hand guiding is not repeated: with a hand on the arm it would fail."""
     loop, start = leader._session.control._loop, plant_of(leader).q.copy()
     loop._restart(arm_of(leader).read().q, first=False)
     assert loop.controller.ready
@@ -130,7 +130,7 @@ def test_softness_adds_the_force_of_each_axis(softness):
 
 
 def test_softness_passes_the_hand_over_on(softness):
-    """LeRobot asks for both methods before it drives a leader."""
+    """`pliant_softness` forwards both methods that LeRobot needs to move a leader."""
     teleoperator = softness()
     assert not hasattr(teleoperator, "enable_torque")
     teleoperator.inner.enable_torque = teleoperator.inner.disable_torque = lambda: "done"

@@ -1,4 +1,4 @@
-"""A truncated or damaged log: an explained error, or the data before the damage."""
+"""Truncated and damaged logs: reading gives an explained error or the data before the damage."""
 
 import io
 import random

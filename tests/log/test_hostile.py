@@ -1,4 +1,4 @@
-"""Forged logs with valid checksums: typed errors, bounded memory, plain text."""
+"""Forged logs with valid checksums: reading raises typed errors and uses bounded memory."""
 
 import json
 import os
@@ -45,7 +45,7 @@ def content(tmp_path_factory):
 
 
 def records(content):
-    """Return kind and body of every record between the magics."""
+    """Return kind and body of every record of an MCAP file."""
     at = 8
     while at < len(content) - 8:
         kind, length = HEAD.unpack_from(content, at)
@@ -54,7 +54,7 @@ def records(content):
 
 
 def rebuilt(content, change):
-    """Rebuild the file with records changed by a function of kind and body."""
+    """Return the file with its records changed by `change`, a function of kind and body."""
     out = [content[:8]]
     for kind, body in records(content):
         new = change(kind, body)
@@ -90,7 +90,7 @@ def described(content):
 
 
 def mutants(run):
-    """Yield descriptions without each entry, and with invalid values; also those of the model."""
+    """Yield invalid descriptions of a run: each entry missing, or with an invalid value."""
     table = run["table"]
     for i, (key, _) in enumerate(table):
         yield f"without {key}", {"table": table[:i] + table[i + 1 :]}
@@ -142,7 +142,7 @@ def test_crafted_descriptions_are_typed_errors(content, tmp_path):
 
 @pytest.mark.parametrize("gigabytes", [0.08, 6.0])
 def test_a_chunk_that_unpacks_to_too_much_is_refused(content, gigabytes, tmp_path):
-    """Both where the chunk states its size and in its data."""
+    """The size in the header of the chunk and the size of its data are both limited."""
     import zstandard
 
     size = int(gigabytes * 2**30)

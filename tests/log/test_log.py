@@ -78,7 +78,7 @@ def test_every_input_counts(file, what):
     if what == "call":
         log.calls = [call for call in log.calls if call.what != "update"]
     elif what == "dt":
-        # With dq a step needs no dt where no slew limit is met: hence all of them.
+        # Change dt in all calls: a single step with dq may give the same command without it.
         for call in log.calls:
             if call.what == "step" and np.isfinite(call.dt):
                 call.dt *= 1.01
@@ -180,7 +180,7 @@ def test_a_killed_run_can_be_read(tmp_path, both):
         time.sleep(0.05)
     log = read(path)
     assert log.whole is not both
-    # A killed writer loses half a second of ticks; the promise is one second.
+    # A killed writer loses the last chunk, half a second of ticks; at most 1 s may be lost.
     assert len(log) > (50 if both else 150)
     assert verify(log).same
 

@@ -1,4 +1,4 @@
-"""Inputs of a recorder, and their order."""
+"""`Recorder`: errors for invalid arguments, and for calls in the wrong order."""
 
 import numpy as np
 import pytest

@@ -18,7 +18,7 @@ pytest.importorskip("mcap_ros2")
 pytest.importorskip("matplotlib")
 
 START = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]
-#: A sideways pull of the hand [s], [m].
+#: Sideways pull of the hand: start and end [s], and distance [m].
 FROM, UNTIL, AWAY = 0.5, 2.5, 0.15
 
 
@@ -101,7 +101,7 @@ def test_stretches_are_those_of_the_log(tmp_path):
         total[span.joint] += span.end - span.start
     flagged = 0.01 * (log.saturated.sum(axis=0) + log.locked.sum(axis=0))
     for name, share in zip(log.run["joints"], flagged, strict=True):
-        # Flags with gaps of up to MAX_GAP belong to one stretch.
+        # A span also includes gaps of up to MAX_GAP.
         assert share - 1e-9 <= total[name] <= share + findings.MAX_GAP * len(spans)
 
 

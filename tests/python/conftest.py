@@ -1,4 +1,4 @@
-"""The arm of the golden data, and one state of it."""
+"""Fixtures: model of the arm in the golden data, joint positions and a target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every array argument: conversions to the same bits, and rejections, by name."""
+"""Array arguments of all functions: accepted forms give equal results, others a named error."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Sub(np.ndarray):
 
 
 class _Holder:
-    """An object that NumPy can read."""
+    """An object with the array interface, which NumPy can read."""
 
     def __init__(self, array):
         self.array = array
@@ -60,7 +60,7 @@ FORMS = {
 
 
 def _calls():
-    """Return argument, a valid value of it, and a call with it that returns an array."""
+    """Return, for every array argument: name, valid value, and a call that returns an array."""
     servos = pliant.Servos(kp=[150.0] * 4 + [60.0] * 3, max_torque=[10.7] * 4 + [6.4] * 3)
     model = pliant.Model.from_urdf(GOLDEN / "arm7.urdf", tip="tool", servos=servos)
     q = np.array([0.3, -0.4, 0.2, -1.2, 0.5, 0.6, -0.3])
@@ -190,7 +190,7 @@ def test_other_forms_give_the_same_bits(name, good, call, form):
 
 @each_argument
 def test_single_precision_and_integers_are_widened(name, good, call):
-    if name in {"target", "actual", "quaternion"}:  # rounded, they are not rotations any more
+    if name in {"target", "actual", "quaternion"}:  # rounding to float32 makes the rotation invalid
         return
     single = good.astype(np.float32)
     assert same_bits(call(single), call(single.astype(np.float64)))
@@ -203,11 +203,11 @@ def test_single_precision_and_integers_are_widened(name, good, call):
 @pytest.mark.parametrize("bad", ["longer", "shorter", "deeper", "empty", "scalar"])
 def test_wrong_shapes_name_argument_shape_and_expectation(name, good, call, bad):
     if bad == "scalar" and name in {"deviation", "firm_from", "soft"}:
-        return  # one for all
+        return  # a single number applies to all joints
     if name == "deviation" and bad in {"longer", "shorter", "empty"}:
         return  # any length is valid
     if name == "J" and bad in {"longer", "shorter"}:
-        return  # and any size up to six by sixteen
+        return  # any size up to (6, 16) is valid
     axis = 0 if name == "J_pinv" else -1
     value = {
         "longer": np.concatenate([good, good], axis=axis),
@@ -255,7 +255,7 @@ def test_numbers_that_are_none_are_refused_by_name(name, good, call, bad):
 )
 def test_what_holds_no_numbers_is_a_type_error_by_name(name, good, call, bad):
     if bad is None and name in {"dq", "twist", "gradient"}:
-        return  # the default
+        return  # None is the default
     with pytest.raises(TypeError, match=f"^{name} must be an array of numbers"):
         call(bad)
 
@@ -329,7 +329,7 @@ def test_kinematics_into_the_callers_arrays():
 
 
 class Meddler:
-    """A target whose reading replaces an array that was passed before it."""
+    """A target that replaces the data of an earlier argument while it is read."""
 
     def __init__(self, array, target):
         self.array, self.target = array, target
@@ -351,7 +351,7 @@ def test_a_target_that_changes_q_while_it_is_read_is_seen_by_the_step(model):
 
 
 class Reshaper(Meddler):
-    """The same as an array of targets."""
+    """Like `Meddler`, for an argument that is an array of targets."""
 
     def __array__(self, dtype=None, copy=None):
         self.array.resize((0, 7), refcheck=False)

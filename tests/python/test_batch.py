@@ -1,4 +1,4 @@
-"""Many arms in one call: the bits of single steps, the caller's arrays, invalid rows, threads."""
+"""Batch calls: equal to single steps bit for bit, output arrays, invalid rows, threads."""
 
 from __future__ import annotations
 
@@ -260,7 +260,7 @@ def test_bad_rows_are_nan_where_asked_for(model):
     for field in FIELDS:
         assert np.isnan(getattr(command, field)[~fine]).all()
         assert np.array_equal(getattr(command, field)[fine], getattr(good, field)[fine])
-    # The others continue, and these begin with the next step.
+    # The other arms continue; the arms that were reset start with their next step.
     again = controller.step_batch(q, targets, state=state)
     onward = controller.step_batch(q, targets, state=other)
     assert np.array_equal(again.goal[fine], onward.goal[fine])

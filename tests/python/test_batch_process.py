@@ -1,4 +1,4 @@
-"""Many arms in a separate process: forks, and memory use."""
+"""Batch calls in a separate process: forks and memory use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects in use: an explained error, never a panic, whatever code arguments run."""
+"""Objects that are in use: a second call gives an explained error and never a panic."""
 
 import threading
 
@@ -12,7 +12,7 @@ Q = np.array([0.1, 0.2, -0.3, 0.4, 0.0])
 
 
 class Accessor:
-    """A pose whose matrix is made by a function of the test."""
+    """A pose whose matrix is computed by a function of the test, at the time of reading."""
 
     def __init__(self, run):
         self._run = run
@@ -24,7 +24,7 @@ class Accessor:
 
 
 class Array:
-    """Joint positions made by a function of the test."""
+    """Joint positions that a function of the test computes at the time of reading."""
 
     def __init__(self, run):
         self._run = run
@@ -44,7 +44,7 @@ def made():
 
 
 def uses(controller, contact, target):
-    """Return everything that a second caller may do with the two meanwhile."""
+    """Return all calls that could use controller or contact estimator at the same time."""
     command = controller.step(Q, target)
     sent = (command.goal, command.torque_limit)
     return {
@@ -121,7 +121,7 @@ def test_a_contact_in_another_thread_meets_no_panic():
 
 
 def test_objects_in_use_raise():
-    """A batch runs without the interpreter lock: meanwhile its state cannot be changed."""
+    """The state of a batch cannot be changed while the batch runs without interpreter lock."""
     controller, _, target = made()
     rows = np.tile(Q, (20_000, 1))
     state = controller.batch_state(len(rows))
@@ -206,7 +206,7 @@ def test_a_command_that_cannot_be_written_is_refused_before_the_step():
 
 
 def test_a_description_is_read_once(tmp_path):
-    """The description kept for pickles made the model; a pipe without a writer is rejected."""
+    """The URDF is read once, so that the text kept for pickles is that of the model."""
     import os
 
     text = pliant.robots.koch().source[0]

@@ -1,4 +1,4 @@
-"""The controller from Python: inputs, state, and readings after a step."""
+"""`Controller` from Python: inputs, state, and diagnostics after a step."""
 
 from __future__ import annotations
 
@@ -248,7 +248,7 @@ def test_payload_gravity_and_delay_while_running(model, controller, q, target):
     controller.step(q, target)
     np.testing.assert_allclose(
         controller.diagnostics.gravity, before, atol=1e-12
-    )  # half a second until all
+    )  # the new gravity takes effect gradually, within 0.5 s
     for _ in range(50):
         controller.step(q, target)
     loaded = pliant.robots.arm7(payload=pliant.Payload(0.5, (0.0, 0.0, 0.1)))
@@ -276,7 +276,7 @@ def test_update_takes_over_position_targets(model, q, target):
 
 
 def test_update_surveys_what_a_fresh_controller_would(model, q, target):
-    """Surveys are cached by task axes and frame, so a new task never uses those of another task."""
+    """Capacities of poses are cached by axes and frame of the task, so a new task has its own."""
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     tasks = (
         pliant.Task("all"),
@@ -325,13 +325,13 @@ def test_springs_of_law_impedance(q):
     assert strengths["x"].damping == (0.0, 0.0)
     away = target.copy()
     away[:2, 3] += 0.01
-    for _ in range(100):  # the target moves no faster than the tool may
+    for _ in range(100):  # the tool speed limit applies to the target too
         controller.step(q, away)
     assert controller.diagnostics.gain_factor == 1.0
     np.testing.assert_allclose(
         controller.diagnostics.wrench, [8.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-6
     )
-    controller.set_delay(0.1)  # a slow bus: springs no stiffer than the servos
+    controller.set_delay(0.1)  # with this delay, springs are limited to the stiffness of the servos
     controller.step(q, away)
     assert 0.2 < controller.diagnostics.gain_factor < 0.6
     wrench = controller.diagnostics.wrench

@@ -1,4 +1,4 @@
-"""Public functions against NumPy, and their properties."""
+"""`pliant.functional` against NumPy, and properties of its functions."""
 
 from __future__ import annotations
 

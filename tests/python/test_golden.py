@@ -53,7 +53,7 @@ def test_functions(case):
     e = pliant.functional.pose_error(actual, target)
     close(e, case["d_rotvec"])
 
-    # The reference adapts the deviation axis by axis; as a pose it is equal except for rotations.
+    # The reference adapts the deviation per axis, which differs for combined rotations.
     mask = case["mask"]
     adapted = np.where(mask, (1.0 - case["eta"]) * e, e)
     shown = pliant.functional.pose_error(
@@ -62,7 +62,7 @@ def test_functions(case):
     close(shown, adapted)
     close(case["Kx"] * adapted, case["dx"])
 
-    # The reference's gradient points uphill: only its size affects A and R.
+    # The gradient of the reference has the opposite sign; A and R depend on its size only.
     gradient = -case["grad"]
     dq = inverse @ case["dx"] - case["alpha"] * projector @ gradient
     close(case["Kq"] * dq, case["dq"], np.abs(case["dq"]).max())
@@ -130,7 +130,7 @@ def test_controller(case):
         return
     close((command.goal - case["q"]) / 0.25, case["dq"], np.abs(case["dq"]).max())
     close(controller.diagnostics.activation, case["A"])
-    if (case["tau_max"] <= case["tau_stiff"]).all():  # others are rejected by Axis
+    if (case["tau_max"] <= case["tau_stiff"]).all():  # `Axis` rejects other values
         close(controller.diagnostics.axis_strength, case["tau_x"])
         close(command.torque_limit, np.minimum(case["tau_q"], model.effort_limit), 10.0)
 

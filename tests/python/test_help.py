@@ -17,7 +17,10 @@ STUB = Path(pliant.__file__).with_name("_core.pyi")
 
 
 def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, str]:
-    """Return docstrings of public classes, members and functions by name, overloads joined."""
+    """Return the docstrings of public classes, members and functions of the stub, by name.
+
+    The docstrings of overloads are joined.
+    """
     found: dict[str, list[str]] = {}
     for item in node.body:
         if not isinstance(item, ast.ClassDef | ast.FunctionDef):
@@ -32,7 +35,7 @@ def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, s
 
 
 def expected(name: str) -> str:
-    """Return the docstring of a name; an attribute without one takes the argument's line."""
+    """Return the docstring that `help()` must show; for an attribute, that of its argument."""
     head, _, member = name.partition(".")
     if text := DOCUMENTED[name] or not member:
         return text

@@ -1,4 +1,4 @@
-"""Modules that `import pliant` loads, and those that it defers."""
+"""Modules that `import pliant` loads, and modules that are loaded only when they are used."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_every_name_is_there_and_documented():
         *pliant.teleop.__all__,
         *pliant.types.__all__,
     }
-    # For `pliant.arm` and `pliant.identify`, which offer more to the user.
+    # Names that only `pliant.arm` and `pliant.identify` use; these wrap them for the user.
     internal = {"ArmPoints", "HandGuidingLaw", "SUPPORT", "ThermalModel", "torque_margin"}
     assert set(pliant._core.__all__) == (public & set(pliant._core.__all__)) | internal
 

@@ -1,4 +1,4 @@
-"""The model from Python: attributes, and errors of a file."""
+"""`Model` from Python: attributes, and errors in a URDF file."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def bits(command: pliant.Command) -> tuple[bytes, bytes, bytes]:
 
 
 def told(controller: pliant.Controller, q: np.ndarray) -> None:
-    """Change everything that a controller can be told while it runs."""
+    """Change all parts of a controller's state that its methods can change."""
     controller.set_payload(0.3, (0.0, 0.01, 0.05))
     controller.set_gravity((0.5, 0.0, -9.7))
     controller.set_delay(0.03)
@@ -147,7 +147,7 @@ def test_what_a_model_was_made_of_cannot_be_changed_through_its_source():
 
 
 def test_a_controller_that_can_no_longer_hold_its_arm_is_read_back():
-    # The servos' strength was checked when it was made; in the present pose everything is heavier.
+    # The check of the servos' strength in the constructor must not be repeated in this pose.
     arm = pliant.robots.arm7()
     q = 0.5 * (arm.lower + arm.upper)
     controller = pliant.Controller(arm, pliant.Settings.soft("y"))

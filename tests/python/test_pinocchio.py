@@ -15,11 +15,11 @@ pin = pytest.importorskip("pinocchio", reason="PyPI `pin` is not installed: no i
 ROOT = Path(__file__).resolve().parents[2]
 ROBOTS = ROOT / ".." / "shared" / "robots"
 TOLERANCE = 1e-12
-DOWN = (1.0, -2.0, -9.0)  # along no axis
+DOWN = (1.0, -2.0, -9.0)  # gravity, along none of the base axes
 
 
 class Oracle:
-    """A chain of a whole robot in Pinocchio, coordinates in our order."""
+    """A chain of a robot in Pinocchio, with joint coordinates in the order of pliant's model."""
 
     def __init__(self, model: pliant.Model, text: str):
         self.model, self.pin = model, pin.buildModelFromXML(text)
@@ -44,7 +44,7 @@ class Oracle:
         return out
 
     def collect(self, full):
-        """Return columns of Pinocchio's coordinates as columns of ours."""
+        """Convert columns of a matrix from Pinocchio's coordinates to those of pliant's model."""
         out = np.zeros((full.shape[0], self.model.n))
         for joint in self.model.joints:
             if joint.q_index is not None:

@@ -1,4 +1,4 @@
-"""Pool of results: a loop that drops them allocates nothing, and a result in use never changes."""
+"""Memory pool of results: a loop allocates nothing, and a result in use never changes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FIELDS = ("goal", "torque_limit", "speed_limit")
 
 
 def run(controller, q, target, count):
-    """Step at different states, so that every command holds other numbers."""
+    """Step through different states, so that all commands differ."""
     for i in range(count):
         controller.step(q + 1e-3 * i, target)
 

@@ -1,4 +1,4 @@
-"""Poses against closed forms."""
+"""`Pose`: conversions compared with closed-form solutions."""
 
 from __future__ import annotations
 

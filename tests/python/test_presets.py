@@ -1,4 +1,4 @@
-"""Presets and deviation limits from Python: names, units, rejections, other arms, no bumps."""
+"""Presets and deviation limits: names, units, errors, other arms, goals without jumps."""
 
 import numpy as np
 import pytest
@@ -132,8 +132,8 @@ def test_a_target_that_follows_is_reported_and_does_not_bump(arm):
     ]
     assert controller.diagnostics.deviation[1] == pytest.approx(-0.02, abs=1e-9)
     assert controller.diagnostics.reference[1, 3] - target[1, 3] == pytest.approx(0.04, abs=1e-4)
-    # Beyond the limit the goals follow the arm, no faster: 1 mm a tick turns a joint by 2.4 mrad.
-    assert np.abs(np.diff(goals[10:], axis=0)).max() < 3e-3  # [rad] (2.6e-3)
+    # Beyond the limit the goals move as fast as the arm: 1 mm, so 2.4 mrad of a joint, per tick.
+    assert np.abs(np.diff(goals[10:], axis=0)).max() < 3e-3  # [rad], measured 2.6e-3
 
 
 def test_a_target_at_rest_that_waits_does_what_it_did_without_a_limit(arm):

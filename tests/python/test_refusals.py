@@ -1,4 +1,4 @@
-"""Rejections and their texts: argument, value, bound, and alternatives."""
+"""Error messages for invalid arguments: they name argument, value, bound and alternatives."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_what_is_not_a_number_is_said_plainly(model, q, target):
 
 
 def calls(model, q):
-    """Return calls with one argument of the wrong kind, and the expected text."""
+    """Return calls with one argument of a wrong type, and the expected error texts."""
     lone = pliant.Controller(model, pliant.Settings(task="xyz"))
     at = model.forward_kinematics(q)[:3, 3]
     contact = pliant.ContactEstimator(lone)

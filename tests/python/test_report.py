@@ -1,4 +1,4 @@
-"""Report and check from Python: shapes, texts, inputs."""
+"""`Controller.report` and `feasibility.check_path`: shapes, texts and errors."""
 
 from __future__ import annotations
 
@@ -132,14 +132,17 @@ def test_sentences_of_the_report(controller, q):
 
 
 def along_y(model, q):
-    """Return joint rates while a push moves y by one metre, along the servos' springs."""
+    """Return the motion of the joints per metre of y under a push, by the servos' stiffness."""
     jacobian = model.jacobian(q)
     springs = jacobian.T / np.asarray(model.servos.kp)[:, None]
     return (springs @ np.linalg.inv(jacobian @ springs))[:, 1]
 
 
 def near_a_stop(model, q, room):
-    """Return the arm with the joint that +y turns most at this distance from its upper limit."""
+    """Return the arm with a joint at the distance `room` [rad] from its upper limit.
+
+    It is the joint that a motion along +y turns most.
+    """
     joint = int(np.argmax(along_y(model, q)))
     limits = {name: (-50.0, 50.0) for name in model.joint_names}
     limits[model.joint_names[joint]] = (-50.0, q[joint] + room)
@@ -156,12 +159,12 @@ def test_a_position_limit_is_announced_where_it_is_met(model, q):
     way = stop.distance
     assert 0.0 < way < 0.15
     assert stop.margin == pytest.approx(0.035)
-    # A push that far, in small steps, ends at the limit.
+    # Move by the reported distance in small steps: the joint must end at its limit.
     at, steps = q.copy(), 1000
     for _ in range(steps):
         at += way / steps * along_y(near, at)
     assert at[joint] == pytest.approx(q[joint] + 0.035, abs=1e-3)
-    # There the others remain, with their friction.
+    # At the limit, the other joints continue the motion against their friction.
     left = np.linalg.pinv(np.delete(near.jacobian(at), joint, axis=1))[:, 1]
     rubs = np.abs(left) @ np.delete(model.servos.friction, joint)
     assert stop.friction == pytest.approx(rubs, rel=0.05)
@@ -253,7 +256,7 @@ def test_tracking_raises_soft_to_three_times_the_friction(model, q):
 
 
 def test_a_singular_pose_that_a_push_leads_to_is_said(model):
-    """A nearly stretched elbow: pushed outward, the arm's reach ends."""
+    """The elbow is nearly stretched, so that an outward push ends at the arm's reach."""
     q = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
     bent = q.copy()
     bent[3] = -0.6

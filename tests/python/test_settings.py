@@ -1,4 +1,4 @@
-"""Value classes: frozen, keyword-only, comparable, copied by pickle and by their own repr."""
+"""Value classes such as `Settings`: immutable, keyword-only, comparable, picklable, `repr`."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ seven = st.lists(number(0.1, 3.0), min_size=7, max_size=7)
 
 @st.composite
 def some(draw, group, **fields):
-    """Return a group of settings with some fields given."""
+    """Return a group of settings with a random choice of fields."""
     kept = draw(st.sets(st.sampled_from(sorted(fields))))
     return group(**{name: draw(fields[name]) for name in sorted(kept)})
 
@@ -242,7 +242,7 @@ def test_a_group_changes_only_the_fields_that_it_was_given():
     assert Settings.paper(tracking=Tracking(goal_slew=1.0)).tracking.goal_slew == 1.0
     slower = door.replace(tracking=Tracking(goal_slew=0.5))
     assert slower.tracking == Tracking(gain=3.0, goal_slew=0.5)
-    # A group in printed settings has all its fields.
+    # Setting a group sets all its fields, also those that the preset gives.
     assert Settings.door(null_space=Settings().null_space).null_space == NullSpace()
     # Copies and pickles remember which fields were given.
     for given_one in (

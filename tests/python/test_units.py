@@ -1,4 +1,4 @@
-"""Targets in other units: steps, batches, `check` and the shell share one check."""
+"""Targets in wrong units: rejected by steps, batches, `check_path` and the command line."""
 
 import copy
 import pickle
@@ -25,7 +25,7 @@ def arm(request):
 
 
 def at(model, distance, direction):
-    """Pose at a distance from the first joint [m]."""
+    """Return a pose at a distance from the first joint [m], in a direction (3,)."""
     pose = np.eye(4)
     pose[:3, 3] = model.reach_origin + distance * direction / np.linalg.norm(direction)
     return pose
@@ -67,7 +67,7 @@ def test_the_bound_on_a_target_is_a_ball_around_the_first_joint(arm, direction):
 
 @pytest.mark.parametrize("factor", FACTORS)
 def test_a_target_in_other_units_is_refused(arm, factor):
-    """A target at half the reach or more; closer ones are plausible targets."""
+    """Targets at half the reach or more are tested; closer ones stay plausible in other units."""
     model, controller, q = arm
     rng = np.random.default_rng(1)
     for _ in range(50):
@@ -157,7 +157,7 @@ def test_small_degrees_are_refused():
 
 
 def test_rows_that_are_too_far_become_nan_where_asked():
-    """With and without a state, few rows and many, in SIMD or one by one."""
+    """Tested with and without a state, and with few rows and many (with and without SIMD)."""
     model = pliant.robots.arm7()
     rng = np.random.default_rng(0)
     bound = 2.0 * model.reach + 0.1

@@ -12,7 +12,7 @@ from pliant.servo import BusError, ServoBus, ServoSpec
 
 
 class FakeBus:
-    """Servos as byte arrays, with scripted failures and stale replies.
+    """Transport in memory: servos as byte arrays, with scripted failures and stale replies.
 
     `plan` has one entry per future request: None for success, a `BusError` to raise, or "stale" to
     return the reply to the previous request. While `late` is above 0, a drain ping finds bytes on
@@ -132,7 +132,10 @@ def emulated():
 
 @pytest.fixture
 def enabled():
-    """Enable a bus at its present position, with a share of its usable torque."""
+    """Return a function that enables a bus at its present position, with limited torque.
+
+    The torque limit is a share of the usable torque.
+    """
 
     def switch_on(chain, share=0.5):
         limit = share * chain.servos.max_torque

@@ -1,4 +1,4 @@
-"""A bus over a pseudo-terminal: every family, torque on and off, units, order on the wire."""
+"""`ServoBus` over a pseudo-terminal: all families, torque on and off, units, order of writes."""
 
 import numpy as np
 import pytest

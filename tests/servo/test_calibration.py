@@ -1,4 +1,4 @@
-"""A calibration file is compared with the servos' registers before torque."""
+"""Comparison of a calibration file with the servos' registers, before torque is switched on."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 
 
 def lerobot_file(folder, **changes):
-    """Return a file as lerobot-calibrate writes it, with some joints' entries changed."""
+    """Return a calibration file as lerobot-calibrate writes it; `changes`: entries by joint."""
     table = {
         joint: {
             "id": i,
@@ -37,7 +37,7 @@ def lerobot_file(folder, **changes):
 
 
 def opened(name, folder, **wrong):
-    """Open the arm of a ready file whose servos were calibrated, with a changed file."""
+    """Open the calibrated arm of a built-in file with a calibration file changed by `wrong`."""
     good = config.load(name, backend="emulator", calibration=lerobot_file(folder))
     theirs = config.load(name, backend="emulator", calibration=lerobot_file(folder, **wrong))
     with make_emulator(good, clock="steps") as bus:
@@ -111,7 +111,7 @@ def test_doctor_reports_each_joint(tmp_path, monkeypatch):
         wired = config.load("so101", calibration=read.calibration, port=bus.ports["main"])
         bad = [finding.text for finding in examine(wired) if finding.level == "bad"]
     said = [text for text in bad if "homing_offset" in text]
-    # Every joint but the third, whose offset in the file is the factory's 0.
+    # One error per joint, except the third, whose offset in the file is 0 as in a new servo.
     assert len(said) == 5
     assert any("shoulder_pan" in text and "off by 17.6°" in text for text in said)
 

@@ -1,4 +1,4 @@
-"""Torque on with one packet lost, the bounds of torque, and the registers restored afterwards."""
+"""Torque on with one lost packet, registers that bound the torque, and their restoration."""
 
 from contextlib import suppress
 
@@ -11,7 +11,7 @@ from pliant.servo import ServoBus, ServoSpec
 from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
-#: Distance between old goals and present positions [counts]; 44° on most encoders.
+#: Distance between old goals and present positions [counts], 44° with 4096 counts per turn.
 OFF = 500
 
 
@@ -41,7 +41,10 @@ def strike(bus, fault, place):
 
 
 def enable_with_old_goals(kind, fault, place):
-    """Return the largest motion of a shaft [rad] from torque on to a second after, and requests."""
+    """Enable servos that have old goals; return their largest motion [rad] and request count.
+
+    The motion is measured until one second after torque on.
+    """
     with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
         for servo in bus.servos:
             servo.put("goal_position", servo.position - OFF if kind != "rx" else 100)
@@ -78,10 +81,10 @@ def test_no_single_lost_packet_switches_torque_on_with_an_old_goal(kind, fault):
 
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_torque_that_could_not_be_taken_back_is_said(kind):
-    """All packets are lost from the time at which the first servo has its torque on."""
+    """All packets are lost after the first servo has switched its torque on."""
     with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
         goal, faults = chain.read().position, bus.lines["main"].faults
-        # If silent before that, no servo has torque and no such message appears.
+        # Before that, no servo has torque, and silence gives another message.
         faults.chance = lambda: "deaf"
         with pytest.raises(ServoError, match=r"\A(?!.*may still be on)"):
             chain.enable(goal, 0.5 * chain.servos.max_torque)
@@ -135,7 +138,7 @@ def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled
         full = bus.servos[0].get(name)
         limit = enabled(chain)
         chain.write([0.0], 0.01 * limit, velocity=[0.1])
-        chain.close()  # as after a killed program: torque on
+        chain.close()  # the torque stays on, as after a killed program
         chain.open()
         enabled(chain)
         chain.disable()
@@ -144,7 +147,7 @@ def test_limits_that_a_killed_program_left_are_not_handed_back(emulated, enabled
 
 
 def test_lerobot_moves_an_arm_after_pliant_as_before(emulated, enabled):
-    """LeRobot writes Torque_Enable and Goal_Position, but neither limits nor speeds."""
+    """The registers that LeRobot does not write, such as limits and speeds, are restored."""
 
     def lerobot(bus, goal):
         for servo in bus.servos:
@@ -186,7 +189,7 @@ def test_a_goal_pwm_that_was_left_low_does_not_weaken_a_current_limited_servo(em
 def test_compliance_that_another_program_left_does_not_weaken_a_servo(
     emulated, enabled, kind, punch
 ):
-    """Within a margin of 200 counts the servo would let the joint sag."""
+    """With a compliance margin of 200 counts, a servo would let its joint sag."""
     left = {
         "cw_compliance_margin": 200,
         "ccw_compliance_margin": 150,
@@ -227,7 +230,7 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
     with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
         enabled(chain)
         getattr(bus, trouble)()
-        # An echo may look like a confirmation; unconfirmed torque is reported.
+        # Ignore an error, which reports that torque-off is unconfirmed; an echo may confirm it.
         with suppress(ServoError):
             chain.disable()
         bus.sync()

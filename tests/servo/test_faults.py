@@ -1,4 +1,4 @@
-"""Faults on the bus and in the servos: no stale data, partial results, messages, no jump."""
+"""Faults of bus and servos: stale data, missing readings, error messages, jumps of the goal."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_late_answers_are_never_taken_for_new_ones(emulated, enabled, kind):
                 good += 1
             if k % 4 == 1:
                 bus.faults.inject("late", 1 + k % 3, count=1 + k % 2)
-        # A sample from one tick before would be off by up to 0.8 * 3 * 0.01 = 0.024 rad.
+        # A sample that is one tick old would be wrong by up to 0.8 * 3 * 0.01 = 0.024 rad.
         assert worst < 0.003
         assert good > 40
         assert chain.counters["timeouts"] > 5
@@ -205,7 +205,7 @@ def test_a_limit_that_does_not_stick_is_reported(emulated, enabled):
         said = "torque limit reads 1000 (1.91 N·m), written was 250 (0.478 N·m)"
         assert any(said in text for text in found)
         assert chain.counters["mismatches"] >= 2
-        # Its goals arrive: the descent is not in question.
+        # The servo accepts its goals, so it does not count as refusing.
         assert not chain.refusing.any()
         with pytest.raises(ServoError, match="did not take the torque limit"):
             enabled(chain)
@@ -250,7 +250,7 @@ def test_a_lost_packet_is_no_limit_refused(emulated, enabled):
         found = []
         for k in range(40):
             chain.read()
-            # Two packets in a row that no servo receives, each with a limit of its own.
+            # No servo receives these two consecutive packets, which have different limits.
             if k in {20, 21}:
                 bus.faults.inject("deaf", 1)
             chain.write([0.0, 0.0], limit * (1.0 - 0.01 * k))
@@ -321,7 +321,7 @@ def test_a_reading_that_jumps_is_rejected(emulated, enabled):
         assert not sample.ok[0]
         assert sample.position[0] == before
         assert chain.counters["stale"] == 1
-        # After a long enough gap the joint may have moved there.
+        # After a long gap without readings, the joint may really have moved that far.
         bus.advance(2.0)
         assert chain.read().ok[0]
 
@@ -345,7 +345,7 @@ def test_an_encoder_that_steps_is_a_fault_and_always_rejected(emulated, enabled,
             said.append(getattr(chain.poll_status(), "faults", ()))
             bus.advance(0.01)
         assert "joint0: its position jumped by" in str(said[:10])
-        # Once torque is off the joint may be anywhere.
+        # Without torque, the joint may be moved to any position.
         chain.disable()
         assert chain.read().ok.all()
 
@@ -357,7 +357,7 @@ def test_a_watchdog_that_trips_is_cleared_as_soon_as_it_is_seen(emulated, enable
         chain.watchdog(0.1)
         for _ in sweep(bus, chain, limit, 5):
             pass
-        bus.short(dead)  # in both directions, or the host is silent
+        bus.short(dead)  # no data pass in either direction
         for _ in range(5 if dead else 1):
             chain.read()
             chain.write([0.0, 0.0], limit)

@@ -1,4 +1,4 @@
-"""Transaction guard on a scripted bus: drains, one retry, no stale reply, cycle time kept."""
+"""`TransactionGuard` on a scripted bus: drain, one retry, no stale reply, bounded cycle time."""
 
 import pytest
 
@@ -37,7 +37,7 @@ def test_a_lost_answer_is_drained_and_asked_for_again(fake_bus):
     bus.plan = [failure("timeout", 1)]
     bus.late = 3
     assert guard.read(1, SHORT, LONG).status == 0
-    # Three pings returned early because bytes were still arriving; the fourth met silence.
+    # Bytes were still arriving at the first three pings of the drain; at the fourth, none were.
     assert [call[0] for call in bus.calls] == ["read", *["ping"] * 4, "read"]
     assert all(call[1] == 200 for call in bus.calls if call[0] == "ping")
     counters = guard.counters
@@ -108,14 +108,14 @@ def test_a_length_is_not_requested_while_it_is_outstanding(fake_bus):
     bus.plan = [failure("timeout"), failure("corrupt")]
     with pytest.raises(BusError):
         guard.read(1, SHORT, LONG)
-    # Both lengths are now outstanding, by this servo only.
+    # Replies of both lengths are now outstanding from this servo.
     with pytest.raises(BusError) as caught:
         guard.read(1, SHORT, LONG)
     assert caught.value.reason == "late"
     assert guard.read(2, SHORT, LONG).block == SHORT
     with pytest.raises(BusError):
         guard.sync_read([1, 2], SHORT, LONG)
-    # A reply of a third length settles them; they stay avoided where there is a choice.
+    # After a reply of a third length, both lengths are allowed, but others are preferred.
     assert guard.read(1, SHORT, LONG, LONGER).block == LONGER
     assert guard.read(1, SHORT, LONG, LONGER).block == LONGER
     assert guard.read(1, SHORT, LONG).block == SHORT
@@ -165,7 +165,8 @@ def test_no_retry_that_could_not_be_answered_in_time(fake_bus):
     bus = fake_bus([1])
     guard = guarded(bus)
     bus.plan = [failure("timeout")]
-    guard.start_cycle(0.016)  # 10 ms are lost, 3 ms are drained, 10 ms more would be needed
+    # A timeout of 10 ms and a drain of 3 ms leave less time than the 10 ms of a retry.
+    guard.start_cycle(0.016)
     with pytest.raises(BusError):
         guard.read(1, SHORT)
     assert len(requests(bus)) == 1

@@ -1,4 +1,4 @@
-"""Errors at open, with remedies."""
+"""Errors when a servo bus is opened, with their remedies."""
 
 import time
 
@@ -106,7 +106,7 @@ def test_ceilings_and_gains_are_the_servos_own():
     parts = [Device("STS3215", id=1, max_torque_limit=500, p_coefficient=16, overload_torque=25)]
     with Emulator(parts, clock="steps") as bus:
         chain = opened(bus, PAN)
-        # The bus is closed again; its readings stay.
+        # The bus is closed after the error; the servo parameters that it has read stay.
         assert chain.servos.max_torque[0] == pytest.approx(1.91 / 2, rel=0.01)
         assert chain.servos.kp[0] == pytest.approx(5.1, rel=0.01)
         assert chain.overload[0] == pytest.approx(0.5)
@@ -158,7 +158,7 @@ def test_another_transport_can_be_passed_in(fake_bus):
 
     class Patient(fake_bus):
         def ping(self, id):
-            # The bus waits by the machine's clock.
+            # A servo that is absent costs a timeout in real time.
             time.sleep(0.0 if id in self.memory else self.timeout)
             return super().ping(id)
 

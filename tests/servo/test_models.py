@@ -1,4 +1,7 @@
-"""Tables: complete, consistent, and equal to the emulator's, which were typed independently."""
+"""Register tables: complete, consistent, and equal to those of the emulator.
+
+The tables of the emulator were written independently.
+"""
 
 from itertools import pairwise
 
@@ -11,7 +14,7 @@ from pliant.servo import ServoSpec, Units, get_model, list_models
 from pliant.servo.models import by_number
 
 ALL = list_models()
-#: Our name of a register, and the emulator's, by family; equal names are left out.
+#: By family: names of registers in the driver and in the emulator, where they differ.
 NAMES = {
     "model": "model_number",
     "firmware": {"dxl1": "firmware_version", "x": "firmware_version", "sts": "firmware_major"},
@@ -65,7 +68,7 @@ def test_two_independent_tables_agree(name):
         if field not in ours.family.registers or other is None:
             continue
         register, twin = ours.family.registers[field], theirs.table[other]
-        # Feetech's firmware version is one number here, major and minor.
+        # The driver reads the major and minor firmware version of Feetech servos as one number.
         twin_size = 2 if name.startswith("STS") and field == "firmware" else twin.size
         assert (register.address, register.size) == (twin.address, twin_size), field
         compared += 1
@@ -90,7 +93,7 @@ def test_blocks_hold_what_the_cycle_needs(name):
             assert block.address <= register.address
             assert register.address + register.size <= end
     assert family.read[0].size != family.read[1].size
-    # Goal and limit are in one packet without a gap, and none of it is EEPROM.
+    # Goal and limit are adjacent, so that one packet writes both, and not in EEPROM.
     written = [field for packet in family.write for field in packet]
     assert {"goal", "limit", "speed_cap"} <= {*written}
     assert all(
@@ -140,7 +143,7 @@ def test_stiffness_follows_the_gain_register():
     soft, stiff = Servos.of(["STS3215-7.4V"] * 2, gains=[16, 32]).kp
     assert soft == pytest.approx(5.1, rel=0.01)
     assert stiff == pytest.approx(2 * soft)
-    # A slope is an error: twice as long, half as stiff. RX-64 at 18.5 V, slope 32: 32 N·m/rad.
+    # The stiffness is inversely proportional to the compliance slope; 32 N·m/rad at slope 32.
     assert Servos.of(["RX-64"], voltage=18.5).kp[0] == pytest.approx(32, rel=0.02)
     assert Servos.of(["RX-64"], voltage=18.5, gains=[64]).kp[0] == pytest.approx(16, rel=0.02)
     assert Servos.of(["XM430-W350"], voltage=12.0).kp[0] == pytest.approx(19.5, rel=0.01)

@@ -1,4 +1,4 @@
-"""Scans over slow, late or broken lines: the existing ids, and no others."""
+"""`scan` over slow, late or broken lines finds the existing ids and no others."""
 
 import pytest
 

@@ -25,7 +25,7 @@ def so101(bus, model, **options):
     return ServoBus(specs, reply_timeout_min=0.1, **options)
 
 
-# Without faults: tests/config/test_arm.py.
+# The test without faults is in tests/config/test_arm.py.
 @pytest.mark.parametrize(
     "shares",
     [pytest.param({}, marks=pytest.mark.full), {"lose": 0.01, "corrupt": 0.01, "late": 0.01}],
@@ -45,13 +45,13 @@ def test_an_arm_is_enabled_held_and_lowered(shares):
             target = model.forward_kinematics(arm.read().q)
             for k, tick in enumerate(pliant.Loop(arm, controller, rate=50.0)):
                 if tick.state.fresh:
-                    # As old as its transactions, which take no time on this clock.
+                    # Readings are up to date: transactions take no time on this clock.
                     assert tick.q == pytest.approx(bus.plant.q, abs=0.004)
                 tick.write(controller.step(tick.q, target, dt=tick.dt))
                 if k == 100:
                     break
             assert bus.plant.tool[:3, 3] == pytest.approx(target[:3, 3], abs=0.005)
-        # Lowered: the torque is off, the arm rests, and no register was written that should not be.
+        # After the descent, the torque is off, the arm rests, and no other register was written.
         assert [servo.get("torque_enable") for servo in bus.servos] == [0] * 5
         assert bus.log.eeprom_writes() == []
         assert not bus.log.writes(refused=True)

@@ -1,4 +1,4 @@
-"""Replies that arrive after their timeout: none is taken for the reply to a later request."""
+"""Late replies: a reply that arrives after its timeout is not taken for that of a later request."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from pliant.servo import BusError
 from pliant.servo._transactions import TransactionGuard
 from pliant.servo.models import get_model
 
-#: Position bytes reported by the servos: the time of the request [µs].
+#: Number of reply bytes with the time of the request [µs], which the servos report as position.
 STAMP = 8
 
 
@@ -40,7 +40,7 @@ class LateLine:
                 self._coming.append((at, id, data))
 
     def _take(self, id, end):
-        """Return the next packet to arrive, of any servo and length."""
+        """Return the next packet that arrives, from any servo and of any length."""
         self._coming.sort(key=lambda one: one[0])
         if not self._coming or self._coming[0][0] > end:
             self.now = end + 1e-6  # a clock has passed the timeout
@@ -76,7 +76,7 @@ class LateLine:
 
 
 def stalls(rng, longest):
-    """Return `held` for a line that stalls at random for at most `longest` [s].
+    """Return the argument `held` of a `LateLine` that stalls at random, up to `longest` [s].
 
     Bytes sent during a stall arrive at its end.
     """
@@ -128,6 +128,6 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
             told = int.from_bytes(reply.data[:STAMP], "little") * 1e-6
             assert reply.time <= told <= bus.now
             taken += 1
-    # Most positions arrived nevertheless, and the guard was needed.
+    # Most positions arrived, and some late replies had to be discarded.
     assert taken > 6000
     assert guard.counters.stale > 10

@@ -1,4 +1,4 @@
-"""Status bytes as sentences: rejected instructions, and conditions that reject nothing."""
+"""Error messages for status bytes: rejected instructions, and alerts without a rejection."""
 
 from pliant.servo import get_model
 from pliant.servo._status import conditions, hardware, refusal

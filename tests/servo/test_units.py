@@ -1,4 +1,4 @@
-"""Conversions both ways, for every model, voltage, gear, sign and torque."""
+"""`Units`: conversions in both directions, for all models, voltages, gears, signs and torques."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Wire arithmetic against rates calculated by hand."""
+"""`wire_bytes` and `wire_time` compared with values calculated by hand."""
 
 import numpy as np
 import pytest
@@ -27,9 +27,9 @@ def test_rates_of_seven_servos(cycle, baudrate, expected):
 
 
 def test_bytes_of_the_packets_in_the_manuals():
-    # FF FF 01 04 02 2B 01 CC and its reply FF FF 01 03 00 20 DB.
+    # Request FF FF 01 04 02 2B 01 CC, reply FF FF 01 03 00 20 DB.
     assert wire_bytes("p1", "read", 1, 1) == (8, 7)
-    # FF FF FD 00 01 07 00 02 84 00 04 00 1D 15 and a reply of 4 bytes.
+    # Request FF FF FD 00 01 07 00 02 84 00 04 00 1D 15, reply with 4 data bytes.
     assert wire_bytes("p2", "read", 1, 4) == (14, 15)
     assert wire_bytes("p2", "ping", 1, 0) == (10, 14)
     assert wire_bytes("p1", "ping", 1, 0) == (6, 6)

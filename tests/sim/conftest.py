@@ -1,4 +1,4 @@
-"""Shared code of the plant's tests: the arm, a pose, and a gravity-compensation loop."""
+"""Fixtures for tests of the simulator: an arm, a pose, a loop with gravity compensation."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def grasp():
 
 @pytest.fixture
 def floating():
-    """Run a plant for so many ticks with goals that carry gravity and follow the arm."""
+    """Return a function that runs a plant with goals that follow the arm and carry its weight."""
 
     def run(plant, ticks):
         for _ in range(ticks):

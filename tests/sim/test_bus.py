@@ -1,4 +1,4 @@
-"""The bus: arrival, delay and resolution of data, repeatable with the same seed."""
+"""Simulated bus: lost data, delay and resolution, reproducible with the same seed."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from pliant.sim import Plant
 
 
 def moving(plant, start, ticks, speed=0.5):
-    """Move all joints; return readings and true values, one row per tick, and freshness."""
+    """Move all joints; return readings, true positions and freshness, one row per tick."""
     plant.reset(start)
     read, true, fresh = [], [], []
     for tick in range(ticks):

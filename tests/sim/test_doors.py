@@ -1,4 +1,4 @@
-"""Doors: circle of the handle, friction and seal, forces of the grip, stops."""
+"""Simulated doors: path of the handle, friction, seal, forces at the grip, end stops."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 import pliant
 from pliant.sim import Door, Drive, ForceProfile, Plant, Push, door, fridge, oven
 
-OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (.54, 0, -.25)
+OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (0.54, 0, -0.25) m
 SIDE = np.array((-0.559, -0.343, 0.605, -1.194, -0.566, -0.039, -0.384))  # turned about x
 
 
@@ -61,7 +61,7 @@ def test_the_seal_breaks_at_its_force(arm, floating, force, opens):
 
 
 def test_the_grip_reports_force_and_torque(arm, floating):
-    """Against the closed stop the grip transmits the whole push and torque."""
+    """If the door is pushed against its closed stop, the grip transmits all force and torque."""
     for force, torque in (((6.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.0), (0.0, 0.0, -2.0))):
         leaf = door()
         plant = scene(arm, leaf, pull(force, torque=torque))

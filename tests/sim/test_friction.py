@@ -1,4 +1,4 @@
-"""Friction by speed and load: the formula, and the simulated joint against it."""
+"""Friction by speed and load: the formula, and simulated joints compared with it."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_gears_of_an_arm_are_those_of_its_joints():
 
 
 def test_simulated_joint_breaks_away_at_the_friction_of_its_load():
-    """A joint without gravity that presses with a torque moves once it exceeds base and load."""
+    """A joint without gravity load moves once its torque exceeds base and load friction."""
     arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
     gear = Friction(base=0.2, motor=0.5)  # stands still while τ ≤ 0.2 + 0.5 τ: up to 0.4 N·m
     for torque, moves in ((0.35, False), (0.6, True)):
@@ -89,7 +89,7 @@ def test_what_is_no_friction_is_refused():
 
 
 def test_the_friction_model_matches_the_gears():
-    """Linear in load and rational in speed: within a fifth of the gears where they move slowly."""
+    """The friction model (linear in load, rational in speed) fits slow gears within 20 %."""
     table = Friction.of([MX106]).assumed(pliant.Servos(kp=[100.0], max_torque=10.0, friction=0.3))
     assert table.friction.tolist() == [0.0]
     for load in (0.5, 2.0, 4.0):
@@ -103,7 +103,7 @@ def test_the_friction_model_matches_the_gears():
 
 
 def slid(creep, seconds=4.0):
-    """Return how far torque-free joints with gravity below their friction slide (n,) [rad]."""
+    """Return the motion (n,) [rad] of joints without torque whose friction exceeds gravity."""
     arm = pliant.robots.so101()
     plant = Plant(arm, friction_scale=12.0, friction_creep=creep)
     plant.reset(np.zeros(arm.n))

@@ -7,7 +7,7 @@ import pytest
 import pliant
 from pliant.sim import Drawer, ForceProfile, HandoverObject, Plant, Push, Socket, Surface, drawer
 
-OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (.54, 0, -.25)
+OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (0.54, 0, -0.25) m
 
 
 def pull(force, start=0.3):
@@ -33,7 +33,10 @@ def test_a_drawer_slides_on_its_line_to_its_stop(arm, floating):
 
 @pytest.mark.parametrize(("across", "opens"), [(0.0, True), (12.0, False)])
 def test_a_drawer_binds_under_a_force_across(arm, floating, across, opens):
-    """5 N along a slide of 3 N: 12 N across at a binding of 0.3 add 3.6 N of friction."""
+    """A pull of 5 N opens a drawer with 3 N of friction, unless 12 N across add 3.6 N.
+
+    The binding factor is 0.3.
+    """
     box = drawer()
     plant = scene(arm, box, pull((-5.0, across, 0.0)))
     plant.reset(OPEN)
@@ -45,7 +48,7 @@ def test_a_drawer_binds_under_a_force_across(arm, floating, across, opens):
 
 
 def pressed(arm, surface, height, grasp):
-    """Return force and torque on a pad that is held at a height over its start."""
+    """Return force and torque on a pad that is held `height` [m] above its start."""
     plant = scene(arm, surface)
     plant.reset(grasp)
     frame = plant.ground_truth.frame("tool")
@@ -57,7 +60,7 @@ def test_a_surface_pushes_by_depth_and_not_from_afar(arm, grasp):
     flat = Surface(below=0.01, unevenness=0.0, stiffness=1e4, friction=0.0)
     force, torque, _ = pressed(arm, flat, -0.012, grasp)
     np.testing.assert_allclose(force, (0.0, 0.0, 20.0), atol=0.1)
-    # The grasp pose is level to a hundredth of a degree only.
+    # The pad is tilted by up to 0.01° in the grasp pose, which causes a small torque.
     np.testing.assert_allclose(torque, 0.0, atol=0.02)
     force, _, _ = pressed(arm, flat, -0.009, grasp)
     assert not force.any()
@@ -103,7 +106,7 @@ def test_an_object_is_carried_taken_and_let_go(arm, grasp):
 
 
 def down(arm, socket, grasp, depth, ticks=150):
-    """Move the plug straight down with servos that get the joint positions of the path."""
+    """Move the plug straight down by position control along a path of joint positions."""
     plant = Plant(arm, friction_scale=0.0, scene=[socket])
     plant.reset(grasp)
     pose, q = plant.tool, grasp

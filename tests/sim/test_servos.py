@@ -1,4 +1,4 @@
-"""Servo model: torque limit, sag at rest of gravity over stiffness, losses beyond the limit."""
+"""Servo model: torque limit, sag of gravity over stiffness, losses that the limit excludes."""
 
 import mujoco
 import numpy as np
@@ -104,7 +104,7 @@ def test_friction_holds_what_is_weaker(arm, grasp):
 
 @pytest.mark.parametrize("kind", ["current", "pwm"])
 def test_speed_of_a_saturated_joint(grasp, kind):
-    """At the limit L an unloaded joint runs at L over the resistance outside the limit."""
+    """The speed of an unloaded joint at its limit is the limit over the outer resistance."""
     arm = pliant.robots.arm7(gravity=(0.0, 0.0, 0.0))
     table = pliant.Servos(
         kp=[150.0] * 7,

@@ -1,4 +1,4 @@
-"""From a model to physics: equal kinematics and gravity, for every available robot."""
+"""Simulation built from a model: same kinematics and gravity, for every available robot."""
 
 import json
 import subprocess
@@ -43,7 +43,7 @@ TWO_FINGERS = """
 
 
 def hold(plant, q, ticks=200):
-    """Hold q with gravity in the goals; return the largest error."""
+    """Hold q with gravity-compensated goals; return the largest position error [rad]."""
     plant.reset(q)
     for _ in range(ticks):
         gravity = np.asarray(plant.model.gravity(plant.q))

@@ -9,7 +9,7 @@ from pliant.sim._model_builder import rigid_groups
 
 
 def lie(model, q, *, seconds=3.0, table=True, turn=None):
-    """Let an arm without torque settle from q; return plant and table."""
+    """Let an arm without torque sink onto its table from q; return plant and table."""
     scene = [Tabletop()] if table else []
     plant = Plant(model, scene=scene)
     plant.reset(q)

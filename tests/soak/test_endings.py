@@ -1,4 +1,4 @@
-"""Programs that end in every way, each a real process on a port; the servos are in another one."""
+"""Ends of programs: by signals, errors, exits; each program is a process on an emulated bus."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NEAR = [0.0, -1.5, 1.4, 0.3, 0.0]
 
 
 def start(bus, *words):
-    # A session of its own, so that a signal to the group acts like Ctrl-C in a terminal.
+    # Start a new session: a signal to its process group then acts like Ctrl-C in a terminal.
     program = Program("-c", PROGRAM, bus.port, *words, start_new_session=True)
     assert program.stdout.readline() == "torque\n", program.communicate()[1]
     return program
@@ -54,14 +54,14 @@ def start(bus, *words):
 def test_the_arm_is_lowered(ending, code):
     with EmulatorProcess(so101, NEAR) as bus:
         program = start(bus, *([] if ending.startswith("SIG") else [ending]))
-        # The sag of soft servos at torque on is not part of the descent.
+        # Record from here on, because the sag at torque on is not part of the descent.
         bus.call("recorder.begin")
         high = bus.call("recorder.start")
         if ending.startswith("SIG"):
             os.killpg(program.pid, getattr(signal, ending))
         _, said = program.communicate(timeout=120)
         assert program.returncode in code, said
-        # Lowered, not dropped: a fall reaches 1 m/s, and a busy machine may miss some ticks.
+        # A fall would reach 1 m/s; a descent on a busy machine may be somewhat faster than usual.
         assert not bus.call("on")
         assert bus.call("plant.tool.tolist")[2][3] < high - 0.02
         assert bus.call("recorder.speeds")[False] < 0.25

@@ -1,4 +1,4 @@
-"""A few rows of docs/faults.md, with their bands; the command measures all of them."""
+"""Some rows of the table in docs/faults.md; `python -m experiments.faults` measures all rows."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ pytest.importorskip("pydantic", reason="the configurations need the extra config
 from experiments.faults import FAULT_CASES, WHEN, run_fault
 
 BY_TITLE = {case.title: case for case in FAULT_CASES}
-#: Reply timeout where every servo answers, long enough for a busy computer [s].
+#: Reply timeout of cases in which every servo replies, long enough for a busy computer [s].
 BUSY = 0.3
-#: A row, and the arm's reaction.
+#: Name of a row of the table, and the reaction of the arm.
 POWERED = {
     "one reply with a wrong checksum": "goes on",
     "a policy returns NaN for goals": "is lowered",
@@ -28,7 +28,10 @@ def test_there_are_twenty_and_more():
 
 
 def jumped(shift=0.0):
-    """Let the target jump while a hand holds the tool, `shift` later within a tick [s]."""
+    """Let the target jump while a hand holds the tool.
+
+    `shift` [s] is the time within a tick at which the hand takes hold.
+    """
     case = BY_TITLE["the target jumps by 1 m for 1 s, back"]
     return run_fault(case, held=True, when=WHEN + shift, patience=BUSY)
 

@@ -1,4 +1,4 @@
-"""Control over real bytes with faults in 1 % of all transactions, in emulated time."""
+"""Control over an emulated bus with faults in 1 % of all transactions, in emulated time."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ def test_faults_break_no_rule(family, seconds):
     assert run.stale == run.late == 0
     assert run.above == 0
     assert run.off <= 1.0
-    # Enough ticks ran, faults of every kind occurred, and stale data would have been noticed.
+    # Check the test itself: enough ticks ran, faults of every kind occurred, and stale data would
+    # have been noticed.
     assert run.loop["ticks"] >= 97.5 * seconds
-    # `sts` has fewer transactions: in 7 s no reply is lost.
+    # With `sts`, which has fewer transactions, no reply is lost within 7 s.
     absent = {"lose"} if (family, seconds) == ("sts", 7.0) else set()
     assert set(run.struck) >= set(soak.KINDS) - absent
     assert run.bus["retries"] > 0
-    # A limit reads back wrong only where a packet was lost on purpose.
+    # A register differs from the written value only after an injected loss of a packet.
     assert run.bus["mismatches"] <= run.struck["deaf"]
     assert run.telling > 0.3
 

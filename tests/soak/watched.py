@@ -1,4 +1,4 @@
-"""An emulated arm that records its tool speed, to be made in a process of its own."""
+"""An emulated arm that records its tool speed, for use in a child process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from pliant.config.factory import make_emulator
 
 
 def so101(q=None):
-    """Make the ready arm in real time, in q (5,) [rad], whose tool speed is recorded on request."""
+    """Return an emulated SO-101 in real time at q (5,) [rad]; it records its tool speed.
+
+    The recording starts with `recorder.begin`.
+    """
     bus = make_emulator(config.load("so101"), q=q)
     bus.recorder = PeakRecorder(bus)
     bus.on = lambda: any(servo.get("torque_enable") for servo in bus.servos)

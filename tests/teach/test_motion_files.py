@@ -1,4 +1,4 @@
-"""Motions with impossible numbers, and files that cannot be written: explained errors, in time."""
+"""Motions with invalid numbers and files that cannot be written: explained, early errors."""
 
 import json
 

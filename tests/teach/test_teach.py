@@ -76,7 +76,7 @@ def test_a_blocked_replay_waits_without_force_and_goes_on():
     replay, rows, _ = play(wave(4.0, 0.6), [wall])
     blocked = (rows[:, 0] > 5.0) & (rows[:, 0] < 7.0)
     assert free.blocked_time == 0.0
-    assert np.ptp(rows[blocked, 1]) < 1e-9  # the clock stands
+    assert np.ptp(rows[blocked, 1]) < 1e-9  # the motion's clock stands still
     assert 0.5 < np.median(rows[blocked, 2]) < 3.0  # the cap is 2 N
     assert np.ptp(rows[blocked, 2]) < 0.5
     assert replay.done
@@ -115,7 +115,7 @@ def test_a_contact_stops_it_until_it_is_told_to_go_on():
         with pytest.raises(pliant.OutOfRangeError, match=r"stop \[N\] = .* is outside") as error:
             Replay(controller, settled, stop=stop)
     said = str(error.value)
-    # Arguments of a `ContactEstimator` only are rejected; and the bound in the message is accepted.
+    # The message does not name arguments of `ContactEstimator`, and its bound is accepted.
     assert not {"accept", "guard", "touch", "kp_error"} & set(re.findall(r"\w+", said))
     Replay(controller, settled, stop=float(said.split("[")[2].split(",", maxsplit=1)[0]))
 
@@ -199,7 +199,7 @@ def test_an_arm_whose_joints_have_the_same_names_is_told_apart_by_its_tool(tmp_p
     loaded.validate_for(MODEL)
     with pytest.raises(pliant.ConfigError, match=r"another arm's.* koch_like"):
         loaded.validate_for(pliant.robots.koch())
-    wave().validate_for(pliant.robots.koch())  # the start of the tool is not given
+    wave().validate_for(pliant.robots.koch())  # accepted, because the motion has no `start`
 
 
 def test_bounds_are_kept_and_what_is_slower_stays():
@@ -219,7 +219,7 @@ def test_bounds_are_kept_and_what_is_slower_stays():
     np.testing.assert_allclose(kept.q[[0, -1]], fast.q[[0, -1]], atol=1e-6)
     assert fast.duration < kept.duration < 2.5 * fast.duration
     back = np.maximum.accumulate(kept.q[:, 0]) - kept.q[:, 0]
-    assert back.max() < 0.001  # no run-up, and no overshoot at the end
+    assert back.max() < 0.001  # no motion backward at the start, and no overshoot at the end
     with pytest.raises(pliant.ConfigError, match="above 0"):
         retime(fast, (1.0, 0.0, 1.0))
 
@@ -286,7 +286,7 @@ def test_the_command_plays_and_logs(tmp_path, backend, capsys, monkeypatch):
 
 
 def was_led(file):
-    """Check that a taught motion is the one of the scripted hand."""
+    """Check that the motion in a file is the one of the scripted hand."""
     motion = Motion.load(file)
     model = pliant.robots.so101()
     tool = np.array([model.forward_kinematics(q)[:3, 3] for q in motion.q])
@@ -295,7 +295,7 @@ def was_led(file):
     assert moved[2] > 0.005
 
 
-# On the emulator: tests/cli/test_between_ticks.py.
+# The test with the emulator is in tests/cli/test_between_ticks.py.
 def test_the_command_teaches_with_a_scripted_hand(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO())
     file = tmp_path / "m.json"

@@ -1,4 +1,4 @@
-"""A link without a page: messages by tick, snapshots in a list."""
+"""Stand-in for the link to the page: scripted messages, and a list of the snapshots."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ pytest.importorskip("mjviser", reason="the page needs mjviser: pip install 'plia
 
 
 class Script:
-    """Replaces a `Link`.
+    """Stand-in for a `Link` with scripted messages.
 
-    `at` maps the number of a call of `messages()` to the page's messages at that call.
+    `at` maps the number of a call of `messages()` to the messages that this call returns.
     """
 
     def __init__(self, at, every=3):

@@ -1,8 +1,8 @@
-"""The page in a real browser: a visitor's actions, and the reaction of the arm.
+"""The page in a real browser: a user's actions, and the reaction of the arm.
 
-Software drawing leaves little of two processors, so these tests do not measure speed: every step
+Rendering in software takes most of the CPU time, so these tests do not measure speed: every step
 waits until the page shows the expected state. `make test` opens the page and pushes the arm; `make
-browser` runs all of it.
+browser` runs all tests of this file.
 """
 
 from __future__ import annotations
@@ -45,24 +45,24 @@ FLAGS = (
     "--enable-unsafe-swiftshader",
 )
 SIZE = {"width": 1060, "height": 560}
-#: Longest wait [s].
+#: Timeout for each expected state of the page [s].
 PATIENCE = 60.0
-#: Directions in base axes.
+#: Unit vectors to the left and upward, in base axes.
 LEFT, UP = np.eye(3)[1:]
 
 
 def standing():
-    """The arm as the page first shows it."""
+    """Return the simulated arm in the state that the page shows first."""
     plant = Plant(pliant.robots.arm7())
     plant.reset(VERTICAL)
     return plant
 
 
 class View:
-    """`pliant view` in a process of its own."""
+    """`pliant view` in a separate process."""
 
     def __init__(self, *flags):
-        # Tests that run in the background inherit an ignored Ctrl-C.
+        # A test run in the background ignores Ctrl-C, and the program would inherit that.
         code = (
             "import signal, sys, pliant.cli as cli; "
             "signal.signal(signal.SIGINT, signal.default_int_handler); "
@@ -82,13 +82,13 @@ class View:
 
     @property
     def page_process(self):
-        """Return the server's process, child of the loop's."""
+        """Return the process of the web server, a child of the process of the loop."""
         path = f"/proc/{self.process.pid}/task/{self.process.pid}/children"
         with open(path, encoding="ascii") as children:
             return int(children.read().split()[0])
 
     def end(self, number=signal.SIGINT):
-        """Signal it, and return its output and exit code."""
+        """Send a signal to the program; return its output and exit code."""
         if self.process.poll() is None:
             self.process.send_signal(number)
         said = self.process.communicate(timeout=PATIENCE)[0]
@@ -96,7 +96,7 @@ class View:
 
 
 class Tab:
-    """One tab on the page."""
+    """One browser tab that shows the page."""
 
     def __init__(self, context, link):
         self.page = context.new_page()
@@ -114,7 +114,7 @@ class Tab:
         return self.page.evaluate("() => document.body.innerText")
 
     def wait(self, found, what):
-        """Wait until `found(text)` is true, and return it."""
+        """Wait until `found(text)` is true for the text of the page, and return its result."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             text = self.text
@@ -143,7 +143,7 @@ class Tab:
         return box["x"], box["y"], box["width"], box["height"]
 
     def pixel(self, point):
-        """Return where a point (3,) [m] of the scene is drawn by the first camera."""
+        """Return the pixel at which the initial camera draws a point (3,) [m] of the scene."""
         plant = standing()
         middle, eye = camera_view(plant.mj_model, plant.mj_data, plant.tool[:3, 3], GIZMO_SIZE)
         ahead = (middle - eye) / np.linalg.norm(middle - eye)
@@ -212,7 +212,7 @@ def test_page_loads_with_all_its_parts_and_nothing_from_elsewhere(tab):
 
 def test_push_moves_the_arm_and_it_comes_back(tab):
     seen, looks = False, 0
-    # On a busy computer the page may show almost nothing during the two seconds of a push.
+    # Push again: a busy computer may not update the page during the 2 s of a push.
     while not seen and looks < 5:
         tab.press("Push for 2 s")
         end, looks = time.monotonic() + 3.0, 0

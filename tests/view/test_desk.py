@@ -1,4 +1,4 @@
-"""Settings on the page: every preset, law and switch, for every kind of task."""
+"""`SettingsEditor`: every preset, law and switch of the page, for every kind of task."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CASES = [(robot, task) for robot, tasks in TASKS.items() for task in tasks]
 
 
 def own_files(task):
-    """Return settings of a configuration: soft, firm, two axes by hand, and without axes."""
+    """Return settings as in configuration files: soft, firm, two given axes, no given axes."""
     names = pliant.Task(axes=task).names
     return {
         "soft all": pliant.Settings.soft(" ".join(names), task=task),

@@ -1,4 +1,4 @@
-"""Access to the page: it needs a token in the socket's address and the page's origin, no cookie."""
+"""Access to the page: a web socket needs the token and the page's origin, but no cookie."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page's process: start, token, no blocking of the loop, and its death during a session."""
+"""`Link` to the page's process: start, token, no blocking of the loop, end of the process."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def test_snapshots_wait_until_the_last_one_was_taken(link):
     source = Simulated("arm7", paced=False)
     session = Session(source, Quick(link))
     session.run(1)
-    # At most thirty a second in real time, however fast the simulation runs.
+    # At most 30 snapshots per second of real time are sent, also by a fast simulation.
     assert 1 <= session._link.sent <= 1 + 32 * session._link.took
 
 
 class Quick:
-    """A link that ends the session after some ticks, and counts."""
+    """A link that ends the session after some ticks, and counts the snapshots."""
 
     def __init__(self, link):
         self.link, self.calls, self.sent = link, 0, 0
@@ -84,7 +84,7 @@ class Quick:
 
 
 def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
-    # A descending arm takes no messages, but stays visible.
+    # During the descent no messages are handled, but snapshots are sent.
     for _ in range(3):
         until = time.perf_counter() + 20.0
         while not link.due():
@@ -94,7 +94,7 @@ def test_next_snapshot_is_wanted_without_a_look_at_the_orders(link):
 
 
 def flooded():
-    """Return a page's end in this process that requests far more than a tick may take."""
+    """Return a page endpoint in this process that sends far more messages than one tick handles."""
     ours, theirs = socket.socketpair()
     endpoint = PageEndpoint(theirs.detach())
     for number in range(20_000):

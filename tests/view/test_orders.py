@@ -1,4 +1,4 @@
-"""Orders of a page: bounded queue, precedence, rejections."""
+"""Messages from the page: bounded queue, precedence of `Stop`, errors for invalid values."""
 
 from __future__ import annotations
 

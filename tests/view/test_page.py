@@ -1,4 +1,4 @@
-"""The page on its server, without a browser: its display, and the messages of its handlers."""
+"""`Page` without a browser: contents of its displays, and messages sent by its controls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pliant.view.source import Simulated
 
 
 class Told:
-    """Test data: a scene with a hand's push, and snapshots of its run."""
+    """Test data: description of a scene in which a hand pushes the arm, and its snapshots."""
 
     def __init__(self, script):
         push = messages.Push((0.0, 6.0, 0.0), (0.0, 0.0, 0.0), 1.0)
@@ -61,7 +61,7 @@ def server():
 
 @pytest.fixture
 def seen(server, told):
-    """Make a new page for each test, because tests run in any order and move controls."""
+    """Return a new page for each test, because tests change the controls."""
     server.scene.reset()
     server.gui.reset()
     return Seen(server, told)
@@ -75,7 +75,7 @@ def click(handle):
 
 
 def move(handle, value):
-    """Move a control as a visitor does; setting a value here would be the page's own change."""
+    """Change a control as a user does; an assigned value would count as set by the program."""
     handle._impl.value = value
     click(handle)
 
@@ -87,14 +87,14 @@ def drag(callback, **event):
 def test_a_snapshot_between_a_click_and_its_being_heard_does_not_undo_it(seen):
     controls = seen.panel.controls
     last = seen.running[-1]
-    controls.firm._impl.value = True  # viser has the click, its callback is still to come
+    controls.firm._impl.value = True  # a click that viser has received, before its callback runs
     controls.show(last)
     assert controls.firm.value
     click(controls.firm)
     (message,) = seen.notice
     assert isinstance(message, messages.Firm)
     assert message.on
-    controls.show(replace(last, edit=message.number))  # the arm has received and rejected it
+    controls.show(replace(last, edit=message.number))  # the loop has rejected the edit
     assert not controls.firm.value
 
 
@@ -151,7 +151,7 @@ def test_meters_show_the_values_of_the_step(seen):
 
 
 def row(seen, now, shown=None, full=None):
-    """Return the rows of the table of axes, by axis."""
+    """Return the HTML rows of the table of task axes, by axis."""
     info, shown = seen.info, shown or now.shown
     full = full or html.ranges(info, shown, now.step, {})
     rows = html.axes(info, shown, now.step, full).split("<tr>")[2:]

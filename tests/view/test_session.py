@@ -1,4 +1,4 @@
-"""The loop behind the page, without a page: messages in, snapshots out, on simulated time."""
+"""`Session` without a page: scripted messages and recorded snapshots, in simulated time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pliant.view.ipc import PageGone
 from pliant.view.session import Session
 from pliant.view.source import Simulated
 
-#: An ending without a descent: a simulated arm needs none.
+#: Message that ends a run without a descent: a change of the scene.
 END = messages.Scene("free")
 
 
@@ -39,7 +39,7 @@ def test_the_stage_comes_first_and_describes_the_scene(script):
 def test_arm_comes_down_after_stop_and_the_page_sees_it(script):
     _, link = live(script, {30: messages.Stop()})
     assert {s.phase for s in link.snapshots} >= {"running", "lowering"}
-    # Lowering sends as often as the page takes: the script's page takes all on request.
+    # Snapshots of the descent are sent as often as the link accepts them.
     down = [s for s in link.snapshots if s.phase == "lowering"]
     heights = [s.tool[2, 3] for s in down]
     assert heights[-1] < heights[0] - 0.2

@@ -1,4 +1,4 @@
-"""Stand-in for draccus: configurations by type name."""
+"""Stand-in for the package draccus: creates configuration objects by type name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 
 class ChoiceRegistry:
-    """Base of configurations that are found by a name."""
+    """Base class of configuration classes that are registered under a name."""
 
     _choices: ClassVar[dict[str, type]]
 
@@ -29,6 +29,6 @@ class ChoiceRegistry:
 
 
 def decode(kind: Any, values: dict[str, Any]) -> Any:
-    """Return the configuration of a table with its `type`."""
+    """Return the configuration object for `values`; their entry `type` names the class."""
     rest = dict(values)
     return kind._choices[rest.pop("type")](**rest)

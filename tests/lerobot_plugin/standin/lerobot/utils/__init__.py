@@ -1,1 +1,1 @@
-"""Stand-in."""
+"""Stand-in for the package `lerobot.utils`."""

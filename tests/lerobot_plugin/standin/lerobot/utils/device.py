@@ -52,6 +52,6 @@ class Device:
 
 
 def make_device(config: draccus.ChoiceRegistry) -> Any:
-    """Return the device of a configuration: its class lacks the end `Config`."""
+    """Return the device of a configuration; its class has the same name without `Config`."""
     module = sys.modules[type(config).__module__]
     return getattr(module, type(config).__name__.removesuffix("Config"))(config)
