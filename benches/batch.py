@@ -1,4 +1,4 @@
-"""Rate and memory of batch calls, which compute many configurations, on one core and on all cores.
+"""Rate and memory use of batch calls (many configurations in one call), on one and on all cores.
 
     python benches/batch.py                N = 10⁵; --count for others, --instructions baseline,
                                            --only kinematics,paper for some of the calls
@@ -78,7 +78,7 @@ def named(name: str, only: list[str]) -> bool:
 
 
 def serve(count: int, only: list[str]) -> None:
-    """Run each call that is named on a line of the standard input.
+    """Read names of calls from standard input, one per line, and run each call.
 
     For each, print a JSON list: wall time [s], CPU time [s] and growth of the largest resident
     memory [MB].

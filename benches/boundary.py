@@ -19,7 +19,7 @@ from contest import pliant_peer, problem
 
 import pliant
 
-#: Number of rounds, and approximate number of calls of each statement per round.
+#: Number of rounds, and approximate number of calls per statement and round.
 ROUNDS, CALLS_A_TURN = 100, 1280
 #: Number of states on the path of `followed`.
 STATES = 1000

@@ -40,7 +40,7 @@ Law = Literal["cap", "impedance", "paper"]
 STATES = 256
 #: Share of the control period that is available to the step; the servo bus needs the rest.
 SHARE = 0.1
-#: Largest share of the time for which the thread may wait for a core without a warning.
+#: A warning is printed if the thread waits for a core for a larger share of the time than this [1].
 BUSY = 0.002
 #: Edges of the histogram's bins, as multiples of the median duration.
 EDGES = (0.0, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 5.0, 20.0, np.inf)

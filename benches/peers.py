@@ -41,7 +41,7 @@ def main() -> None:
         if timed is None:
             print(f"!! {entry.name} is MISSING: {reason}", file=sys.stderr)
         elif ours and timed.version in {other.version for other in processes}:
-            timed.stop()  # this processor, or this build, lacks such a path
+            timed.stop()  # the processor or the build lacks this instruction set
         else:
             print(f"   {timed.name}: {timed.version}, agrees to 1e-9", file=sys.stderr)
             processes.append(timed)

@@ -29,7 +29,7 @@ import pliant
 Array = NDArray[np.float64]
 URDF = Path(__file__).resolve().with_name("arm7_bench.urdf")
 BLOCK, STATES = 64, 256
-#: A case is marked in the table if its time exceeds that of ordinary poses by more than this ratio.
+#: Ratio of the time of a case to that of ordinary poses above which the table marks the case [1].
 SAME = 1.2
 
 
@@ -141,13 +141,13 @@ def waited() -> int:
 
 
 def laws() -> dict[str, pliant.Settings]:
-    """Return settings of laws `paper` and `cap` with soft axis y, by law."""
+    """Return settings with the soft axis y, for the laws `paper` and `cap`, by law."""
     paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)})
     return {"paper": paper, "cap": pliant.Settings.soft("y")}
 
 
 def in_a_row(block: Callable[[], Array], steps: int) -> tuple[Array, Array]:
-    """Run a `block` again and again for `steps` calls in total, without a pause.
+    """Run `block` repeatedly without a pause, for `steps` calls in total.
 
     Returns:
         Times [ns] of all calls, and of the calls in calm blocks.

@@ -33,8 +33,8 @@ class Entry:
     environment: dict[str, str] = field(default_factory=dict)
 
 
-#: Instruction sets for which pliant has code, widest first. Each set that the processor supports
-#: has a row of its own in the table.
+#: Instruction sets for which pliant has code, widest vectors first. The table has a row for each
+#: one that the processor supports.
 PATHS = ("avx512", "avx2", "baseline")
 OURS = tuple(
     Entry(f"pliant ({path})", "pliant_peer:make", environment={"PLIANT_INSTRUCTIONS": path})
@@ -43,7 +43,7 @@ OURS = tuple(
 PEERS = (
     Entry("C++ for this CPU", "cpp_peer:make"),
     Entry("Numba", "compiled_peers:numba", "numba", "numba"),
-    # JAX computes in threads of its own, so its process must not be tied to one core (PEERS_PIN).
+    # Do not tie JAX to one core (PEERS_PIN), because it computes in several threads.
     Entry("JAX", "compiled_peers:jax", "jax", "jax", {"PEERS_PIN": "0"}),
     Entry("Pinocchio + NumPy", "library_peers:pinocchio", "pinocchio", "pin"),
     Entry("MuJoCo + NumPy", "library_peers:mujoco", "mujoco", "mujoco"),

@@ -24,7 +24,7 @@ ALPHA, NULL = problem.ALPHA, problem.NULL
 def compile_for(
     arm: problem.Arm,
 ) -> tuple[Callable[..., Pair], Callable[..., Any], Callable[..., Pair]]:
-    """Compile functions with the arm's data as constants.
+    """Compile the functions of the implementation, with the arm's data as constants.
 
     Returns:
         The functions `kinematics`, `step` and `batch` of `Implementation`.

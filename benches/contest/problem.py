@@ -62,7 +62,7 @@ class Arm:
 
     @property
     def rest(self) -> Array:
-        """Posture toward which the null-space motion moves the joints (n,) [rad]."""
+        """Posture that the null-space motion approaches (n,) [rad]."""
         return self.middle + 0.1
 
 

@@ -110,7 +110,7 @@ def markdown(found: list[Row]) -> str:
 
 
 def floor(processes: list[TimedProcess]) -> float:
-    """Return the 99.9th percentile of the time of empty calls above their median [µs]."""
+    """Return the 99.9th percentile of the time of empty calls, minus their median [µs]."""
     empty = np.array(processes[0].singles.get("empty/single") or [np.nan])
     return float(np.percentile(empty, 99.9) - np.median(empty)) / 1e3
 

@@ -155,7 +155,7 @@ def main() -> None:
     module, function = sys.argv[1].split(":")
     try:
         peer = getattr(importlib.import_module(f"contest.{module}"), function)()
-    except Exception as error:  # an unavailable peer is reported with any reason
+    except Exception as error:  # report any reason why an implementation is unavailable
         print(json.dumps({"missing": f"{type(error).__name__}: {error}"}), file=answers, flush=True)
         return
     arm = problem.bench_arm()
