@@ -46,12 +46,12 @@ def keys(schema: type[BaseModel], path: Sequence[int | str]) -> set[str]:
     """Return the keys that the schema allows in the table at `path`."""
     table: Any = schema
     for step in path:
-        if isinstance(table, type) and issubclass(table, BaseModel):
+        if _is_model(table):
             field = _field(table, str(step))
             table = field.annotation if field is not None else None
-        elif isinstance(step, int) or (isinstance(step, str) and not _is_model(table)):
+        else:
             table = next((a for a in get_args(table) if a is not str), None)
-        table = _inner(table, step)
+        table = _without_none(table)
     if not _is_model(table):
         return set()
     return {field.alias or name for name, field in table.model_fields.items()}
@@ -68,13 +68,12 @@ def _is_model(table: Any) -> bool:
     return isinstance(table, type) and issubclass(table, BaseModel)
 
 
-def _inner(table: Any, step: int | str) -> Any:
-    """Return the type of a key or an item of a table type, without Optional."""
-    parts = get_args(table)
+def _without_none(kind: Any) -> Any:
+    """Return a type without None: `X` for `X | None`, any other type unchanged."""
+    parts = get_args(kind)
     if type(None) in parts:
         return next((part for part in parts if part is not type(None)), None)
-    del step
-    return table
+    return kind
 
 
 def _path(location: Sequence[int | str]) -> str:

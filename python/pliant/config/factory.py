@@ -163,7 +163,7 @@ def check_options(options: Iterable[str], known: Iterable[str]) -> None:
 
 
 #: Largest depth to which a simulated arm may start inside the table [m].
-INSIDE = 0.001
+MAX_START_DEPTH = 0.001
 
 
 def make_arm(config: Config, **options: Any) -> Arm:
@@ -238,10 +238,10 @@ def _backend_options(config: Config, options: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ConfigError: The backend of the configuration does not have one of the options.
     """
-    of_the_sim = {"q", "real_time", *PLANT_OPTIONS} - ARM_OPTIONS
-    known = {"bus": set(), "emulator": {"q"}, "sim": of_the_sim}[config.backend]
+    simulator_options = {"q", "real_time", *PLANT_OPTIONS}
+    known = {"bus": set(), "emulator": {"q"}, "sim": simulator_options}[config.backend]
     for key in options:
-        if key in of_the_sim - known:
+        if key in simulator_options - known:
             raise ConfigError(
                 f"{key!r} is an option of a simulated arm, and this one has backend "
                 f'{config.backend!r}: connect(..., backend="sim")'
@@ -315,7 +315,7 @@ def check_above_table(plant: Plant) -> None:
     from pliant.sim import Tabletop
 
     for fixture in plant.fixtures:
-        if isinstance(fixture, Tabletop) and fixture.clearance() < -INSIDE:
+        if isinstance(fixture, Tabletop) and fixture.clearance() < -MAX_START_DEPTH:
             raise ConfigError(
                 f"the arm would start {-fixture.clearance():.3f} m inside its table: give another "
                 "q, or table=False"

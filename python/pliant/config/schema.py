@@ -329,7 +329,8 @@ class Config(StrictModel):
         if robot.builtin is not None:
             out = robots.load(robot.builtin, **options)
         else:
-            path = inside(self, robot.urdf)
+            assert robot.urdf is not None
+            path = resolve_path(self, robot.urdf)
             if not path.is_file():
                 raise ConfigError(
                     f"robot.urdf: there is no file {path}; give the path of this arm's URDF, in "
@@ -545,7 +546,7 @@ def calibrations(config: Config) -> dict[str, Calibration]:
     """
     if config.calibration is None:
         return {}
-    table: Mapping[str, Calibration] = read_calibration(inside(config, config.calibration))
+    table: Mapping[str, Calibration] = read_calibration(resolve_path(config, config.calibration))
     out: dict[str, Calibration] = {}
     for joint, servo in servos(config).items():
         if servo.zero is not None:
@@ -568,11 +569,7 @@ def calibrations(config: Config) -> dict[str, Calibration]:
     return out
 
 
-def inside(config: Config, path: Path | None) -> Path:
-    """Return a path in the configuration as a path from the working folder or as an absolute one.
-
-    Relative paths in a configuration start from the folder of its file.
-    """
-    assert path is not None
+def resolve_path(config: Config, path: Path) -> Path:
+    """Resolve a path in a configuration, where relative paths start from the folder of the file."""
     path = path.expanduser()
     return path if path.is_absolute() else config.folder / path

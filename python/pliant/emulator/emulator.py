@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, Self
 
 from pliant._core import ConfigError
@@ -15,8 +16,7 @@ from pliant.emulator.simulation import Simulation
 from pliant.emulator.timing import Timing
 
 if TYPE_CHECKING:
-    import threading
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from pliant.emulator.motion import Physics
     from pliant.emulator.servo import Servo
@@ -229,30 +229,21 @@ class Emulator:
 
         `port` is the name of the port; None: all ports.
         """
-        with self._server.lock:
-            for name, line in self.lines.items():
-                if port in {None, name}:
-                    line.dead = shorted
+        self._set_lines(port, dead=shorted)
 
     def echo(self, echoing: bool = True, port: str | None = None) -> None:
         """Make the adapter of a port echo requests, as half-duplex adapters may do; False ends it.
 
         `port` is the name of the port; None: all ports.
         """
-        with self._server.lock:
-            for name, line in self.lines.items():
-                if port in {None, name}:
-                    line.echo = echoing
+        self._set_lines(port, echo=echoing)
 
     def hum(self, noisy: bool = True, port: str | None = None) -> None:
         """Start (True) or stop continuous noise from a port to the host, 3 bytes every 5 ms.
 
         `port` is the name of the port; None: all ports.
         """
-        with self._server.lock:
-            for name, line in self.lines.items():
-                if port in {None, name}:
-                    line.noisy = noisy
+        self._set_lines(port, noisy=noisy)
         self._server.wake()
 
     def pull(self, port: str | None = None) -> None:
@@ -269,19 +260,17 @@ class Emulator:
         """
         self._server.put_back(port)
 
-    def _locked(self, id: int) -> _Locked:
-        return _Locked(self._server.lock, self.servo(id))
+    @contextmanager
+    def _locked(self, id: int) -> Iterator[Servo]:
+        """Yield the servo with this id; meanwhile, the emulator's thread does not change it."""
+        servo = self.servo(id)
+        with self._server.lock:
+            yield servo
 
-
-class _Locked:
-    """Context manager that yields a servo and keeps the emulator's thread from changing it."""
-
-    def __init__(self, lock: threading.RLock, servo: Servo) -> None:
-        self._lock, self._servo = lock, servo
-
-    def __enter__(self) -> Servo:
-        self._lock.acquire()
-        return self._servo
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
+    def _set_lines(self, port: str | None, **state: bool) -> None:
+        """Set attributes of the bus of a port; None: of all buses."""
+        with self._server.lock:
+            for name, line in self.lines.items():
+                if port in {None, name}:
+                    for attribute, value in state.items():
+                        setattr(line, attribute, value)

@@ -15,8 +15,8 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 @dataclass(slots=True)
-class Order:
-    """Fault that `Faults.inject` has requested.
+class InjectedFault:
+    """Fault of the next requests or replies that `Faults.inject` has set.
 
     Attributes:
         kind: Kind of fault.
@@ -76,7 +76,7 @@ class Faults:
 
     def __init__(self, *, seed: int = 0, **shares: float) -> None:
         self._rng = np.random.default_rng(seed)
-        self._orders: list[Order] = []
+        self._injected: list[InjectedFault] = []
         self.by_chance(**shares)
 
     def by_chance(self, **shares: float) -> None:
@@ -117,11 +117,11 @@ class Faults:
         """
         if count < 0 or skip < 0:
             raise ConfigError(f"count and skip must be at least 0, got {count} and {skip}")
-        self._orders.append(Order(_kind(kind), id, count, skip, seconds))
+        self._injected.append(InjectedFault(_kind(kind), id, count, skip, seconds))
 
     def clear(self) -> None:
         """Remove all injected and random faults."""
-        self._orders.clear()
+        self._injected.clear()
         self._shares.clear()
 
     def chance(self) -> Kind | None:
@@ -148,10 +148,10 @@ class Faults:
         return self._take(id, KINDS[1:])
 
     def _take(self, id: int, kinds: tuple[Kind, ...]) -> ActiveFault | None:
-        self._orders = [order for order in self._orders if order.count > 0]
-        for order in self._orders:
-            if order.kind in kinds and order.affects(id):
-                return ActiveFault(order.kind, order.seconds)
+        self._injected = [fault for fault in self._injected if fault.count > 0]
+        for fault in self._injected:
+            if fault.kind in kinds and fault.affects(id):
+                return ActiveFault(fault.kind, fault.seconds)
         return None
 
     def damage(self, kind: Kind, packet: bytes) -> bytes:

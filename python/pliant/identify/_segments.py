@@ -114,6 +114,11 @@ def find_segments(rig: Excitation, record: Record) -> list[Segment]:
     return out
 
 
+def all_segments(rig: Excitation) -> list[Segment]:
+    """Return the segments of steady motion in all records of the excitation."""
+    return [segment for record in rig.records for segment in find_segments(rig, record)]
+
+
 def true_ranges(mask: Mask) -> list[tuple[int, int]]:
     """Return first index and end index (exclusive) of each run of True values in a mask."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))

@@ -27,7 +27,7 @@ import numpy as np
 from pliant._core import Command, ConfigError, HandGuidingLaw, Model, Payload, Servos
 from pliant._validation import format_value, instance, number, vector
 from pliant.identify._excitation import Excitation
-from pliant.identify._segments import find_segments, first_moments, payload_rows
+from pliant.identify._segments import all_segments, first_moments, payload_rows
 from pliant.identify.servos import widen_swing
 
 if TYPE_CHECKING:
@@ -98,18 +98,11 @@ class HandGuiding:
         self._model, self._period, self._delay, self._share = model, 1.0 / rate, delay, torque_share
         self._dt = self._period
         self._table, self._swing = table, swing
-        self._rig = Excitation(
-            model,
-            table,
-            self._dt,
-            stiffness_uncertainty=KNOWN_STIFFNESS_FACTOR
-            if table.stiffness_known
-            else UNKNOWN_STIFFNESS_FACTOR,
-        )
-        self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
         self._stiffness_factor = (
             KNOWN_STIFFNESS_FACTOR if table.stiffness_known else UNKNOWN_STIFFNESS_FACTOR
         )
+        self._rig = Excitation(model, table, self._dt, stiffness_uncertainty=self._stiffness_factor)
+        self._damping = self._rig.damping + self._rig.kv + self._rig.back_emf
         self._moments = np.zeros(4)
         if payload is not None:
             load = as_payload(payload)
@@ -194,7 +187,7 @@ class HandGuiding:
         factor = self._stiffness_factor
         middle = 0.5 * (1.0 / (factor * rig.kp) + factor / rig.kp)
         base = self._holding_torque(q)
-        rows = [segment for record in rig.records for segment in find_segments(rig, record)]
+        rows = all_segments(rig)
         # Initial values, for joints that did not swing: friction of the servo parameters.
         lead, friction = np.zeros(n), rig.friction * middle
         swung = np.zeros(n, dtype=bool)

@@ -9,7 +9,7 @@ from pliant._validation import instance, number
 from pliant.identify._excitation import Excitation
 from pliant.identify._poses import SPAN, SWING, check_poses, pose_list
 from pliant.identify._regression import Priors, solve
-from pliant.identify._segments import find_segments
+from pliant.identify._segments import all_segments
 from pliant.identify.procedure import Procedure, guided, run_procedure
 from pliant.identify.result import PayloadEstimate
 from pliant.identify.servos import swing_at_poses, widen_swing
@@ -97,7 +97,7 @@ def _estimate(
     rig.start_record()
     q = yield from rig.travel(q, start, route[-1])
     q = yield from swing_at_poses(rig, q, route[::-1], size)
-    rows = [segment for record in rig.records for segment in find_segments(rig, record)]
+    rows = all_segments(rig)
     if not rows:
         raise ServoError("no joint ever moved steadily: raise amplitude")
     kp = KNOWN_STIFFNESS_SIGMA if rig.servos.stiffness_known else UNKNOWN_STIFFNESS_SIGMA

@@ -11,7 +11,7 @@ from pliant._validation import instance, number
 from pliant.identify._excitation import Excitation
 from pliant.identify._poses import SPAN, SWING, check_poses, pose_list
 from pliant.identify._regression import Priors, Solution, fit_delay, solve
-from pliant.identify._segments import bare_gravity, find_segments, payload_rows
+from pliant.identify._segments import all_segments, bare_gravity, payload_rows
 from pliant.identify.procedure import Procedure, guided, run_procedure
 from pliant.identify.result import Identification
 
@@ -233,7 +233,7 @@ def holding_torque(rig: Excitation, q: Array, solution: Solution) -> Array:
 
 
 def _fit(rig: Excitation, priors: Priors) -> Solution:
-    rows = [segment for record in rig.records for segment in find_segments(rig, record)]
+    rows = all_segments(rig)
     if not rows:
         raise ServoError(
             "no joint ever moved steadily: raise amplitude, or look whether the servos are enabled"

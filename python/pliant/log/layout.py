@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from pliant._typing import Array
 
@@ -175,10 +175,3 @@ def numbers(pieces: dict[str, Array], names: Iterable[str]) -> dict[str, Any]:
         else:
             out[name] = [] if np.isnan(values).all() else values.tolist()
     return out
-
-
-def row(values: Sequence[float] | Array | None, length: int) -> Array:
-    """Return values as a flat array; for None, return `length` times NaN."""
-    if values is None:
-        return np.full(length, np.nan)
-    return np.asarray(values, dtype=np.float64).reshape(-1)

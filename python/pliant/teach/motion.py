@@ -253,8 +253,8 @@ class Motion:
         }
         samples = ",\n  ".join(json.dumps([round(x, DIGITS) for x in row]) for row in rows.tolist())
         text = json.dumps(head, indent=1, ensure_ascii=False)[:-2]
-        with replacing(path) as extra_at:
-            extra_at.write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
+        with replacing(path) as new_file:
+            new_file.write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
 
     @classmethod
     def from_log(cls, log: Log) -> Motion:
@@ -291,12 +291,12 @@ class Motion:
             n = len(joints)
             if rows.ndim != 2 or rows.shape[1] != 1 + n + len(names):
                 raise ConfigError(f"a sample needs a time, {n} joints and {len(names)} extra")
-            extra_at = dict(zip(names, rows[:, 1 + n :].T, strict=True))
+            extra = dict(zip(names, rows[:, 1 + n :].T, strict=True))
             note, start = str(data.get("note", "")), data.get("start")
             if start is not None:
                 x, y, z = map(float, start)
                 start = x, y, z
-            return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], extra_at, note, start)
+            return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], extra, note, start)
         except KeyError as error:
             raise ConfigError(f"{path} is no motion file: it has no {error}") from error
         except RecursionError as error:

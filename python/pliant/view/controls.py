@@ -61,7 +61,7 @@ class Controls:
         with gui.add_folder("Scene" if info.scenes else "Target"):
             if info.scenes:
                 scene = gui.add_dropdown("Scene", tuple(info.scenes), initial_value=info.scene)
-                self._on_visitor_change(scene, lambda: self._send(messages.Scene(scene.value)))
+                self._on_user_change(scene, lambda: self._send(messages.Scene(scene.value)))
                 gui.add_markdown(info.scenes[info.scene])
             if info.play:
                 play = gui.add_button(info.play, icon=viser.Icon.PLAYER_PLAY)
@@ -188,9 +188,9 @@ class Controls:
             self._last_edit = next(self._edit_numbers)
             self._send(make(self._last_edit))
 
-        self._on_visitor_change(handle, send)
+        self._on_user_change(handle, send)
 
-    def _on_visitor_change(self, handle: Any, act: Callable[[], None]) -> None:
+    def _on_user_change(self, handle: Any, act: Callable[[], None]) -> None:
         """Call `act` when a user changes a control, but not when the program changes it."""
         self._known[id(handle)] = handle.value
 

@@ -61,7 +61,7 @@ class StopPanel:
         self._status.content = html.status(self._info, now)
         self.stop.visible, self.start.visible = now.phase != "down", now.phase == "down"
         self.stop.disabled = now.phase == "lowering"
-        self._notice.content = html.notice(now.notice[1], now.notice[2])
+        self._notice.content = html.notice(now.notice.text, now.notice.is_error)
 
     def show_disconnected(self) -> None:
         """Disable the buttons and show that the loop has ended."""

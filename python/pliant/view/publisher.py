@@ -10,7 +10,7 @@ import numpy as np
 
 from pliant._core import ContactEstimator
 from pliant.view.ipc import PageGone
-from pliant.view.snapshot import ForceEstimate, LoopTiming, SettingsView, Snapshot, Step
+from pliant.view.snapshot import ForceEstimate, LoopTiming, Notice, SettingsView, Snapshot, Step
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,7 +67,7 @@ class Publisher:
 
     Attributes:
         phase: Phase of the run: `starting`, `running`, `lowering` or `down`.
-        notice: Message to the user: number of its changes, its text, and True if it is an error.
+        notice: Message to the user.
         edit: Number of the last change of the settings that was handled.
         shown: The settings in force; None before the first run.
         hand: Force of the user on a simulated arm; None on a real arm.
@@ -77,7 +77,7 @@ class Publisher:
         """Create a publisher without an arm; `rate` is the control rate [Hz]."""
         self._link, self._loop_timing = link, LoopTiming(rate=rate)
         self.phase: Phase = "starting"
-        self.notice: tuple[int, str, bool] = (0, "", False)
+        self.notice = Notice()
         self._cause: Cause | None = None
         self._notice_time = -np.inf
         self.edit, self.shown = 0, None
@@ -104,14 +104,14 @@ class Publisher:
 
     def show_error(self, text: str, cause: Cause) -> None:
         """Show an error until `clear_error`; a rejected message at most for `MAX_NOTICE_TIME`."""
-        if (text, cause) != (self.notice[1], self._cause):
-            self.notice = (self.notice[0] + 1, text, True)
+        if (text, cause) != (self.notice.text, self._cause):
+            self.notice = Notice(self.notice.number + 1, text, is_error=True)
         self._cause, self._notice_time = cause, time.perf_counter()
 
     def clear_error(self, *causes: Cause) -> None:
         """Remove the shown error if its cause is one of `causes`."""
         if self._cause in causes:
-            self.notice, self._cause = (self.notice[0] + 1, "", False), None
+            self.notice, self._cause = Notice(self.notice.number + 1), None
 
     def request_report(self) -> None:
         """Mark the report on forces as outdated: the next snapshot gets a new one."""

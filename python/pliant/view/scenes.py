@@ -86,9 +86,7 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
     if robot != "arm7":
         model = robots.load(robot)
         return model, generic_scenes(start_posture(robot, model))
-    free_scene = Scene(
-        about="Nothing around it: push the arm, or drag its target.", preset="soft y", q=VERTICAL
-    )
+    generic = generic_scenes(VERTICAL)
     door_scene = Scene(
         about="The hand holds the handle; y and yaw give way, so the handle finds its own path.",
         preset="door",
@@ -105,14 +103,7 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
         play="Pull it open",
         displacement=(-PULL_DISTANCE, 0.0, 0.0),
     )
-    wall_scene = Scene(
-        about="A stiff wall 5 cm ahead: the push-back on x ends at its cap.",
-        preset="soft x",
-        q=VERTICAL,
-        make=lambda: [_wall()],
-        play="Run into it",
-        displacement=(WALL_TRAVEL, 0.0, 0.0),
-    )
+
     handover_scene = Scene(
         about="It carries an unknown 0.3 kg, and opens its hand once pulled 5 cm away.",
         preset="hand_over",
@@ -121,10 +112,10 @@ def scenes(robot: str) -> tuple[Model, Mapping[str, Scene]]:
         play="A person takes it",
     )
     return robots.arm7(), {
-        "free": free_scene,
+        "free": generic["free"],
         "door": door_scene,
         "drawer": drawer_scene,
-        "wall": wall_scene,
+        "wall": generic["wall"],
         "hand-over": handover_scene,
     }
 
@@ -151,7 +142,7 @@ def generic_scenes(q: Array) -> Mapping[str, Scene]:
             about="A stiff wall 5 cm ahead: the push-back on x ends at its cap.",
             preset="soft x",
             q=q,
-            make=lambda: [_wall()],
+            make=lambda: [Wall(distance=WALL_DISTANCE, damping=20.0)],
             play="Run into it",
             displacement=(WALL_TRAVEL, 0.0, 0.0),
         ),
@@ -191,10 +182,6 @@ def wall_planes(plant: Plant) -> tuple[tuple[Array, Array], ...]:
             start = plant.ground_truth.frame(record.hand.at).start
             out.append((start + record.hand.distance * into, into))
     return tuple(out)
-
-
-def _wall() -> Wall:
-    return Wall(distance=WALL_DISTANCE, damping=20.0)
 
 
 def _slide_direction(degrees: float) -> tuple[float, float, float]:

@@ -171,16 +171,16 @@ class Session:
         self.target = self._accepted_target = self.home.copy()
         self._play_start = None
         strengths = controller.axes
-        max_push = [PUSH_SHARE * float(axis.hold or 0.0) for axis in strengths.values()]
         names = tuple(strengths)
-        linear = [f for f, name in zip(max_push, names, strict=True) if name in "xyz"]
-        rotational = [f for f, name in zip(max_push, names, strict=True) if name not in "xyz"]
+        holds = {name: PUSH_SHARE * float(axis.hold or 0.0) for name, axis in strengths.items()}
+        max_force = max((hold for name, hold in holds.items() if name in "xyz"), default=0.0)
+        max_torque = max((hold for name, hold in holds.items() if name not in "xyz"), default=0.0)
+        self._max_push = max_force, max_torque
         self._hand: MouseForce | None = None
         if self._robot.simulated:
             plant = self._robot.plant
-            self._hand = self.publisher.hand = MouseForce(max(linear, default=0.0))
+            self._hand = self.publisher.hand = MouseForce(max_force)
             plant.set_hands([*(record.hand for record in plant.hands), self._hand])
-        self._max_push = max(linear, default=0.0), max(rotational, default=0.0)
         push = None if self._hand is None else self._max_push
         self.publisher.estimate_contact(controller)
         self.publisher.shown = self.editor.describe(controller, q)
@@ -199,7 +199,7 @@ class Session:
             walls=scenes.wall_planes(self._robot.plant),
             home=self.home,
             max_push=push,
-            force=max(linear, default=0.0),
+            force=max_force,
             reach=arm.model.reach,
             visuals=self._robot.visuals,
             table=self._source.table,

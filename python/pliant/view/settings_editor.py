@@ -22,8 +22,6 @@ LAWS = ("cap", "impedance", "paper")
 FILE_PRESET = "from the file"
 #: Fields of `pliant.Axis` that the page shows.
 SHOWN_FIELDS = ("soft", "firm", "hold", "stiffness", "yields", "adaptation")
-#: Fields of `pliant.Axis` that get default values when the user changes the control law.
-LAW_FIELDS = ("soft", "firm", "hold", "stiffness", "damping")
 
 
 class SettingsEditor:
@@ -106,7 +104,7 @@ class SettingsEditor:
             case messages.Preset(name=preset):
                 self.begin(preset)
             case messages.Law(law=law):
-                bare: dict[str, Any] = dict.fromkeys(LAW_FIELDS)
+                bare: dict[str, Any] = dict.fromkeys(messages.LAW_FIELDS)
                 for name, axis in axes.items():
                     axes[name] = axis.replace(**{**bare, "yields": yields_of(axis)})
                 # Cast for the type checker only; `Settings` rejects an unknown law.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -146,6 +146,20 @@ class ForceEstimate:
         return np.where(np.abs(self.force) > self.bound, self.force, 0.0)[:3]
 
 
+class Notice(NamedTuple):
+    """Message to the user of the page.
+
+    Attributes:
+        number: Number of changes of the message so far.
+        text: The message; empty: no message.
+        is_error: True if the message is an error.
+    """
+
+    number: int = 0
+    text: str = ""
+    is_error: bool = False
+
+
 @dataclass(frozen=True, kw_only=True)
 class Snapshot:
     """State of the arm at one time, which the loop sends to the page.
@@ -162,7 +176,7 @@ class Snapshot:
         contact_force: Estimated force on the tool; None while no controller runs.
         health: Timing of the control loop.
         report: Sentences on the forces that the arm can exert in its pose (`Controller.report`).
-        notice: Message to the user: number of its changes, its text, and True if it is an error.
+        notice: Message to the user.
         edit: Number of the last change of the settings that was handled.
         shown: The settings in force; None before the first run.
     """
@@ -177,6 +191,6 @@ class Snapshot:
     contact_force: ForceEstimate | None
     health: LoopTiming
     report: tuple[str, ...] = ()
-    notice: tuple[int, str, bool] = (0, "", False)
+    notice: Notice = field(default_factory=Notice)
     edit: int = 0
     shown: SettingsView | None = None

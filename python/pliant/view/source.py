@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pliant._core import ConfigError
 from pliant.arm import Arm
 from pliant.config import connect
-from pliant.config.schema import inside
+from pliant.config.schema import resolve_path
 from pliant.drive import MonotonicClock
 from pliant.loop import LatenessHistogram
 from pliant.sim import Plant, SimDrive
@@ -118,7 +118,7 @@ class Configured(Source):
             paced=config.backend == "sim",
             settings=settings,
             config=config,
-            urdf=None if path is None else inside(config, path),
+            urdf=None if path is None else resolve_path(config, path),
             table=config.robot.table,
         )
         self._connect = partial(connect, config, **options)
