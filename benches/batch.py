@@ -30,7 +30,7 @@ ROUNDS = 7
 
 
 def settings() -> dict[str, pliant.Settings]:
-    """Return settings by law: `paper` with the parameters of `contest.problem`, and `cap`."""
+    """Return settings by law: `paper` with the parameters of `comparison.problem`, and `cap`."""
     endless = {"max_velocity": np.inf, "soft_step_limit": np.inf}
     axes = {name: pliant.Axis(**endless) for name in ("x", "z", "roll", "pitch", "yaw")}
     axes["y"] = pliant.Axis(yields="both", adaptation=0.9, **endless)

@@ -15,12 +15,12 @@ import timeit
 from typing import Any
 
 import numpy as np
-from contest import pliant_peer, problem
+from comparison import pliant_peer, problem
 
 import pliant
 
 #: Number of rounds, and approximate number of calls per statement and round.
-ROUNDS, CALLS_A_TURN = 100, 1280
+ROUNDS, CALLS_PER_ROUND = 100, 1280
 #: Number of states on the path of `followed`.
 STATES = 1000
 #: Timed Python statements by name.
@@ -105,7 +105,7 @@ def main() -> None:
     for _ in range(ROUNDS):
         for name, timer in timers.items():
             count = len(known["followed" if "followed" in calls[name] else "states"])
-            repeats = max(CALLS_A_TURN // count, 1)
+            repeats = max(CALLS_PER_ROUND // count, 1)
             times[name].append(timer.timeit(repeats) / (repeats * count))
     loop = statistics.median(times.pop("(the loop)"))
     for name, values in times.items():

@@ -18,9 +18,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from contest import table
-from contest.environments import BUILD, OURS, PEERS
-from contest.turns import TimedProcess, run_rounds
+from comparison import table
+from comparison.environments import BUILD, OURS, PEERS
+from comparison.timing import TimedProcess, run_rounds
 
 
 def main() -> None:

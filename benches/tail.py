@@ -22,6 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from comparison.pliant_peer import instructions
+from comparison.worker import waited
 from numpy.typing import NDArray
 
 import pliant
@@ -129,17 +131,6 @@ def waiter(length: float) -> Callable[[], Array]:
     return lambda: block(turns)
 
 
-def waited() -> int:
-    """Return the total time [ns] for which this thread was ready to run but had no core.
-
-    The value is 0 if the system does not report it.
-    """
-    try:
-        return int(Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()[1])
-    except OSError:
-        return 0
-
-
 def laws() -> dict[str, pliant.Settings]:
     """Return settings with the soft axis y, for the laws `paper` and `cap`, by law."""
     paper = pliant.Settings.paper(axes={"y": pliant.Axis(soft=0.5, adaptation=0.9)})
@@ -204,7 +195,8 @@ def main() -> None:
                 times[name].append(block())
                 if waited() == before:
                     calm[name].append(times[name][-1])
-        print(f"law {law}, instructions {chosen(settings)}, timer subtracted [µs]")
+        used = instructions(pliant.Controller(model, settings, servos()))
+        print(f"law {law}, instructions {used}, timer subtracted [µs]")
         print(f"  {'':44} {'median':>8} {'p99.9':>9} {'(calm)':>8} {'largest':>9} {'ratio':>6}")
         empty = float(np.median(np.concatenate(times["(nothing)"])))
         ordinary = [float(np.median(block)) - empty for block in times["ordinary poses"]]
@@ -220,12 +212,6 @@ def main() -> None:
                 f"{1e-3 * every.max():9.1f} {ratio:6.2f}{late}"
             )
         print()
-
-
-def chosen(settings: pliant.Settings) -> str:
-    """Return the name of the instruction set that a controller with these settings uses."""
-    controller = pliant.Controller(pliant.Model.from_urdf(URDF), settings, servos())
-    return str(getattr(controller, "simd_level", "of any machine"))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ BENCHES = ROOT / "benches"
 
 
 @pytest.fixture
-def contest(monkeypatch, tmp_path):
+def load(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(BENCHES))
     monkeypatch.setenv("PEERS_BUILD", str(tmp_path))
     return importlib.import_module
@@ -34,26 +34,26 @@ def counts():
 @pytest.mark.parametrize(
     "maker", ["numpy_peer:make", "pliant_peer:make", "cpp_peer:make", "library_peers:pinocchio"]
 )
-def test_peers_do_the_same_work(maker, contest):
+def test_peers_do_the_same_work(maker, load):
     module, function = maker.split(":")
     if "cpp" in module and not shutil.which("c++"):
         pytest.skip("no C++ compiler")
-    problem, turns, worker = (contest(f"contest.{n}") for n in ("problem", "turns", "worker"))
-    peer = getattr(contest(f"contest.{module}"), function)()
-    kinematics = contest("contest.numpy_peer").kinematics_of(problem.bench_arm())
+    problem, timing, worker = (load(f"comparison.{n}") for n in ("problem", "timing", "worker"))
+    peer = getattr(load(f"comparison.{module}"), function)()
+    kinematics = load("comparison.numpy_peer").kinematics_of(problem.bench_arm())
     pairs = [(q, kinematics(a)[0]) for q, a in problem.states(problem.bench_arm())]
     results = worker.results(peer, pairs)
-    assert set(results) == set(turns.TASKS)
-    assert turns.disagreement(results) == ""
+    assert set(results) == set(timing.TASKS)
+    assert timing.disagreement(results) == ""
     results["step"][5][1][3] += 1e-8
-    assert turns.disagreement(results).startswith("step by 1e-08")
+    assert timing.disagreement(results).startswith("step by 1e-08")
     blocks = worker.blocks_of(peer, pairs)
     assert len(blocks["step/whole"]()) == 1
     assert min(blocks["step/single"]()) > 0.0
 
 
-def test_the_law_of_the_peers_uses_all_its_parts(contest):
-    problem, numpy_peer = contest("contest.problem"), contest("contest.numpy_peer")
+def test_the_law_of_the_peers_uses_all_its_parts(load):
+    problem, numpy_peer = load("comparison.problem"), load("comparison.numpy_peer")
     arm = problem.bench_arm()
     kinematics, law = numpy_peer.kinematics_of(arm), numpy_peer.law_of(arm)
     for q, ahead in problem.states(arm):

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from contest import numpy_peer, problem
-from contest.peer import Implementation
+from comparison import numpy_peer, problem
+from comparison.peer import Implementation
 
 #: True if the process is tied to one core; False for a library that computes in its own threads.
 PINNED = os.environ.get("PEERS_PIN") != "0"
@@ -154,7 +154,7 @@ def main() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     module, function = sys.argv[1].split(":")
     try:
-        peer = getattr(importlib.import_module(f"contest.{module}"), function)()
+        peer = getattr(importlib.import_module(f"comparison.{module}"), function)()
     except Exception as error:  # report any reason why an implementation is unavailable
         print(json.dumps({"missing": f"{type(error).__name__}: {error}"}), file=answers, flush=True)
         return

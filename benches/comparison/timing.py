@@ -16,8 +16,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from contest import numpy_peer, problem
-from contest.environments import BUILD, OURS, PATHS, ROOT, Entry, python_for
+from comparison import numpy_peer, problem
+from comparison.environments import BUILD, OURS, PATHS, ROOT, Entry, python_for
 
 TASKS = ("kinematics", "step", "batch")
 TOLERANCE = 1e-9
@@ -34,7 +34,7 @@ class TimedProcess:
 
     Attributes:
         entry: Description of the implementation.
-        process: The process, which runs `contest.worker`.
+        process: The process, which runs `comparison.worker`.
         version: Name and version that the implementation reports.
         medians: Median time of a call over the blocks of each round [ns], by task; NaN if the
             thread had to wait for the CPU in every block of the round.
@@ -76,7 +76,7 @@ class TimedProcess:
             "PEERS_BUILD": str(BUILD),
         }
         process = subprocess.Popen(
-            [python, "-m", "contest.worker", entry.maker],
+            [python, "-m", "comparison.worker", entry.maker],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -117,7 +117,7 @@ def disagreement(results: dict[str, Any]) -> str:
     """Compare results with those of the NumPy reference.
 
     Args:
-        results: Results of each task, from `contest.worker`.
+        results: Results of each task, from `comparison.worker`.
 
     Returns:
         Text with the tasks whose results differ by more than `TOLERANCE`, and the differences; ""

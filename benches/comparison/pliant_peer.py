@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 import pliant
-from contest import problem
-from contest.peer import Implementation, Pair
-from contest.problem import Array
+from comparison import problem
+from comparison.peer import Implementation, Pair
+from comparison.problem import Array
 
 
 def controller(model: pliant.Model) -> pliant.Controller:

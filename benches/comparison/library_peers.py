@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contest import numpy_peer, problem
-from contest.numpy_peer import with_law
-from contest.peer import Implementation, Pair, loop
-from contest.problem import Array
+from comparison import numpy_peer, problem
+from comparison.numpy_peer import with_law
+from comparison.peer import Implementation, Pair, loop
+from comparison.problem import Array
 
 
 def _peer(version: str, kinematics: Callable[[Array], Pair]) -> Implementation:

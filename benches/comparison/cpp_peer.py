@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from contest import problem
-from contest.peer import Implementation, Pair
-from contest.problem import Array
+from comparison import problem
+from comparison.peer import Implementation, Pair
+from comparison.problem import Array
 
 SOURCES = Path(__file__).resolve().parents[1] / "cpp"
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-shared", "-fPIC", "-Wall", "-Wextra", "-Wno-psabi")

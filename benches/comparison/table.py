@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from contest.environments import ROOT
-from contest.turns import TimedProcess
+from comparison.environments import ROOT
+from comparison.timing import TimedProcess
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contest import problem
-from contest.peer import Implementation, Pair
-from contest.problem import Array
+from comparison import problem
+from comparison.peer import Implementation, Pair
+from comparison.problem import Array
 
 
 def kinematics_of(arm: problem.Arm) -> Callable[[Array], Pair]:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from contest import problem
-from contest.peer import Pair
-from contest.problem import Array
+from comparison import problem
+from comparison.peer import Pair
+from comparison.problem import Array
 
 KEEP = np.where(np.arange(6) == problem.YIELDS, 1.0 - problem.ETA, 1.0)
 SOFT = np.where(np.arange(6) == problem.YIELDS, problem.SOFT, problem.HOLD)

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from contest import problem
-from contest.peer import Implementation, Pair
+from comparison import problem
+from comparison.peer import Implementation, Pair
 
 
 def numba() -> Implementation:
     """Return the Numba implementation, which loops over array elements."""
     import numba as nb
 
-    from contest import numba_step
+    from comparison import numba_step
 
     arm = problem.bench_arm()
     functions = numba_step.compile_for(arm)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from contest.problem import Array
+from comparison.problem import Array
 
 Pair = tuple[Array, Array]
 
