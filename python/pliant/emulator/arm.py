@@ -23,6 +23,23 @@ if TYPE_CHECKING:
     from pliant.sim import Plant
     from pliant.sim._model_builder import Robot
 
+#: Keywords of `pliant.sim.Plant` that an emulated arm rejects: its servos and its bus are emulated,
+#: so that these keywords would have no effect.
+REJECTED = frozenset(
+    [
+        "servos",
+        "rate",
+        "delay",
+        "encoder_step",
+        "encoder_flicker",
+        "noise",
+        "read_loss",
+        "write_loss",
+        "bus_outage",
+        "overload",
+    ]
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mount:
@@ -302,8 +319,8 @@ def emulate(
     from pliant.sim import Plant
 
     keywords = dict(plant or {})
-    for name in ("servos", "kind", "delay", "count", "read_loss", "write_loss", "overload", "rate"):
-        if name in keywords:
+    for name in keywords:
+        if name in REJECTED:
             raise ConfigError(f"{name!r} of an emulated arm comes from its servos and its bus")
     if hand is not None:
         keywords["scene"] = [*keywords.get("scene", ()), hand]
