@@ -23,7 +23,7 @@ SLOW = {
     "teach",
     "view",
 }
-#: Slow test files outside these folders.
+#: Slow test files outside the folders in `SLOW`.
 SLOW_FILES = {
     "config/test_arm.py",
     "config/test_rest.py",

@@ -8,9 +8,7 @@ pytest.importorskip("mujoco", reason="the arm's tests run on the simulator: extr
 import pliant
 from pliant.arm import Arm
 from pliant.sim import Plant, SimDrive
-
-#: A grasp pose of arm7, tool at (0.38, 0, -0.28).
-GRASP = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
+from pliant.sim.postures import VERTICAL as GRASP
 
 
 class Scribe(SimDrive):

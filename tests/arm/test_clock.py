@@ -27,7 +27,7 @@ def simulated():
 @contextmanager
 def over_bytes():
     with arm_over_bytes("sts", START, rate=50.0) as (bus, arm):
-        bus.advance(37.0)  # the servos have been on for a while
+        bus.advance(37.0)  # start with another time on the servos' clock
         with arm:
             yield arm
             arm.leave_enabled()

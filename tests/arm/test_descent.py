@@ -44,7 +44,7 @@ def job_of(arm, number, over):
     ("arm", "number"), [(arm, number) for arm, numbers in RUNS.items() for number in numbers]
 )
 def test_neither_way_is_a_rise_a_lunge_or_a_drop(arm, number):
-    # Alternately in free air and over a table.
+    # Runs with even numbers are in free air, the others over a table.
     job = job_of(arm, number, bool(number % 2))
     check(job, job.run())
 

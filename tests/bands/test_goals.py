@@ -1,4 +1,4 @@
-"""The table of goals: every row names its preset, and states whether it is met."""
+"""The table of goals of the experiments: each row has a preset, a bound and a measured value."""
 
 import dataclasses
 

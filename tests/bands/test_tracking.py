@@ -1,4 +1,4 @@
-"""Sinusoids of every axis while it is compliant, and a target that leaves the reach."""
+"""Tracking: sinusoidal motions of the target along compliant axes, and a target out of reach."""
 
 import pytest
 

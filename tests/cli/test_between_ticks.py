@@ -1,4 +1,4 @@
-"""Commands on the emulator: modules loaded between two ticks, and files after Ctrl-C."""
+"""Commands on an emulated bus: no imports between two ticks, and complete files after Ctrl-C."""
 
 import json
 import os

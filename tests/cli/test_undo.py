@@ -16,7 +16,10 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 
 @pytest.fixture
 def arm(tmp_path):
-    """Return new servos, their arm's file in a folder with a blank, and a backup's path."""
+    """Return new servos, the file of their arm, and the path for a backup.
+
+    The name of the folder contains a space, which the printed commands must quote.
+    """
     folder = tmp_path / "my arms"
     folder.mkdir()
     file = folder / "arm.toml"

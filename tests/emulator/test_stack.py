@@ -16,7 +16,7 @@ TICK = 0.01
 
 
 def so101():
-    """Return an SO-101: duty-limited servos, axes x y z."""
+    """Return the setup of an SO-101: model, duty-limited servos, registers, pose, settings."""
     axes = {"y": pliant.Axis(soft=1.0, firm=3.0, soft_until=0.01, firm_from=0.1, adaptation=0.9)}
     return (
         pliant.robots.so101(),
@@ -28,7 +28,7 @@ def so101():
 
 
 def arm7():
-    """Return seven current-limited servos, all six axes."""
+    """Return the setup of an arm with seven current-limited servos and six task axes."""
     axes = {"y": pliant.Axis(soft=4.0, firm=15.0, soft_until=0.01, firm_from=0.1, adaptation=0.9)}
     return (
         pliant.robots.arm7(),

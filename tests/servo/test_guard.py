@@ -208,7 +208,8 @@ def test_timeouts_follow_the_wire(fake_bus):
     guard = guarded(bus, baudrate=57_600, cycle=0.1)
     guard.start_cycle(1.0)
     guard.read(1, SHORT)
-    # 8 + 21 bytes at 57600 baud are 5.0 ms: twice that, twice the latency of 1 ms, and 5 ms.
+    # Expected: twice the wire time of 8 + 21 bytes at 57600 baud (5.0 ms), twice the latency of
+    # 1 ms, and 5 ms.
     assert bus.timeout == pytest.approx(0.0171, abs=2e-4)
 
 

@@ -6,9 +6,7 @@ import pytest
 pytest.importorskip("mujoco", reason="the simulator's tests need the extra sim")
 
 import pliant.robots
-
-#: A grasp pose of arm7, tool at (0.38, 0, -0.28), its frame along the base's.
-GRASP = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
+from pliant.sim.postures import VERTICAL as GRASP
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,7 @@ import pytest
 
 import pliant
 from pliant.sim import Door, Drive, ForceProfile, Plant, Push, door, fridge, oven
-
-OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (0.54, 0, -0.25) m
-SIDE = np.array((-0.559, -0.343, 0.605, -1.194, -0.566, -0.039, -0.384))  # turned about x
+from pliant.sim.postures import AT_DOOR, AT_DOOR_HORIZONTAL
 
 
 def pull(force, start=0.6, torque=(0.0, 0.0, 0.0)):
@@ -20,7 +18,7 @@ def scene(arm, leaf, *hands, **options):
 
 
 @pytest.mark.parametrize("grip", ["rigid", "turning"])
-@pytest.mark.parametrize("start", [OPEN, SIDE], ids=["vertical", "horizontal"])
+@pytest.mark.parametrize("start", [AT_DOOR, AT_DOOR_HORIZONTAL], ids=["vertical", "horizontal"])
 def test_the_handle_runs_on_its_circle(arm, floating, grip, start):
     leaf = door(grip=grip)
     plant = scene(arm, leaf, pull((-16.0, 0.0, 0.0)))
@@ -43,7 +41,7 @@ def test_hinge_friction_holds_a_weak_pull(arm, floating):
     weak, strong = door(friction=1.5), door(friction=1.5)
     for leaf, force in ((weak, -3.0), (strong, -12.0)):
         plant = scene(arm, leaf, pull((force, 0.0, 0.0)))
-        plant.reset(OPEN)
+        plant.reset(AT_DOOR)
         floating(plant, 150)
     assert weak.angle < 0.03
     assert strong.angle > 0.1
@@ -53,7 +51,7 @@ def test_hinge_friction_holds_a_weak_pull(arm, floating):
 def test_the_seal_breaks_at_its_force(arm, floating, force, opens):
     leaf = fridge()
     plant = scene(arm, leaf, pull((-force, 0.0, 0.0)))
-    plant.reset(OPEN)
+    plant.reset(AT_DOOR)
     floating(plant, 150)
     assert (leaf.angle > 0.05) is opens
     if not opens:
@@ -65,7 +63,7 @@ def test_the_grip_reports_force_and_torque(arm, floating):
     for force, torque in (((6.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.0), (0.0, 0.0, -2.0))):
         leaf = door()
         plant = scene(arm, leaf, pull(force, torque=torque))
-        plant.reset(OPEN)
+        plant.reset(AT_DOOR)
         floating(plant, 300)
         assert leaf.angle == pytest.approx(0.0, abs=0.02)
         assert leaf.force == pytest.approx(np.linalg.norm(force), abs=0.3)
@@ -77,7 +75,7 @@ def test_the_grip_reports_force_and_torque(arm, floating):
 def test_a_turning_grip_carries_no_torque(arm, floating):
     leaf = door(grip="turning")
     plant = scene(arm, leaf, pull((-8.0, 0.0, 0.0)))
-    plant.reset(OPEN)
+    plant.reset(AT_DOOR)
     floating(plant, 150)
     assert leaf.torque == leaf.peak_torque == 0.0
 
@@ -85,11 +83,11 @@ def test_a_turning_grip_carries_no_torque(arm, floating):
 def test_the_stop_ends_the_motion_and_a_reset_forgets(arm, floating):
     leaf = door(stop=np.deg2rad(20.0))
     plant = scene(arm, leaf, pull((-8.0, 0.0, 0.0)))
-    plant.reset(OPEN)
+    plant.reset(AT_DOOR)
     floating(plant, 400)
     assert np.rad2deg(leaf.angle) == pytest.approx(20.0, abs=1.0)
     assert leaf.widest >= leaf.angle
-    plant.reset(OPEN)
+    plant.reset(AT_DOOR)
     assert leaf.angle == leaf.widest == leaf.peak_force == 0.0
 
 
@@ -98,7 +96,7 @@ def test_a_balanced_leaf_stays_where_it_is(arm, floating):
     for balanced in (True, False):
         leaf = oven(friction=0.0, balanced=balanced)
         plant = scene(arm, leaf, pull((-4.0, 0.0, 0.0), start=0.3))
-        plant.reset(SIDE)
+        plant.reset(AT_DOOR_HORIZONTAL)
         floating(plant, 100)
         leaf.release(plant)
         plant.mj_data.qvel[:] = 0.0
@@ -115,7 +113,7 @@ def test_a_driven_hinge_takes_the_closed_door_along(arm, floating):
     drive = Drive(direction=(1.0, 0.0, 0.0), speed=0.05, start=0.5, distance=0.02)
     leaf = door(drive=drive)
     plant = scene(arm, leaf)
-    plant.reset(OPEN)
+    plant.reset(AT_DOOR)
     start = plant.tool[:3, 3]
     floating(plant, 200)
     hinge = plant.mj_data.body("door:frame").xpos
@@ -126,7 +124,7 @@ def test_a_driven_hinge_takes_the_closed_door_along(arm, floating):
 def test_the_same_door_is_hung_at_every_pose(arm):
     leaf = door()
     plant = scene(arm, leaf)
-    for pose in (OPEN, SIDE, OPEN):
+    for pose in (AT_DOOR, AT_DOOR_HORIZONTAL, AT_DOOR):
         plant.reset(pose)
         handle = plant.mj_data.site("door:handle")
         np.testing.assert_allclose(handle.xpos, plant.tool[:3, 3], atol=1e-12)

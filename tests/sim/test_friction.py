@@ -6,9 +6,7 @@ import pytest
 import pliant.robots
 from pliant import ConfigError, OutOfRangeError, ShapeError
 from pliant.sim import MX64, MX106, STS3215, Friction, Plant
-
-#: Grasp pose (7,) [rad].
-GRASP = np.array([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657])
+from pliant.sim.postures import VERTICAL as GRASP
 
 
 def test_stribeck_share_falls_from_one_to_nothing():

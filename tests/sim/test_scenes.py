@@ -6,8 +6,7 @@ import pytest
 
 import pliant
 from pliant.sim import Drawer, ForceProfile, HandoverObject, Plant, Push, Socket, Surface, drawer
-
-OPEN = np.array((-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115))  # tool (0.54, 0, -0.25) m
+from pliant.sim.postures import AT_DOOR
 
 
 def pull(force, start=0.3):
@@ -22,7 +21,7 @@ def test_a_drawer_slides_on_its_line_to_its_stop(arm, floating):
     axis = np.array((-0.8, 0.6, 0.0))
     box = drawer(axis=tuple(axis), stop=0.10, damping=30.0)
     plant = scene(arm, box, pull(tuple(12.0 * axis)))
-    plant.reset(OPEN)
+    plant.reset(AT_DOOR)
     start = plant.tool[:3, 3]
     floating(plant, 300)
     moved = plant.tool[:3, 3] - start
@@ -39,7 +38,7 @@ def test_a_drawer_binds_under_a_force_across(arm, floating, across, opens):
     """
     box = drawer()
     plant = scene(arm, box, pull((-5.0, across, 0.0)))
-    plant.reset(OPEN)
+    plant.reset(AT_DOOR)
     floating(plant, 200)
     assert (box.widest > 0.015) is opens
     if not opens:

@@ -114,9 +114,9 @@ class EmulatorProcess:
 
 @contextmanager
 def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
-    """Return a context in which a started child process does not import the host's main script.
+    """Context manager: a child process started in it does not import the host's main script.
 
-    If the main script defines `factory`, the child process has to import it.
+    If the main script defines `factory`, the child process must and does import it.
     """
     main = sys.modules["__main__"]
     hidden = {} if factory.__module__ == "__main__" else {"__spec__": None, "__file__": None}
