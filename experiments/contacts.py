@@ -325,7 +325,7 @@ class Rule:
     def beyond(self, record: Record) -> NDArray[np.bool_]:
         """Return a mask that is True for readings above the threshold.
 
-        Its columns are the components of the force (N, 3); the rule `evidence` has one (N, 1).
+        Its columns are the force components (N, 3); for the rule `evidence`, there is one (N, 1).
         """
         out: NDArray[np.bool_]
         if self.kind == "evidence":

@@ -189,7 +189,7 @@ def push_stiff(law: Law, axis: str, size: float, *, conditions: Conditions = NOM
 
 
 def tapped(law: Law, axis: str, *, force: float = 6.0, conditions: Conditions = NOMINAL) -> float:
-    """Push the tool shortly along a base axis at 1 s, with a force [N].
+    """Push the tool briefly along a base axis at 1 s, with a force [N].
 
     Returns:
         Rms speed of the joints from 4 to 6 s [rad/s]; a large value means oscillation.

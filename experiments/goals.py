@@ -240,7 +240,7 @@ class _Entry:
     def rows(self, creep: float) -> list[Row]:
         """Measure under the conditions that have a goal; return one row for each number.
 
-        `creep` is that of `creeping`.
+        `creep` is the factor on the speed at which held joints creep, see `creeping`.
         """
         nominal = self.measure(creeping(NOMINAL, creep))
         uncertain: list[Figures] = []
@@ -434,7 +434,8 @@ def creeping(conditions: Conditions, creep: float) -> Conditions:
 def table(only: str = "", creep: float = 1.0) -> list[Row]:
     """Measure and return the rows whose scenario contains `only`.
 
-    All rows take about ten minutes. `creep` is that of `creeping`.
+    All rows take about ten minutes. `creep` is the factor on the speed at which held joints creep,
+    see `creeping`.
     """
     return [row for entry in _ENTRIES if only in entry.scenario for row in entry.rows(creep)]
 

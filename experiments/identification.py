@@ -199,7 +199,8 @@ WRONG: dict[str, Any] = {"kp_scale": 1.25, "friction_scale": 1.4, "damping_scale
 def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
     """Measure drag and door with a wrong, the identified and the true servo table.
 
-    `span` is that of `identify_arm`.
+    `span` is the largest distance of each joint from the start pose during the identification
+    [rad].
 
     Returns:
         For each table, its name and the measured numbers by name.

@@ -116,7 +116,7 @@ def _resumed(work: Sequence[Runnable[R_co]], processes: int, folder: Path) -> It
             yield pickle.loads(file.read_bytes())
             continue
         result = next(run)
-        # Written under another name first: a file that is there is whole.
+        # Write under another name and rename, so that the file is never incomplete.
         part = file.with_suffix(".part")
         part.write_bytes(pickle.dumps(result))
         part.replace(file)

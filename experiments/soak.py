@@ -307,10 +307,10 @@ class SoakResult:
 
     @property
     def good(self) -> bool:
-        """True if the run ended without error, and no rule, position or torque limit was wrong.
+        """True if the run ended without error or violated rule, with correct data.
 
-        Positions may be those of the `MAX_AGE` before the reply, and sent torque limits lower than
-        requested by one count.
+        A position is correct if it is a true one of the last `MAX_AGE` before its reply, a sent
+        torque limit if it is the requested one or one count less.
         """
         return not (self.ended or self.broken or self.stale or self.above) and self.off <= 1.0
 

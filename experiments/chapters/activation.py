@@ -98,7 +98,10 @@ def jobs(options: Options) -> list[Job]:
 
 
 def measure(outcomes: Mapping[str, Array]) -> Numbers:
-    """Return the matrices, and their largest differences from `REFERENCE` and by damping."""
+    """Return the activation matrices by pose, and how much they differ.
+
+    The differences are those from `REFERENCE`, and those between runs with and without damping.
+    """
     return {
         "joints": list(JOINTS),
         "columns": list(COLUMNS),

@@ -1,4 +1,4 @@
-"""Helper for the sentences of a report."""
+"""Enumerations in the sentences of a report."""
 
 from __future__ import annotations
 

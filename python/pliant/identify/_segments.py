@@ -73,7 +73,7 @@ def payload_rows(model: Model, q: ArrayLike) -> Array:
     """
     pose, jacobian = model.kinematics(q)
     g = np.asarray(model.gravity_vector)
-    turned = np.cross(pose[:3, :3].T, g)  # rows: R e_k × g
+    turned = np.cross(pose[:3, :3].T, g)  # rows: column k of the rotation × gravity
     return np.column_stack([-jacobian[:3].T @ g, -jacobian[3:].T @ turned.T])
 
 
