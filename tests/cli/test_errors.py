@@ -175,8 +175,8 @@ def test_the_emulator_starts_first_and_reports_late_replies(monkeypatch, capsys)
     assert main(["servos", "emulate", "so101", "--duration", "1"]) == 0
     assert asked == [-10]
     out = " ".join(capsys.readouterr().out.split())
-    assert "an answer left 150 ms late" in out
-    assert "an answer left 350 ms late" in out
+    assert "a reply was sent 150 ms late" in out
+    assert "a reply was sent 350 ms late" in out
     assert out.count("this computer is busy") == 2
 
 

@@ -125,7 +125,10 @@ class _Player:
                 replay.resume()
             if replay.state != last_state:
                 last_state = replay.state
-                hint = {"stopped": ": something pushes; Enter goes on", "blocked": ": it waits"}
+                hint = {
+                    "stopped": ": contact force above --stop; Enter continues",
+                    "blocked": ": deviation above --wait; the motion pauses",
+                }
                 self._console.print(
                     f"{replay.time:6.2f} s  {last_state}{hint.get(last_state, '')}", highlight=False
                 )

@@ -139,8 +139,8 @@ def _describe_target_error(model: Model, q: Array, target: Array) -> list[str]:
         if margin_left < LIMIT_MARGIN
     ]
     why = (
-        f"; at their limits: {', '.join(names)}. The tool goes straight to its target and looks "
-        "for no way round: begin in another pose"
+        f"; at their limits: {', '.join(names)}. The tool moves straight to its target and does "
+        "not avoid position limits: start in another pose"
     )
     return [f"the tool is {distance * 1e3:.0f} mm off its last target{why if names else ''}"]
 

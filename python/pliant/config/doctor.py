@@ -155,7 +155,7 @@ def _clock(rate: float) -> Diagnosis:
     text = f"wakes {often * 1e6:.0f} µs late, at most {worst * 1e3:.2f} ms, at {rate:g} Hz"
     if worst > MAX_LATENESS * period:
         return Diagnosis(
-            "note", "loop", f"{text}: other programs compete; close them, or lower [loop] rate"
+            "note", "loop", f"{text}: other programs use the CPU; close them, or lower [loop] rate"
         )
     return Diagnosis("good", "loop", text)
 
@@ -171,7 +171,7 @@ def _ports(chain: ServoBus) -> Iterator[Diagnosis]:
             yield Diagnosis(
                 "bad",
                 "adapter",
-                f"{path} holds answers back for {timer * 1e3:.0f} ms: echo 1 | sudo tee "
+                f"{path} delays replies by {timer * 1e3:.0f} ms: echo 1 | sudo tee "
                 f"/sys/bus/usb-serial/devices/{name}/latency_timer (a udev rule makes it last)",
             )
 

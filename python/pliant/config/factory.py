@@ -141,7 +141,7 @@ def connect(
         for name, value in values.items():
             if value is not None:
                 raise ConfigError(
-                    f"{name}= replaces a word of a file, and this is a Config: give it to "
+                    f"{name}= replaces a value of a file, but a Config is given: give it to "
                     f"pliant.config.load(..., {name}=...)"
                 )
     start: dict[str, Any] = {} if q is None else {"q": q}
@@ -243,7 +243,7 @@ def _backend_options(config: Config, options: dict[str, Any]) -> dict[str, Any]:
     for key in options:
         if key in simulator_options - known:
             raise ConfigError(
-                f"{key!r} is an option of a simulated arm, and this one has backend "
+                f"{key!r} is an option of a simulated arm, but the backend is "
                 f'{config.backend!r}: connect(..., backend="sim")'
             )
     check_options(options, ARM_OPTIONS | known)

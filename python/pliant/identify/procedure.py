@@ -110,7 +110,7 @@ class Procedure(Generic[T]):
             self.done = True
             self._result = [end.value]
         if self._command is None:
-            raise ServoError("the procedure ended before it gave an order")
+            raise ServoError("the procedure ended before it gave a command")
         return self._command
 
     def close(self) -> None:

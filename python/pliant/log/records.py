@@ -80,7 +80,7 @@ def records(stream: BinaryIO, size: int) -> Iterator[McapRecord]:
                     yield record
             elif opcode == Opcode.ATTACHMENT:
                 if _CRC.unpack(body[-_CRC.size :])[0] != zlib.crc32(body[: -_CRC.size]):
-                    raise DamagedError(f"the attachment at byte {offset} has another checksum")
+                    raise DamagedError(f"the attachment at byte {offset} has a wrong checksum")
                 attachments += 1
                 yield Attachment.read(_stream(body))
             elif opcode == Opcode.STATISTICS:

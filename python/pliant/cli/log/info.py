@@ -41,11 +41,11 @@ def _lines(path: Path, log: Log) -> list[str]:
         f"made by pliant {run['pliant']}" + (f": {run['note']}" if run["note"] else ""),
     ]
     if log.damage:
-        lines.append(f"damaged: {log.damage}; what stands before that is here")
+        lines.append(f"damaged: {log.damage}; the data before the damage are shown")
     elif not log.whole:
-        lines.append("not completed: program and writer died; what they wrote is here")
+        lines.append("not completed: program and writer died; what they had written is shown")
     if log.missing:
-        lines.append(f"{log.missing} calls of the controller were dropped")
+        lines.append(f"{log.missing} calls of the controller are missing from the log")
     if len(log):
         late = 1e3 * np.diff(log.time)
         middle, longest = np.median(late), late.max() if late.size else 0.0
@@ -61,7 +61,7 @@ def _lines(path: Path, log: Log) -> list[str]:
         )
         share = log.saturated.mean(axis=0)
         lines.append(
-            "at the torque ceiling: "
+            "at the maximum torque: "
             + ", ".join(
                 f"{name} {value:.0%}" for name, value in zip(run["joints"], share, strict=True)
             )

@@ -16,9 +16,9 @@ def run(log: LogFile) -> None:
 
     result = verify(read(log))
     line = (
-        f"run again: {result.steps} commands, all the same, bit for bit"
+        f"recomputed: {result.steps} commands, all identical bit for bit"
         if result.same
-        else f"run again: {result.differing} of {result.steps} commands differ, goals by at most "
+        else f"recomputed: {result.differing} of {result.steps} commands differ, goals by at most "
         f"{result.largest:.2g} rad" + (" (calls are missing)" if result.missing else "")
     )
     print_line(line)

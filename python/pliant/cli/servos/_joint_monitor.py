@@ -161,7 +161,7 @@ def _end(console: Console, monitor: JointMonitor | None) -> None:
     """Print the final pose as the line `rest_q = [...]` for the configuration file."""
     if monitor is not None and monitor.rest:
         print_line(
-            "If this is where the arm shall rest, write it under [life] of its file:", console
+            "To let the arm rest in this pose, write this line under [life] of its file:", console
         )
         print_line(monitor.rest, console)
 
@@ -175,7 +175,10 @@ def _begin(console: Console, on: list[str]) -> None:
         console,
     )
     if on:
-        print_line(f"torque is on already, they cannot be moved by hand: {', '.join(on)}", console)
+        print_line(
+            f"torque is on already, so these joints cannot be moved by hand: {', '.join(on)}",
+            console,
+        )
 
 
 def _table(monitor: JointMonitor) -> Table:

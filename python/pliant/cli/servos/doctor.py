@@ -14,8 +14,8 @@ from pliant.config.doctor import examine
 MARKS = {"good": "[green]ok  [/]", "note": "[yellow]note[/]", "bad": "[red]bad [/]"}
 #: Last line of the output if no problem was found on real or emulated servos.
 READY = (
-    "ready, but for what no program sees: whether each joint is counted the right way round. "
-    "Before torque comes on: the same command with --watch"
+    "ready, except for a check by eye: does the angle of each joint grow in the right direction? "
+    "Run the same command with --watch before the torque is switched on"
 )
 
 

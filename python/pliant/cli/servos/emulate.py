@@ -87,8 +87,8 @@ def run(
                 if (lateness := bus.late) > threshold:
                     threshold = 2.0 * lateness  # warn again only when the lateness has doubled
                     console.print(
-                        f"this computer is busy: an answer left {lateness * 1e3:.0f} ms late, and "
-                        "drivers may take that for a lost one",
+                        f"this computer is busy: a reply was sent {lateness * 1e3:.0f} ms late, "
+                        "and drivers may treat it as lost",
                         style="yellow",
                     )
     finally:

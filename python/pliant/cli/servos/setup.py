@@ -93,7 +93,7 @@ def run(
     console.print(f"{len(planned)} registers written and read back")
     name = shlex.quote(arm)
     again = " ".join(["pliant servos doctor", name, "--watch", *override.as_arguments()])
-    print_line(f"before torque comes on, see its directions: {again}", console)
+    print_line(f"before torque on, check the directions of the joints: {again}", console)
     if undo is None:
         file = shlex.quote(str(backup))
         back = " ".join(["pliant servos setup", name, "--undo", file, *override.as_arguments()])
