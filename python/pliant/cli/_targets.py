@@ -164,7 +164,7 @@ class NoTargets:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Do nothing."""
+        """Do nothing: this source has no file or socket to close."""
 
 
 class FileTargets(NoTargets):
