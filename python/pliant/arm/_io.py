@@ -271,6 +271,9 @@ RAMP_TIME = 0.5
 #: probably wrong [rad]. The largest lead (goal minus position at full torque) comes on top.
 MAX_GOAL_EXCESS = 1.0
 
+#: Number of reads within which every joint of a program that has ended should answer.
+RESUME_READS = 5
+
 
 class ArmIO:
     """Read and write all joints of a drive, with the checks that apply to every cycle.
@@ -421,6 +424,42 @@ class ArmIO:
         return refusing is not None and bool(np.any(np.asarray(refusing)[self.joints.chain]))
 
     # Methods that write to the drive.
+
+    def resume(self, rate: float) -> bool:
+        """Take over the joints with torque of a program that has ended; send nothing.
+
+        Goals and limits are those in the servos. A joint that does not answer has the position that
+        the program knew before torque on, until it answers.
+
+        Args:
+            rate: Rate of the reads [Hz].
+
+        Returns:
+            True if a joint has torque.
+
+        Raises:
+            ServoError: A port cannot be opened.
+        """
+        goals, limits = self.drive.reopen()  # type: ignore[attr-defined]
+        has_torque = np.isfinite(goals)
+        for _ in range(RESUME_READS):
+            if self.sample().all():
+                break
+            self.clock.wait_until(self.clock.now() + 1.0 / rate)
+        unknown = np.isnan(self.positions.position)
+        if unknown.any():
+            last = self.drive.read().position
+            self.positions.position = np.where(unknown, last, self.positions.position)
+            self.positions.time = np.where(unknown, self.clock.now(), self.positions.time)
+        goals = np.where(has_torque, goals, self.positions.position)
+        limits = np.where(has_torque, limits, 0.0)
+        self._sent = goals, limits
+        self.goal, self.limit = goals[self.joints.chain], limits[self.joints.chain]
+        self.orders = {
+            name: (float(goals[i]), float(limits[i]))
+            for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True)
+        }
+        return bool(has_torque.any())
 
     def ramp_limits(self, limit: Array | float = 0.0) -> None:
         """Bound torque limits during `RAMP_TIME` by a ramp from holding torque to usable torque.

@@ -58,16 +58,18 @@ class ExitMessages:
         self._start_time, self._last_progress = io.clock.now(), time.monotonic()
         self._start_height: float | None = None
 
-    def begin(self, *, interrupted: bool = False) -> Message:
-        """Send and return the message that the arm is being lowered, and what Ctrl-C does now.
+    def begin(self, *, interrupted: bool = False, abort: str | None = None) -> Message:
+        """Send and return the message that the arm is being lowered, and how to abort it.
 
         Args:
             interrupted: True if a Ctrl-C is the reason for the shutdown.
+            abort: Beginning of the sentence that tells how to abort; None: by Ctrl-C.
         """
         why = "" if self._cause is None else f" ({self._cause})"
-        again = "Ctrl-C again leaves" if interrupted else "Ctrl-C twice leaves"
+        if abort is None:
+            abort = "Ctrl-C again leaves" if interrupted else "Ctrl-C twice leaves"
         return MESSAGES.post(
-            f"{self._name} is being lowered{why}. {again} at once, torque ON", self._level
+            f"{self._name} is being lowered{why}. {abort} at once, torque ON", self._level
         )
 
     def progress(self, lowering: Lowering) -> None:

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 SWITCH_INTERVAL = 1e-4
 
 
+def private_heartbeat() -> memoryview[float]:
+    """Return memory for `Supervisor.heartbeat` that no other process reads."""
+    return memoryview(bytearray(16)).cast("d")
+
+
 class Supervisor:
     """Lock of an arm, and a watchdog thread that calls `leave` if the program stalls.
 
@@ -33,6 +38,8 @@ class Supervisor:
         reason: Reason for which the watchdog thread has called `leave`; None if it has not. `Arm`
             also sets it when the program ends.
         abort: Event that aborts a running descent in any thread.
+        heartbeat: Two numbers that the guardian reads: time of the last access to the drive [s],
+            and time without an access after which the program hangs [s], 0: no such time.
     """
 
     def __init__(self, leave: Callable[[], None]) -> None:
@@ -43,6 +50,7 @@ class Supervisor:
         self.owner: int | None = None
         self._leave, self._last_call = leave, 0.0
         self._done = threading.Event()
+        self.heartbeat = private_heartbeat()
 
     def __enter__(self) -> None:
         """Take the lock for one access to the drive.
@@ -58,7 +66,7 @@ class Supervisor:
             self.check()
 
     def __exit__(self, *_: object) -> None:
-        self._last_call = time.perf_counter()
+        self._last_call = self.heartbeat[0] = time.perf_counter()
         self.lock.release()
 
     @property
@@ -124,6 +132,7 @@ class Supervisor:
             yield self.check
             return
         self.end_supervision()
+        self.heartbeat[1] = timeout
         done = self._done = threading.Event()
         self._last_call = time.perf_counter()
         thread = threading.Thread(
@@ -133,13 +142,23 @@ class Supervisor:
         try:
             yield self.check
         except GeneratorExit:
-            done.set()
+            self._end(done)
             raise
-        done.set()
+        self._end(done)
 
     def end_supervision(self) -> None:
         """Stop the watchdog thread, if one runs."""
-        self._done.set()
+        self._end(self._done)
+
+    def _end(self, done: threading.Event) -> None:
+        """Stop the watchdog thread with the event `done`, unless a later one replaced it."""
+        done.set()
+        if done is self._done:
+            self.heartbeat[1] = 0.0
+
+    def beat(self) -> None:
+        """Tell the guardian that the program runs, without an access to the drive."""
+        self.heartbeat[0] = time.perf_counter()
 
     def _run(self, timeout: float, done: threading.Event) -> None:
         """Take the arm over once the program stalls for `timeout` [s]; return if `done` is set."""

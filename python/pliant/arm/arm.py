@@ -14,6 +14,7 @@ import numpy as np
 from pliant._core import ArmPoints, ConfigError, ServoError, ServoFaultError
 from pliant._validation import instance, real
 from pliant.arm._checks import check_rest, path_obstacle, posture, times
+from pliant.arm._guardian import Guardian, is_available
 from pliant.arm._io import ArmIO
 from pliant.arm._messages import MESSAGES
 from pliant.arm._shutdown import ExitMessages, descend, exit_cause, hold_position
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from pliant._core import Model
+    from pliant._core import Lowering, Model
     from pliant._typing import Array
     from pliant.arm.gripper import GripperConfig
     from pliant.drive import Clock, Drive, State
@@ -70,6 +71,10 @@ class Arm:
             ``g/k_p`` [rad], gravity torque over stiffness of the servo.
         handle_signals: True if SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
         table: Height of the table in base axes [m]; None: no table, or its height is unknown.
+        guardian: True: a process beside the program lowers the arm, or leaves it enabled, if the
+            program ends by SIGKILL or a crash, or hangs, with torque on. It kills a program that
+            hangs or is stopped. It needs a drive whose servos outlive the program, such as
+            `ServoBus`; other drives have none.
 
     Attributes:
         model: The robot, with the servo parameters of the drive.
@@ -100,6 +105,7 @@ class Arm:
         watchdog: float = 0.0,
         handle_signals: bool = True,
         table: float | None = None,
+        guardian: bool = True,
     ) -> None:
         """Match the drive's joints with the model's; open no port and move nothing."""
         if on_exit not in {"lower", "leave_enabled"}:
@@ -113,6 +119,8 @@ class Arm:
         self._gripper_configs = check_grippers(grippers)
         self._supervisor = Supervisor(self._take_down)
         self._signals = Signals(self._supervisor.abort.set) if handle_signals else None
+        self._has_guardian = instance(guardian, bool, "guardian") and is_available(drive)
+        self._guardian: Guardian | None = None
         self._exit_message: str | None = None
         self._build()
         self.table = None if table is None else real(table, "table [m]")
@@ -166,6 +174,9 @@ class Arm:
 
     def _enable(self) -> None:
         """Do the work of `enable`; the caller holds the supervisor's lock."""
+        if self._has_guardian and (self._guardian is None or not self._guardian.is_ours):
+            # The process imports its modules while the bus is opened.
+            self._guardian = Guardian(self._supervisor)
         self.open()
         self._supervisor.reason = None
         io = self._io
@@ -182,6 +193,7 @@ class Arm:
             if self._signals is not None:
                 self._signals.install()
             atexit.register(self._at_exit)
+            self._start_guardian()
             self._supervisor.owner = os.getpid()
             io.start(start, limit)
         except ServoError:
@@ -266,6 +278,9 @@ class Arm:
             if self._opened:
                 self._opened = False
                 self.drive.close()
+            if self._guardian is not None:
+                self._guardian.close()
+                self._guardian = None
             MESSAGES.flush()
 
     def _descend(self, rest: Array | None) -> None:
@@ -296,6 +311,14 @@ class Arm:
     def _run_descent(self, rest: Array | None, messages: ExitMessages) -> None:
         """Descend and switch torque off; if the descent is aborted, hold the present pose."""
         down = False
+        supervisor = self._supervisor
+        # The descent accesses the drive in each cycle, without the supervisor's lock.
+        supervisor.heartbeat[1] = self.comm_timeout
+
+        def on_tick(lowering: Lowering) -> None:
+            supervisor.beat()
+            messages.progress(lowering)
+
         rest = self._reachable(rest)
         if self.detour is not None:
             MESSAGES.post(f"{self.detour}: the arm is lowered straight down")
@@ -304,9 +327,11 @@ class Arm:
                 self._io,
                 rest,
                 self.rate,
-                self._supervisor.abort.is_set,
-                on_tick=messages.progress,
+                supervisor.abort.is_set,
+                on_tick=on_tick,
             )
+            # Torque off may take longer on a bad line.
+            supervisor.heartbeat[1] = 0.0
             if down:
                 with contextlib.suppress(ServoError):
                     self._io.set_watchdog(0.0)
@@ -356,25 +381,74 @@ class Arm:
         self.detour = path_obstacle(self.model, self._points, self._io.q, rest, self.table)
         return rest if self.detour is None else None
 
-    def _take_down(self) -> None:
-        """Lower the arm or leave it enabled, in the watchdog thread, after the program stalled."""
+    def _start_guardian(self) -> None:
+        """Let the guardian watch the program, if the arm has one.
+
+        Raises:
+            ServoError: It did not start; torque stays as it is.
+        """
+        if self._guardian is None:
+            return
+        arguments = {
+            "model": self.model,
+            "rest_q": self.rest_q,
+            "on_exit": self._on_exit,
+            "rate": self.rate,
+            "comm_timeout": self.comm_timeout,
+            "power_budget": self._budget,
+            "grippers": self._gripper_configs,
+            "table": self.table,
+        }
+        self._guardian.watch(self.drive, arguments)
+
+    def _resume(self, cause: str) -> None:
+        """Lower the arm or leave it enabled, in the guardian, for a program that has ended.
+
+        If no joint has torque, only restore the registers that the program found.
+
+        Args:
+            cause: What has happened to the program.
+
+        Raises:
+            ServoError: The ports cannot be opened, or the arm was not lowered.
+        """
+        if not self._io.resume(self.rate):
+            self.drive.disable(self._io.joints.names)
+            return
+        self._supervisor.owner, self._supervisor.reason = os.getpid(), cause
+        self._take_down(abort=f"`kill -9 {os.getpid()}` leaves")
+
+    def _take_down(self, abort: str | None = None) -> None:
+        """Lower the arm or leave it enabled, after the program stalled or ended.
+
+        The watchdog thread or the guardian calls this method. `abort` is the beginning of the
+        message that tells how to abort the descent; None: by Ctrl-C.
+        """
         try:
             if not self.enabled:
                 return
             messages = self._exit_messages(self._supervisor.reason)
             if self._on_exit == "lower":
-                messages.begin()
+                messages.begin(abort=abort)
                 self._run_descent(self.rest_q, messages)
             else:
                 hold_position(self._io)
                 self._exit_message = messages.left_enabled()
         finally:
             self._supervisor.owner = None
+            self._rest_guardian()
+
+    def _rest_guardian(self) -> None:
+        """Tell the guardian that the program is done with the arm, with torque off or left on."""
+        self._supervisor.heartbeat[1] = 0.0
+        if self._guardian is not None:
+            self._guardian.rest()
 
     def _release(self) -> None:
-        """End this process's control of the arm: stop watchdog thread and signal handling."""
+        """End this process's control of the arm: stop watchdogs and signal handling."""
         self._supervisor.owner = None
         self._supervisor.end_supervision()
+        self._rest_guardian()
         atexit.unregister(self._at_exit)
         if self._signals is not None:
             self._signals.restore()

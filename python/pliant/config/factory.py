@@ -50,6 +50,7 @@ class ArmOptions(TypedDict, total=False):
     grippers: Mapping[str, GripperConfig] | None
     watchdog: float
     handle_signals: bool
+    guardian: bool
     table: float | bool | None
 
 
@@ -192,6 +193,7 @@ def make_arm(config: Config, **options: Any) -> Arm:
         "rate": config.loop.rate,
         "comm_timeout": config.loop.comm_timeout,
         "table": config.robot.table,
+        "guardian": config.life.guardian,
         # Backend "sim" does not simulate servo currents, so the supply current has no limit.
         "power_budget": Budget(supply=None if config.backend == "sim" else config.supply.current),
         "grippers": gripper_configs(config),
@@ -430,6 +432,11 @@ class EmulatedBus(ServoBus):
         at = None if q is None else vector(model, q, "q").tolist()
         self.emulator = EmulatorProcess(make_emulator, config, q=at)
         super().__init__(**_bus_options(config, self.emulator.ports, REPLY_TIMEOUT_MIN))
+
+    @property
+    def outlives_program(self) -> bool:
+        """False: the emulated servos end with the program."""
+        return False
 
     def close(self) -> None:
         """Close the ports and end the process of the emulator."""

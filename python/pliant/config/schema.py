@@ -225,10 +225,13 @@ class Life(StrictModel):
         rest_q: Joint positions (n,) [rad] in which the arm rests without torque; the arm moves
             there before torque off. None: the arm is lowered straight down.
         on_exit: `lower`: lower the arm, then torque off; `leave_enabled`: torque stays on.
+        guardian: True: a process beside the program does this if the program ends by SIGKILL or a
+            crash, or hangs; only with real servos.
     """
 
     rest_q: list[Number] | None = None
     on_exit: Literal["lower", "leave_enabled"] = "lower"
+    guardian: Annotated[bool, Field(strict=True)] = True
 
 
 class Supply(StrictModel):

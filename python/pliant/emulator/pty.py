@@ -7,6 +7,7 @@ import os
 import shutil
 import struct
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from pliant._core import ServoError
@@ -82,11 +83,16 @@ class Pty:
         if self.master is None:
             return b""
         try:
-            return os.read(self.master, 65536)
+            data = os.read(self.master, 65536)
         except OSError as error:
             if error.errno in {errno.EIO, errno.EAGAIN}:
                 return b""
             raise
+        # A real port is no longer exclusive once its program has been killed. Here the slave end
+        # above keeps the flag, and only the lock of the port ends with the program.
+        with suppress(OSError):
+            fcntl.ioctl(self._slave or 0, termios.TIOCNXCL)
+        return data
 
     def write(self, data: bytes) -> None:
         """Send bytes to the host; they are lost when the host's buffer is full, as on a port."""

@@ -30,6 +30,8 @@ MAX_START_ERROR = 0.15
 MAX_SENDS, MAX_DRIFT = 5, 0.01
 #: Time within which a servo must answer after a reboot [s].
 REBOOT = 2.0
+#: Number of tries to read each servo after its program has ended.
+RESUME_TRIES = 3
 #: Registers that are read and checked before torque is switched on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
 #: Number of torque-off packets to send to a servo that does not reply, and largest number of
@@ -96,6 +98,39 @@ def enable(
         raise
     for device in devices:
         device.enabled = device.torque_on = True
+
+
+def resume(devices: Sequence[Device], ports: Ports, budget: float) -> None:
+    """Read the servos of a program that has ended, and drive those whose torque is on.
+
+    A servo that does not answer in `RESUME_TRIES` tries keeps goal and limit, and gets no goals.
+
+    Args:
+        devices: The servos.
+        ports: Port of each servo.
+        budget: Time for each try of a servo [s].
+
+    Raises:
+        BusError: A port is gone.
+    """
+    pending = list(devices)
+    for _ in range(RESUME_TRIES):
+        silent = []
+        for device in pending:
+            guard = ports[id(device)].guard
+            guard.start_cycle(budget)
+            device.accept_any_position()
+            try:
+                image = read_image(guard, device, "torque_enable", "goal", "limit")
+                device.accept(guard.read(device.id, *device.family.read))
+            except BusError as error:
+                error.raise_if_gone()
+                silent.append(device)
+                continue
+            device.enabled = device.torque_on = bool(image["torque_enable"])
+            device.limit = image["limit"]
+            device.record_sent(image["goal"], image["limit"])
+        pending = silent
 
 
 class FirstCommand(NamedTuple):

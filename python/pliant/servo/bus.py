@@ -18,7 +18,7 @@ from pliant.servo._handshake import ServoInfo, identify
 from pliant.servo._port import Port, StatusPoller
 from pliant.servo._transactions import check_reply_timeout
 from pliant.servo.spec import ServoSpec, check_specs, servos_from_units
-from pliant.servo.transport import BusError, RustypotTransport
+from pliant.servo.transport import BusError, RustypotTransport, drop_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -153,6 +153,8 @@ class ServoBus:
         self._ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
         self._watchdog = 0.0
+        # By path, in a `closed_copy`: longest delay of a reply, and latency of the adapter [s].
+        self._timing: dict[str, tuple[float, float]] = {}
         self.found: tuple[ServoInfo, ...] = ()
 
     # Methods that open and close the bus.
@@ -177,6 +179,71 @@ class ServoBus:
         except BaseException:
             self.close()
             raise
+
+    @property
+    def outlives_program(self) -> bool:
+        """True if another process can drive the servos after the end of the program.
+
+        The ports must be serial ports, and not of a `transport` of your own, and in real time.
+        """
+        is_real = self.clock is None or bool(getattr(self.clock, "real_time", False))
+        return is_real and self._transport is RustypotTransport
+
+    def closed_copy(self) -> ServoBus:
+        """Return a closed bus of the same servos as identified, for `reopen` in another process."""
+        copy = ServoBus(
+            self.specs,
+            baudrate=self._baudrate,
+            rate=1.0 / self._cycle,
+            reply_timeout_min=self._reply_timeout_min,
+            speed=self._speed,
+        )
+        copy._joints, copy._devices = self._joints, self._devices
+        copy._poller, copy.found = self._poller, self.found
+        copy._timing = {
+            port.path: (port.guard.response_delay, port.guard.latency) for port in self._ports
+        }
+        return copy
+
+    def reopen(self) -> tuple[Array, Array]:
+        """Open the ports of a `closed_copy` after the program has ended with torque on.
+
+        The servos were identified before the copy was made, and are not identified again, so
+        that a servo that is missing by now does not prevent the descent of the others. `write`
+        sends goals to the servos whose torque is on. Torque does not change, and `disable`
+        restores the registers that the ended program found.
+
+        Returns:
+            Goals [rad] and torque limits [N·m] (n,) in the servos; NaN for a joint without torque
+            or without an answer.
+
+        Raises:
+            ServoError: A port cannot be opened, for example because a program still uses it.
+        """
+        try:
+            for path, (response_delay, latency) in self._timing.items():
+                port = self._open_port(path)
+                port.guard.response_delay = response_delay
+                port.latency = port.guard.latency = latency
+                # The line may hold the reply to the last request of the ended program.
+                port.guard.find_unused_id({device.id for device in port.devices}, port.highest)
+            if len(self._ports) > 1:
+                self._pool = ThreadPoolExecutor(len(self._ports), "pliant-bus")
+            sequences.resume(self._devices, self._port_of, self._budget)
+        except BaseException:
+            self.close()
+            raise
+        goals, limits = np.full(self.n, np.nan), np.full(self.n, np.nan)
+        for i, joint in enumerate(self._joints):
+            if all(device.enabled for device in joint):
+                goals[i] = joint[0].angle(joint[0].goal or 0)
+                limits[i] = abs(joint[0].units.torque(joint[0].limit))
+        return goals, limits
+
+    def drop_ports(self) -> None:
+        """Give up the ports in a forked process, so that they close when their program ends."""
+        for port in self._ports:
+            drop_port(port.path)
 
     def close(self) -> None:
         """Close the ports; the servos hold their last goal and limit."""
@@ -454,7 +521,7 @@ class ServoBus:
         self._poller = StatusPoller(self._joints)
         self._counters: list[Counters] = []
 
-    def _open_port(self, path: str) -> None:
+    def _open_port(self, path: str) -> Port:
         devices = [device for device in self._devices if device.spec.port == path]
         port = Port(
             path,
@@ -468,6 +535,7 @@ class ServoBus:
         self._ports.append(port)
         self._counters.append(port.guard.counters)
         self._port_of.update({id(device): port for device in devices})
+        return port
 
     def _read_first(self) -> None:
         """Read all servos once; set the zero of second servos from the first servo of the joint."""

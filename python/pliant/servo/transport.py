@@ -6,7 +6,9 @@ test fake); `ServoBus(..., transport=...)` takes a function that opens such an o
 
 from __future__ import annotations
 
+import os
 import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from pliant._core import ServoError
@@ -198,13 +200,33 @@ def _cannot_open(port: str, text: str) -> str:
             "$USER; on Arch uucp), log out and in again"
         )
     if "exclusive" in lower or "busy" in lower or "in use" in lower:
-        return f"{port} is in use by another program: close it (a vendor's wizard, another run)"
+        return (
+            f"{port} is in use by another program: close it (a vendor's wizard, another run); a "
+            "guardian that lowers the arm after its program has ended is done within a minute"
+        )
     if "no such file" in lower or "not found" in lower or "no such device" in lower:
         there = ", ".join(serial_ports()) or "none: is the adapter plugged in?"
         return f"there is no port {port}; there are: {there}"
     if "typewriter" in lower or "inappropriate ioctl" in lower:
         return f"{port} is no serial port; there are: {', '.join(serial_ports()) or 'none'}"
     return f"cannot open {port}: {text}"
+
+
+def drop_port(path: str) -> None:
+    """Replace descriptors of the serial port `path` by the null device, in a forked process.
+
+    A forked process shares the lock of the port, which would otherwise stay locked until the end of
+    both processes. Closing through the driver could wait for a thread that the fork does not have.
+    """
+    with suppress(OSError):
+        device = os.stat(path).st_rdev
+        for name in os.listdir("/dev/fd"):
+            with suppress(OSError):
+                number = int(name)
+                if device and os.fstat(number).st_rdev == device:
+                    null = os.open(os.devnull, os.O_RDWR)
+                    os.dup2(null, number, inheritable=False)
+                    os.close(null)
 
 
 def serial_ports() -> tuple[str, ...]:

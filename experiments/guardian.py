@@ -1,0 +1,359 @@
+"""Endings of a program that leave it no chance to lower its arm: ``python -m experiments.guardian``.
+
+Emulated servos run in a process of their own, in real time. Another process enables the arm, and
+is ended at a random instant of a phase. Its guardian lowers the arm. The program prints the tables
+of docs/lifecycle.md: for each ending the time from it to the guardian's first goal, and what the
+arm did; then what the guardian costs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+import pliant.teach
+from experiments import program
+from pliant.config import load
+from pliant.config.factory import make_arm, make_emulator
+from pliant.config.loader import builtin_text, parse
+from pliant.emulator.process import EmulatorProcess
+from pliant.loop import Loop
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant.config import Config
+    from pliant.emulator import ArmEmulator
+    from pliant.emulator.log import Transaction
+
+#: Signals that the harness sends, and endings that the program performs itself.
+SIGNALS = ("SIGKILL", "SIGSTOP", "SIGHUP")
+ENDINGS = (*SIGNALS, "segmentation fault", "abort", "exhausted memory", "held lock")
+#: Phases of a program, and time after the beginning of each within which it is ended [s].
+PHASES = {"enabling": 1.5, "running": 2.0, "descending": 4.0, "teaching": 4.0}
+#: Time after an ending within which packets may still be those of the ended program [s].
+IN_FLIGHT = 0.02
+#: Longest time until the arm must be lowered [s], and time of observation after torque off [s].
+PATIENCE, AFTER = 90.0, 1.0
+#: Largest speed of the tool during the descent, and after torque off [m/s].
+MAX_SPEED, MAX_FALL = 0.2, 0.1
+#: Registers that change by themselves, or that no program restores.
+CHANGING = ("present", "moving", "status", "goal_position", "torque_enable", "realtime_tick")
+#: Reply timeout of the programs [s]; the emulator shares the computer with them.
+REPLY_TIMEOUT = 0.05
+
+
+def configuration(robot: str, **overrides: Any) -> Config:
+    """Return the configuration of a built-in arm, with a reply timeout for emulated servos."""
+    text = builtin_text(robot)
+    line = f"[loop]\nreply_timeout_min = {REPLY_TIMEOUT}\n"
+    text = text.replace("[loop]\n", line) if "[loop]\n" in text else f"{text}\n{line}"
+    return parse(text, source=robot, **overrides)
+
+
+class Recorder:
+    """Record of an emulated arm: tool, torque and goals, by the system's monotonic clock.
+
+    Args:
+        bus: The emulator; its physics step is replaced.
+    """
+
+    def __init__(self, bus: ArmEmulator) -> None:
+        self._bus = bus
+        self._rows: list[tuple[float, float, float, bool]] = []
+        self._goals: list[float] = []
+        self._first: list[dict[str, int]] | None = None
+        self._step: Callable[[int], None] = bus.world.physics.step
+        bus.world.physics.step = self._recorded  # type: ignore[method-assign]
+        bus.log.watch = self._watched
+
+    def _recorded(self, count: int) -> None:
+        if self._first is None:
+            self._first = self._registers()
+        self._step(count)
+        plant = self._bus.plant
+        speed = float(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]))
+        self._rows.append((time.monotonic(), float(plant.tool[2, 3]), speed, self.has_torque()))
+
+    def _watched(self, transaction: Transaction) -> None:
+        if any("goal_position" in write.values for write in transaction.writes):
+            self._goals.append(time.monotonic())
+
+    def has_torque(self) -> bool:
+        """Return True if a servo has torque."""
+        return any(servo.get("torque_enable") for servo in self._bus.servos)
+
+    def _registers(self) -> list[dict[str, int]]:
+        return [
+            {
+                register.name: servo.get(register.name)
+                for register in servo.table
+                if register.area == "ram" and not register.name.startswith(CHANGING)
+            }
+            for servo in self._bus.servos
+        ]
+
+    def summary(self, ended: float) -> dict[str, Any]:
+        """Return what happened after the program ended at `ended` on the monotonic clock [s]."""
+        now, height, speed, torque = (np.array(column) for column in zip(*self._rows, strict=True))
+        after = now > ended
+        on = after & torque.astype(bool)
+        goals = [goal for goal in self._goals if goal > ended + IN_FLIGHT]
+        changed = [
+            f"{name}: {value} -> {new[name]}"
+            for old, new in zip(self._first or [], self._registers(), strict=True)
+            for name, value in old.items()
+            if new[name] != value
+        ]
+        start = height[~after][-1]
+        return {
+            "had_torque": bool(on.any()),
+            "has_torque": self.has_torque(),
+            "first_goal": goals[0] - ended if goals else None,
+            "takes": float(now[on][-1] - ended) if on.any() else 0.0,
+            "speed": float(speed[on].max(initial=0.0)),
+            "falls": float(speed[after & ~torque.astype(bool)].max(initial=0.0)),
+            "sags": float(start - height[after & (now < (goals[0] if goals else np.inf))].min()),
+            "lowered": float(start - height[-1]),
+            "registers": changed,
+        }
+
+
+def recorded(config: Config, q: list[float]) -> ArmEmulator:
+    """Return the emulator of an arm in the pose q (n,) [rad], with its `Recorder` as attribute."""
+    bus = make_emulator(config, q=q)
+    bus.recorder = Recorder(bus)  # type: ignore[attr-defined]
+    return bus
+
+
+# --- The program that is ended ---
+
+
+def _say(word: str) -> None:
+    os.write(1, f"{word}\n".encode())
+
+
+def _perform() -> None:
+    """Wait for a line on standard input, and end this process as it says."""
+    ending = sys.stdin.readline().strip()
+    if ending == "segmentation fault":
+        ctypes.string_at(0)
+    elif ending == "abort":
+        os.abort()
+    elif ending == "held lock":
+        ctypes.PyDLL(None).sleep(1000)  # a call by PyDLL keeps the interpreter's lock
+    elif ending == "exhausted memory":
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        size = pages * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (size, size))
+        kept, block, deadline = [], 1 << 20, time.monotonic() + 3.0
+        while time.monotonic() < deadline:
+            try:
+                kept.append(bytearray(block))
+            except MemoryError:
+                block = max(block // 2, 512)
+        os.abort()  # as C++ and Rust do when an allocation fails
+
+
+def victim(robot: str, port: str, phase: str, *, guardian: bool = True) -> None:
+    """Run the program that is ended: print its guardian, and the beginning of the phase."""
+    threading.Thread(target=_perform, daemon=True).start()
+    arm = make_arm(configuration(robot, backend="bus", port=port), guardian=guardian)
+    switch = arm.drive.enable
+
+    def enable(*orders: Any) -> None:
+        _say(str(arm._guardian.pid if arm._guardian is not None else 0))
+        if phase == "enabling":
+            _say("begin")
+        switch(*orders)
+
+    arm.drive.enable = enable  # type: ignore[method-assign]
+    with arm:
+        if phase == "teaching":
+            _say("begin")
+            pliant.teach.record(arm)
+        controller = pliant.Controller(arm.model, pliant.Settings.soft("y", task="xyz"), arm.servos)
+        target = arm.model.forward_kinematics(arm.read().q)
+        for tick in Loop(arm, controller, duration=0.3 if phase == "descending" else None):
+            if tick.index == 0 and phase == "running":
+                _say("begin")
+            moved = target.copy()
+            moved[2, 3] += 0.02 * np.sin(2.0 * tick.time)
+            tick.step(moved)
+        if phase == "descending":
+            _say("begin")
+
+
+# --- The harness ---
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run.
+
+    Attributes:
+        robot: Name of the built-in arm.
+        phase: Phase in which the program ends, see `PHASES`.
+        ending: One of `ENDINGS`.
+        seed: Number that determines instant and pose.
+    """
+
+    robot: str
+    phase: str
+    ending: str
+    seed: int
+
+
+def start(case: Case) -> tuple[list[float], float]:
+    """Return the initial pose (n,) [rad], and the instant of the ending in its phase [s]."""
+    rng = np.random.default_rng([case.seed, *case.phase.encode(), *case.ending.encode()])
+    rest = np.array(load(case.robot).life.rest_q)
+    ready = np.array([0.3, -0.6, 0.5, 0.6, 0.0])
+    q = rest + rng.uniform(0.3, 1.0) * (ready - rest)
+    instant = PHASES[case.phase] * rng.uniform()
+    # Torque comes on joint by joint in the first part of this phase.
+    return q.tolist(), instant**2 / PHASES[case.phase] if case.phase == "enabling" else instant
+
+
+def run(case: Case) -> dict[str, Any]:
+    """Run a case; return the summary of the `Recorder`, and what is known of the processes.
+
+    Keys beside those of the summary: `code`, the program's exit code; `said`, its messages and
+    those of the guardian; `memory`, the guardian's own memory [MB]; `guarded`, True if it ended.
+    """
+    q, instant = start(case)
+    with tempfile.TemporaryFile("w+") as said, emulator(case.robot, q) as bus:
+        call = f"victim({case.robot!r}, {bus.port!r}, {case.phase!r})"
+        process = subprocess.Popen(
+            [sys.executable, "-c", f"from experiments.guardian import victim; {call}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=said,
+            text=True,
+        )
+        try:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            if not line:
+                said.seek(0)
+                raise RuntimeError(f"the program has ended before torque on: {said.read()}")
+            guardian = int(line)
+            process.stdout.readline()
+            memory = own_memory(guardian)
+            time.sleep(instant)
+            ended = time.monotonic()
+            if case.ending in SIGNALS:
+                process.send_signal(getattr(signal, case.ending))
+            else:
+                process.stdin.write(f"{case.ending}\n")
+                process.stdin.flush()
+            deadline = ended + PATIENCE
+            code = process.wait(PATIENCE)
+            while is_running(guardian) and time.monotonic() < deadline:
+                time.sleep(0.05)
+        finally:
+            process.kill()
+            process.wait()
+        time.sleep(AFTER)
+        found: dict[str, Any] = bus.call("recorder.summary", ended)
+        said.seek(0)
+        beside = {"code": code, "said": said.read(), "memory": memory}
+    return {**found, **beside, "guarded": not is_running(guardian)}
+
+
+def emulator(robot: str, q: list[float]) -> EmulatorProcess:
+    """Return the process with the emulated servos of an arm in the pose q (n,) [rad]."""
+    return EmulatorProcess(recorded, configuration(robot), q)
+
+
+def own_memory(pid: int) -> float:
+    """Return the memory that a process does not share with others [MB]."""
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
+    private = [line.split()[1] for line in text.splitlines() if line.startswith("Private_")]
+    return sum(map(int, private)) / 1024.0
+
+
+def is_running(pid: int) -> bool:
+    """Return True if a process runs; False if it has ended, also if it has not been waited for."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] not in {"Z", "X"}
+
+
+def main(instants: int = 50, few: int = 5, jobs: int = 2) -> None:
+    """Print a table of all endings, and what the guardian costs.
+
+    Args:
+        instants: Number of instants of SIGKILL in each phase, on the first arm.
+        few: Number of instants of each other ending, and on the other arm.
+        jobs: Number of runs at a time.
+    """
+    rows = [("so101", phase, "SIGKILL", instants) for phase in PHASES]
+    rows += [("koch", phase, "SIGKILL", few) for phase in PHASES]
+    rows += [("so101", phase, ending, few) for ending in ENDINGS[1:] for phase in PHASES]
+    print(program.head(COLUMNS), flush=True)
+    for robot, phase, ending, count in rows:
+        cases = [Case(robot, phase, ending, seed) for seed in range(count)]
+        with ThreadPoolExecutor(jobs) as pool:
+            found = list(pool.map(run, cases))
+        print(program.row(cells(cases, found)), flush=True)
+
+
+COLUMNS = (
+    "arm, ending",
+    "phase",
+    "lowered",
+    "first goal after [s]",
+    "sags before [mm]",
+    "tool [m/s]",
+    "after torque off [m/s]",
+    "torque off after [s]",
+)
+
+
+def is_lowered(found: dict[str, Any]) -> bool:
+    """Return True if the arm was lowered within its bounds, and the servos are as found."""
+    return (
+        found["guarded"]
+        and not found["has_torque"]
+        and not found["registers"]
+        and found["speed"] < MAX_SPEED
+        and found["falls"] < MAX_FALL
+    )
+
+
+def cells(cases: list[Case], found: list[dict[str, Any]]) -> list[str]:
+    """Return a row of the table: the largest value and the median of the runs with torque."""
+    on = [run for run in found if run["had_torque"]] or found
+    firsts = [run["first_goal"] for run in on if run["first_goal"] is not None]
+    return [
+        f"{cases[0].robot}, {cases[0].ending}",
+        cases[0].phase,
+        f"{sum(map(is_lowered, found))} of {len(found)}",
+        program.worst(firsts, 2) if firsts else "",
+        program.worst([run["sags"] for run in on], 0, 1e3),
+        program.worst([run["speed"] for run in on], 2),
+        program.worst([run["falls"] for run in on], 2),
+        program.worst([run["takes"] for run in on], 0),
+    ]
+
+
+if __name__ == "__main__":
+    program.start(main)

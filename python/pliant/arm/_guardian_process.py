@@ -1,0 +1,224 @@
+"""Process that lowers an arm after its program has ended, crashed or stopped with torque on.
+
+The program starts it before torque comes on, see `Guardian`. Arguments: id of the program, and
+descriptors of the socket to it and of the heartbeat.
+"""
+
+from __future__ import annotations
+
+import logging
+import mmap
+import os
+import pickle
+import signal
+import sys
+import time
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pliant._core import ServoError
+from pliant.arm._guardian import SIZE
+from pliant.arm._messages import MESSAGES
+from pliant.arm._shutdown import RECOVER, brief
+from pliant.arm.arm import Arm
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+#: Period of the checks [s].
+PERIOD = 0.1
+#: Time that the program has, beyond that of its own watchdog thread, before it counts as hanging
+#: [s]; the thread needs the interpreter's lock, and on a busy machine a core.
+MARGIN = 1.0
+#: Longest time until the port of an ended program can be opened [s].
+OPEN_TIME = 30.0
+#: Time between two tries to open it [s].
+OPEN_PERIOD = 0.01
+#: Time for the program to end after SIGKILL [s]; a call of the system that hangs may delay it.
+KILL_TIME = 5.0
+#: Signals that are ignored: only SIGKILL ends the guardian while it watches.
+IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGPIPE", "SIGUSR1", "SIGUSR2")
+
+
+class Program:
+    """The program that is watched.
+
+    Times are sums of the periods of the checks, so that time in which the guardian itself did not
+    run, on a stopped or busy machine, does not count against the program.
+
+    Args:
+        pid: Process id of the program, which is the parent of this process.
+        heartbeat: Memory shared with the program, see `Supervisor.heartbeat`.
+    """
+
+    def __init__(self, pid: int, heartbeat: Sequence[float]) -> None:
+        self.pid, self._heartbeat = pid, heartbeat
+        self._last, self._silent, self._stopped = heartbeat[0], 0.0, 0.0
+        self._checked = time.monotonic()
+        self._end: int | None = None
+        if hasattr(os, "pidfd_open"):
+            with suppress(OSError):
+                self._end = os.pidfd_open(pid)
+
+    @property
+    def sentinels(self) -> list[int]:
+        """Descriptors that become readable when the program ends; empty if unknown."""
+        return [] if self._end is None or self.has_ended else [self._end]
+
+    @property
+    def has_ended(self) -> bool:
+        """True if the program has ended: this process then has another parent."""
+        return os.getppid() != self.pid
+
+    def restart(self) -> None:
+        """Restart the times of silence and stop."""
+        self._last, self._silent, self._stopped = self._heartbeat[0], 0.0, 0.0
+        self._checked = time.monotonic()
+
+    def problem(self, patience: float) -> str | None:
+        """Return a sentence if the program has stopped or hangs, else None.
+
+        Args:
+            patience: Time for which the program may be stopped, without `MARGIN` [s].
+        """
+        now = time.monotonic()
+        passed, self._checked = min(now - self._checked, 2.0 * PERIOD), now
+        beat, limit = self._heartbeat[0], self._heartbeat[1]
+        if beat != self._last:
+            self._last, self._silent, self._stopped = beat, 0.0, 0.0
+            return None
+        self._silent = self._silent + passed if limit > 0.0 else 0.0
+        self._stopped = self._stopped + passed if _is_stopped(self.pid) else 0.0
+        if self._stopped > patience + MARGIN:
+            return f"the program was stopped for {self._stopped:.1f} s"
+        if limit > 0.0 and self._silent > limit + MARGIN:
+            return f"the program was silent for {self._silent:.1f} s"
+        return None
+
+    def kill(self) -> None:
+        """End the program with SIGKILL, and wait until it has ended, for at most `KILL_TIME`."""
+        if not self.has_ended:
+            os.kill(self.pid, signal.SIGKILL)
+        deadline = time.monotonic() + KILL_TIME
+        while not self.has_ended and time.monotonic() < deadline:
+            time.sleep(OPEN_PERIOD)
+
+
+def _is_stopped(pid: int) -> bool:
+    """Return True if a signal or a debugger has stopped a process; False if that is not known."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] in {"T", "t"}
+
+
+def watch(program: Program, line: Connection) -> tuple[Arm, str] | None:
+    """Watch the program until it ends or hangs with torque on.
+
+    Args:
+        program: The program.
+        line: Connection to it, over which it sends its arm before torque comes on, and None after
+            torque off.
+
+    Returns:
+        The arm, and the reason for which this process has to lower it; None if there is nothing to
+        do for it any more.
+    """
+    arm: Arm | None = None
+    is_open = True
+    while True:
+        ready = wait([*([line] if is_open else []), *program.sentinels], PERIOD)
+        if line in ready:
+            try:
+                content = line.recv()
+                arm, answer = (None, None) if content is None else _build(content)
+                program.restart()
+                if content is not None:
+                    line.send(answer)
+            except (EOFError, OSError):
+                is_open = False
+        if arm is None:
+            if not is_open or program.has_ended:
+                return None
+            continue
+        if program.has_ended:
+            return arm, "the program has ended"
+        if not is_open:
+            # The line of a program that ends closes a little before its end.
+            wait(program.sentinels, PERIOD)
+            ended = program.has_ended
+            return arm, "the program has ended" if ended else "the program has closed its line"
+        reason = program.problem(arm.comm_timeout)
+        if reason is not None:
+            program.kill()
+            return arm, f"{reason}, and was ended"
+
+
+def _build(content: bytes) -> tuple[Arm | None, str | None]:
+    """Return the arm in a pickle, and None; or None and the text of the error."""
+    try:
+        drive, arguments = pickle.loads(content)
+        return Arm(drive=drive, guardian=False, handle_signals=False, **arguments), None
+    except Exception as error:
+        return None, brief(error)
+
+
+def take_over(arm: Arm, reason: str, program: Program) -> None:
+    """Open the port once the program has left it, and leave as `on_exit` of the arm says.
+
+    Args:
+        arm: The arm, not open.
+        reason: What has happened to the program.
+        program: The program.
+    """
+    deadline = time.monotonic() + OPEN_TIME
+    while True:
+        try:
+            arm._resume(reason)
+        except ServoError as error:
+            # The port of a program that runs is locked: wait for its end.
+            if program.has_ended and time.monotonic() > deadline:
+                MESSAGES.post(
+                    f"{arm.model.name} was not lowered by its guardian ({reason}; {brief(error)}): "
+                    f"torque may be ON. {RECOVER}",
+                    logging.WARNING,
+                )
+                return
+            time.sleep(OPEN_PERIOD)
+        else:
+            return
+
+
+def _set_policy(name: str) -> None:
+    """Set the scheduling policy of this process, on Linux.
+
+    SCHED_BATCH does not interrupt the control loop when the process wakes up. A higher nice value
+    would do so too, but could not be reset for the descent.
+    """
+    if hasattr(os, name):
+        with suppress(OSError):
+            os.sched_setscheduler(0, getattr(os, name), os.sched_param(0))
+
+
+def main(words: Sequence[str]) -> None:
+    """Watch the program, and take its arm over."""
+    for name in IGNORED:
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    _set_policy("SCHED_BATCH")
+    pid, socket, memory = (int(word) for word in words)
+    heartbeat = memoryview(mmap.mmap(memory, SIZE)).cast("d")
+    MESSAGES.start()
+    program = Program(pid, heartbeat)
+    found = watch(program, Connection(socket))
+    if found is not None:
+        _set_policy("SCHED_OTHER")
+        take_over(*found, program)
+        MESSAGES.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
