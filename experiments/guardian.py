@@ -1,4 +1,4 @@
-"""Endings of a program that leave it no chance to lower its arm: ``python -m experiments.guardian``.
+"""Endings of a program that cannot lower its arm: ``python -m experiments.guardian``.
 
 Emulated servos run in a process of their own, in real time. Another process enables the arm, and
 is ended at a random instant of a phase. Its guardian lowers the arm. The program prints the tables
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from pliant.emulator import ArmEmulator
     from pliant.emulator.log import Transaction
 
+#: Folder from which programs import this module.
+ROOT = Path(__file__).resolve().parents[1]
 #: Signals that the harness sends, and endings that the program performs itself.
 SIGNALS = ("SIGKILL", "SIGSTOP", "SIGHUP")
 ENDINGS = (*SIGNALS, "segmentation fault", "abort", "exhausted memory", "held lock")
@@ -179,9 +181,13 @@ def victim(robot: str, port: str, phase: str, *, guardian: bool = True) -> None:
         _say(str(arm._guardian.pid if arm._guardian is not None else 0))
         if phase == "enabling":
             _say("begin")
+        if phase == "start":
+            _say(str(time.perf_counter() - begun))
+            os._exit(0)
         switch(*orders)
 
-    arm.drive.enable = enable  # type: ignore[method-assign]
+    arm.drive.enable = enable  # type: ignore[assignment, method-assign]
+    begun = time.perf_counter()
     with arm:
         if phase == "teaching":
             _say("begin")
@@ -244,6 +250,7 @@ def run(case: Case) -> dict[str, Any]:
             stdout=subprocess.PIPE,
             stderr=said,
             text=True,
+            cwd=ROOT,
         )
         try:
             assert process.stdin is not None
@@ -297,23 +304,55 @@ def is_running(pid: int) -> bool:
     return text.rpartition(")")[2].split()[0] not in {"Z", "X"}
 
 
-def main(instants: int = 50, few: int = 5, jobs: int = 2) -> None:
+def main(instants: int = 50, few: int = 3, jobs: int = 2, starts: int = 10) -> None:
     """Print a table of all endings, and what the guardian costs.
 
     Args:
         instants: Number of instants of SIGKILL in each phase, on the first arm.
         few: Number of instants of each other ending, and on the other arm.
         jobs: Number of runs at a time.
+        starts: Number of starts with and without a guardian.
     """
     rows = [("so101", phase, "SIGKILL", instants) for phase in PHASES]
-    rows += [("koch", phase, "SIGKILL", few) for phase in PHASES]
     rows += [("so101", phase, ending, few) for ending in ENDINGS[1:] for phase in PHASES]
+    rows += [("koch", phase, "SIGKILL", few) for phase in PHASES]
+    memory: list[float] = []
     print(program.head(COLUMNS), flush=True)
     for robot, phase, ending, count in rows:
+        if count == 0:
+            continue
         cases = [Case(robot, phase, ending, seed) for seed in range(count)]
         with ThreadPoolExecutor(jobs) as pool:
             found = list(pool.map(run, cases))
         print(program.row(cells(cases, found)), flush=True)
+        memory += [one["memory"] for one in found]
+        for case, one in zip(cases, found, strict=True):
+            if wrong := violations(one):
+                print(case, wrong, one, file=sys.stderr, flush=True)
+    if memory:
+        print(f"\nmemory of its own [MB]: {program.worst(memory, 1)}")
+    times: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(starts):
+        for guardian, found_times in times.items():
+            found_times.append(enabling_time("so101", guardian=guardian))
+    for guardian, found_times in times.items():
+        if found_times:
+            print(f"enable, guardian={guardian} [s]: {program.worst(found_times, 2)}")
+
+
+def enabling_time(robot: str, *, guardian: bool) -> float:
+    """Return the time until `Arm.enable` begins to switch torque on, with open ports [s]."""
+    with emulator(robot, start(Case(robot, "running", "SIGKILL", 0))[0]) as bus:
+        call = f"victim({robot!r}, {bus.port!r}, 'start', guardian={guardian})"
+        done = subprocess.run(
+            [sys.executable, "-c", f"from experiments.guardian import victim; {call}"],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=ROOT,
+        )
+    return float(done.stdout.split()[-1])
 
 
 COLUMNS = (
@@ -328,15 +367,16 @@ COLUMNS = (
 )
 
 
-def is_lowered(found: dict[str, Any]) -> bool:
-    """Return True if the arm was lowered within its bounds, and the servos are as found."""
-    return (
-        found["guarded"]
-        and not found["has_torque"]
-        and not found["registers"]
-        and found["speed"] < MAX_SPEED
-        and found["falls"] < MAX_FALL
-    )
+def violations(found: dict[str, Any]) -> list[str]:
+    """Return what a run did not meet of: torque off, arm at rest, its bounds, servos as found."""
+    wrong = {
+        "the guardian still runs": not found["guarded"],
+        "torque is on": found["has_torque"],
+        f"tool at {found['speed']:.2f} m/s": found["speed"] > MAX_SPEED,
+        f"falls at {found['falls']:.2f} m/s": found["falls"] > MAX_FALL,
+        f"registers: {found['registers']}": bool(found["registers"]),
+    }
+    return [text for text, is_wrong in wrong.items() if is_wrong]
 
 
 def cells(cases: list[Case], found: list[dict[str, Any]]) -> list[str]:
@@ -346,7 +386,7 @@ def cells(cases: list[Case], found: list[dict[str, Any]]) -> list[str]:
     return [
         f"{cases[0].robot}, {cases[0].ending}",
         cases[0].phase,
-        f"{sum(map(is_lowered, found))} of {len(found)}",
+        f"{sum(not violations(one) for one in found)} of {len(found)}",
         program.worst(firsts, 2) if firsts else "",
         program.worst([run["sags"] for run in on], 0, 1e3),
         program.worst([run["speed"] for run in on], 2),

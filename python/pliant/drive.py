@@ -93,7 +93,11 @@ class Drive(Protocol):
     - `enabled` (N,): joints whose torque is on, also if another program switched it on;
     - `orders`: goals (N,) [rad] and torque limits (N,) [N·m] in the servos, NaN if unknown;
     - `refusing` (N,): joints that are known not to accept goals;
-    - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint.
+    - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint;
+    - `outlives_program`: True if the servos keep their torque after the end of the program, and
+      another process can then drive them. Such a drive also has `closed_copy()`, which returns a
+      closed drive of the same servos for `pickle`, `reopen()` of that copy, which opens it and
+      returns `orders`, and `drop_ports()`, with which a forked process gives up the ports.
     """
 
     @property

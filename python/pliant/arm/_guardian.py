@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import mmap
 import os
 import pickle
@@ -16,6 +17,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from pliant._core import ServoError
+from pliant.arm._messages import MESSAGES
 from pliant.arm._supervisor import private_heartbeat
 
 if TYPE_CHECKING:
@@ -26,8 +28,6 @@ if TYPE_CHECKING:
 
 #: Longest time for the guardian to import its modules and build the arm [s].
 START_TIME = 30.0
-#: Time for the guardian to end after its arm was closed [s]; a longer one is not waited for.
-STOP_TIME = 1.0
 #: Size of the heartbeat [byte]: two numbers, see `Supervisor.heartbeat`.
 SIZE = 16
 
@@ -108,7 +108,14 @@ class Guardian:
         """Tell the process that the program needs it no longer, until the next `watch`."""
         if self._drive is not None:
             self._drive = None
-            with suppress(OSError):
+            if self._process.poll() is not None:
+                MESSAGES.post(
+                    "the guardian of the arm has ended before the program: until now nothing would "
+                    "have lowered the arm after SIGKILL or a crash",
+                    logging.WARNING,
+                )
+            # Without memory for the message, the process finds the torque off at the program's end.
+            with suppress(OSError, MemoryError):
                 self._line.send(None)
 
     def close(self) -> None:
@@ -116,8 +123,9 @@ class Guardian:
         self.rest()
         _running.discard(self)
         self._line.close()
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(STOP_TIME)
+        # It rests, or still imports its modules.
+        self._process.kill()
+        self._process.wait()
 
     def leave(self) -> None:
         """Give up line and ports in a forked process, so that they close when the program ends."""

@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 from contextlib import suppress
+from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,6 +39,8 @@ OPEN_TIME = 30.0
 OPEN_PERIOD = 0.01
 #: Time for the program to end after SIGKILL [s]; a call of the system that hangs may delay it.
 KILL_TIME = 5.0
+#: Modules that the drive needs, imported before the program sends it.
+DRIVERS = ("pliant.servo.bus", "rustypot")
 #: Signals that are ignored: only SIGKILL ends the guardian while it watches.
 IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGPIPE", "SIGUSR1", "SIGUSR2")
 
@@ -55,7 +58,7 @@ class Program:
 
     def __init__(self, pid: int, heartbeat: Sequence[float]) -> None:
         self.pid, self._heartbeat = pid, heartbeat
-        self._last, self._silent, self._stopped = heartbeat[0], 0.0, 0.0
+        self._last, self._silent, self._stopped = tuple(heartbeat), 0.0, 0.0
         self._checked = time.monotonic()
         self._end: int | None = None
         if hasattr(os, "pidfd_open"):
@@ -74,7 +77,7 @@ class Program:
 
     def restart(self) -> None:
         """Restart the times of silence and stop."""
-        self._last, self._silent, self._stopped = self._heartbeat[0], 0.0, 0.0
+        self._last, self._silent, self._stopped = tuple(self._heartbeat), 0.0, 0.0
         self._checked = time.monotonic()
 
     def problem(self, patience: float) -> str | None:
@@ -85,10 +88,12 @@ class Program:
         """
         now = time.monotonic()
         passed, self._checked = min(now - self._checked, 2.0 * PERIOD), now
-        beat, limit = self._heartbeat[0], self._heartbeat[1]
-        if beat != self._last:
-            self._last, self._silent, self._stopped = beat, 0.0, 0.0
+        found = tuple(self._heartbeat)
+        # A new limit counts as a beat: the silence before it was allowed by another limit.
+        if found != self._last:
+            self._last, self._silent, self._stopped = found, 0.0, 0.0
             return None
+        _, limit = found
         self._silent = self._silent + passed if limit > 0.0 else 0.0
         self._stopped = self._stopped + passed if _is_stopped(self.pid) else 0.0
         if self._stopped > patience + MARGIN:
@@ -209,6 +214,9 @@ def main(words: Sequence[str]) -> None:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     _set_policy("SCHED_BATCH")
+    for name in DRIVERS:
+        with suppress(ImportError):
+            import_module(name)
     pid, socket, memory = (int(word) for word in words)
     heartbeat = memoryview(mmap.mmap(memory, SIZE)).cast("d")
     MESSAGES.start()

@@ -45,6 +45,11 @@ if TYPE_CHECKING:
     Exit = Literal["lower", "leave_enabled"]
 
 
+#: Longest time for torque on until the guardian takes the program for hanging [s]; on a bad line,
+#: retries take seconds.
+ENABLE_TIME = 10.0
+
+
 class Arm:
     """Robot arm whose joints a `Drive` moves.
 
@@ -194,6 +199,8 @@ class Arm:
                 self._signals.install()
             atexit.register(self._at_exit)
             self._start_guardian()
+            # Until the end of this method no access to the drive restarts this time.
+            self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
             io.start(start, limit)
         except ServoError:
@@ -209,6 +216,7 @@ class Arm:
         if text := stiffness_mismatch(io, self.leads):
             MESSAGES.post(text, logging.WARNING)
         io.set_watchdog(self._watchdog)
+        self._supervisor.heartbeat[1] = 0.0
 
     def lower(self) -> None:
         """Move to the rest pose if set, descend at 0.15 m/s until the arm rests, torque off.

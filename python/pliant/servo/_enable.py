@@ -114,6 +114,8 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float) -> None:
         BusError: A port is gone.
     """
     pending = list(devices)
+    for device in devices:
+        device.enabled = False
     for _ in range(RESUME_TRIES):
         silent = []
         for device in pending:

@@ -1,0 +1,383 @@
+"""The guardian: arms whose program is killed, crashes, stops or hangs, over the bytes of a bus."""
+
+import os
+import pickle
+import signal
+import sys
+import textwrap
+import time
+from contextlib import ExitStack
+from statistics import median
+
+import numpy as np
+import programs
+import pytest
+from bare_arm import bare_arm
+
+pytest.importorskip("rustypot", reason="servo buses need the extra servo")
+pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
+if sys.platform != "linux":
+    pytest.skip("these tests read /proc", allow_module_level=True)
+
+import pliant
+from experiments import guardian
+from experiments.guardian import Case, is_running
+from pliant.arm import _guardian_process
+from pliant.arm._guardian import is_available
+from pliant.config.factory import make_emulator
+from pliant.emulator import emulate
+
+full = pytest.mark.full
+#: Endings of a program in each of its phases, and the seed of instant and pose.
+CASES = [
+    ("running", "SIGKILL", 0),
+    ("enabling", "SIGKILL", 1),
+    pytest.param("descending", "SIGKILL", 1, marks=full),
+    pytest.param("teaching", "SIGKILL", 0, marks=full),
+    ("running", "SIGSTOP", 3),
+    pytest.param("descending", "SIGSTOP", 3, marks=full),
+    ("descending", "held lock", 3),
+    *(
+        pytest.param("running", ending, 3, marks=full)
+        for ending in ("SIGHUP", "segmentation fault", "abort", "exhausted memory", "held lock")
+    ),
+]
+
+
+@pytest.mark.parametrize(("phase", "ending", "seed"), CASES)
+def test_the_arm_is_lowered_within_its_bounds(phase, ending, seed):
+    found = guardian.run(Case("so101", phase, ending, seed))
+    assert guardian.violations(found) == [], found
+    assert found["had_torque"]
+    if phase == "running":
+        assert found["lowered"] > 0.02
+    if ending in {"SIGHUP", "exhausted memory"}:
+        # Python may still lower the arm itself.
+        return
+    assert "was lowered: torque OFF" in found["said"]
+    reason = {"SIGSTOP": "was stopped for", "held lock": "was silent for"}
+    assert f"the program {reason.get(ending, 'has ended')}" in found["said"]
+    assert found["code"] < 0
+
+
+#: Pose of `so101` close above its rest pose [rad].
+LOW = [0.0, -1.5, 1.4, 0.8, 0.0]
+PROGRAM = """
+import os, signal, sys, time, pliant
+arm = pliant.connect({file!r}, port={port!r}{options})
+try:
+    arm.enable()
+except pliant.ServoError as error:
+    print(error, flush=True)
+    arm.close()
+    sys.exit(3)
+print(arm._guardian and arm._guardian.pid, flush=True)
+{action}
+"""
+#: Program that holds its pose until it is ended.
+HOLD = """
+for tick in pliant.Loop(arm):
+    tick.skip()
+    if tick.index == 10:
+        print("holds", flush=True)
+    time.sleep(0.001)
+"""
+
+
+@pytest.fixture
+def bus():
+    with guardian.emulator("so101", LOW) as bus:
+        yield bus
+
+
+@pytest.fixture
+def begin(bus, tmp_path):
+    """Start a program on the bus with this code, and return it with the id of its guardian."""
+    file, begun = tmp_path / "arm.toml", ExitStack()
+    file.write_text(
+        pliant.config.loader.builtin_text("so101") + "\n[loop]\nreply_timeout_min = 0.05\n"
+    )
+
+    def start(action, **options):
+        words = "".join(f", {name}={value!r}" for name, value in options.items())
+        code = PROGRAM.format(file=str(file), port=bus.port, options=words, action="{}")
+        text = code.replace("{}", textwrap.dedent(action))
+        program = programs.Program("-c", text, stdout=programs.PIPE, stderr=programs.PIPE)
+        begun.enter_context(program)
+        begun.callback(program.kill)
+        line = program.stdout.readline().strip()
+        return program, int(line) if line.isdigit() else line
+
+    with begun:
+        yield start
+
+
+def wait_for(pid, within=60.0):
+    """Wait for the end of a process; return True if it has ended."""
+    deadline = time.monotonic() + within
+    while is_running(pid) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return not is_running(pid)
+
+
+def test_a_program_that_lowers_its_arm_leaves_nothing_behind(bus, begin):
+    program, pid = begin("arm.close()\nprint('closed', flush=True)")
+    said, complained = program.communicate()
+    assert said.split() == ["closed"], complained
+    assert not is_running(pid)
+    assert not bus.call("recorder.has_torque")
+    assert "guardian" not in complained
+
+
+def test_torque_left_on_deliberately_stays_on_and_the_next_program_takes_over(bus, begin):
+    program, pid = begin("arm.leave_enabled()\narm.close()")
+    assert program.communicate()[0] == ""
+    assert wait_for(pid)
+    assert bus.call("recorder.has_torque")
+    program, pid = begin(HOLD)
+    assert program.stdout.readline() == "holds\n"
+    program.kill()
+    assert wait_for(pid)
+    assert not bus.call("recorder.has_torque")
+
+
+@full
+def test_on_exit_holds_for_the_guardian_too(bus, begin):
+    program, pid = begin(HOLD, on_exit="leave_enabled")
+    assert program.stdout.readline() == "holds\n"
+    program.kill()
+    _, complained = program.communicate()
+    assert wait_for(pid)
+    assert bus.call("recorder.has_torque")
+    assert "stays where it is, torque ON" in complained
+
+
+def test_a_second_program_gets_an_error_and_the_first_goes_on(bus, begin):
+    first, pid = begin(HOLD)
+    second, error = begin("")
+    assert "in use by another program" in error
+    assert second.wait() == 3
+    assert is_running(pid)
+    first.send_signal(signal.SIGINT)
+    _, complained = first.communicate()
+    assert "was lowered: torque OFF" in complained
+    assert wait_for(pid)
+
+
+@full
+def test_a_program_started_again_waits_for_the_guardian_of_the_killed_one(bus, begin):
+    program, pid = begin(HOLD)
+    assert program.stdout.readline() == "holds\n"
+    program.kill()
+    goals = bus.call("log.count")
+    while bus.call("log.count") < goals + 20:
+        time.sleep(0.01)
+    _, error = begin("")
+    assert "a guardian that lowers the arm" in error
+    assert wait_for(pid)
+    program, pid = begin("arm.close()")
+    assert program.communicate()[1].count("torque OFF") == 1
+
+
+#: Children that live on: by `os.fork`, as of `multiprocessing`; and by C code, without Python's
+#: hooks, which keeps the line to the guardian open.
+CHILDREN = {
+    "fork": "os.fork()",
+    "C": "ctypes.CDLL(None).fork()",
+}
+
+
+@pytest.mark.parametrize("fork", [CHILDREN["fork"], pytest.param(CHILDREN["C"], marks=full)])
+def test_a_forked_child_that_lives_on_does_not_keep_the_arm_up(bus, begin, fork):
+    leave = "" if fork == CHILDREN["fork"] else "arm.drive.drop_ports()"
+    program, pid = begin(
+        f"""
+        import ctypes
+        if {fork} == 0:
+            {leave}
+            time.sleep(300.0)
+            os._exit(0)
+        """
+        + textwrap.indent(HOLD, 8 * " ")
+    )
+    assert program.stdout.readline() == "holds\n"
+    program.kill()
+    assert wait_for(pid)
+    assert not bus.call("recorder.has_torque")
+
+
+@full
+def test_a_program_that_closes_all_its_files_loses_the_arm(bus, begin):
+    program, pid = begin("os.closerange(3, 256)\ntime.sleep(300.0)")
+    assert wait_for(pid)
+    assert not bus.call("recorder.has_torque")
+    assert is_running(program.pid)
+
+
+@full
+def test_a_guardian_that_was_killed_is_reported_and_changes_nothing(bus, begin):
+    program, pid = begin(f"{HOLD.rstrip()}\n    if tick.index == 50:\n        break\narm.close()\n")
+    os.kill(pid, signal.SIGKILL)
+    _, complained = program.communicate()
+    assert "the guardian of the arm has ended before the program" in complained
+    assert not bus.call("recorder.has_torque")
+
+
+@full
+def test_an_arm_enabled_again_is_guarded_again(bus, begin):
+    program, pid = begin(f"arm.lower()\narm.enable()\n{HOLD}")
+    assert program.stdout.readline() == "holds\n"
+    program.kill()
+    assert wait_for(pid)
+    assert not bus.call("recorder.has_torque")
+
+
+def test_without_a_guardian_the_servos_keep_their_torque(bus, begin):
+    program, pid = begin(HOLD, guardian=False)
+    assert pid == "None"
+    assert program.stdout.readline() == "holds\n"
+    program.kill()
+    program.wait()
+    time.sleep(1.0)
+    assert bus.call("recorder.has_torque")
+
+
+def test_simulated_and_emulated_arms_and_other_drives_have_no_guardian():
+    assert not is_available(bare_arm("koch").drive)
+    arm = pliant.connect("so101", backend="emulator")
+    assert not is_available(arm.drive)
+    arm.close()
+    with pytest.raises(TypeError, match="guardian must be a bool"):
+        bare_arm("koch", guardian="yes")
+    spec = pliant.servo.ServoSpec(name="pan", model="STS3215-7.4V", id=1, port="COM3")
+    assert is_available(pliant.servo.ServoBus([spec]))
+    assert not is_available(pliant.servo.ServoBus([spec], transport=lambda *_: None))
+
+
+def test_a_tick_makes_no_more_calls_and_requests_with_a_guardian():
+    config = guardian.configuration("so101")
+    calls: dict[bool, list[int]] = {}
+    requests: dict[bool, list[int]] = {}
+    for has_guardian in (False, True):
+        with make_emulator(config, q=LOW) as emulated:
+            arm = pliant.connect(
+                guardian.configuration("so101", backend="bus", port=emulated.port),
+                guardian=has_guardian,
+                handle_signals=False,
+            )
+            arm.enable()
+            assert (arm._guardian is not None) is has_guardian
+            calls[has_guardian], requests[has_guardian] = [], []
+            for _ in range(60):
+                before, count = arm.counters["transactions"], 0
+
+                def on_event(frame, event, argument):
+                    nonlocal count
+                    count += event in {"call", "c_call"}
+
+                sys.setprofile(on_event)
+                arm.write(arm.read().q)
+                sys.setprofile(None)
+                calls[has_guardian].append(count)
+                requests[has_guardian].append(arm.counters["transactions"] - before)
+            arm.disable_torque()
+            arm.close()
+    # The smallest and the median cycle: on a busy machine some cycles have retries.
+    for counted in (calls, requests):
+        assert min(counted[True]) == min(counted[False])
+        assert median(counted[True]) == median(counted[False])
+
+
+def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports():
+    """A closed copy drives the servos of both ports, without a servo that no longer answers."""
+    model = pliant.robots.load("so101")
+    mounts = [
+        pliant.emulator.Mount(joint=name, model="STS3215", id=k, port="ab"[k % 2])
+        for k, name in enumerate(model.joint_names, 1)
+    ]
+    with emulate(model, mounts, q=np.array(LOW)) as emulated:
+        specs = [
+            pliant.servo.ServoSpec(
+                name=mount.joint, model="STS3215-7.4V", id=mount.id, port=emulated.ports[mount.port]
+            )
+            for mount in mounts
+        ]
+        for servo in emulated.servos:
+            servo.put("torque_limit", 900 + servo.id)
+        first = pliant.servo.ServoBus(specs, reply_timeout_min=0.1)
+        first.open()
+        with pytest.raises(pliant.ServoError, match="in use"):
+            first.closed_copy().reopen()
+        copy = pickle.loads(pickle.dumps(first.closed_copy()))
+        first.enable(first.read().position, [0.5] * 5)
+        first.close()
+        emulated.unplug(3)
+        goals, limits = copy.reopen()
+        assert np.flatnonzero(np.isnan(goals)).tolist() == [2]
+        others = [0, 1, 3, 4]
+        found = [emulated.servo(joint + 1).get("goal_position") for joint in others]
+        assert [copy._joints[joint][0].goal_counts(goals[joint]) for joint in others] == found
+        assert limits[others] == pytest.approx(0.5, abs=0.02)
+        copy.write(np.nan_to_num(goals) + 0.01, [0.5] * 5)
+        emulated.sync()
+        for joint in others:
+            servo = emulated.servo(joint + 1)
+            assert servo.get("goal_position") == copy._joints[joint][0].goal
+        with pytest.raises(pliant.ServoError, match="elbow_flex"):
+            copy.disable()
+        assert [emulated.servo(k + 1).get("torque_limit") for k in others] == [901, 902, 904, 905]
+        copy.close()
+
+
+class Beats:
+    """A heartbeat, time and state of a program."""
+
+    def __init__(self, monkeypatch):
+        self.heartbeat, self.now, self.is_stopped = [0.0, 0.0], 0.0, False
+        monkeypatch.setattr(_guardian_process.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(_guardian_process, "_is_stopped", lambda _: self.is_stopped)
+        self.program = _guardian_process.Program(os.getppid(), self.heartbeat)
+
+    def checks(self, seconds, period=0.1):
+        """Return the first problem within some time, and the time until it."""
+        for index in range(round(seconds / period)):
+            self.now += period
+            if problem := self.program.problem(0.5):
+                return problem, (index + 1) * period
+        return None
+
+
+def test_only_a_program_under_supervision_counts_as_silent(monkeypatch):
+    beats = Beats(monkeypatch)
+    assert beats.checks(60.0) is None
+    beats.heartbeat[1] = 0.6
+    problem, after = beats.checks(60.0)
+    assert problem.startswith("the program was silent for 1.")
+    assert after == pytest.approx(0.6 + _guardian_process.MARGIN, abs=0.15)
+    beats.heartbeat[0] += 1.0
+    assert beats.checks(1.0) is None
+    # A long silence under a long limit does not count under a shorter one.
+    beats.heartbeat[:] = [2.0, 10.0]
+    assert beats.checks(8.0) is None
+    beats.heartbeat[1] = 0.5
+    assert beats.checks(1.0) is None
+
+
+def test_a_stopped_program_has_the_time_of_its_bus(monkeypatch):
+    beats = Beats(monkeypatch)
+    beats.is_stopped = True
+    assert beats.checks(1.0) is None
+    beats.is_stopped = False  # continued, by a debugger or `fg`
+    assert beats.checks(1.0) is None
+    beats.is_stopped = True
+    problem, after = beats.checks(60.0)
+    assert problem.startswith("the program was stopped for 1.")
+    assert after == pytest.approx(0.5 + _guardian_process.MARGIN, abs=0.15)
+
+
+def test_time_in_which_the_guardian_did_not_run_does_not_count(monkeypatch):
+    beats = Beats(monkeypatch)
+    beats.heartbeat[1] = 0.6
+    # Five checks with 10 s between them, on a machine that slept: 0.2 s count for each.
+    assert beats.checks(50.0, period=10.0) is None
+    assert beats.checks(50.0, period=10.0) is not None
