@@ -329,6 +329,31 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports():
         copy.close()
 
 
+@pytest.mark.parametrize("powered", [3, 0])
+def test_the_guardian_of_a_half_enabled_arm_switches_no_torque_on(powered):
+    with make_emulator(guardian.configuration("so101"), q=LOW) as emulated:
+        port = guardian.configuration("so101", backend="bus", port=emulated.port)
+        program = pliant.connect(port, guardian=False)
+        program.open()
+        copy = pickle.loads(pickle.dumps(program.drive.closed_copy()))
+        program.close()
+        found = [servo.get("torque_limit") for servo in emulated.servos]
+        for servo in emulated.servos:
+            servo.put("torque_limit", 300)
+            servo.put("goal_position", servo.position)
+        for servo in emulated.servos[:powered]:
+            servo.put("torque_enable", 1)
+        arm = pliant.Arm(program.model, copy, guardian=False, handle_signals=False)
+        arm._resume("the program has ended")
+        assert not any(servo.get("torque_enable") for servo in emulated.servos)
+        assert [servo.get("torque_limit") for servo in emulated.servos] == found
+        assert not any(w.values["torque_enable"] for w in emulated.log.writes("torque_enable"))
+        driven = {write.id for write in emulated.log.writes("goal_position")}
+        assert driven == {servo.id for servo in emulated.servos[:powered]}
+        assert not arm.enabled
+        arm.close()
+
+
 class Beats:
     """A heartbeat, time and state of a program."""
 
