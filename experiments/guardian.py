@@ -173,6 +173,7 @@ def _perform() -> None:
 
 def victim(robot: str, port: str, phase: str, *, guardian: bool = True) -> None:
     """Run the program that is ended: print its guardian, and the beginning of the phase."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` ignores it
     threading.Thread(target=_perform, daemon=True).start()
     arm = make_arm(configuration(robot, backend="bus", port=port), guardian=guardian)
     switch = arm.drive.enable
@@ -244,38 +245,36 @@ def run(case: Case) -> dict[str, Any]:
     q, instant = start(case)
     with tempfile.TemporaryFile("w+") as said, emulator(case.robot, q) as bus:
         call = f"victim({case.robot!r}, {bus.port!r}, {case.phase!r})"
-        process = subprocess.Popen(
+        with subprocess.Popen(
             [sys.executable, "-c", f"from experiments.guardian import victim; {call}"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=said,
             text=True,
             cwd=ROOT,
-        )
-        try:
-            assert process.stdin is not None
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            if not line:
-                said.seek(0)
-                raise RuntimeError(f"the program has ended before torque on: {said.read()}")
-            guardian = int(line)
-            process.stdout.readline()
-            memory = own_memory(guardian)
-            time.sleep(instant)
-            ended = time.monotonic()
-            if case.ending in SIGNALS:
-                process.send_signal(getattr(signal, case.ending))
-            else:
-                process.stdin.write(f"{case.ending}\n")
-                process.stdin.flush()
-            deadline = ended + PATIENCE
-            code = process.wait(PATIENCE)
-            while is_running(guardian) and time.monotonic() < deadline:
-                time.sleep(0.05)
-        finally:
-            process.kill()
-            process.wait()
+        ) as process:
+            try:
+                assert process.stdin is not None
+                assert process.stdout is not None
+                line = process.stdout.readline()
+                if not line:
+                    said.seek(0)
+                    raise RuntimeError(f"the program has ended before torque on: {said.read()}")
+                guardian = int(line)
+                process.stdout.readline()
+                memory = own_memory(guardian)
+                time.sleep(instant)
+                ended = time.monotonic()
+                if case.ending in SIGNALS:
+                    process.send_signal(getattr(signal, case.ending))
+                else:
+                    process.stdin.write(f"{case.ending}\n")
+                    process.stdin.flush()
+                code = process.wait(PATIENCE)
+                while is_running(guardian) and time.monotonic() < ended + PATIENCE:
+                    time.sleep(0.05)
+            finally:
+                process.kill()
         time.sleep(AFTER)
         found: dict[str, Any] = bus.call("recorder.summary", ended)
         said.seek(0)
@@ -304,7 +303,7 @@ def is_running(pid: int) -> bool:
     return text.rpartition(")")[2].split()[0] not in {"Z", "X"}
 
 
-def main(instants: int = 50, few: int = 3, jobs: int = 2, starts: int = 10) -> None:
+def main(instants: int = 50, few: int = 5, jobs: int = 2, starts: int = 10) -> None:
     """Print a table of all endings, and what the guardian costs.
 
     Args:

@@ -223,6 +223,26 @@ def test_a_guardian_that_was_killed_is_reported_and_changes_nothing(bus, begin):
     assert not bus.call("recorder.has_torque")
 
 
+def test_the_guardian_lowers_the_arm_after_a_descent_that_failed(bus, begin):
+    program, pid = begin("""
+        import pliant.arm.arm
+
+        def fail(*arguments, **options):
+            raise MemoryError
+
+        pliant.arm.arm.descend = fail
+        try:
+            arm.close()
+        except MemoryError:
+            print("failed", flush=True)
+            time.sleep(300.0)
+    """)
+    assert program.stdout.readline() == "failed\n"
+    assert wait_for(pid)
+    assert is_running(program.pid)
+    assert not bus.call("recorder.has_torque")
+
+
 @full
 def test_an_arm_enabled_again_is_guarded_again(bus, begin):
     program, pid = begin(f"arm.lower()\narm.enable()\n{HOLD}")

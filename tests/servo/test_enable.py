@@ -7,7 +7,7 @@ import pytest
 
 from pliant import ServoError
 from pliant.emulator import Emulator, ManualClock
-from pliant.servo import ServoBus, ServoSpec
+from pliant.servo import ServoBus, ServoSpec, _enable
 from tests.servo.conftest import JOINTS, devices
 
 KINDS = ["sts", "xm", "xl430", "ex", "rx", "mx"]
@@ -250,3 +250,32 @@ def test_a_line_that_is_never_silent_is_reported_at_open(kind, trouble):
         getattr(bus, trouble)(False)
         chain.open()
         assert chain.read().ok.all()
+
+
+@pytest.mark.parametrize(("number", "stays"), [(1, False), (2, True), (3, True)])
+def test_a_signal_while_torque_comes_on_does_not_drop_an_arm_that_hangs_on_it(
+    number, stays, monkeypatch
+):
+    """The signal comes as torque of a joint is switched on, or, 3, as the motion is checked."""
+    original, count = _enable._set, 0
+
+    def interrupted(device, ports, name, value):
+        nonlocal count
+        original(device, ports, name, value)
+        if (name, value) == ("torque_enable", 1):
+            count += 1
+            if count == number:
+                raise KeyboardInterrupt
+
+    def check(*_):
+        raise SystemExit(143)
+
+    monkeypatch.setattr(_enable, "_set", interrupted)
+    monkeypatch.setattr(_enable, "_check_still", check)
+    with Emulator(devices("sts", 2), clock="steps") as bus, chain_on(bus, "sts", 2) as chain:
+        with pytest.raises((KeyboardInterrupt, SystemExit)):
+            chain.enable(chain.read().position, 0.5 * chain.servos.max_torque)
+        assert [servo.enabled for servo in bus.servos] == [stays, stays]
+        assert chain.enabled.tolist() == [stays, stays]
+        chain.disable()
+        assert not any(servo.enabled for servo in bus.servos)

@@ -118,10 +118,13 @@ class Guardian:
             with suppress(OSError, MemoryError):
                 self._line.send(None)
 
-    def close(self) -> None:
-        """End the process."""
-        self.rest()
+    def close(self, *, hand_over: bool = False) -> None:
+        """End the process; with `hand_over` it first lowers the arm, whose ports must be closed."""
         _running.discard(self)
+        if hand_over and self._drive is not None:
+            self._line.close()
+            return
+        self.rest()
         self._line.close()
         # It rests, or still imports its modules.
         self._process.kill()

@@ -155,7 +155,7 @@ def watch(program: Program, line: Connection) -> tuple[Arm, str] | None:
             # The line of a program that ends closes a little before its end.
             wait(program.sentinels, PERIOD)
             ended = program.has_ended
-            return arm, "the program has ended" if ended else "the program has closed its line"
+            return arm, "the program has ended" if ended else "the program has given the arm up"
         reason = program.problem(arm.comm_timeout)
         if reason is not None:
             program.kill()
@@ -184,15 +184,15 @@ def take_over(arm: Arm, reason: str, program: Program) -> None:
         try:
             arm._resume(reason)
         except ServoError as error:
-            # The port of a program that runs is locked: wait for its end.
-            if program.has_ended and time.monotonic() > deadline:
+            # The port of a program that runs, or does not end, is locked.
+            if time.monotonic() > deadline:
                 MESSAGES.post(
                     f"{arm.model.name} was not lowered by its guardian ({reason}; {brief(error)}): "
                     f"torque may be ON. {RECOVER}",
                     logging.WARNING,
                 )
                 return
-            time.sleep(OPEN_PERIOD)
+            time.sleep(OPEN_PERIOD if program.has_ended else PERIOD)
         else:
             return
 

@@ -126,6 +126,9 @@ class Arm:
         self._signals = Signals(self._supervisor.abort.set) if handle_signals else None
         self._has_guardian = instance(guardian, bool, "guardian") and is_available(drive)
         self._guardian: Guardian | None = None
+        #: True from the begin of a descent until it has ended as it should: with torque off, or
+        #: left on deliberately. After another end, the guardian takes the arm over.
+        self._is_unfinished = False
         self._exit_message: str | None = None
         self._build()
         self.table = None if table is None else real(table, "table [m]")
@@ -199,6 +202,7 @@ class Arm:
                 self._signals.install()
             atexit.register(self._at_exit)
             self._start_guardian()
+            self._is_unfinished = False
             # Until the end of this method no access to the drive restarts this time.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
@@ -268,6 +272,7 @@ class Arm:
         with self._supervisor.exclusive(at_once=True):
             try:
                 self.drive.disable(self._io.joints.names)
+                self._is_unfinished = False
             finally:
                 self._release()
 
@@ -287,8 +292,8 @@ class Arm:
                 self._opened = False
                 self.drive.close()
             if self._guardian is not None:
-                self._guardian.close()
-                self._guardian = None
+                self._guardian.close(hand_over=self._is_unfinished)
+                self._guardian, self._is_unfinished = None, False
             MESSAGES.flush()
 
     def _descend(self, rest: Array | None) -> None:
@@ -320,6 +325,7 @@ class Arm:
         """Descend and switch torque off; if the descent is aborted, hold the present pose."""
         down = False
         supervisor = self._supervisor
+        self._is_unfinished = True
         # The descent accesses the drive in each cycle, without the supervisor's lock.
         supervisor.heartbeat[1] = self.comm_timeout
 
@@ -348,6 +354,7 @@ class Arm:
             # SystemExit after an abort comes from a third Ctrl-C, during a bus call that hung: make
             # no more bus calls.
             hangs = isinstance(error, SystemExit) and self._supervisor.abort.is_set()
+            self._is_unfinished = not hangs
             if not down and not hangs:
                 self._hold()
             # If the bus failed before the arm was down, the torque state of the servos is unknown.
@@ -357,6 +364,7 @@ class Arm:
                 error, None if is_unknown else self._powered_joints()
             )
             raise
+        self._is_unfinished = False
         if down:
             has_signal = self._signals is not None and self._signals.has_pending
             self._exit_message = messages.lowered(has_signal=has_signal)
@@ -447,7 +455,12 @@ class Arm:
             self._rest_guardian()
 
     def _rest_guardian(self) -> None:
-        """Tell the guardian that the program is done with the arm, with torque off or left on."""
+        """Tell the guardian that the program is done with the arm, with torque off or left on.
+
+        After a descent that failed, the guardian continues to watch.
+        """
+        if self._is_unfinished:
+            return
         self._supervisor.heartbeat[1] = 0.0
         if self._guardian is not None:
             self._guardian.rest()

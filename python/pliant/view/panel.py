@@ -67,8 +67,8 @@ class StopPanel:
         """Disable the buttons and show that the loop has ended."""
         self.stop.disabled = self.start.disabled = True
         self._notice.content = html.notice(
-            "The loop has ended. Servos that still have torque keep their last goal and limit, until "
-            "a guardian lowers the arm.",
+            "The loop has ended. Servos that still have torque keep their last goal and limit, "
+            "until a guardian lowers the arm.",
             wrong=True,
         )
 
