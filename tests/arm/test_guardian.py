@@ -331,6 +331,11 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports():
         copy = pickle.loads(pickle.dumps(first.closed_copy()))
         first.enable(first.read().position, [0.5] * 5)
         first.close()
+        emulated.short()
+        with pytest.raises(pliant.ServoError, match="torque may be on"):
+            copy.reopen()
+        emulated.short(False)
+        assert all(servo.get("torque_enable") for servo in emulated.servos)
         emulated.unplug(3)
         goals, limits = copy.reopen()
         assert np.flatnonzero(np.isnan(goals)).tolist() == [2]

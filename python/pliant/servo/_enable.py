@@ -30,8 +30,8 @@ MAX_START_ERROR = 0.15
 MAX_SENDS, MAX_DRIFT = 5, 0.01
 #: Time within which a servo must answer after a reboot [s].
 REBOOT = 2.0
-#: Number of tries to read each servo after its program has ended.
-RESUME_TRIES = 3
+#: Time within which each servo must answer after its program has ended [s].
+RESUME_TIME = 1.0
 #: Registers that are read and checked before torque is switched on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
 #: Number of torque-off packets to send to a servo that does not reply, and largest number of
@@ -108,15 +108,18 @@ def enable(
         device.enabled = device.torque_on = True
 
 
-def resume(devices: Sequence[Device], ports: Ports, budget: float) -> None:
+def resume(devices: Sequence[Device], ports: Ports, budget: float) -> list[Device]:
     """Read the servos of a program that has ended, and drive those whose torque is on.
 
-    A servo that does not answer in `RESUME_TRIES` tries keeps goal and limit, and gets no goals.
+    A servo that does not answer within `RESUME_TIME` keeps goal and limit, and gets no goals.
 
     Args:
         devices: The servos.
         ports: Port of each servo.
         budget: Time for each try of a servo [s].
+
+    Returns:
+        Servos that did not answer; their torque may be on.
 
     Raises:
         BusError: A port is gone.
@@ -124,7 +127,8 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float) -> None:
     pending = list(devices)
     for device in devices:
         device.enabled = False
-    for _ in range(RESUME_TRIES):
+    deadline = time.monotonic() + RESUME_TIME
+    while pending:
         silent = []
         for device in pending:
             guard = ports[id(device)].guard
@@ -141,6 +145,9 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float) -> None:
             device.limit = image["limit"]
             device.record_sent(image["goal"], image["limit"])
         pending = silent
+        if time.monotonic() > deadline:
+            break
+    return pending
 
 
 class FirstCommand(NamedTuple):

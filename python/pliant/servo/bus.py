@@ -218,7 +218,8 @@ class ServoBus:
             or without an answer.
 
         Raises:
-            ServoError: A port cannot be opened, for example because a program still uses it.
+            ServoError: A port cannot be opened, for example because a program still uses it; or
+                servos do not answer, and no other has torque.
         """
         try:
             for path, (response_delay, latency) in self._timing.items():
@@ -229,7 +230,11 @@ class ServoBus:
                 port.guard.find_unused_id({device.id for device in port.devices}, port.highest)
             if len(self._ports) > 1:
                 self._pool = ThreadPoolExecutor(len(self._ports), "pliant-bus")
-            sequences.resume(self._devices, self._port_of, self._budget)
+            silent = sequences.resume(self._devices, self._port_of, self._budget)
+            if silent and not any(device.enabled for device in self._devices):
+                # Unknown is not off: switching them off would drop the arm.
+                names = ", ".join(device.name for device in silent)
+                raise ServoError(f"no answer from {names}: torque may be on")
         except BaseException:
             self.close()
             raise
