@@ -54,7 +54,10 @@ PATIENCE, AFTER = 90.0, 1.0
 #: Largest speed of the tool during the descent, and after torque off [m/s].
 MAX_SPEED, MAX_FALL = 0.2, 0.1
 #: Registers that change by themselves, or that no program restores.
-CHANGING = ("present", "moving", "status", "goal_position", "torque_enable", "realtime_tick")
+CHANGING = (
+    *("present", "moving", "status", "goal_position", "torque_enable", "realtime_tick"),
+    *("position_trajectory", "velocity_trajectory"),
+)
 #: Reply timeout of the programs [s]; the emulator shares the computer with them.
 REPLY_TIMEOUT = 0.05
 

@@ -47,7 +47,7 @@ def enable(
 
     Limits and goals are written and read back before torque on. Afterwards torque and positions
     are verified; after a failure torque is switched off again. After a signal (KeyboardInterrupt,
-    SystemExit) torque stays on if the last joint has been switched on.
+    SystemExit) the joints that have torque keep it, so that the arm can be lowered.
 
     Args:
         devices: The servos.
@@ -60,7 +60,7 @@ def enable(
     for device in devices:
         before[id(device)] = _check_state(device, ports, goal)
     switched = [d for d in devices if not before[id(d)]["torque_enable"]]
-    is_sent = is_last = False
+    is_sent = False
     try:
         for device in devices:
             if _has_tripped(device, before):
@@ -87,14 +87,13 @@ def enable(
                 device, ports, commands[id(device)], start[id(device)]
             )
             if device in switched:
-                is_last = device is switched[-1]
                 _set(device, ports, "torque_enable", 1)
         for device in devices:
             _check_still(device, ports, start[id(device)])
     except BaseException as error:
-        if is_last and not isinstance(error, Exception):
-            # A signal, once all joints have torque: the arm may hang on its servos by now and would
-            # fall. The caller lowers it.
+        if is_sent and not isinstance(error, Exception):
+            # A signal: the arm may hang on its servos by now and would fall without them. The
+            # caller lowers it; a servo that has no torque yet stays without.
             for device in devices:
                 device.enabled = device.torque_on = True
             raise
