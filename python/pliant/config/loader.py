@@ -149,6 +149,8 @@ def parse(
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source} is no TOML: {error}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{source} is no TOML: it is nested too deeply") from error
     _override(table, source, **overrides)
     try:
         config = Config.model_validate(table)

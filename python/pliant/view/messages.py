@@ -284,7 +284,7 @@ def _finite_floats(name: str, value: object, shape: tuple[int, ...]) -> Array:
     """
     try:
         out = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):  # an integer may be too large for a float
         raise ConfigError(f"{name} is not made of numbers") from None
     if out.shape != shape:
         raise ConfigError(f"{name} has shape {out.shape}, not {shape}")
