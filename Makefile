@@ -49,7 +49,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 peers soak wheel wheels notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 fuzz peers soak wheel wheels notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -171,6 +171,10 @@ docs: setup ## Build docs/_build/html; a warning is an error
 gallery: setup ## Run the examples that changed, keep pictures and texts for the pages; ARGS=--all, ARGS=07
 	$(call say,gallery)
 	@$(BIN)/python tools/gallery.py $(ARGS)
+
+fuzz: ## Every fuzz target for MINUTES=1, or TARGETS='urdf step'; needs nightly and cargo-fuzz
+	$(call say,fuzz targets)
+	@tools/fuzz.sh $(or $(MINUTES),1) $(TARGETS)
 
 # --- the rest ------------------------------------------------------------------------------------------------------
 

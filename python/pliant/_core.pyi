@@ -2640,7 +2640,8 @@ class Lowering:
         servos: Its servo parameters, n entries.
         q: Last good joint positions (n,) [rad].
         goal: Last goals sent (n,) [rad]; None: holding goals by the servo table.
-        limit: Last limits sent (n,) [N m]; None: the weight and a margin.
+        limit: Last limits sent (n,) [N m], clamped to the usable torque; None: the weight and a
+            margin.
         rest: Rest pose (n,) [rad]; None: straight down.
         speed: Largest speed of any point of the arm [m/s].
 
@@ -2719,7 +2720,7 @@ class HandGuidingLaw:
         friction: Half the difference of the leads up and down (n,) [rad].
         damping: Viscous damping, derivative gain and back-EMF together (n,) [N m s/rad].
         stiffness_error: Factor by which k_p may be wrong in either direction, at least 1.
-        delay: Time from the reading to the arrival of the goal [s].
+        delay: Time from the reading to the arrival of the goal [s], at most 0.5.
         torque_share: Torque allowed on top of gravity, as a share of the usable torque.
         payload_moments: Mass [kg] and mass times centre in the tool frame [kg m] (4,) of a payload
             in addition to the model's.

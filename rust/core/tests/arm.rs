@@ -164,6 +164,50 @@ fn guiding(model: &Arc<Model>, stiffness_error: f64) -> HandGuiding {
     HandGuiding::new(Arc::clone(model), &servos(), &[0.5; 7], &swing, options).unwrap()
 }
 
+/// A drive may report its own limit as larger than the usable torque, or a lost register as negative.
+#[test]
+fn a_descent_starts_within_the_usable_torque() {
+    let (model, servos) = (Arc::new(arm7()), servos());
+    let sent = [1e6, -3.0, 20.0, TORQUE, 5.0, 0.0, 1e6];
+    let mut down = lowering(&model, &servos, &LoweringStart { torque_limit: Some(&sent), ..start(&Q) });
+    for _ in 0..3 {
+        // Without a new position the limits stay as they were sent.
+        let command = down.step(&Q, &[false; 7], DT, 0.0).unwrap().unwrap();
+        assert!(command.torque_limit().iter().all(|limit| (0.0..=TORQUE).contains(limit)), "{command:?}");
+        assert!((command.torque_limit()[4] - 5.0).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn options_of_hand_guiding_are_named() {
+    let model = Arc::new(arm7());
+    let swing = SwingResult { q: &Q, goal: &Q, swung: &[true; 7], lead: &[0.0; 7], friction: &[1e-3; 7] };
+    let usual = HandGuidingOptions { stiffness_error: 2.0, delay: 0.0, torque_share: 0.3, payload_moments: [0.0; 4] };
+    let refused = |options: HandGuidingOptions| {
+        HandGuiding::new(Arc::clone(&model), &servos(), &[0.5; 7], &swing, options).unwrap_err().to_string()
+    };
+    for (options, said) in [
+        (HandGuidingOptions { stiffness_error: 0.9, ..usual }, "stiffness_error = 0.9"),
+        (HandGuidingOptions { delay: f64::NAN, ..usual }, "delay [s] = NaN"),
+        (HandGuidingOptions { delay: 20.0, ..usual }, "delay [s] = 20 is outside [0, 0.5]"),
+        (HandGuidingOptions { torque_share: -0.1, ..usual }, "torque_share = -0.1"),
+        (HandGuidingOptions { payload_moments: [-1.0, 0.0, 0.0, 0.0], ..usual }, "payload_moments[0] [kg] = -1"),
+        (HandGuidingOptions { payload_moments: [1.0, 0.0, f64::INFINITY, 0.0], ..usual }, "payload_moments[2]"),
+    ] {
+        assert!(refused(options).contains(said), "{}", refused(options));
+    }
+}
+
+/// A clock that was set while the arm was guided gives any period.
+#[test]
+fn a_period_at_the_edge_of_the_number_range_moves_no_goal_far() {
+    let mut guiding = guiding(&Arc::new(arm7()), 2.2);
+    for dt in [0.01, f64::MAX, 1e300, 0.01] {
+        let command = guiding.step(&Q.map(|q| q + 0.01), dt).unwrap();
+        assert!(command.goal().iter().zip(Q).all(|(goal, q)| (goal - q).abs() < 0.5), "{command:?}");
+    }
+}
+
 #[test]
 fn a_swing_narrows_the_interval_of_the_stiffness() {
     let model = Arc::new(arm7());
@@ -322,6 +366,32 @@ fn heat_follows_the_torque_and_bounds_the_limits() {
     assert!(ThermalModel::new(options, &[10.0], None).unwrap_err().to_string().contains("stall currents"));
     let hostile = ThermalOptions { continuous: f64::NAN, ..options };
     assert!(ThermalModel::new(hostile, &[10.0], None).unwrap_err().to_string().contains("continuous"));
+}
+
+/// A lost reading counts as the usable torque: it heats, and it never makes a limit NaN.
+#[test]
+fn torques_that_are_no_numbers_heat() {
+    let options = ThermalOptions { continuous: 0.4, time_constant: 30.0, supply: None, shutdown_temperature: 70.0 };
+    for (torque, dt, heats) in [
+        (f64::NAN, 60.0, true),
+        (f64::INFINITY, 60.0, true),
+        (1e200, 60.0, true),
+        (10.0, f64::NAN, false),
+        (10.0, -1.0, false),
+        (10.0, f64::INFINITY, true),
+    ] {
+        let mut model = ThermalModel::new(options, &[10.0], None).unwrap();
+        model.update(&[torque], dt);
+        model.update(&[0.0], 0.01);
+        let mut ceiling = [0.0];
+        model.torque_ceiling(&mut ceiling);
+        let expected = if heats { 4.0 } else { 10.0 };
+        assert!((ceiling[0] - expected).abs() < 1e-9, "{torque} for {dt} s: {ceiling:?}");
+    }
+    let slow = ThermalOptions { time_constant: f64::INFINITY, ..options };
+    let mut model = ThermalModel::new(slow, &[10.0], None).unwrap();
+    model.update(&[10.0], f64::INFINITY);
+    assert!(model.heat()[0].abs() < 1e-9);
 }
 
 fn any_number() -> impl Strategy<Value = f64> {

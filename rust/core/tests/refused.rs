@@ -3,11 +3,13 @@
 
 use std::sync::Arc;
 
+use nalgebra::DMatrix;
 use pliant_core::analysis::check_path;
 use pliant_core::params::{Axis, GravityUse, Law, NullSpace, PaperOptions, Task, TorqueLimits, Tracking};
 use pliant_core::{
     BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Model, ModelOptions,
-    OnInvalid, Payload, Servos, Settings, StepInput, Targets,
+    OnInvalid, Payload, Servos, Settings, StepInput, Targets, damped_pseudo_inverse, joint_torque_limits,
+    responsibility,
 };
 
 #[path = "common/mod.rs"]
@@ -199,4 +201,18 @@ fn positions_say_nothing_of_rotations() {
     };
     let out = BatchCommand { goal: &mut goal, torque_limit: &mut torque_limit, velocity: &mut velocity };
     assert!(message(controller.step_batch(&input, None, out)).contains("give poses"));
+}
+
+#[test]
+fn results_of_equations_that_overflow_are_errors() {
+    let matrix = |rows, columns, size: f64| {
+        DMatrix::from_fn(rows, columns, |r, i| size * (((r * columns + i) as f64).powi(2) * 0.7).sin())
+    };
+    let overflows = |result: pliant_core::Result<DMatrix<f64>>| {
+        let text = message(result);
+        assert!(text.contains("overflows"), "{text}");
+    };
+    overflows(damped_pseudo_inverse(&DMatrix::from_element(1, 1, 5e-324), 0.0));
+    overflows(responsibility(&matrix(7, 3, 1e308), &[10.0; 3], &DMatrix::identity(7, 7), &[1.0; 7], 1.0));
+    assert!(joint_torque_limits(&matrix(7, 4, 1e308), &[10.0; 4]).is_err());
 }

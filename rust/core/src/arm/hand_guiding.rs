@@ -18,7 +18,7 @@
 
 use std::sync::Arc;
 
-use super::{MIN_STEP, finite_joint_vector, holding_torque, padded};
+use super::{MAX_VALUE, MIN_STEP, finite_joint_vector, holding_torque, padded};
 use crate::controller::Command;
 use crate::error::{Error, Result};
 use crate::kinematics::{GroupMasses, Reference};
@@ -56,6 +56,10 @@ const MIN_PLAY_COUNTS: f64 = 1.5;
 const MIN_PLAY_FRICTION: f64 = 0.15;
 /// Largest speed of the goals [rad/s].
 const MAX_GOAL_SPEED: f64 = 3.0;
+/// Longest time by which one step moves the goals [s]; a longer time counts as this one.
+const MAX_STEP: f64 = 1.0;
+/// Longest delay, as in [`Controller::set_delay`](crate::Controller::set_delay) [s].
+const MAX_DELAY: f64 = 0.5;
 
 /// Measurements of a slow swing of the joints up and down, and the arm at its end; vectors have n entries.
 #[derive(Debug, Clone, Copy)]
@@ -83,6 +87,29 @@ pub struct HandGuidingOptions {
     pub torque_share: f64,
     /// Payload in addition to the model's: mass [kg], then mass times centre of mass in the tool frame [kg·m].
     pub payload_moments: [f64; 4],
+}
+
+impl HandGuidingOptions {
+    fn validate(&self) -> Result<()> {
+        let [mass, moments @ ..] = self.payload_moments;
+        let checks = [
+            ("stiffness_error", self.stiffness_error, 1.0..=MAX_VALUE, "[1, 10⁶]"),
+            ("delay [s]", self.delay, 0.0..=MAX_DELAY, "[0, 0.5]"),
+            ("torque_share", self.torque_share, 0.0..=MAX_VALUE, "[0, 10⁶]"),
+            ("payload_moments[0] [kg]", mass, 0.0..=MAX_VALUE, "[0, 10⁶]"),
+        ];
+        for (name, value, range, bound) in checks {
+            if !range.contains(&value) {
+                return Err(Error::out_of_range(name, value, bound));
+            }
+        }
+        for (i, &moment) in moments.iter().enumerate() {
+            if !(moment.abs() <= MAX_VALUE) {
+                return Err(Error::out_of_range(format!("payload_moments[{}] [kg·m]", i + 1), moment, "±10⁶"));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Goals and torque limits that make an arm weightless; call [`HandGuiding::step`] once per tick.
@@ -134,7 +161,8 @@ impl HandGuiding {
     /// sum of the joints' viscous damping, derivative gain and back-EMF.
     ///
     /// # Errors
-    /// [`Error::Shape`] if a vector does not have n entries; [`Error::OutOfRange`] for a number that is not finite;
+    /// [`Error::Shape`] if a vector does not have n entries; [`Error::OutOfRange`] for a number that is not finite, or
+    /// an option out of range;
     /// [`Error::Config`] if the servos do not fit the model.
     pub fn new(
         model: Arc<Model>,
@@ -153,9 +181,7 @@ impl HandGuiding {
         if swing.swung.len() != n {
             return Err(Error::length("swung", swing.swung.len(), n));
         }
-        if !(options.stiffness_error >= 1.0 && options.stiffness_error.is_finite()) {
-            return Err(Error::out_of_range("stiffness_error", options.stiffness_error, "[1, ∞)"));
-        }
+        options.validate()?;
         let kp = padded(&servos.kp, 1.0);
         let mut guiding = Self {
             masses: model.chain().masses(model.payload()),
@@ -228,7 +254,7 @@ impl HandGuiding {
         if !(dt > 0.0 && dt.is_finite()) {
             return Err(Error::out_of_range("dt", dt, "(0, ∞) s"));
         }
-        let dt = dt.max(MIN_STEP);
+        let dt = dt.clamp(MIN_STEP, MAX_STEP);
         self.update_speed(&q, dt);
         let ahead: JointVec = std::array::from_fn(|i| q[i] + PREDICTION_SHARE * self.options.delay * self.speed[i]);
         let gravity = self.holding_torque(&ahead);

@@ -130,7 +130,8 @@ pub struct LoweringStart<'a> {
     pub q: &'a [f64],
     /// Last goals sent [rad]; `None`: positions plus gravity torque divided by k_p.
     pub goal: Option<&'a [f64]>,
-    /// Last torque limits sent [N·m]; `None`: 1.1 times the gravity torque plus [`torque_margin`].
+    /// Last torque limits sent [N·m], clamped to [0, usable torque]; `None`: 1.1 times the gravity torque plus
+    /// [`torque_margin`].
     pub torque_limit: Option<&'a [f64]>,
     /// Joint positions toward which the arm moves before it descends [rad]; `None`: it descends at once.
     pub rest_q: Option<&'a [f64]>,
@@ -332,6 +333,9 @@ impl Lowering {
             (SUPPORT * gravity[i].abs() + lowering.margin(i, gravity[i])).min(lowering.max_torque[i])
         });
         lowering.torque_limit = torque_limit.unwrap_or(enough);
+        for (limit, max_torque) in lowering.torque_limit.iter_mut().zip(&lowering.max_torque) {
+            *limit = limit.clamp(0.0, *max_torque);
+        }
         lowering.lead = std::array::from_fn(|i| lowering.goal[i] - q[i]);
         lowering.free_lead = lowering.lead;
         lowering.least_lead = lowering.lead.map(f64::abs);

@@ -8,6 +8,8 @@ const WARM: f64 = 0.8;
 const DERATING_RANGE: f64 = 8.0;
 /// Difference between the servo's shutdown temperature and the temperature at which its limit is zero [°C].
 const SHUTDOWN_MARGIN: f64 = 2.0;
+/// Largest ratio of torque to continuous torque; above it the heat would overflow.
+const MAX_RATIO: f64 = 1e3;
 /// Evaluations of the current in the bisection for the share of the torque limits that the supply allows.
 const MAX_EVALUATIONS: usize = 12;
 
@@ -93,10 +95,15 @@ impl ThermalModel {
     }
 
     /// Updates the heat after the servos have exerted the torques (N) [N·m] for `dt` [s].
+    ///
+    /// A NaN torque counts as the usable torque; a NaN or negative time counts as 0.
     pub fn update(&mut self, torque: &[f64], dt: f64) {
-        let gain = -(-dt / self.options.time_constant).exp_m1();
+        let gain = if dt > 0.0 { -(-dt / self.options.time_constant).exp_m1() } else { 0.0 };
+        // An infinite time and time constant have no quotient.
+        let gain = if gain.is_nan() { 0.0 } else { gain };
         for ((heat, torque), max_torque) in self.heat.iter_mut().zip(torque).zip(&self.max_torque) {
-            let share = torque / (max_torque * self.options.continuous);
+            let ratio = torque / (max_torque * self.options.continuous);
+            let share = if ratio.is_nan() { 1.0 / self.options.continuous } else { ratio.abs() }.min(MAX_RATIO);
             *heat += gain * (share * share - *heat);
         }
     }

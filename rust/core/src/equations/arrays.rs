@@ -26,6 +26,15 @@ pub(super) fn finite(what: &str, m: &DMatrix<f64>) -> Result<()> {
     Ok(())
 }
 
+/// Returns a result whose entries are all finite; an error if one overflowed, although all arguments are finite.
+pub(super) fn without_overflow(what: &str, result: DMatrix<f64>) -> Result<DMatrix<f64>> {
+    if result.iter().all(|value| value.is_finite()) {
+        return Ok(result);
+    }
+    let message = "the result overflows: an argument is too large, or too small to divide by";
+    Err(Error::config(what, message))
+}
+
 /// Returns `A B`. nalgebra's operator would add its kernels for large matrices, one per instruction set, to the binary.
 pub(super) fn product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(a.nrows(), b.ncols(), |i, j| (0..a.ncols()).map(|k| a[(i, k)] * b[(k, j)]).sum())

@@ -34,7 +34,7 @@ use crate::pose::Pose;
 use crate::task::{adapt, compliance as task_compliance};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, task};
 
-use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows};
+use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows, without_overflow};
 
 /// Ratio λ² / tr(JJᵀ) up to which the pseudo-inverse is computed by SVD: added to JJᵀ, so small a λ² is lost to
 /// rounding.
@@ -45,20 +45,21 @@ const MIN_DAMPING_RATIO: f64 = 1e-9;
 /// `damping` is λ, not λ². λ = 0 gives the Moore–Penrose inverse, also of a rank-deficient matrix.
 ///
 /// # Errors
-/// [`Error::Shape`] above six rows or sixteen columns, [`Error::OutOfRange`] for an entry that is not finite or λ < 0.
+/// [`Error::Shape`] above six rows or sixteen columns, [`Error::OutOfRange`] for an entry that is not finite or λ < 0,
+/// [`Error::Config`] if the result overflows.
 pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DMatrix<f64>> {
     let (rows, k, n) = task_rows("J", jacobian)?;
     check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
     let squared = damping * damping;
     if squared > MIN_DAMPING_RATIO * jacobian.norm_squared() {
         let transposed = pseudo_inverse(&rows, &[1.0; MAX_JOINTS], &[squared; MAX_AXES]);
-        return Ok(DMatrix::from_fn(n, k, |i, r| transposed[r][i]));
+        return without_overflow("J", DMatrix::from_fn(n, k, |i, r| transposed[r][i]));
     }
     let svd = svd(jacobian)?;
     let cutoff = f64::EPSILON * k.max(n) as f64 * svd.sigma.max();
     let gains = svd.sigma.map(|s| if s > cutoff { s / (s * s + squared) } else { 0.0 });
     let scaled = DMatrix::from_fn(n, gains.len(), |i, s| svd.v[(i, s)] * gains[s]);
-    Ok(product(&scaled, &svd.u.transpose()))
+    without_overflow("J", product(&scaled, &svd.u.transpose()))
 }
 
 /// Computes the null-space projector of `J`, n × n.
@@ -72,13 +73,16 @@ pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DM
 pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Projector) -> Result<DMatrix<f64>> {
     let (rows, k, n) = task_rows("J", jacobian)?;
     match kind {
-        Projector::Paper => Ok(DMatrix::identity(n, n) - product(&damped_pseudo_inverse(jacobian, damping)?, jacobian)),
+        Projector::Paper => {
+            let projected = product(&damped_pseudo_inverse(jacobian, damping)?, jacobian);
+            without_overflow("J", DMatrix::identity(n, n) - projected)
+        }
         Projector::Exact => {
             check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
             let sigma = svd(jacobian)?.sigma;
             let added = [projector_damping_sq(sigma.min(), sigma.max()); MAX_AXES];
             let matrix = nullspace::projector(&rows, &[1.0; MAX_JOINTS], &added, (k, n));
-            Ok(DMatrix::from_fn(n, n, |i, j| matrix[i][j]))
+            without_overflow("J", DMatrix::from_fn(n, n, |i, j| matrix[i][j]))
         }
     }
 }
@@ -86,7 +90,8 @@ pub fn null_space_projector(jacobian: &DMatrix<f64>, damping: f64, kind: Project
 /// Computes the responsibility R of (6), (7), n × (k + 1): the columns of `|J⁺ diag(Δx)|` and, last, `|α N∇g|`.
 ///
 /// # Errors
-/// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite.
+/// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite, [`Error::Config`] if
+/// the result overflows.
 pub fn responsibility(
     pseudo_inverse: &DMatrix<f64>,
     dx: &[f64],
@@ -100,7 +105,7 @@ pub fn responsibility(
     let gradient: JointVec = array("gradient", gradient, n)?;
     check("alpha", alpha, alpha.is_finite(), "finite")?;
     let motion = activation::product(&projector, &gradient);
-    Ok(activation::responsibility(&transposed, &dx, &motion, alpha, (k, n)))
+    without_overflow("J_pinv", activation::responsibility(&transposed, &dx, &motion, alpha, (k, n)))
 }
 
 /// Computes the activation matrix A of (10), n × (k + 1): the columns of `|J⁺|`, each divided by its sum, and the
@@ -127,7 +132,7 @@ pub fn activation(
     } else {
         JointVec16::splat(0.0)
     };
-    Ok(Activation::new(&load_rows(&transposed), null).matrix(k, n))
+    without_overflow("J_pinv", Activation::new(&load_rows(&transposed), null).matrix(k, n))
 }
 
 /// Computes the compliance c of (8), one entry per axis: 1 if the absolute deviation is below `soft_until`, 0 above
@@ -180,7 +185,8 @@ pub fn holding_torque(c: &[f64], soft: &[f64], firm: &[f64], hold: &[f64], compl
 /// the null space last.
 ///
 /// # Errors
-/// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite.
+/// [`Error::Shape`] for inconsistent sizes, [`Error::OutOfRange`] for an entry that is not finite, [`Error::Config`] if
+/// the result overflows.
 pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Result<DVector<f64>> {
     let (n, columns) = activation.shape();
     if columns == 0 || columns > MAX_AXES + 1 || n == 0 || n > MAX_JOINTS {
@@ -198,7 +204,8 @@ pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Resul
         null[i] = activation[(i, k)];
     }
     let torque = Activation::of(&task, &null).distribute(TaskVector::from_axes(&budgets), all[k]);
-    Ok(DVector::from_column_slice(&torque.to_joints()[..n]))
+    let limits = DMatrix::from_column_slice(n, 1, &torque.to_joints()[..n]);
+    Ok(DVector::from_column_slice(without_overflow("A", limits)?.as_slice()))
 }
 
 /// Computes the intermediate target of (12), in base axes x y z roll pitch yaw: `x_d + η (x − x_d)` on the compliant

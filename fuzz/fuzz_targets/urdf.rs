@@ -1,0 +1,8 @@
+#![no_main]
+
+use pliant_fuzz::memory::Counting;
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| pliant_fuzz::urdf::run(data));

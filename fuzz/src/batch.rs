@@ -1,0 +1,214 @@
+//! Steps of many arms with arbitrary numbers: each row as a controller of its own, states unchanged after an error.
+
+use pliant_core::{
+    BatchCommand, BatchInput, BatchState, Controller, Error, OnInvalid, Pose, SimdLevel, StepInput, Targets,
+};
+
+use super::arms::{Arm, CONTROLLERS, controller};
+use super::checks::{assert_named, assert_near, ceiling};
+use super::input::Input;
+use super::step::pose;
+
+/// Most steps in one run.
+const STEPS: usize = 3;
+
+struct Rows {
+    q: Vec<f64>,
+    poses: Vec<Pose>,
+    dq: Option<Vec<f64>>,
+    dt: Option<f64>,
+}
+
+impl Rows {
+    fn read(input: &mut Input, arm: &Arm, count: usize) -> Self {
+        let n = arm.model.n();
+        let mut q: Vec<f64> = (0..count * n).map(|at| arm.q[at % n] + 1e-3 * (at / n) as f64).collect();
+        let mut poses = vec![arm.target; count];
+        let mut dq = input.option(|_| vec![0.1; count * n]);
+        for _ in 0..input.below(8) {
+            let row = input.below(count);
+            match input.below(4) {
+                0 => poses[row] = pose(input, &arm.target),
+                1 if dq.is_some() => {
+                    let at = row * n + input.below(n);
+                    dq.iter_mut().for_each(|dq| dq[at] = input.number(0.1));
+                }
+                _ => {
+                    let at = row * n + input.below(n);
+                    q[at] = input.number(q[at]);
+                }
+            }
+        }
+        Self { q, poses, dq, dt: input.option(|input| input.number(0.01)) }
+    }
+
+    fn single(&self, n: usize, row: usize) -> (&[f64], &Pose, StepInput<'_>) {
+        let dq = self.dq.as_ref().map(|dq| &dq[row * n..][..n]);
+        (&self.q[row * n..][..n], &self.poses[row], StepInput { dt: self.dt, dq, ..StepInput::default() })
+    }
+}
+
+struct Output([Vec<f64>; 3]);
+
+impl Output {
+    fn row(&self, n: usize, row: usize) -> [&[f64]; 3] {
+        self.0.each_ref().map(|all| &all[row * n..][..n])
+    }
+}
+
+/// Runs steps of a batch, with or without state, and compares them with single steps.
+pub fn run(data: &[u8]) {
+    let mut input = Input::new(data);
+    let (arm, made) = controller(input.below(CONTROLLERS));
+    let n = arm.model.n();
+    let mut controller = made.clone();
+    controller.set_simd_level(input.pick(&SimdLevel::available()));
+    // Rarely more than one chunk of 64.
+    let count = 1 + input.pick(&[0, 1, 3, 7, 8, 11, 16, 64]);
+    let invalid = input.pick(&[OnInvalid::Error, OnInvalid::Nan]);
+    if input.flag() {
+        let rows = Rows::read(&mut input, arm, count);
+        return stateless(&controller, &rows, n, count, invalid);
+    }
+    let mut state = BatchState::new(n, count).unwrap();
+    let mut singles: Vec<Controller> = vec![controller.clone(); count];
+    for _ in 0..STEPS {
+        let rows = Rows::read(&mut input, arm, count);
+        if !with_state(&controller, &mut state, &mut singles, &rows, invalid) {
+            return;
+        }
+    }
+    damaged(&mut input, &controller, &state, arm, count);
+}
+
+fn step(
+    controller: &Controller,
+    rows: &Rows,
+    count: usize,
+    invalid: OnInvalid,
+    state: Option<&mut BatchState>,
+) -> Result<Output, Error> {
+    let flat: Vec<f64> = rows.poses.iter().flat_map(|pose| pose.to_rows().into_iter().flatten()).collect();
+    let size = count * controller.model().n();
+    let mut out = Output([vec![-7.0; size], vec![-7.0; size], vec![-7.0; size]]);
+    let [goal, torque_limit, velocity] = &mut out.0;
+    let input =
+        BatchInput { dt: rows.dt, dq: rows.dq.as_deref(), invalid, ..BatchInput::new(&rows.q, Targets::Poses(&flat)) };
+    controller.step_batch(&input, state, BatchCommand { goal, torque_limit, velocity })?;
+    Ok(out)
+}
+
+/// Panics unless the row is NaN, as for an arm whose input is invalid.
+fn assert_nan(row: [&[f64]; 3], error: &Error) {
+    assert!(row.iter().all(|values| values.iter().all(|value| value.is_nan())), "{row:?} after {error}");
+}
+
+/// Returns false if the batch was refused after it had stepped some arms.
+fn with_state(
+    controller: &Controller,
+    state: &mut BatchState,
+    singles: &mut [Controller],
+    rows: &Rows,
+    invalid: OnInvalid,
+) -> bool {
+    let (n, count, before) = (controller.model().n(), singles.len(), state.clone());
+    let untouched = singles.to_vec();
+    let results: Vec<_> = singles
+        .iter_mut()
+        .enumerate()
+        .map(|(row, single)| {
+            let (q, target, input) = rows.single(n, row);
+            single.step(q, target, &input).copied()
+        })
+        .collect();
+    match step(controller, rows, count, invalid, Some(state)) {
+        Ok(out) => {
+            for (row, result) in results.iter().enumerate() {
+                match result {
+                    Ok(command) => {
+                        let want = [command.goal(), command.torque_limit(), command.speed_limit()];
+                        for (got, want) in out.row(n, row).into_iter().zip(want) {
+                            let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+                            assert_eq!(bits(got), bits(want), "row {row}: {got:?} {want:?}");
+                        }
+                    }
+                    Err(error) => {
+                        assert_eq!(invalid, OnInvalid::Nan, "row {row} was accepted, not by a controller: {error}");
+                        assert_nan(out.row(n, row), error);
+                    }
+                }
+            }
+            true
+        }
+        Err(error) => {
+            assert_named(&error);
+            assert!(results.iter().any(Result::is_err), "no controller of its own refuses a row: {error}");
+            let late = error.to_string().contains("not finite: nothing was sent");
+            assert!(late || bits_of(state) == bits_of(&before), "the state has changed after: {error}");
+            singles.clone_from_slice(&untouched);
+            !late
+        }
+    }
+}
+
+fn bits_of(state: &BatchState) -> Vec<u64> {
+    state.as_slice().iter().map(|value| value.to_bits()).collect()
+}
+
+fn stateless(controller: &Controller, rows: &Rows, n: usize, count: usize, invalid: OnInvalid) {
+    let mut free = controller.settings().clone();
+    free.tracking.goal_slew = f64::INFINITY;
+    free.max_tool_speed = [f64::INFINITY; 2];
+    let comparable = free == *controller.settings();
+    let ceiling = ceiling(controller);
+    match step(controller, rows, count, invalid, None) {
+        Ok(out) => {
+            for row in 0..count {
+                let (q, target, input) = rows.single(n, row);
+                let mut single = controller.clone();
+                let [goal, limit, speed] = out.row(n, row);
+                match single.step(q, target, &input) {
+                    Ok(command) => {
+                        let within = limit.iter().zip(&ceiling).all(|(limit, most)| (0.0..=*most).contains(limit));
+                        assert!(goal.iter().all(|goal| goal.is_finite()) && within, "row {row}: {goal:?} {limit:?}");
+                        if comparable {
+                            assert_near(|| "goal".to_owned(), goal, command.goal());
+                            assert_near(|| "torque_limit".to_owned(), limit, command.torque_limit());
+                            assert_near(|| "velocity".to_owned(), speed, command.speed_limit());
+                        }
+                    }
+                    Err(error) => {
+                        assert_eq!(invalid, OnInvalid::Nan, "row {row} was accepted, not by a controller: {error}");
+                        assert_nan([goal, limit, speed], &error);
+                    }
+                }
+            }
+        }
+        Err(error) => assert_named(&error),
+    }
+}
+
+/// Continues from a state with changed numbers, as from a damaged file.
+fn damaged(input: &mut Input, controller: &Controller, state: &BatchState, arm: &Arm, count: usize) {
+    let n = arm.model.n();
+    let mut values = state.as_slice().to_vec();
+    for _ in 0..input.below(6) {
+        let row_len = values.len() / count;
+        let at = input.below(count) * row_len + input.below(row_len);
+        values[at] = input.number(values[at]);
+    }
+    let mut state = BatchState::from_vec(n, values).unwrap();
+    let rows = Rows { q: arm.q.repeat(count), poses: vec![arm.target; count], dq: None, dt: None };
+    let ceiling = ceiling(controller);
+    match step(controller, &rows, count, OnInvalid::Nan, Some(&mut state)) {
+        Ok(out) => {
+            for row in 0..count {
+                let [goal, limit, _] = out.row(n, row);
+                let within = limit.iter().zip(&ceiling).all(|(limit, most)| (0.0..=*most).contains(limit));
+                let sendable = goal.iter().all(|goal| goal.is_finite()) && within;
+                assert!(sendable || goal.iter().all(|goal| goal.is_nan()), "row {row}: {goal:?} {limit:?}");
+            }
+        }
+        Err(error) => assert_named(&error),
+    }
+}

@@ -1,0 +1,31 @@
+//! Fuzz targets of the core: each takes any bytes, calls the core and panics if an invariant does not hold.
+//!
+//! The programs in `fuzz_targets` call them from libFuzzer; `rust/core/tests/fuzz_corpus.rs` includes this file and
+//! replays the inputs in `corpus` with the stable compiler.
+
+pub mod arm;
+pub mod batch;
+pub mod contact;
+pub mod equations;
+pub mod memory;
+pub mod settings;
+pub mod step;
+pub mod urdf;
+
+mod arms;
+mod checks;
+mod input;
+
+/// A target: takes any bytes, and panics if an invariant does not hold.
+pub type Target = fn(&[u8]);
+
+/// Names of the targets, as in `fuzz_targets` and `corpus`, and their functions.
+pub const TARGETS: [(&str, Target); 7] = [
+    ("arm", arm::run),
+    ("batch", batch::run),
+    ("contact", contact::run),
+    ("equations", equations::run),
+    ("settings", settings::run),
+    ("step", step::run),
+    ("urdf", urdf::run),
+];
