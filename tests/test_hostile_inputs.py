@@ -218,6 +218,8 @@ def page_message(draw):
 @settings(max_examples=150, deadline=None)
 @given(page_message())
 @example(messages.Push([10**400, 0, 0]))
+@example(messages.Target((1e300 * np.eye(4)).tolist()))
+@example(messages.Target([[1e300, 1e300, 0, 0], [1e300, -1e300, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
 @example(messages.Grab(1, ["x", 0, 0], [0, 0, 0]))
 def test_messages_of_the_page(message):
     try:

@@ -227,9 +227,10 @@ def check_target(message: Target, model: Model) -> Array:
     """
     pose = _finite_floats("target", message.pose, (4, 4))
     turn = pose[:3, :3]
-    off = np.abs(turn @ turn.T - np.eye(3)).max()
+    with np.errstate(over="ignore", invalid="ignore"):  # huge entries give inf or NaN
+        off = np.abs(turn @ turn.T - np.eye(3)).max()
     if (
-        off > ORTHOGONALITY_TOLERANCE
+        not off <= ORTHOGONALITY_TOLERANCE
         or np.linalg.det(turn) < 0.0
         or (pose[3] != (0.0, 0.0, 0.0, 1.0)).any()
     ):
