@@ -3,6 +3,7 @@
     make tick                                       all rigs
     make tick ARGS='--rigs null,so101 --rounds 3'   some of them
     make tick ARGS='--profile so101'                functions of one rig by processor time
+    make tick ARGS='--lateness 10'                  lateness at 200 Hz, with scheduling options
 
 A tick is one turn of `pliant.Loop` with `Arm.read`, `Controller.step` and `Arm.write`, at 100 Hz.
 Rigs: `null`, a drive that does nothing on a clock that does not wait; `sim`, the simulator, whose
@@ -21,14 +22,19 @@ from __future__ import annotations
 
 import argparse
 import cProfile
+import ctypes
+import gc
+import os
 import platform
 import pstats
+import subprocess
 import sys
 import time
 import tracemalloc
 from collections import defaultdict
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -38,7 +44,7 @@ import numpy as np
 import pliant
 from pliant import config
 from pliant.config.factory import make_emulator
-from pliant.drive import JointReadings
+from pliant.drive import JointReadings, MonotonicClock
 from pliant.emulator import EmulatorProcess
 from pliant.log import Recorder
 from pliant.loop import LatenessHistogram
@@ -309,13 +315,13 @@ class Rig:
     def count(self) -> None:
         """Count calls of functions per tick, and the largest memory that a tick holds [bytes].
 
-        The wait for the deadline does not count.
+        The results are medians over a block. The wait for the deadline does not count.
         """
-        found = {"call": 0, "c_call": 0}
+        ticks: list[dict[str, int]] = []
 
         def hook(_: Any, event: str, __: Any) -> None:
-            if event in found:
-                found[event] += 1
+            if event in ticks[-1]:
+                ticks[-1][event] += 1
 
         wait = self.arm.clock.wait_until
 
@@ -323,6 +329,7 @@ class Rig:
             sys.setprofile(None)
             wait(deadline)
             if counting:
+                ticks.append({"call": 0, "c_call": 0})
                 sys.setprofile(hook)
 
         counting = False
@@ -338,8 +345,8 @@ class Rig:
 
         with replaced(self.arm.clock, "wait_until", pause):
             self.ticks(start, end)
-        self.python_calls = found["call"] / BLOCK
-        self.calls = (found["call"] + found["c_call"]) / BLOCK
+        self.python_calls = float(np.median([tick["call"] for tick in ticks]))
+        self.calls = float(np.median([sum(tick.values()) for tick in ticks]))
         peaks: list[float] = []
 
         def clear(deadline: float) -> None:
@@ -397,12 +404,17 @@ def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
 
 
 @contextmanager
-def opened(name: str) -> Iterator[Rig]:
-    """Return a context with a rig; its torque is switched off at the end."""
+def opened(name: str, *, real_time: bool = False) -> Iterator[Rig]:
+    """Return a context with a rig; its torque is switched off at the end.
+
+    With `real_time`, the rig `null` waits for its deadlines.
+    """
     if name == "null":
         model = pliant.robots.arm7()
         assert model.servos is not None
         drive: Any = NullDrive(model, model.servos, np.full(model.n, -0.3))
+        if real_time:
+            drive.clock = MonotonicClock()
         arm, settings = pliant.Arm(model, drive), pliant.Settings.soft("y")
     else:
         backend: Any = "sim" if name == "sim" else "emulator"
@@ -546,13 +558,73 @@ def profile(name: str, rows: int) -> None:
     pstats.Stats(profiler).sort_stats("tottime").print_stats(rows)
 
 
+def _lock_memory() -> None:
+    """Keep all memory of the process in RAM (`mlockall`), now and in future."""
+    if ctypes.CDLL(None, use_errno=True).mlockall(3) != 0:
+        raise OSError(ctypes.get_errno(), "mlockall")
+
+
+def _scheduled(policy: int, priority: int) -> Callable[[], None]:
+    return lambda: os.sched_setscheduler(0, policy, os.sched_param(priority))
+
+
+def lateness(seconds: float, *, load: int) -> str:
+    """Return a table of the lateness of ticks at 200 Hz, for scheduling options of the process.
+
+    The rig is `null` in real time. The options take turns, in blocks of 2 s.
+
+    Args:
+        seconds: Time per option [s].
+        load: Number of busy processes beside the loop.
+    """
+    options: dict[str, tuple[Callable[[], object], Callable[[], object]]] = {
+        "as started": (lambda: None, lambda: None),
+        "garbage collector off": (gc.disable, gc.enable),
+        "nice -10": (lambda: os.nice(-10), lambda: os.nice(10)),
+        "SCHED_FIFO": (_scheduled(os.SCHED_FIFO, 10), _scheduled(os.SCHED_OTHER, 0)),
+        "SCHED_FIFO, memory locked, collector off": (
+            lambda: (_scheduled(os.SCHED_FIFO, 10)(), _lock_memory(), gc.disable()),
+            lambda: (_scheduled(os.SCHED_OTHER, 0)(), gc.enable(), ctypes.CDLL(None).munlockall()),
+        ),
+    }
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(load)]
+    found = {name: LatenessHistogram() for name in options}
+    try:
+        with opened("null", real_time=True) as rig:
+            turns = product(range(round(seconds / 2.0)), options.items())
+            for _, (name, (start, end)) in turns:
+                start()
+                loop = pliant.Loop(rig.arm, rig.controller, rate=200.0, duration=2.0)
+                for tick in loop:
+                    tick.step(rig.target)
+                end()
+                found[name].counts += loop.lateness.counts
+                found[name].largest = max(found[name].largest, loop.lateness.largest)
+    finally:
+        for process in busy:
+            process.kill()
+    rows = [
+        f"| {name} | "
+        + " | ".join(f"{1e6 * histogram.percentile(p):.0f}" for p in (50.0, 99.0, 99.9))
+        + f" | {1e6 * histogram.largest:.0f} |"
+        for name, histogram in found.items()
+    ]
+    head = ["| lateness [µs] | median | p99 | p99.9 | largest |", "|---|---:|---:|---:|---:|"]
+    return "\n".join([*head, *rows])
+
+
 def main() -> None:
     """Measure the rigs and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rigs", default=",".join(RIGS), help="rigs, comma-separated")
     parser.add_argument("--rounds", type=int, default=5, help="number of blocks of each kind")
     parser.add_argument("--profile", metavar="RIG", help="print the functions of a rig instead")
+    parser.add_argument("--lateness", type=float, metavar="SECONDS", help="time per option")
+    parser.add_argument("--load", type=int, default=0, help="busy processes beside --lateness")
     arguments = parser.parse_args()
+    if arguments.lateness:
+        print(lateness(arguments.lateness, load=arguments.load))
+        return
     if arguments.profile:
         profile(arguments.profile, 40)
         return

@@ -92,6 +92,12 @@ impl ThermalModel {
         self.options.shutdown_temperature - SHUTDOWN_MARGIN
     }
 
+    /// Returns true if the heat of a servo is above `max_heat`, or its temperature at least [`Self::last_temperature`].
+    pub fn is_too_hot(&self, max_heat: f64) -> bool {
+        self.heat.iter().any(|heat| *heat > max_heat)
+            || self.temperature.iter().any(|temperature| *temperature >= self.last_temperature())
+    }
+
     /// Updates the heat after the servos have exerted the torques (N) [N·m] for `dt` [s].
     pub fn update(&mut self, torque: &[f64], dt: f64) {
         let gain = -(-dt / self.options.time_constant).exp_m1();
