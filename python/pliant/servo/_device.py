@@ -283,14 +283,14 @@ class Device:
         self.voltage = volts
         if volts >= self.min_voltage:
             self._last_good_voltage = time
-        text = ""
         is_low = time - self._last_good_voltage > UNDERVOLTAGE_GRACE
-        if is_low:
-            text = (
+        if is_low or self.other_faults:
+            self.fault(
+                "voltage",
+                is_low,
                 f"its supply is {volts:.1f} V and it needs {self.min_voltage:.1f} V: a supply that "
-                "is too weak, or thin or long wires"
+                "is too weak, or thin or long wires",
             )
-        self.fault("voltage", is_low, text)
         if volts != self.units.voltage and volts > 0.0:
             self.units = replace(self.units, voltage=volts)
 
@@ -329,7 +329,7 @@ class Device:
         """Set the fault of the topic `key` with this text if `is_wrong`, else clear it."""
         if is_wrong:
             self.other_faults[key] = text
-        elif self.other_faults:
+        else:
             self.other_faults.pop(key, None)
 
     @property

@@ -92,6 +92,7 @@ class Layout:
             if register.sign not in {"unsigned", "twos"}:
                 self._sign_bits.append((place, 1 << int(register.sign[3:])))
         self._struct = Struct(code + "x" * (end - here))
+        self._zeros = (0,) * len(rows)
 
     def decode(self, data: bytes) -> dict[str, int]:
         """Return the values of the registers by name from the bytes of the block."""
@@ -107,7 +108,7 @@ class Layout:
 
         Size and sign coding of the registers must be able to hold the values.
         """
-        row = [values.get(name, 0) for name in self._names]
+        row = list(map(values.get, self._names, self._zeros))
         for place, bit in self._sign_bits:
             if row[place] < 0:
                 row[place] = -row[place] | bit
