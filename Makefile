@@ -49,7 +49,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench bench-stages browser counts counts-check aarch64 fuzz peers soak wheel wheels notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench tick bench-stages browser counts counts-check aarch64 fuzz peers soak wheel wheels notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -187,6 +187,9 @@ soak: setup ## Ten minutes of emulated bus with faults on each family; ARGS='--f
 
 bench: setup ## Latency of a step on this machine; ARGS='--robot so101'
 	@$(BIN)/python benches/latency.py $(ARGS)
+
+tick: setup ## Cost of a control cycle by stage, beside rustypot alone; ARGS='--rigs null,so101'
+	@$(BIN)/python benches/tick.py $(ARGS)
 
 bench-stages: setup ## Criterion benches per stage; ARGS='-- step' picks
 	@cargo bench $(LOCKED) $(ARGS)

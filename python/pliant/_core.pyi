@@ -17,6 +17,7 @@ __all__ = [
     "AxisReport",
     "BatchState",
     "Command",
+    "CommandLimiter",
     "Compensation",
     "ConfigError",
     "ContactEstimator",
@@ -42,6 +43,7 @@ __all__ = [
     "PliantError",
     "Pose",
     "PoseReport",
+    "PositionFilter",
     "ServoError",
     "ServoFaultError",
     "ServoTimeoutError",
@@ -2823,6 +2825,154 @@ class JointFollower:
         """
 
 @final
+class PositionFilter:
+    """Filter that rejects implausible positions of N joints.
+
+    A position is accepted if it was read in this cycle, is finite, and lies within
+    ``2 v_max dt + 0.2 rad`` of the joint's last accepted position. v_max is the largest speed of
+    the joint [rad/s], dt the time since that position [s]. dt does not grow while implausible
+    positions arrive: a lasting jump of an encoder thus stays rejected. The filter also catches late
+    replies of earlier cycles if the position has changed much since then; some servo protocols have
+    no sequence numbers to detect such replies.
+
+    Args:
+        max_speed: Largest speeds of the joints (N,) [rad/s].
+
+    Raises:
+        OutOfRangeError: A speed is negative or not finite.
+    """
+
+    def __new__(cls, max_speed: ArrayLike) -> PositionFilter: ...
+    @property
+    def position(self) -> _Array:
+        """Last accepted positions (N,) [rad]; NaN before the first."""
+
+    @property
+    def time(self) -> _Array:
+        """Times at which these positions were sampled (N,) [s]; -inf before the first."""
+
+    @property
+    def jumps(self) -> int:
+        """Number of positions rejected so far because they were too far from the last one."""
+
+    def update(
+        self, position: ArrayLike, ok: NDArray[np.bool_], time: ArrayLike
+    ) -> NDArray[np.bool_]:
+        """Store the plausible positions, and return the mask (N,) of their joints.
+
+        Args:
+            position: Positions (N,) [rad]; any number where `ok` is False.
+            ok: Mask (N,) of the positions that were read in this cycle.
+            time: Sample times [s]: (N,), or one number for all.
+
+        Raises:
+            ShapeError: An array does not have N entries.
+        """
+
+    def implausible(self, count: int) -> list[tuple[int, float]]:
+        """Return the joints whose last `count` or more positions in a row were implausible.
+
+        Each is a pair of the index and the distance [rad] of the last such position from the
+        accepted one.
+        """
+
+    def reset(self) -> None:
+        """Discard all positions: the next position of each joint is then accepted in any case."""
+
+@final
+class CommandLimiter:
+    """Limits goals and torque limits before they are sent to the N joints of a drive.
+
+    The limits are position limits, the thermal and the supply budget, and a ramp of the torque
+    limits after torque on. The chain has n of the joints. With gravity torque g, usable torque
+    tau_max, stiffness k_p and `torque_margin` m, per joint of the chain:
+
+    ``goal = clip(goal, lower - lead, upper + lead)``, where the lead is ``tau_max / k_p``, or what
+    g needs on that side; ``holding = min(max(1.1 |g| + m, ramp_start), tau_max)``;
+    ``limit = min(limit, holding + ramp (tau_max - holding), max(thermal ceiling, 1.1 |g|))``.
+
+    Limits are then reduced to the current of the supply, but not below 1.1 |g|.
+
+    Args:
+        model: The robot, with the position limits.
+        servos: Servo parameters of the chain, n entries.
+        thermal: Thermal model of the N servos.
+        chain: Index in the drive of each joint of the chain (n,).
+        kp: Stiffness of all joints (N,) [N m/rad].
+        max_torque: Usable torques of all joints (N,) [N m].
+
+    Raises:
+        ShapeError, ConfigError: Lengths differ, an index is invalid, or a stiffness is not above 0.
+    """
+
+    def __new__(
+        cls,
+        model: Model,
+        servos: Servos,
+        thermal: ThermalModel,
+        *,
+        chain: Sequence[int],
+        kp: ArrayLike,
+        max_torque: ArrayLike,
+    ) -> CommandLimiter: ...
+    def unreachable(self, goal: ArrayLike) -> int | None:
+        """Return the joint whose goal is so far outside its limits that its unit must be wrong.
+
+        `goal` (n,) [rad]. The excess is more than 1 rad beyond the lead at full torque. None: there
+        is no such joint.
+        """
+
+    def limit(
+        self,
+        goal: ArrayLike,
+        limit: ArrayLike,
+        gravity: ArrayLike,
+        position: ArrayLike,
+        off_chain: Sequence[Sequence[float]],
+        *,
+        ramp: float,
+        ramp_start: ArrayLike,
+        lead: bool,
+    ) -> tuple[_Array, _Array]:
+        """Return goals (N,) [rad] and torque limits (N,) [N m] to send.
+
+        Args:
+            goal: Requested goals (n,) [rad].
+            limit: Requested torque limits (n,) [N m].
+            gravity: Torques that hold the arm against gravity (n,) [N m].
+            position: Positions of all joints (N,) [rad]; NaN where unknown.
+            off_chain: Goal [rad] and limit [N m] of each joint off the chain (N - n, 2).
+            ramp: Progress of the ramp from holding torque to usable torque, 0 to 1.
+            ramp_start: Lower bound of the ramp (n,) [N m].
+            lead: True if goals may lie beyond the position limits to exert a force.
+
+        Raises:
+            ShapeError: An array has another shape.
+        """
+
+    def update_heat(
+        self,
+        goal: ArrayLike,
+        limit: ArrayLike,
+        position: ArrayLike,
+        load: ArrayLike | None,
+        dt: float,
+    ) -> None:
+        """Update the thermal model after dt [s] with the torques of the servos.
+
+        Args:
+            goal: Goals in the servos (N,) [rad].
+            limit: Torque limits in the servos (N,) [N m].
+            position: Positions (N,) [rad].
+            load: Measured torques (N,) [N m]; where they are not finite, and for None, the torque
+                is ``min(k_p |goal - position|, limit)``.
+            dt: Time since the last update [s].
+
+        Raises:
+            ShapeError: An array does not have N entries.
+        """
+
+@final
 class ThermalModel:
     """Thermal model of N servos, and the torque limits that follow from it.
 
@@ -2862,6 +3012,9 @@ class ThermalModel:
     @property
     def last_temperature(self) -> float:
         """Temperature at which a torque limit reaches zero [deg C]."""
+
+    def is_too_hot(self, max_heat: float) -> bool:
+        """Return True if a heat is above `max_heat`, or a servo has `last_temperature` or more."""
 
     def set_temperature(self, servo: int, temperature: float) -> None:
         """Store the measured temperature of a servo [deg C]; an index beyond N is ignored."""

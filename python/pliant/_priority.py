@@ -1,10 +1,17 @@
-"""Process priorities (nice values): lower for background processes, higher for the emulator."""
+"""Priorities of processes and threads: lower in the background, real-time for the control loop."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import sys
+import threading
+from typing import TYPE_CHECKING
+
+from pliant._core import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 #: Amount by which the nice value is raised or lowered.
 NICE = 10
@@ -37,3 +44,51 @@ def raise_priority() -> None:
         return  # Windows has no nice values
     with contextlib.suppress(OSError):
         os.nice(-NICE)
+
+
+def check_real_time_priority(priority: int | None) -> int | None:
+    """Validate a real-time priority and return it; None: no real-time priority.
+
+    Raises:
+        ConfigError: The number is out of range, or this system has no real-time scheduling.
+    """
+    if priority is None:
+        return None
+    if sys.platform == "win32" or not hasattr(os, "SCHED_FIFO"):
+        raise ConfigError("realtime_priority needs SCHED_FIFO, which this system lacks: use None")
+    low = os.sched_get_priority_min(os.SCHED_FIFO)
+    high = os.sched_get_priority_max(os.SCHED_FIFO)
+    if isinstance(priority, bool) or not isinstance(priority, int) or not low <= priority <= high:
+        raise ConfigError(
+            f"realtime_priority must be an integer from {low} to {high}, or None, got {priority!r}"
+        )
+    return priority
+
+
+@contextlib.contextmanager
+def real_time_priority(priority: int | None) -> Iterator[None]:
+    """Return a context in which this thread, and threads that it starts, have real-time priority.
+
+    The scheduling policy is SCHED_FIFO: the threads preempt all programs without real-time
+    priority. The former policy of this thread is restored at the end. None: change nothing.
+
+    Raises:
+        ConfigError: The system does not permit it.
+    """
+    if priority is None or sys.platform == "win32":
+        yield
+        return
+    thread = threading.get_native_id()
+    before = os.sched_getscheduler(thread), os.sched_getparam(thread)
+    try:
+        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+    except PermissionError as error:
+        raise ConfigError(
+            f"realtime_priority={priority}: this user may not use real-time priorities; add the "
+            f"line '<user> - rtprio {priority}' to /etc/security/limits.conf and log in again, or "
+            "leave realtime_priority out"
+        ) from error
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(thread, *before)

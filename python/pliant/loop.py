@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from pliant._core import Command, ConfigError, ServoError, ServoFaultError, ServoTimeoutError
+from pliant._priority import check_real_time_priority, real_time_priority
 from pliant._validation import format_value, real
 from pliant.arm._checks import vector
 
@@ -222,6 +223,10 @@ class Loop:
             `arm.comm_timeout`.
         recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`, which
             receives every tick with its command. The loop starts it, and closes it at the end.
+        realtime_priority: Priority (1 to 99) with the scheduling policy SCHED_FIFO of the thread
+            that iterates, and of threads started in the loop, until the loop ends (Linux). Other
+            programs then do not delay ticks, but a program that never waits in a tick delays them.
+            None: no real-time scheduling.
 
     Attributes:
         controller: Controller to step; with a recorder, a wrapper that records its calls. Pass this
@@ -239,7 +244,8 @@ class Loop:
     Raises:
         TypeError: `arm` is not an arm, or `controller` has no `reset`.
         ConfigError: The rate is below 1 Hz, or its period is not a multiple of a simulated arm's
-            period; or a time is negative or not a number.
+            period; or a time is negative or not a number; or the priority is out of range. While
+            iterating: the system does not permit the priority.
         ServoTimeoutError: While looping: positions or commands are missing, or the program stalled.
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
@@ -259,6 +265,7 @@ class Loop:
         duration: float | None = None,
         max_step_time: float | None = None,
         recorder: TickRecorder | None = None,
+        realtime_priority: int | None = None,
     ) -> None:
         """Validate the arguments, and start the recorder if there is one."""
         if not hasattr(arm, "clock"):
@@ -277,6 +284,7 @@ class Loop:
         for name, time in (("duration", duration), ("max_step_time", max_step_time)):
             if time is not None and not real(time, name) >= 0.0:
                 raise ConfigError(f"{name} must be 0 s or more, or None, got {time!r}")
+        self._realtime_priority = check_real_time_priority(realtime_priority)
         self.period = 1.0 / rate
         grain = getattr(arm.clock, "period", None)
         if grain is not None and not _divides(grain, self.period):
@@ -304,7 +312,11 @@ class Loop:
         patience = max(self._max_step_time, self._arm.comm_timeout) + self.period + GRACE
         ended = False
         try:
-            with self._arm.supervised(patience) as self._check:
+            # The supervisor's thread inherits the priority: it must be able to interrupt a stall.
+            with (
+                real_time_priority(self._realtime_priority),
+                self._arm.supervised(patience) as self._check,
+            ):
                 yield from self._turns()
             ended = True
         finally:
@@ -432,20 +444,22 @@ class Loop:
         """Check a command; send it and return True, or count it as rejected and return False."""
         self._check()
         clock = self._arm.clock
-        if not (hasattr(command, "goal") and hasattr(command, "torque_limit")):
+        if isinstance(command, Command):
+            goal, limit, speed = command.goal, command.torque_limit, command.speed_limit
+        elif hasattr(command, "goal") and hasattr(command, "torque_limit"):
+            goal = vector(self._arm.model, command.goal, "goal", finite=False)
+            limit = vector(self._arm.model, command.torque_limit, "limit", finite=False)
+            speed = None
+        else:
             raise TypeError(
                 "command must be a Command, as Controller.step makes one, or have goal and "
                 f"torque_limit, got {format_value(command)}; arm.write(goal, limit) "
                 "takes bare numbers"
             )
-        model = self._arm.model
-        goal = vector(model, command.goal, "goal", finite=False)
-        limit = vector(model, command.torque_limit, "limit", finite=False)
         old = clock.now() - tick.began > max(STALE_PERIODS * self.period, STALE)
-        if old or not (np.isfinite(goal).all() and np.isfinite(limit).all()):
+        if old or not all(map(math.isfinite, goal.tolist() + limit.tolist())):
             self.rejected += 1
             return False
-        speed = command.speed_limit if isinstance(command, Command) else None
         self._arm.write(goal, limit, extra, lead=speed is not None, velocity=speed)
         self._measure(clock.now() - tick.state.time)
         return True

@@ -1,5 +1,6 @@
 """The loop: timing, missing readings, missing commands, and no jump of the goal after them."""
 
+import os
 import threading
 import time
 
@@ -229,3 +230,36 @@ def test_a_controllers_goals_may_lead_beyond_the_limits(make):
             arm.write(goal, np.ones(arm.model.n), lead=True)
             assert arm.drive.diary[-1][1] == pytest.approx(goal)
             tick.skip()
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_FIFO"), reason="SCHED_FIFO needs Linux")
+def test_a_real_time_priority_lasts_as_long_as_the_loop(monkeypatch):
+    def policies():
+        return {
+            thread.name: os.sched_getscheduler(thread.native_id) for thread in threading.enumerate()
+        }
+
+    own = threading.current_thread().name
+    before = policies()[own]
+    with bare_arm(real_time=True, handle_signals=False) as arm:
+        loop = pliant.Loop(arm, duration=0.05, realtime_priority=5)
+        try:
+            for tick in loop:
+                found = policies()
+                assert found[own] == os.SCHED_FIFO
+                assert found["pliant-supervisor"] == os.SCHED_FIFO, "it must interrupt a stall"
+                tick.skip()
+        except pliant.ConfigError as error:
+            pytest.skip(f"not permitted here: {error}")
+        assert policies()[own] == before
+
+        def refuse(*_):
+            raise PermissionError(1, "Operation not permitted")
+
+        monkeypatch.setattr(os, "sched_setscheduler", refuse)
+        with pytest.raises(pliant.ConfigError, match=r"rtprio 5.*leave realtime_priority out"):
+            next(iter(loop))
+        for wrong in (0, 100, 5.0, True):
+            with pytest.raises(pliant.ConfigError, match=r"from 1 to 99, or None, got"):
+                pliant.Loop(arm, realtime_priority=wrong)
+        arm.disable_torque()

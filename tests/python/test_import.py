@@ -33,7 +33,10 @@ def test_every_name_is_there_and_documented():
         *pliant.types.__all__,
     }
     # Names that only `pliant.arm` and `pliant.identify` use; these wrap them for the user.
-    internal = {"ArmPoints", "HandGuidingLaw", "SUPPORT", "ThermalModel", "torque_margin"}
+    internal = {
+        *("ArmPoints", "CommandLimiter", "HandGuidingLaw", "PositionFilter", "SUPPORT"),
+        *("ThermalModel", "torque_margin"),
+    }
     assert set(pliant._core.__all__) == (public & set(pliant._core.__all__)) | internal
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,11 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
         ShapeError: The value has the wrong shape, or is not made of real numbers.
         OutOfRangeError: An entry is not finite, although `finite` is True.
     """
+    # Most calls: finite numbers as an array of the right type.
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == (model.n,):
+        if finite and not all(map(math.isfinite, value.tolist())):
+            raise OutOfRangeError(f"{name} is not finite, nothing was sent: {value.tolist()}")
+        return value.copy()
     try:
         raw = np.asarray(value)
         # Reject bool, complex and text: NumPy would convert them to float without an error.

@@ -10,111 +10,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import (
-    SUPPORT,
+    CommandLimiter,
     ConfigError,
     OutOfRangeError,
+    PositionFilter,
     ServoError,
     ServoTimeoutError,
-    torque_margin,
 )
 from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
 from pliant.arm._checks import vector
-from pliant.arm.thermal import thermal_faults
+from pliant.arm.thermal import TOO_HOT, thermal_faults
 from pliant.drive import MonotonicClock, State
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from pliant._core import Model, Servos
     from pliant._typing import Array, Mask
     from pliant.arm.thermal import Budget
-    from pliant.drive import Clock, Drive, JointReadings, ServoStatus
+    from pliant.drive import Clock, Drive, ServoStatus
 
     Orders = Mapping[str, tuple[float, float]]
 
 
-#: Assumed largest speed of a joint without a speed limit in the model [rad/s]; and change of
-#: position that is accepted between two readings, however short the time between them [rad].
-DEFAULT_SPEED, JUMP_MARGIN = 10.0, 0.2
-#: Largest plausible speed of a joint that a hand pushes, as a multiple of the joint's speed limit.
-PUSHED_SPEED = 2.0
-#: Number of consecutive implausible positions of a joint that is reported as a fault; and time
-#: between two readings [s] above which the accepted change of position grows even after an
-#: implausible position, because the joint may have moved in that time.
-MAX_JUMPS, READING_GAP = 3, 0.1
-
-
-class PositionFilter:
-    """Filter that rejects implausible positions of N joints.
-
-    A position is accepted if it was read in this cycle, is finite, and lies within
-    ``2 v_max Δt + 0.2 rad`` of the joint's last accepted position. v_max is the largest speed of
-    the joint [rad/s], Δt the time since that position [s]. Δt does not grow while implausible
-    positions arrive: a lasting jump of an encoder thus stays rejected, and is reported as a fault.
-    The filter also catches late replies of earlier cycles if the position has changed much since
-    then; some servo protocols have no sequence numbers to detect such replies.
-
-    Attributes:
-        position: Last accepted positions (N,) [rad]; NaN before the first.
-        time: Times at which these positions were sampled (N,) [s]; -inf before the first.
-        jumps: Number of positions rejected so far because they were too far from the last one.
-    """
-
-    def __init__(self, max_speeds: Array) -> None:
-        """Store the largest joint speeds (N,) [rad/s]; `DEFAULT_SPEED` replaces NaN and inf."""
-        self._max_speeds = np.where(np.isfinite(max_speeds), max_speeds, DEFAULT_SPEED)
-        self.position: Array = np.full(max_speeds.size, np.nan)
-        self.time: Array = np.full(max_speeds.size, -np.inf)
-        self.jumps = 0
-        # Per joint: time of the last reading [s], Δt for the check of the next position [s],
-        # number of consecutive implausible positions, and size of the last jump [rad].
-        self._last: Array = self.time.copy()
-        self._allowed: Array = np.zeros(max_speeds.size)
-        self._rejected: NDArray[np.int_] = np.zeros(max_speeds.size, dtype=np.int_)
-        self._jump: Array = np.zeros(max_speeds.size)
-
-    def update(self, sample: JointReadings) -> Mask:
-        """Store the plausible positions in `sample`; return the mask (N,) of their joints."""
-        read = np.asarray(sample.ok, dtype=bool) & np.isfinite(sample.position)
-        first = np.isnan(self.position)
-        gap = np.where(first, 0.0, sample.time - self._last)
-        self._last = np.where(read, sample.time, self._last)
-        counts = read & ((self._rejected == 0) | (gap > READING_GAP))
-        self._allowed += np.where(counts, gap, 0.0)
-        reach = PUSHED_SPEED * self._max_speeds * self._allowed + JUMP_MARGIN
-        with np.errstate(invalid="ignore"):
-            distance = np.abs(sample.position - self.position)
-            plausible = first | (distance <= reach)
-        far, ok = read & ~plausible, read & plausible
-        self.jumps += int(far.sum())
-        self._rejected = np.where(far, self._rejected + 1, np.where(ok, 0, self._rejected))
-        self._jump = np.where(far, distance, self._jump)
-        self._allowed = np.where(ok, 0.0, self._allowed)
-        self.position = np.where(ok, sample.position, self.position)
-        self.time = np.where(ok, sample.time, self.time)
-        return ok
-
-    def faults(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return a sentence for each joint with `MAX_JUMPS` or more implausible positions in a row.
-
-        `names` are the joint names (N,).
-        """
-        return tuple(
-            f"{names[int(i)]}: its position jumped by {self._jump[i]:.2f} rad, which it cannot "
-            "have moved: encoder fault, slipped horn or loose gear. Torque off, then check its zero"
-            for i in np.flatnonzero(self._rejected >= MAX_JUMPS)
-        )
-
-    def reset(self) -> None:
-        """Discard all positions: the next position of each joint is then accepted in any case."""
-        self.position = np.full_like(self._max_speeds, np.nan)
-        self.time = np.full_like(self._max_speeds, -np.inf)
-        self._last = self.time.copy()
-        self._allowed, self._jump = np.zeros_like(self.time), np.zeros_like(self.time)
-        self._rejected = np.zeros_like(self._rejected)
+#: Assumed largest speed of a joint without a speed limit in the model [rad/s].
+DEFAULT_SPEED = 10.0
+#: Number of consecutive implausible positions of a joint that is reported as a fault.
+MAX_JUMPS = 3
 
 
 #: Part of error messages: format of the argument `extra`, goals and limits of joints off the chain.
@@ -267,9 +192,6 @@ class LowTorqueWarning:
 #: Time in which torque limits rise from holding torque to their requested values, after torque on
 #: and after a time without commands [s].
 RAMP_TIME = 0.5
-#: Distance of a goal beyond a position limit above which the goal is rejected, because its unit is
-#: probably wrong [rad]. The largest lead (goal minus position at full torque) comes on top.
-MAX_GOAL_EXCESS = 1.0
 
 #: Number of reads within which every joint of a program that has ended should answer.
 RESUME_READS = 5
@@ -280,7 +202,6 @@ class ArmIO:
 
     Attributes:
         servos: Servo parameters of the chain, n entries.
-        goal, limit: Goals [rad] and torque limits [N·m] last sent to the chain (n,).
         orders: Last goal [rad] and limit [N·m] of each joint off the chain, by name.
         thermal: Thermal model of the servos.
         positions: Filter with the last plausible positions.
@@ -299,15 +220,24 @@ class ArmIO:
         )
         self.thermal = budget.thermal_model(self._usable, getattr(drive, "stall_current", None))
         self.positions = PositionFilter(self.joints.max_speeds(model))
+        self._limiter = CommandLimiter(
+            model,
+            self.servos,
+            self.thermal,
+            chain=self.joints.chain.tolist(),
+            kp=self._kp,
+            max_torque=self._usable,
+        )
         self._low_torque = LowTorqueWarning(model, self.servos)
-        self.goal, self.limit = np.zeros(model.n), np.zeros(model.n)
         self.orders: dict[str, tuple[float, float]] = {}
-        self._ramp_start: float = -np.inf
-        self._min_limit: Array | float = 0.0
+        self._ramp_start: float = -math.inf
+        self._min_limit: Array = np.zeros(model.n)
         self._last_update: float | None = None
-        self._sent: tuple[Array, Array] | None = None
-        self._voltage = np.full(size, np.nan)
+        # Goals [rad] and torque limits [N·m] last sent to all joints (N,), and whether that was.
+        self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
+        self._voltage, self._unlimited = np.full(size, np.nan), np.full(size, np.inf)
         self._reported: dict[str, tuple[str, ...]] = {}
+        self._index = {name: i for i, name in enumerate(self.joints.names)}
         self._rows: dict[str, Array | None] = {}
         self._watchdog = 0.0
         # Times of the last bus access and of the last position received [s].
@@ -329,11 +259,13 @@ class ArmIO:
             return np.zeros(self.model.n, dtype=bool)
         finally:
             self._last_access = self.clock.now()
-        if np.any(sample.ok):
-            gap, self._last_position = self.clock.now() - self._last_position, self.clock.now()
+        read = np.asarray(sample.ok, dtype=bool)
+        if read.any():
+            now = self.clock.now()
+            gap, self._last_position = now - self._last_position, now
             if self._watchdog and gap > 0.5 * self._watchdog:
                 self._rearm()
-        ok = self.positions.update(sample)
+        ok = self.positions.update(sample.position, read, sample.time)
         chain = self.joints.chain
         self._rows = {
             "dq": None if sample.velocity is None else sample.velocity[chain],
@@ -353,7 +285,7 @@ class ArmIO:
             q=position[chain],
             time=float(time.min()),
             fresh=bool(ok.all()),
-            extra={name: float(position[self.joints.index(name)]) for name in self.joints.extra},
+            extra={name: float(position[self._index[name]]) for name in self.joints.extra},
             age=self.clock.now() - time,
             voltage=self._voltage[chain],
             temperature=self.thermal.temperature[chain],
@@ -363,9 +295,16 @@ class ArmIO:
 
     def faults(self) -> tuple[str, ...]:
         """Return the present faults of the servos, one sentence each."""
-        reported = [text for found in self._reported.values() for text in found]
-        jumped = self.positions.faults(self.joints.names)
-        return (*reported, *jumped, *thermal_faults(self.thermal, self.joints.names))
+        names = self.joints.names
+        found = [text for texts in self._reported.values() for text in texts]
+        found += [
+            f"{names[i]}: its position jumped by {jump:.2f} rad, which it cannot have moved: "
+            "encoder fault, slipped horn or loose gear. Torque off, then check its zero"
+            for i, jump in self.positions.implausible(MAX_JUMPS)
+        ]
+        if self.thermal.is_too_hot(TOO_HOT):
+            found += thermal_faults(self.thermal, names)
+        return tuple(found)
 
     def delay(self, now: float) -> float:
         """Return the age of the newest position at time `now` [s], plus the drive's latency [s]."""
@@ -377,6 +316,18 @@ class ArmIO:
         """Last plausible positions of the chain (n,) [rad]."""
         q: Array = self.positions.position[self.joints.chain]
         return q
+
+    @property
+    def goal(self) -> Array:
+        """Goals last sent to the chain (n,) [rad]."""
+        goal: Array = self._goals[self.joints.chain]
+        return goal
+
+    @property
+    def limit(self) -> Array:
+        """Torque limits last sent to the chain (n,) [N·m]."""
+        limit: Array = self._limits[self.joints.chain]
+        return limit
 
     def gravity(self) -> Array:
         """Return torques (n,) [N·m] that hold the chain against gravity at `q`."""
@@ -467,7 +418,8 @@ class ArmIO:
         Args:
             limit: Lower bound of the ramp at its start (n,) [N·m].
         """
-        self._ramp_start, self._min_limit = self.clock.now(), limit
+        self._ramp_start = self.clock.now()
+        self._min_limit = _per_joint(limit, self.model.n)
 
     def write(
         self,
@@ -481,50 +433,40 @@ class ArmIO:
         """Validate, clip and send goals and limits; `Arm.write` documents the arguments."""
         goal = vector(self.model, goal, "goal")
         limit = self.limit if limit is None else vector(self.model, limit, "limit")
-        if limit.min() < 0.0:
-            raise OutOfRangeError(f"limit must be at least 0 N·m, got {limit.min():g}")
+        if (least := min(limit.tolist())) < 0.0:
+            raise OutOfRangeError(f"limit must be at least 0 N·m, got {least:g}")
         if velocity is not None:
             velocity = vector(self.model, velocity, "velocity", finite=False)
-            if not velocity.min() >= 0.0:
+            if not all(speed >= 0.0 for speed in velocity.tolist()):
                 raise OutOfRangeError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
         orders = {} if extra is None else self.joints.check(extra)
-        gravity, model, chain = self.gravity(), self.model, self.joints.chain
-        need, max_lead = gravity / self._kp[chain], self._usable[chain] / self._kp[chain]
-        excess = np.maximum(model.lower - goal, goal - model.upper)
-        if excess.max() > MAX_GOAL_EXCESS + max_lead[excess.argmax()]:
-            joint = int(excess.argmax())
+        joint = self._limiter.unreachable(goal)
+        if joint is not None:
+            model = self.model
             raise OutOfRangeError(
                 f"goal of {model.joint_names[joint]} is {goal[joint]:g} rad, far outside of "
                 f"{model.lower[joint]:.3g} to {model.upper[joint]:.3g} rad: are these degrees? "
                 "Nothing was sent"
             )
-        self.orders = {**self.orders, **orders}
-        out = (max_lead, max_lead) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
-        goal = np.clip(goal, model.lower - out[0], model.upper + out[1])
-        self.send(goal, self._clip_limits(goal, limit, gravity), velocity)
+        position = self.positions.position
+        gravity = self.model.gravity(position[self.joints.chain])
+        if orders:
+            self.orders = {**self.orders, **orders}
+        goals, limits = self._limiter.limit(
+            goal,
+            limit,
+            gravity,
+            position,
+            [self.orders[name] for name in self.joints.extra],
+            ramp=(self.clock.now() - self._ramp_start) / RAMP_TIME,
+            ramp_start=self._min_limit,
+            lead=lead,
+        )
+        self._transmit(goals, limits, velocity)
         if lead:
             self._low_torque.reset()
         else:
             self._low_torque.check(limit, gravity, self.clock.now())
-
-    def _clip_limits(self, goal: Array, limit: Array, gravity: Array) -> Array:
-        """Return `limit` (n,) [N·m] reduced to the thermal and supply budgets and to the ramp.
-
-        `goal` (n,) [rad] and `gravity` (n,) [N·m] belong to the same command.
-        """
-        chain, support = self.joints.chain, SUPPORT * np.abs(gravity)
-        usable = self._usable[chain]
-        holding = np.minimum(
-            np.maximum(support + torque_margin(self.servos, gravity), self._min_limit), usable
-        )
-        share = min(max((self.clock.now() - self._ramp_start) / RAMP_TIME, 0.0), 1.0)
-        limit = np.minimum(limit, holding + share * (usable - holding))
-        limit = np.minimum(limit, np.maximum(self.thermal.torque_ceiling()[chain], support))
-        goals, limits = self._in_drive_order(goal, limit)
-        floor = self.joints.join(support, np.zeros(self.joints.off_chain.size))
-        pull = self._kp * np.nan_to_num(goals - self.positions.position)
-        limited: Array = self.thermal.limit_current(pull, floor, limits)[chain]
-        return limited
 
     def start(self, goal: Array, limit: Array) -> None:
         """Switch torque on with these first goals [rad] and limits [N·m] (n,).
@@ -532,9 +474,10 @@ class ArmIO:
         Raises:
             ServoError: A joint moved when torque came on, or its servo did not confirm.
         """
-        self.goal, self.limit = goal.copy(), limit.copy()
-        self._sent = self._in_drive_order(goal, np.minimum(limit, self._usable[self.joints.chain]))
-        self.drive.enable(*self._sent)
+        usable = self._usable[self.joints.chain]
+        self._goals, self._limits = self._in_drive_order(goal, np.minimum(limit, usable))
+        self._is_sent = True
+        self.drive.enable(self._goals, self._limits)
 
     def send(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send goals and limits of the chain, and `orders` to the joints off the chain.
@@ -547,14 +490,17 @@ class ArmIO:
         Raises:
             ServoError: The connection to the drive is lost.
         """
-        goals, limits = self._in_drive_order(
-            goal, np.minimum(limit, self._usable[self.joints.chain])
-        )
+        usable = self._usable[self.joints.chain]
+        self._transmit(*self._in_drive_order(goal, np.minimum(limit, usable)), velocity)
+
+    def _transmit(self, goals: Array, limits: Array, velocity: Array | None) -> None:
+        """Send goals [rad] and limits [N·m] of all joints (N,); `velocity` is that of the chain."""
         self._rearm_after_silence()
-        self._sent = goals, limits
-        self.goal, self.limit = goal.copy(), limits[self.joints.chain]
-        off_chain = np.full(self.joints.off_chain.size, np.inf)
-        speeds = None if velocity is None else self.joints.join(velocity, off_chain)
+        self._goals, self._limits, self._is_sent = goals, limits, True
+        speeds = None
+        if velocity is not None:
+            speeds = self._unlimited.copy()
+            speeds[self.joints.chain] = velocity
         self.drive.write(goals, limits, speeds)
         self._last_access = self.clock.now()
         self._update_status(self.drive.poll_status())
@@ -578,20 +524,16 @@ class ArmIO:
         estimated from position errors, stiffness and limits.
         """
         now = self.clock.now()
-        if self._last_update is not None and self._sent is not None:
-            goal, limit = self._sent
-            error = np.nan_to_num(goal - self.positions.position)
-            torque = np.minimum(np.abs(self._kp * error), limit)
-            if load is not None:
-                torque = np.where(np.isfinite(load), np.abs(load), torque)
-            self.thermal.update(torque, now - self._last_update)
+        if self._last_update is not None and self._is_sent:
+            passed, position = now - self._last_update, self.positions.position
+            self._limiter.update_heat(self._goals, self._limits, position, load, passed)
         self._last_update = now
 
     def _update_status(self, status: ServoStatus | None) -> None:
         """Store voltage, temperature and faults of the servo in `status`; None: do nothing."""
         if status is None:
             return
-        index = self.joints.index(status.name)
+        index = self._index[status.name]
         if status.voltage is not None:
             self._voltage[index] = status.voltage
         if status.temperature is not None:

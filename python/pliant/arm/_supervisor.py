@@ -59,7 +59,8 @@ class Supervisor:
             ServoError: Another process switched torque on.
             ServoTimeoutError: The watchdog thread has taken the arm over.
         """
-        self.check()
+        if self.reason is not None or self.is_owned_elsewhere:
+            self.check()
         self.lock.acquire()
         if self.reason is not None:
             self.lock.release()

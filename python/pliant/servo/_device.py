@@ -10,8 +10,10 @@ from pliant.servo import _status as status
 from pliant.servo.spec import Units
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pliant.servo._transactions import Reply
-    from pliant.servo.models import Block, Family, ServoModel
+    from pliant.servo.models import Family, ServoModel
     from pliant.servo.spec import ServoSpec
 
 #: Longest undervoltage that is not reported as a fault [s].
@@ -28,6 +30,10 @@ MISMATCH_TIME, MISMATCHES = 0.5, 3
 MAX_JUMPS, READING_GAP = 3, 0.1
 #: Value of the register Bus Watchdog after it has tripped.
 TRIPPED = 255
+SEAM_TEXT = (
+    "it stands past the seam of its encoder, where goals would send it the long way round: "
+    "move it back by hand"
+)
 
 
 @dataclass
@@ -120,6 +126,7 @@ class Device:
         self.mismatches = 0
         self._writes = 0
         self._read_backs = {"goal": ReadBack(), "limit": ReadBack()}
+        self._has_mismatch = False
         self.tripped, self.trips, self.watchdog = False, 0, 0
         self._rejected, self._allowed, self._last = 0, 0.0, 0.0
 
@@ -169,9 +176,12 @@ class Device:
         would move to such a goal the long way round. Its goal is the end of the encoder at which
         it stands instead.
         """
-        if self.turns and not self.multi_turn:
+        counts = self.units.counts(angle)
+        if self.multi_turn:
+            return self.clamp(counts) - self.turns * (self.wraparound or 0)
+        if self.turns:
             return 0 if self.turns > 0 else self.row.max_position
-        return self.clamp(self.units.counts(angle)) - self.turns * (self.wraparound or 0)
+        return max(self.low, min(counts, self.high))
 
     def clamp(self, counts: int) -> int:
         """Return `counts` clamped to the goal range [counts].
@@ -193,59 +203,59 @@ class Device:
         `goal`, `limit` and `speed` are the values of goal, limit and speed cap register; other
         registers are 0.
         """
+        block = self.family.write_blocks[self.family.write.index(names)]
         values = {"goal": goal, "limit": limit, "speed_cap": speed}
-        return b"".join(self.family.registers[n].encode(values.get(n, 0)) for n in names)
+        return self.family.layout(block).encode(values)
 
     def accept(self, reply: Reply) -> bool:
         """Store the values of a reading and return True, unless its position is implausible."""
-        family = self.family
-        raw = family.decode(reply.block, reply.data, "position")
-        turns, position = self._unwrap(raw)
+        values = self.family.layout(reply.block).decode(reply.data)
+        turns, position = self._unwrap(values["position"])
         if not self._is_reachable(position, reply.time):
             return False
         self.turns, self.position, self.time = turns, position, reply.time
-        self.fault(
-            "seam",
-            turns != 0 and not self.multi_turn,
-            "it stands past the seam of its encoder, where goals would send it the long way round: "
-            "move it back by hand",
-        )
-        self.speed = family.decode(reply.block, reply.data, "speed")
-        for name in ("load", "current"):
-            if name in family.registers:
-                setattr(self, name, family.decode(reply.block, reply.data, name))
-        self.note(reply)
+        if turns or self.other_faults:
+            self.fault("seam", turns != 0 and not self.multi_turn, SEAM_TEXT)
+        self.speed = values["speed"]
+        self.load = values.get("load", self.load)
+        self.current = values.get("current", self.current)
+        self._note(values, reply.status, reply.time)
         return True
 
     def note(self, reply: Reply) -> None:
         """Store the values of status registers that a reply contains, and the faults they show."""
-        family, block = self.family, reply.block
-        before, self.conditions = self.conditions, status.conditions(family, reply.status)
-        self.alerts += bool(set(self.conditions) - set(before))
-        if self._contains(block, "voltage"):
-            self.set_voltage(family.decode(block, reply.data, "voltage") / 10.0, reply.time)
-        if self._contains(block, "temperature"):
-            self.temperature = float(family.decode(block, reply.data, "temperature"))
-        if self._contains(block, "limit"):
-            self.limit_read = found = family.decode(block, reply.data, "limit")
-            read, written = (f"{self.units.torque(n):.3g} N·m" for n in (found, self.limit))
-            self._compare("limit", found, self.limit, reply.time, (read, written))
-        if self._contains(block, "goal") and self.goal is not None:
-            found = family.decode(block, reply.data, "goal")
-            read, written = (f"{self.angle(n):.3g} rad" for n in (found, self.goal))
-            self._compare("goal", found, self.goal, reply.time, (read, written))
-        if self._contains(block, "torque_enable"):
-            self.torque_on = bool(family.decode(block, reply.data, "torque_enable"))
+        values = self.family.layout(reply.block).decode(reply.data)
+        self._note(values, reply.status, reply.time)
+
+    def _note(self, values: Mapping[str, int], status_byte: int, time: float) -> None:
+        """Store the values of the status registers among `values`, read at `time` [s].
+
+        `status_byte` is the status of the reply.
+        """
+        if status_byte or self.conditions:
+            before, self.conditions = self.conditions, status.conditions(self.family, status_byte)
+            self.alerts += bool(set(self.conditions) - set(before))
+        if "voltage" in values:
+            self.set_voltage(values["voltage"] / 10.0, time)
+        if "temperature" in values:
+            self.temperature = float(values["temperature"])
+        if "limit" in values:
+            self.limit_read = values["limit"]
+            self._compare("limit", values["limit"], self.limit, time)
+        if "goal" in values and self.goal is not None:
+            self._compare("goal", values["goal"], self.goal, time)
+        if "torque_enable" in values:
+            self.torque_on = bool(values["torque_enable"])
             went_off = (self.enabled or "torque" in self.other_faults) and not self.torque_on
             self.fault("torque", went_off, "its torque went off by itself")
             if went_off:
                 # Send no more goals: on some servos a goal switches torque on, and the joint may be
                 # far from it now.
                 self.enabled = False
-        if self._contains(block, "hardware_error"):
-            self.hardware = status.hardware(family.decode(block, reply.data, "hardware_error"))
-        if self._contains(block, "watchdog"):
-            self.watchdog = family.decode(block, reply.data, "watchdog")
+        if "hardware_error" in values:
+            self.hardware = status.hardware(values["hardware_error"])
+        if "watchdog" in values:
+            self.watchdog = values["watchdog"]
             tripped = self.watchdog == TRIPPED
             self.trips += tripped and not self.tripped
             self.tripped = tripped
@@ -273,12 +283,14 @@ class Device:
         self.voltage = volts
         if volts >= self.min_voltage:
             self._last_good_voltage = time
-        self.fault(
-            "voltage",
-            time - self._last_good_voltage > UNDERVOLTAGE_GRACE,
-            f"its supply is {volts:.1f} V and it needs {self.min_voltage:.1f} V: a supply that is "
-            "too weak, or thin or long wires",
-        )
+        is_low = time - self._last_good_voltage > UNDERVOLTAGE_GRACE
+        if is_low or self.other_faults:
+            self.fault(
+                "voltage",
+                is_low,
+                f"its supply is {volts:.1f} V and it needs {self.min_voltage:.1f} V: a supply that "
+                "is too weak, or thin or long wires",
+            )
         if volts != self.units.voltage and volts > 0.0:
             self.units = replace(self.units, voltage=volts)
 
@@ -313,13 +325,6 @@ class Device:
         """Accept any position at the next reading, because a joint without torque can be moved."""
         self._allowed = float("inf")
 
-    def _contains(self, block: Block, name: str) -> bool:
-        register = self.family.registers.get(name)
-        if register is None:
-            return False
-        end = block.address + block.size
-        return block.address <= register.address and register.address + register.size <= end
-
     def fault(self, key: str, is_wrong: bool, text: str) -> None:
         """Set the fault of the topic `key` with this text if `is_wrong`, else clear it."""
         if is_wrong:
@@ -328,20 +333,24 @@ class Device:
             self.other_faults.pop(key, None)
 
     @property
+    def is_inconspicuous(self) -> bool:
+        """True if the servo has no fault, and all its registers read back as written so far."""
+        return not (self.conditions or self.other_faults or self._has_mismatch)
+
+    @property
     def has_suspect_register(self) -> bool:
         """True if goal or limit do not read back as written, but not long enough for a fault."""
-        return any(
-            e.wrong > 0 and key not in self.other_faults for key, e in self._read_backs.items()
-        )
+        for key, read_back in self._read_backs.items():
+            if read_back.wrong > 0 and key not in self.other_faults:
+                return True
+        return False
 
     def record_sent(self, goal: int, limit: int) -> None:
         """Record the values of goal and limit register in a packet that was sent."""
         self.goal, self.limit = goal, limit
         self._writes += 1
 
-    def _compare(
-        self, key: str, found: int, written: int, time: float, status: tuple[str, str]
-    ) -> None:
+    def _compare(self, key: str, found: int, written: int, time: float) -> None:
         """Compare a register with the value written, because a servo may reject packets silently.
 
         Single packets also get lost. A mismatch is therefore a fault only after `MISMATCHES`
@@ -352,7 +361,6 @@ class Device:
             found: Value read.
             written: Value written.
             time: Time of the reading [s].
-            status: Both values in SI units as text, for the message.
         """
         read_back = self._read_backs[key]
         if not self.enabled or found == written:
@@ -361,12 +369,22 @@ class Device:
             read_back.wrong += 1
             read_back.write = self._writes
             self.mismatches += 1
-        name = "torque limit" if key == "limit" else "goal"
-        self.fault(
-            key,
-            read_back.wrong >= MISMATCHES and time - read_back.matched > MISMATCH_TIME,
-            f"its {name} reads {found} ({status[0]}), written was {written} ({status[1]}): it does "
-            "not hear, or refuses",
+        self._has_mismatch = any(entry.wrong for entry in self._read_backs.values())
+        is_wrong = read_back.wrong >= MISMATCHES and time - read_back.matched > MISMATCH_TIME
+        self.fault(key, is_wrong, self._mismatch(key, found, written) if is_wrong else "")
+
+    def _mismatch(self, key: str, found: int, written: int) -> str:
+        """Return the fault text for a register `goal` or `limit` that differs from that written."""
+        if key == "limit":
+            name, values = (
+                "torque limit",
+                [f"{self.units.torque(n):.3g} N·m" for n in (found, written)],
+            )
+        else:
+            name, values = "goal", [f"{self.angle(n):.3g} rad" for n in (found, written)]
+        return (
+            f"its {name} reads {found} ({values[0]}), written was {written} ({values[1]}): it does "
+            "not hear, or refuses"
         )
 
     def _unwrap(self, raw: int) -> tuple[int, float]:

@@ -14,7 +14,6 @@ from pliant.servo.transport import BusError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pliant._typing import Array
     from pliant.servo._device import Device
     from pliant.servo._port import Port
 
@@ -41,7 +40,11 @@ MAY_BE_ON = "torque may still be on: "
 
 
 def enable(
-    devices: Sequence[Device], ports: Ports, goal: Array, limit: Array, speed_cap: Array
+    devices: Sequence[Device],
+    ports: Ports,
+    goal: Sequence[float],
+    limit: Sequence[float],
+    speed_cap: Sequence[float],
 ) -> None:
     """Switch torque on with the present positions as goals; see `ServoBus.enable`.
 
@@ -65,13 +68,13 @@ def enable(
         for device in devices:
             if _has_tripped(device, before):
                 _set(device, ports, "watchdog", 0)
-            _write_limits(device, ports, device.limit_register(float(limit[device.joint])))
+            _write_limits(device, ports, device.limit_register(limit[device.joint]))
         # Read the positions for the goals only now: an arm without torque may be sinking.
         start = {id(d): _image(d, ports, "position", "speed") for d in devices}
         commands: dict[int, FirstCommand] = {}
         packets: dict[Port, list[tuple[Device, int, int, int]]] = {}
         for device in devices:
-            angle, speed = float(goal[device.joint]), float(speed_cap[device.joint])
+            angle, speed = goal[device.joint], speed_cap[device.joint]
             register = (
                 start[id(device)]["position"] if device in switched else device.goal_counts(angle)
             )
@@ -229,7 +232,7 @@ def _send_first_command(
     )
 
 
-def _check_state(device: Device, ports: Ports, goal: Array) -> RegisterImage:
+def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> RegisterImage:
     """Return the present registers of a servo that its torque may be switched on with.
 
     Raises:

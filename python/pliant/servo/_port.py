@@ -92,6 +92,7 @@ class Port:
         self._is_armed = False
         self._misses: dict[int, int] = {}
         self._silent: dict[int, int] = {}
+        self._read_groups = _read_groups(self.devices)
 
     @property
     def responsive(self) -> list[Device]:
@@ -134,11 +135,13 @@ class Port:
         """
         self.guard.start_cycle(budget)
         replies: dict[int, Reply] = {}
-        for group in _groups(self.responsive, lambda d: (d.family.sync_read, d.family.read)):
+        groups = _read_groups(self.responsive) if self._silent else self._read_groups
+        for group in groups:
             replies |= (
                 self._read_group(group) if group[0].family.sync_read else self._read_each(group)
             )
-        replies |= self._probe()
+        if self._silent:
+            replies |= self._probe()
         accepted = set()
         for device in self.devices:
             reply = replies.get(device.id)
@@ -236,10 +239,11 @@ class Port:
         """
         for group in _groups(packets, lambda p: p[0].family.write):
             family = group[0][0].family
-            ids = [device.id for device, *_ in group]
-            for names in family.write:
-                data = [device.packet(names, *values) for device, *values in group]
-                self.guard.sync_write(ids, family.registers[names[0]].address, data)
+            ids = [packet[0].id for packet in group]
+            for block in family.write_blocks:
+                encode = family.layout(block).encode
+                data = [encode({"goal": g, "limit": m, "speed_cap": s}) for _, g, m, s in group]
+                self.guard.sync_write(ids, block.address, data)
             for device, goal, limit, _ in group:
                 device.record_sent(goal, limit)
 
@@ -332,6 +336,11 @@ def _groups(items: Iterable[_T], key: Callable[[_T], Hashable]) -> list[list[_T]
     for item in items:
         found.setdefault(key(item), []).append(item)
     return list(found.values())
+
+
+def _read_groups(devices: Iterable[Device]) -> list[list[Device]]:
+    """Return lists of the devices that one sync read can read, or that are read one by one."""
+    return _groups(devices, lambda device: (device.family.sync_read, device.family.read))
 
 
 def status_blocks(family: Family) -> tuple[Block, ...]:
@@ -437,6 +446,9 @@ class StatusPoller:
     def _choose(self) -> tuple[Device, Block]:
         for joint in self._joints:
             for device in joint:
+                if device.is_inconspicuous:
+                    self._reported.discard(id(device))
+                    continue
                 if device.has_suspect_register and not self._is_repeat:
                     self._is_repeat = True
                     blocks = stored_command_blocks(device.family)

@@ -15,10 +15,9 @@ sent to an unused id until the line has been silent for as long as a reply may t
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
 from dataclasses import dataclass
 from math import isinf
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 from pliant._core import ConfigError
 from pliant._validation import real
@@ -26,7 +25,7 @@ from pliant.servo.models.base import Block
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from pliant.servo.models.base import Protocol
     from pliant.servo.models.base import Protocol as Wire
@@ -160,7 +159,9 @@ class PendingReplies:
 
     def mark_superseded(self, ids: Iterable[int]) -> None:
         """Mark all missing replies of these servos as superseded by a later reply."""
-        for id in ids if self._missing else ():
+        if not self._missing:
+            return
+        for id in ids:
             for reply in self._missing.get(id, ()):
                 reply.is_superseded = True
 
@@ -250,8 +251,7 @@ class Counters:
     refused: int = 0
 
 
-@dataclass(frozen=True)
-class Reply:
+class Reply(NamedTuple):
     """Reply of one servo.
 
     Attributes:
@@ -318,6 +318,8 @@ class TransactionGuard:
         self._timeout = self._reply_timeout = self._wire = 0.0
         self._reply_timeout_min = reply_timeout_min
         self._pending = PendingReplies()
+        # Wire time and reply timeout [s] of the kinds of requests made so far.
+        self._times: dict[tuple[Kind, int, int, float, float], tuple[float, float]] = {}
         self._silence = SILENCE_SHARE * reply_timeout_min + latency
 
     def start_cycle(self, budget: float = float("inf")) -> None:
@@ -363,10 +365,16 @@ class TransactionGuard:
         def once() -> dict[int, Reply]:
             block = self._choose(ids, blocks)
             start = self._prepare("sync_read", len(ids), block.size)
-            with self._recording_failure(ids, block.size):
+            started = self._clock()
+            try:
                 answers = self._io.sync_read(ids, block.address, block.size)
                 pairs = zip(ids, answers, strict=True)
-                return {i: self._checked(i, block, d, s, start) for i, (d, s) in pairs}
+                replies = {i: self._checked(i, block, d, s, start) for i, (d, s) in pairs}
+            except BusError:
+                self._pending.add(ids, block.size, started)
+                raise
+            self._pending.mark_superseded(ids)
+            return replies
 
         return self._once(once)
 
@@ -444,11 +452,16 @@ class TransactionGuard:
 
     def _read(self, id: int, block: Block) -> Reply:
         start = self._prepare("read", 1, block.size)
-        with self._recording_failure([id], block.size):
-            started = self._clock()
+        started = self._clock()
+        try:
             data, status = self._io.read(id, block.address, block.size)
             self.held_back = min(self.held_back, self._clock() - started - self._wire)
-            return self._checked(id, block, data, status, start)
+            reply = self._checked(id, block, data, status, start)
+        except BusError:
+            self._pending.add([id], block.size, started)
+            raise
+        self._pending.mark_superseded([id])
+        return reply
 
     def _choose(self, ids: Sequence[int], blocks: Sequence[Block]) -> Block:
         """Return the first of `blocks` whose length no missing reply of the servos `ids` has.
@@ -476,20 +489,6 @@ class TransactionGuard:
                 raise BusError(f"id {id} owes too many answers to be asked again", "late")
             self._read(id, Block(0, size))
 
-    @contextmanager
-    def _recording_failure(self, ids: Sequence[int], size: int) -> Iterator[None]:
-        """Return a context for a request to the servos `ids` with `size` data bytes per reply.
-
-        If the request fails, its replies are recorded as missing; else earlier ones as superseded.
-        """
-        started = self._clock()
-        try:
-            yield
-        except BusError:
-            self._pending.add(ids, size, started)
-            raise
-        self._pending.mark_superseded(ids)
-
     def _checked(self, id: int, block: Block, data: bytes, status: int, start: float) -> Reply:
         """Return the reply of servo `id` if `data` has the length of the block.
 
@@ -516,6 +515,21 @@ class TransactionGuard:
 
         An urgent request gets no longer timeout outside of control cycles.
         """
+        key = (kind, servos, size, self.response_delay, self.latency)
+        times = self._times.get(key)
+        if times is None:
+            times = self._times[key] = self._request_times(kind, servos, size)
+        wire, self._reply_timeout = times
+        if isinf(self._deadline) and not is_urgent:
+            self._reply_timeout *= RELAXED_FACTOR
+        self._set_timeout(self._reply_timeout)
+        self._silence = SILENCE_SHARE * self._reply_timeout_min + wire + self.latency
+        self._wire = wire
+        self.counters.transactions += 1
+        return self._sample_clock()
+
+    def _request_times(self, kind: Kind, servos: int, size: int) -> tuple[float, float]:
+        """Return the wire time of a request, and its reply timeout within a cycle [s]."""
         wire = wire_time(
             self._protocol,
             kind,
@@ -524,16 +538,7 @@ class TransactionGuard:
             baudrate=self._baudrate,
             response_delay=self.response_delay,
         )
-        self._reply_timeout = reply_timeout(
-            wire, self.latency, self._cycle, self._reply_timeout_min
-        )
-        if isinf(self._deadline) and not is_urgent:
-            self._reply_timeout *= RELAXED_FACTOR
-        self._set_timeout(self._reply_timeout)
-        self._silence = SILENCE_SHARE * self._reply_timeout_min + wire + self.latency
-        self._wire = wire
-        self.counters.transactions += 1
-        return self._sample_clock()
+        return wire, reply_timeout(wire, self.latency, self._cycle, self._reply_timeout_min)
 
     def _set_timeout(self, timeout: float) -> None:
         if timeout != self._timeout:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -62,28 +63,35 @@ def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -
     rows = []
     for joint in joints:
         first = joint[0]
-        angles = [d.angle(d.position) for d in joint if d.position is not None]
-        difference = max(angles) - min(angles) if angles else 0.0
-        first.fault(
-            "secondaries",
-            difference > MAX_DISAGREEMENT,
-            f"its two servos disagree by {difference:.2f} rad and work against each other",
-        )
-        amps = np.nan
-        if first.current is not None and first.row.current_unit:
-            amps = first.row.current_unit * sum(abs(d.current or 0) for d in joint)
-        rows.append(
-            (
-                angles[0] if angles else np.nan,
-                all((d.spec.port, d.id) in answered for d in joint),
-                min(d.time for d in joint),
-                first.units.velocity(first.speed),
-                sum(d.torque for d in joint) / len(joint),
-                amps,
-            )
-        )
-    position, ok, times, velocity, load, current = (np.array(c) for c in zip(*rows, strict=True))
-    return JointReadings(position, ok, times, velocity, load, current)
+        is_read = (first.spec.port, first.id) in answered
+        angle = math.nan if first.position is None else first.units.angle(first.position)
+        sampled, torque, counts = first.time, first.torque, abs(first.current or 0)
+        if len(joint) > 1:
+            angle = _common_angle(joint)
+            is_read = all((d.spec.port, d.id) in answered for d in joint)
+            sampled = min(d.time for d in joint)
+            torque = sum(d.torque for d in joint) / len(joint)
+            counts = sum(abs(d.current or 0) for d in joint)
+        has_current = first.current is not None and first.row.current_unit
+        amps = first.row.current_unit * counts if has_current else math.nan
+        rows.append((angle, sampled, first.units.velocity(first.speed), torque, amps, is_read))
+    position, times, velocity, load, current, ok = np.array(rows, dtype=np.float64).T.copy()
+    return JointReadings(position, ok.astype(bool), times, velocity, load, current)
+
+
+def _common_angle(joint: Sequence[Device]) -> float:
+    """Return the joint angle [rad] by the first servo with a position; NaN if there is none.
+
+    Set or clear the fault of a joint whose servos disagree about its angle.
+    """
+    angles = [d.angle(d.position) for d in joint if d.position is not None]
+    difference = max(angles) - min(angles) if angles else 0.0
+    joint[0].fault(
+        "secondaries",
+        difference > MAX_DISAGREEMENT,
+        f"its two servos disagree by {difference:.2f} rad and work against each other",
+    )
+    return angles[0] if angles else math.nan
 
 
 #: Largest time for reading all servos with retries, as a multiple of the control period, or of
@@ -401,25 +409,22 @@ class ServoBus:
                 last goal and limit stay in force.
         """
         self._check_open()
-        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
-        cap = self._speed_caps(velocity)
-        packets: dict[int, list[tuple[Device, int, int, int]]] = {}
-        for i, joint in enumerate(self._joints):
-            for device in joint:
-                if device.enabled:
-                    packets.setdefault(id(self._port_of[id(device)]), []).append(
-                        (
-                            device,
-                            device.goal_counts(goal[i]),
-                            device.limit_register(limit[i]),
-                            device.units.speed_register(cap[i]),
-                        )
-                    )
+        goals, limits = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
+        speeds = self._speed_caps(velocity)
         for port in self._ports:
-            if id(port) in packets:
-                # Ignore the error, which the port counts: the servos keep the values written last.
-                with suppress(BusError):
-                    port.write(packets[id(port)])
+            packets = [
+                (
+                    device,
+                    device.goal_counts(goals[device.joint]),
+                    device.limit_register(limits[device.joint]),
+                    device.units.speed_register(speeds[device.joint]),
+                )
+                for device in port.devices
+                if device.enabled
+            ]
+            # Ignore the error, which the port counts: the servos keep the values written last.
+            with suppress(BusError):
+                port.write(packets)
         self._report_lost_ports()
 
     def poll_status(self) -> ServoStatus | None:
@@ -459,9 +464,9 @@ class ServoBus:
                 The servos switched on are switched off again.
         """
         self._check_open()
-        goal, limit = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
-        cap = self._speed_caps(None)
-        sequences.enable(self._devices, self._port_of, goal, limit, cap)
+        goals, limits = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
+        speeds = self._speed_caps(None)
+        sequences.enable(self._devices, self._port_of, goals, limits, speeds)
         if self._watchdog:
             self.watchdog(self._watchdog)
 
@@ -509,6 +514,8 @@ class ServoBus:
             BusError: All ports are gone.
         """
         gone = [port for port in self._ports if port.guard.is_gone]
+        if not gone:
+            return
         if len(gone) == len(self._ports):
             gone[0].guard.check_port()
         for port in gone:
@@ -550,14 +557,14 @@ class ServoBus:
             device.accept(port.guard.read(device.id, *device.family.read))
         align_secondaries(self._joints)
 
-    def _speed_caps(self, velocity: ArrayLike | None) -> Array:
-        speeds = np.array([self._speed or joint[0].units.no_load_speed for joint in self._joints])
+    def _speed_caps(self, velocity: ArrayLike | None) -> list[float]:
+        """Return the largest speeds (n,) [rad/s]: `velocity`, bounded by that of the bus."""
+        speeds = [self._speed or joint[0].units.no_load_speed for joint in self._joints]
         if velocity is None:
             return speeds
-        # Replace infinite velocities, which mean no limit, by large numbers: `_vector` rejects inf.
-        cap = self._vector(np.nan_to_num(velocity, nan=np.nan), "velocity", unit="rad/s")
-        slower: Array = np.minimum(cap, speeds)
-        return slower
+        # An infinite velocity means no limit.
+        asked = self._vector(velocity, "velocity", unit="rad/s", unlimited=True)
+        return list(map(min, asked, speeds))
 
     def _select(self, names: Sequence[str] | None) -> list[Device]:
         if names is None:
@@ -567,21 +574,26 @@ class ServoBus:
             raise ConfigError(f"no joint {unknown[0]!r}; there are: {', '.join(self.names)}")
         return [device for device in self._devices if device.spec.name in names]
 
-    def _vector(self, value: ArrayLike, name: str, *, unit: str = "") -> Array:
-        """Validate and return a vector (n,) of finite numbers.
+    def _vector(
+        self, value: ArrayLike, name: str, *, unit: str = "", unlimited: bool = False
+    ) -> list[float]:
+        """Validate and return a vector (n,) of finite numbers; with `unlimited`, also of inf.
 
         If `unit` is given, every number must be at least 0; the error message contains the unit.
         """
-        array = np.array(value, dtype=np.float64)
+        array = np.asarray(value, dtype=np.float64)
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
-        if not np.isfinite(array).all():
-            raise ConfigError(f"{name} is not finite: {array.tolist()}")
-        if unit and array[i := int(np.argmin(array))] < 0.0:
-            raise ConfigError(
-                f"{name} of {self.names[i]} is {array[i]:g} {unit}, at least 0 is needed"
-            )
-        return array
+        numbers: list[float] = array.tolist()
+        is_valid = all(map(math.isfinite, numbers)) or (
+            unlimited and not any(map(math.isnan, numbers))
+        )
+        if not is_valid:
+            raise ConfigError(f"{name} is not finite: {numbers}")
+        if unit and (least := min(numbers)) < 0.0:
+            joint = self.names[numbers.index(least)]
+            raise ConfigError(f"{name} of {joint} is {least:g} {unit}, at least 0 is needed")
+        return numbers
 
     def _check_open(self) -> None:
         if not self._ports:

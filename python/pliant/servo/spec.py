@@ -271,6 +271,11 @@ class Units:
         return self.spec.gear_ratio * len(self.spec.servos)
 
     @cached_property
+    def _usable(self) -> dict[int, float]:
+        """Results of `usable` so far."""
+        return {}
+
+    @cached_property
     def no_load_speed(self) -> float:
         """Joint speed without load at this supply voltage [rad/s]."""
         return at_voltage(self.row.no_load, self.voltage) * RPM / self.spec.gear_ratio
@@ -320,7 +325,11 @@ class Units:
 
         It is at most the stall torque.
         """
-        return min(self.torque(min(ceiling, self.full)), self._stall * self._ratio)
+        found = self._usable.get(ceiling)
+        if found is None:
+            found = min(self.torque(min(ceiling, self.full)), self._stall * self._ratio)
+            self._usable[ceiling] = found
+        return found
 
     def angle(self, counts: float) -> float:
         """Return the joint angle [rad] of a servo position [counts]."""

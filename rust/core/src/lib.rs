@@ -68,7 +68,7 @@ pub use contact::{ContactEstimator, ContactInput, ContactOptions, WrenchEstimate
 pub use nalgebra;
 
 pub use analysis::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport};
-pub use arm::{HandGuiding, JointFollower, Lowering, ThermalModel};
+pub use arm::{CommandLimiter, HandGuiding, JointFollower, Lowering, PositionFilter, ThermalModel};
 pub use controller::{Command, Controller, Diagnostics, Snapshot, StepInput};
 pub use equations::{
     activation, adapt_target, compliance, damped_pseudo_inverse, holding_torque, joint_torque_limits,

@@ -1,4 +1,5 @@
-//! Points, descent, hand guiding, joint follower and thermal model of an arm: tests with a quasi-static arm and with invalid inputs.
+//! Points, descent, hand guiding, joint follower, position filter, command limiter and thermal model of an arm: tests
+//! with a quasi-static arm and with invalid inputs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 mod common;
@@ -7,7 +8,8 @@ use std::sync::Arc;
 
 use common::arm7;
 use pliant_core::arm::{
-    DEFAULT_SPEED, HandGuidingOptions, JointFollowerOptions, LoweringPhase, LoweringStart, SwingResult, ThermalOptions,
+    CommandLimiter, DEFAULT_SPEED, HandGuidingOptions, JointFollowerOptions, LimiterInput, LoweringPhase,
+    LoweringStart, PositionFilter, SUPPORT, SwingResult, ThermalOptions, torque_margin,
 };
 use pliant_core::kinematics::{ArmPoints, Reference};
 use pliant_core::{Command, HandGuiding, JointFollower, JointVec, Lowering, MAX_JOINTS, Model, Servos, ThermalModel};
@@ -394,12 +396,176 @@ fn torques_that_are_no_numbers_heat() {
     assert!(model.heat()[0].abs() < 1e-9);
 }
 
+#[test]
+fn a_jump_of_a_position_is_rejected_until_the_joint_can_have_moved_there() {
+    let mut filter = PositionFilter::new(&[1.0, 1.0]).unwrap();
+    let mut read = |position: [f64; 2], ok: [bool; 2], time: f64| {
+        let accepted = filter.update(&position, &ok, &[time; 2]).to_vec();
+        (accepted, filter.clone())
+    };
+    assert_eq!(read([0.0, 3.0], [true, true], 0.00).0, [true, true]);
+    // 2 × 1 rad/s × 10 ms + 0.2 rad = 0.22 rad.
+    assert_eq!(read([0.219, 3.221], [true, true], 0.01).0, [true, false]);
+    // Time does not extend the reach while implausible positions arrive.
+    for tick in 2..9 {
+        let (accepted, filter) = read([0.219, 3.23], [true, true], 0.01 * f64::from(tick));
+        assert_eq!(accepted, [true, false]);
+        assert_eq!(filter.rejected()[1], u32::try_from(tick).unwrap());
+        assert!((filter.position()[1] - 3.0).abs() < 1e-12 && filter.time()[1].abs() < 1e-12);
+    }
+    // A joint that is not read keeps its position; after a gap of more than 0.1 s the reach has grown.
+    assert_eq!(read([0.3, 3.23], [false, false], 0.1).0, [false, false]);
+    let (accepted, mut filter) = read([0.3, 3.23], [true, true], 0.25);
+    assert_eq!(accepted, [true, true]);
+    assert_eq!((filter.jumps(), filter.rejected()), (8, &[0, 0][..]));
+    filter.reset();
+    assert_eq!(filter.update(&[9.0, f64::NAN], &[true, true], &[0.0, 0.0]), [true, false]);
+    assert!(PositionFilter::new(&[1.0, f64::NAN]).unwrap_err().to_string().contains("max_speed[1]"));
+}
+
+/// Returns a limiter of the seven joints in reverse order after a gripper, and a thermal model of all eight.
+fn limiter(model: &Model) -> (CommandLimiter, ThermalModel) {
+    let (kp, torque) = ([KP; 8], [TORQUE; 8]);
+    let options =
+        ThermalOptions { continuous: 0.4, time_constant: 30.0, supply: Some(4.0), shutdown_temperature: 70.0 };
+    let thermal = ThermalModel::new(options, &torque, Some(&[2.0; 8])).unwrap();
+    (CommandLimiter::new(model, &servos(), &[7, 6, 5, 4, 3, 2, 1], &kp, &torque).unwrap(), thermal)
+}
+
+#[test]
+fn commands_are_limited_to_ranges_ramp_and_budgets() {
+    let model = arm7();
+    let (mut limiter, mut thermal) = limiter(&model);
+    let gravity = model.gravity(&Q).unwrap().as_slice().to_vec();
+    let position: Vec<f64> = std::iter::once(0.5).chain(Q.iter().rev().copied()).collect();
+    let far: Vec<f64> = model.upper().iter().map(|upper| upper + 0.9).collect();
+    let input = LimiterInput {
+        goal: &far,
+        torque_limit: &[100.0; 7],
+        gravity: &gravity,
+        position: &position,
+        off_chain: &[[0.7, 3.0]],
+        ramp: 0.0,
+        ramp_start: &[0.0; 7],
+        may_lead: false,
+    };
+    let margin = torque_margin(&servos(), &gravity);
+    let (goals, limits) = limiter.limit(&thermal, &input).unwrap();
+    assert_eq!((goals[0].to_bits(), limits[0].to_bits()), (0.7_f64.to_bits(), 3.0_f64.to_bits()));
+    for i in 0..7 {
+        let lead = (gravity[i] / KP).max(0.0);
+        assert!((goals[7 - i] - (model.upper()[i] + lead)).abs() < 1e-12);
+        let holding = SUPPORT * gravity[i].abs() + margin[i];
+        assert!(limits[7 - i] <= holding.min(TORQUE) + 1e-12 && limits[7 - i] >= SUPPORT * gravity[i].abs() - 1e-12);
+    }
+    // With a lead at full torque, after the ramp; the supply shares 4 A among seven servos of 2 A.
+    let (goals, limits) = limiter.limit(&thermal, &LimiterInput { may_lead: true, ramp: 2.0, ..input }).unwrap();
+    assert!((goals[7] - (model.upper()[0] + TORQUE / KP)).abs() < 1e-12);
+    let amperes: f64 = limits[1..].iter().map(|limit| 2.0 / TORQUE * limit).sum();
+    assert!((3.9..4.0).contains(&amperes), "{amperes}");
+    // Hot servos give no more than their continuous torque, but hold the weight.
+    for _ in 0..8 {
+        limiter.update_heat(&mut thermal, [&[9.0; 8], &[TORQUE; 8]], &[0.0; 8], None, 1e6).unwrap();
+    }
+    assert!(thermal.heat().iter().all(|heat| (heat - 6.25).abs() < 1e-6) && thermal.is_too_hot(1.3));
+    let (_, limits) = limiter.limit(&thermal, &LimiterInput { ramp: 1.0, ..input }).unwrap();
+    for i in 0..7 {
+        assert!(limits[7 - i] <= (0.4 * TORQUE).max(SUPPORT * gravity[i].abs()) + 1e-12);
+    }
+    // A measured load replaces the estimate, NaN does not.
+    let load: Vec<f64> = (0..8).map(|i| if i == 3 { -0.4 * TORQUE } else { f64::NAN }).collect();
+    limiter.update_heat(&mut thermal, [&[9.0; 8], &[TORQUE; 8]], &[0.0; 8], Some(&load), 1e6).unwrap();
+    assert!((thermal.heat()[3] - 1.0).abs() < 1e-6 && (thermal.heat()[2] - 6.25).abs() < 1e-6);
+}
+
+#[test]
+fn the_limiter_names_what_it_rejects() {
+    let model = arm7();
+    let (mut limiter, thermal) = limiter(&model);
+    let mut goal = Q;
+    assert_eq!(limiter.unreachable(&goal), None);
+    goal[2] = model.upper()[2] + 1.0 + TORQUE / KP - 1e-9;
+    assert_eq!(limiter.unreachable(&goal), None);
+    goal[2] += 1e-6;
+    assert_eq!(limiter.unreachable(&goal), Some(2));
+    let input = LimiterInput {
+        goal: &Q,
+        torque_limit: &[1.0; 7],
+        gravity: &[0.0; 7],
+        position: &[0.0; 8],
+        off_chain: &[[0.0; 2]],
+        ramp: 1.0,
+        ramp_start: &[0.0; 7],
+        may_lead: false,
+    };
+    let mut refused = |input: &LimiterInput<'_>| limiter.limit(&thermal, input).unwrap_err().to_string();
+    assert!(refused(&LimiterInput { goal: &Q[..6], ..input }).contains("goal has shape (6,)"));
+    assert!(refused(&LimiterInput { position: &Q, ..input }).contains("position"));
+    assert!(refused(&LimiterInput { off_chain: &[], ..input }).contains("off_chain"));
+    assert!(refused(&LimiterInput { goal: &[f64::NAN; 7], ..input }).contains("goal[0]"));
+    assert!(refused(&LimiterInput { torque_limit: &[-1.0; 7], ..input }).contains("limit[0]"));
+    let made = |chain: &[usize], kp: &[f64]| CommandLimiter::new(&model, &servos(), chain, kp, &[1.0; 7]);
+    assert!(made(&[0, 1, 2, 3, 4, 5, 5], &[1.0; 7]).unwrap_err().to_string().contains("chain"));
+    assert!(made(&[0, 1, 2, 3, 4, 5, 7], &[1.0; 7]).unwrap_err().to_string().contains("below 7"));
+    assert!(made(&[0, 1, 2, 3, 4, 5, 6], &[0.0; 7]).unwrap_err().to_string().contains("kp"));
+    assert!(made(&[0, 1, 2, 3, 4, 5, 6], &[1.0; 8]).unwrap_err().to_string().contains("max_torque"));
+}
+
 fn any_number() -> impl Strategy<Value = f64> {
     prop_oneof![4 => -4.0..4.0, 1 => any::<f64>(), 1 => 1e-320..1e-300, 1 => Just(f64::NAN), 1 => Just(f64::INFINITY)]
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Invalid positions, times, ramps and torques give finite goals and limits within the servos' torque, and no panic.
+    #[test]
+    fn hostile_readings_give_limited_commands(
+        ticks in proptest::collection::vec(
+            (
+                proptest::array::uniform8(any_number()),
+                proptest::array::uniform8(any::<bool>()),
+                proptest::array::uniform7(any_number()),
+                (any_number(), any_number(), any::<bool>()),
+            ),
+            1..40,
+        ),
+    ) {
+        let model = arm7();
+        let (mut limiter, mut thermal) = limiter(&model);
+        let mut filter = PositionFilter::new(&[2.0; 8]).unwrap();
+        let (mut goals, mut limits) = ([0.0; 8], [0.0; 8]);
+        for (position, ok, command, (time, ramp, may_lead)) in &ticks {
+            for (i, accepted) in filter.update(position, ok, &[*time; 8]).iter().enumerate() {
+                prop_assert!(!accepted || (ok[i] && position[i].is_finite()));
+            }
+            prop_assert!(filter.position().iter().all(|q| q.is_nan() || q.is_finite()));
+            limiter.update_heat(&mut thermal, [&goals, &limits], filter.position(), Some(position), 0.01).unwrap();
+            let input = LimiterInput {
+                goal: command,
+                torque_limit: command,
+                gravity: &[1.0; 7],
+                position,
+                off_chain: &[[0.0, 1.0]],
+                ramp: *ramp,
+                ramp_start: command,
+                may_lead: *may_lead,
+            };
+            let valid = command.iter().all(|value| value.is_finite() && *value >= 0.0);
+            let Ok(limited) = limiter.limit(&thermal, &input) else {
+                prop_assert!(!valid);
+                continue;
+            };
+            prop_assert!(valid);
+            goals.copy_from_slice(limited.0);
+            limits.copy_from_slice(limited.1);
+            prop_assert!(goals.iter().all(|goal| goal.is_finite()));
+            prop_assert!(limits.iter().all(|limit| (0.0..=TORQUE).contains(limit)));
+            for i in 0..7 {
+                prop_assert!(limits[7 - i] <= command[i]);
+            }
+        }
+    }
 
     /// Invalid readings and times give finite goals and limits within the servos' torque, and no panic.
     #[test]

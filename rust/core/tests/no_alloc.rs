@@ -6,7 +6,10 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 
-use pliant_core::arm::{DEFAULT_SPEED, HandGuidingOptions, JointFollowerOptions, LoweringStart, SwingResult};
+use pliant_core::arm::{
+    CommandLimiter, DEFAULT_SPEED, HandGuidingOptions, JointFollowerOptions, LimiterInput, LoweringStart,
+    PositionFilter, SwingResult, ThermalModel, ThermalOptions,
+};
 use pliant_core::kinematics::ArmPoints;
 use pliant_core::params::{
     Axis, CompliantSide, Follow, Frame, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Projector, Task,
@@ -183,6 +186,42 @@ fn feeling_a_contact_asks_for_nothing_either() {
     });
     assert_eq!(count, 0);
     assert!(contact.estimate().uncertainty[2].is_finite());
+}
+
+/// Position filter, command limiter and thermal model.
+#[test]
+fn limits_of_commands_do_not_allocate() {
+    let model = seeded::arm(0, &ModelOptions::default());
+    let n = model.n();
+    let servos = seeded::servos(0).for_joints(n).unwrap();
+    let chain: Vec<usize> = (0..n).collect();
+    let options =
+        ThermalOptions { continuous: 0.4, time_constant: 30.0, supply: Some(1.0), shutdown_temperature: 70.0 };
+    let mut thermal = ThermalModel::new(options, &servos.max_torque, Some(&vec![2.0; n])).unwrap();
+    let mut limiter = CommandLimiter::new(&model, &servos, &chain, &servos.kp, &servos.max_torque).unwrap();
+    let mut filter = PositionFilter::new(&vec![1.0; n]).unwrap();
+    let (mut q, ok, ones) = (vec![0.2; n], vec![true; n], vec![1.0; n]);
+    let count = calls(|| {
+        for tick in 0..200 {
+            q[0] = if tick % 50 == 0 { 3.0 } else { 0.2 };
+            let time = [0.01 * f64::from(tick); pliant_core::MAX_JOINTS];
+            filter.update(&q, &ok, &time[..n]);
+            let input = LimiterInput {
+                goal: &q,
+                torque_limit: &ones,
+                gravity: &ones,
+                position: filter.position(),
+                off_chain: &[],
+                ramp: 0.5,
+                ramp_start: &ones,
+                may_lead: tick % 2 == 0,
+            };
+            let _ = limiter.unreachable(&ones);
+            limiter.limit(&thermal, &input).unwrap();
+            limiter.update_heat(&mut thermal, [&q, &ones], &q, Some(&q), 0.01).unwrap();
+        }
+    });
+    assert_eq!(count, 0);
 }
 
 /// Descent, hand guiding and thermal model, in all phases of a descent, with positions and without.

@@ -8,6 +8,7 @@ mod arguments;
 mod arm_points;
 mod batch;
 mod command;
+mod command_limiter;
 mod contact;
 mod controller;
 mod diagnostics;
@@ -27,6 +28,7 @@ mod ndarray;
 mod options;
 mod pickle;
 mod pose;
+mod position_filter;
 mod read;
 mod report;
 mod servos;
@@ -52,6 +54,8 @@ mod _core {
     #[pymodule_export]
     use crate::command::Command;
     #[pymodule_export]
+    use crate::command_limiter::CommandLimiter;
+    #[pymodule_export]
     use crate::contact::{ContactEstimator, WrenchEstimate};
     #[pymodule_export]
     use crate::controller::Controller;
@@ -76,6 +80,8 @@ mod _core {
     use crate::options::Payload;
     #[pymodule_export]
     use crate::pose::{Pose, as_pose};
+    #[pymodule_export]
+    use crate::position_filter::PositionFilter;
     #[pymodule_export]
     use crate::report::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport, check_path};
     #[pymodule_export]

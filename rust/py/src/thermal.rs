@@ -11,7 +11,7 @@ use crate::read::array_into;
 #[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct ThermalModel {
-    core: CoreThermalModel,
+    pub(crate) core: CoreThermalModel,
 }
 
 impl ThermalModel {
@@ -61,6 +61,11 @@ impl ThermalModel {
     #[doc = stub!(ThermalModel.set_temperature)]
     fn set_temperature(&mut self, servo: usize, temperature: f64) {
         self.core.set_temperature(servo, temperature);
+    }
+
+    #[doc = stub!(ThermalModel.is_too_hot)]
+    fn is_too_hot(&self, max_heat: f64) -> bool {
+        self.core.is_too_hot(max_heat)
     }
 
     #[doc = stub!(ThermalModel.update)]

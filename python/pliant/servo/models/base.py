@@ -7,8 +7,10 @@ Values on the wire are little-endian. A `Register` defines address, size and sig
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import nan
-from typing import TYPE_CHECKING, Literal
+from struct import Struct
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,8 +53,7 @@ class Register:
         return -size if value & bit else size
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
+class Block(NamedTuple):
     """Contiguous registers that one transaction reads.
 
     Attributes:
@@ -62,6 +63,66 @@ class Block:
 
     address: int
     size: int
+
+
+class Layout:
+    """Registers within a block, which are encoded and decoded together.
+
+    Args:
+        block: The block.
+        registers: Registers by name; those that the block does not contain entirely are ignored.
+    """
+
+    def __init__(self, block: Block, registers: Mapping[str, Register]) -> None:
+        end = block.address + block.size
+        rows = sorted(
+            (r.address, name)
+            for name, r in registers.items()
+            if block.address <= r.address and r.address + r.size <= end
+        )
+        self._names = tuple(name for _, name in rows)
+        # Place and sign bit of the registers that are coded as magnitude and sign.
+        self._sign_bits: list[tuple[int, int]] = []
+        code, here = "<", block.address
+        for place, (address, name) in enumerate(rows):
+            register = registers[name]
+            letter = {1: "B", 2: "H", 4: "I"}[register.size]
+            code += "x" * (address - here) + (letter.lower() if register.sign == "twos" else letter)
+            here = address + register.size
+            if register.sign not in {"unsigned", "twos"}:
+                self._sign_bits.append((place, 1 << int(register.sign[3:])))
+        self._struct = Struct(code + "x" * (end - here))
+        self._zeros = (0,) * len(rows)
+
+    def decode(self, data: bytes) -> dict[str, int]:
+        """Return the values of the registers by name from the bytes of the block."""
+        row = list(self._struct.unpack(data))
+        for place, bit in self._sign_bits:
+            value = row[place]
+            if value >= bit:
+                row[place] = -(value & (bit - 1)) if value & bit else value & (bit - 1)
+        return dict(zip(self._names, row, strict=True))
+
+    def encode(self, values: Mapping[str, int]) -> bytes:
+        """Return the bytes of the block; registers without a value are 0.
+
+        Size and sign coding of the registers must be able to hold the values.
+        """
+        row = list(map(values.get, self._names, self._zeros))
+        for place, bit in self._sign_bits:
+            if row[place] < 0:
+                row[place] = -row[place] | bit
+        return self._struct.pack(*row)
+
+
+#: Registers that a servo's readings and status consist of, and those that are written every cycle.
+CYCLIC_REGISTERS = frozenset(
+    (
+        *("position", "speed", "load", "current", "voltage", "temperature"),
+        *("torque_enable", "hardware_error", "watchdog"),
+        *("goal", "limit", "speed_cap", "goal_time", "goal_velocity", "acceleration_cap"),
+    )
+)
 
 
 def nested_blocks(inner: Block, outer: Block) -> tuple[Block, ...]:
@@ -126,6 +187,24 @@ class Family:
         found = [self.registers[name] for name in names]
         first = min(r.address for r in found)
         return Block(first, max(r.address + r.size for r in found) - first)
+
+    @cached_property
+    def _layouts(self) -> dict[Block, Layout]:
+        """Layouts of the blocks used so far."""
+        return {}
+
+    def layout(self, block: Block) -> Layout:
+        """Return the layout of those `CYCLIC_REGISTERS` that a block contains."""
+        found = self._layouts.get(block)
+        if found is None:
+            registers = {n: r for n, r in self.registers.items() if n in CYCLIC_REGISTERS}
+            found = self._layouts[block] = Layout(block, registers)
+        return found
+
+    @cached_property
+    def write_blocks(self) -> tuple[Block, ...]:
+        """Block of each packet in `write`."""
+        return tuple(self.block(*names) for names in self.write)
 
     def blocks(self, *names: str) -> tuple[Block, ...]:
         """Return the blocks that contain the registers `names`, by default all registers.

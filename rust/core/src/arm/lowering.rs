@@ -154,7 +154,8 @@ fn damping(servos: &Servos) -> Vec<f64> {
     servos.damping.iter().enumerate().map(|(i, gears)| gears + back_emf(i)).collect()
 }
 
-fn margin(max_torque: f64, friction: f64, gravity: f64) -> f64 {
+/// Returns the torque margin of one joint, as in [`torque_margin`] [N·m].
+pub(super) fn margin(max_torque: f64, friction: f64, gravity: f64) -> f64 {
     (0.1 * max_torque).max(2.0 * friction).max(0.3 * gravity.abs())
 }
 

@@ -1,12 +1,14 @@
-//! Functions of an arm beside the controller: descent, hand guiding, following of joint targets, and the thermal limits
-//! of its servos.
+//! Functions of an arm beside the controller: descent, hand guiding, following of joint targets, the filter of measured
+//! positions, and the limits of commands with the thermal model of the servos.
 //!
 //! Each is called once per tick and does not allocate in that call. Except for the thermal limits, they
 //! measure joint positions only.
 
+mod command_limiter;
 mod hand_guiding;
 mod joint_follower;
 mod lowering;
+mod position_filter;
 mod thermal;
 
 use crate::error::{Error, Result};
@@ -14,9 +16,11 @@ use crate::kinematics::{GroupMasses, JointFrames};
 use crate::model::Model;
 use crate::{JointVec, MAX_JOINTS};
 
+pub use command_limiter::{CommandLimiter, LimiterInput};
 pub use hand_guiding::{HandGuiding, HandGuidingOptions, SwingResult};
 pub use joint_follower::{JointFollower, JointFollowerOptions};
 pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, SUPPORT, torque_margin};
+pub use position_filter::PositionFilter;
 pub use thermal::{ThermalModel, ThermalOptions};
 
 /// Largest |number| in a joint vector; larger ones would overflow in squares and rates.

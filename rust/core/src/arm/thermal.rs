@@ -94,6 +94,12 @@ impl ThermalModel {
         self.options.shutdown_temperature - SHUTDOWN_MARGIN
     }
 
+    /// Returns true if the heat of a servo is above `max_heat`, or its temperature at least [`Self::last_temperature`].
+    pub fn is_too_hot(&self, max_heat: f64) -> bool {
+        self.heat.iter().any(|heat| *heat > max_heat)
+            || self.temperature.iter().any(|temperature| *temperature >= self.last_temperature())
+    }
+
     /// Updates the heat after the servos have exerted the torques (N) [N·m] for `dt` [s].
     ///
     /// A NaN torque counts as the usable torque; a NaN or negative time counts as 0.

@@ -1,0 +1,90 @@
+//! Python class `PositionFilter`: rejects implausible joint positions.
+
+use numpy::{PyArray1, PyArrayMethods};
+use pliant_core::PositionFilter as CoreFilter;
+use pyo3::prelude::*;
+use pyo3::types::PyFloat;
+
+use crate::error::{OrRaise, shape};
+use crate::ndarray::new_array;
+use crate::read::{array_into, vector};
+
+#[doc = stub!(PositionFilter)]
+#[pyclass(module = "pliant._core")]
+#[derive(Debug)]
+pub(crate) struct PositionFilter {
+    core: CoreFilter,
+    position: Vec<f64>,
+    time: Vec<f64>,
+    ok: Vec<bool>,
+}
+
+#[pymethods]
+impl PositionFilter {
+    #[new]
+    fn new(max_speed: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let max_speed = vector("max_speed", max_speed)?;
+        let n = max_speed.len();
+        let core = CoreFilter::new(&max_speed).or_raise()?;
+        Ok(Self { core, position: vec![0.0; n], time: vec![0.0; n], ok: vec![false; n] })
+    }
+
+    #[doc = stub!(PositionFilter.position)]
+    #[getter]
+    fn position<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        new_array(py, &[self.ok.len()], self.core.position())
+    }
+
+    #[doc = stub!(PositionFilter.time)]
+    #[getter]
+    fn time<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        new_array(py, &[self.ok.len()], self.core.time())
+    }
+
+    #[doc = stub!(PositionFilter.jumps)]
+    #[getter]
+    fn jumps(&self) -> u64 {
+        self.core.jumps()
+    }
+
+    #[doc = stub!(PositionFilter.update)]
+    fn update<'py>(
+        &mut self,
+        position: &Bound<'py, PyAny>,
+        ok: &Bound<'py, PyAny>,
+        time: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        let n = self.ok.len();
+        array_into("position", position, &[n], &mut self.position)?;
+        if let Ok(one) = time.cast::<PyFloat>() {
+            self.time.fill(one.value());
+        } else {
+            array_into("time", time, &[n], &mut self.time)?;
+        }
+        read_mask(ok, &mut self.ok)?;
+        let accepted = self.core.update(&self.position, &self.ok, &self.time);
+        Ok(PyArray1::from_slice(position.py(), accepted))
+    }
+
+    #[doc = stub!(PositionFilter.implausible)]
+    fn implausible(&self, count: u32) -> Vec<(usize, f64)> {
+        let rows = self.core.rejected().iter().zip(self.core.jump()).enumerate();
+        rows.filter(|(_, (rejected, _))| **rejected >= count).map(|(i, (_, jump))| (i, *jump)).collect()
+    }
+
+    #[doc = stub!(PositionFilter.reset)]
+    fn reset(&mut self) {
+        self.core.reset();
+    }
+}
+
+/// Reads a mask (N,), an array of bool.
+fn read_mask(value: &Bound<'_, PyAny>, out: &mut [bool]) -> PyResult<()> {
+    let array = value.cast::<PyArray1<bool>>()?.readonly();
+    let mask = array.as_slice()?;
+    if mask.len() != out.len() {
+        return Err(shape("ok", &[mask.len()], crate::error::tuple(&[out.len()])));
+    }
+    out.copy_from_slice(mask);
+    Ok(())
+}
