@@ -7,6 +7,7 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
+use pliant_core::analysis::report;
 use pliant_core::params::{Axis, CompliantSide, Frame, Law, NullSpace, PaperOptions, Task};
 use pliant_core::task::pose_error;
 use pliant_core::{
@@ -98,6 +99,20 @@ fn padded(q: &[f64]) -> JointVec {
     let mut out = [0.0; MAX_JOINTS];
     out[..q.len()].copy_from_slice(q);
     out
+}
+
+/// Returns the report on the pose of the last state, once per state.
+fn report_stage(model: &Arc<Model>, states: &States) -> Work {
+    let mut controller =
+        Controller::new(Arc::clone(model), soft_y(Law::Cap), Some(servos())).expect("settings that fit the bench arm");
+    for (q, target) in states {
+        controller.step(q, target, &StepInput::default()).expect("a state of this arm");
+    }
+    Box::new(move || {
+        for _ in 0..STATES {
+            black_box(report(black_box(&controller)).is_ok());
+        }
+    })
 }
 
 fn stages() -> Vec<(String, Work)> {
@@ -197,6 +212,7 @@ fn stages() -> Vec<(String, Work)> {
             ));
         }
     }
+    stages.push(("report cap".into(), report_stage(&model, &states)));
     stages
 }
 

@@ -89,18 +89,23 @@ impl Pose {
     /// # Errors
     /// As [`Pose::from_rows`].
     pub fn from_rows_of(name: &str, m: &[[f64; 4]; 4]) -> Result<Self> {
+        let pose = Self::from_unchecked_rows(name, m)?;
+        pose.check(name)?;
+        Ok(pose)
+    }
+
+    /// Creates a pose as [`Pose::from_rows_of`], but checks the last row only.
+    pub(crate) fn from_unchecked_rows(name: &str, m: &[[f64; 4]; 4]) -> Result<Self> {
         if !(m[3][0].abs() < 1e-9 && m[3][1].abs() < 1e-9 && m[3][2].abs() < 1e-9 && (m[3][3] - 1.0).abs() < 1e-9) {
             return Err(Error::config(
                 name,
                 format!("last row of a 4×4 pose must be 0 0 0 1, got {} {} {} {}", m[3][0], m[3][1], m[3][2], m[3][3]),
             ));
         }
-        let pose = Self {
+        Ok(Self {
             rotation: [[m[0][0], m[0][1], m[0][2]], [m[1][0], m[1][1], m[1][2]], [m[2][0], m[2][1], m[2][2]]],
             position: [m[0][3], m[1][3], m[2][3]],
-        };
-        pose.check(name)?;
-        Ok(pose)
+        })
     }
 
     /// Returns the homogeneous 4×4 matrix, row-major.

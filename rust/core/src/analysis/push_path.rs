@@ -4,14 +4,14 @@
 use nalgebra::DMatrix;
 
 use crate::command::host_loss::TRAVEL;
-use crate::kinematics::JointFrames;
-use crate::math::ldlt6::{Ldlt6, pseudo_inverse};
-use crate::math::rows::{load_rows, store_rows, tr_mul, weighted_gram};
-use crate::math::simd::{BaselineF64, JointVec16, JointVector};
+use crate::kinematics::{Reference, rotated_rows};
+use crate::math::ldlt6::{Ldlt6, factor_gram};
+use crate::math::rows::{load_rows, tr_mul, weighted_gram};
+use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps, SimdLevel};
 use crate::math::svd::singular_values;
 use crate::model::Model;
 use crate::params::Params;
-use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 /// Number of steps in which a push is simulated.
 const STEPS: u8 = 15;
@@ -63,8 +63,25 @@ pub(super) struct PathResult {
     pub(super) at: f64,
 }
 
+/// One point on the path of a push.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    /// Joint positions [rad].
+    q: JointVec,
+    /// Displacement of the axis [m, rad].
+    distance: f64,
+    /// Task rows, with translations divided by the arm's length.
+    scaled: TaskRows,
+    /// Friction along the axis [N, N·m].
+    friction: f64,
+}
+
+/// Six rows over the joints, zeros after the last task axis.
+type TaskRows = [JointVec16; MAX_AXES];
+
 /// Simulates pushes along one task axis while the other task axes keep their positions.
 pub(super) struct PushPath<'a> {
+    pub(super) simd_level: SimdLevel,
     pub(super) model: &'a Model,
     pub(super) params: &'a Params,
     pub(super) base_from_task: [[f64; 3]; 3],
@@ -82,12 +99,13 @@ impl PushPath<'_> {
         let (params, n, k) = (self.params, self.params.n, self.params.k);
         let travel = TRAVEL[usize::from(params.per_axis[row].axis >= 3)];
         let (mut q, mut distance, mut stop) = (*self.q, 0.0, None);
-        let mut samples = vec![(q, distance)];
+        let mut rows: TaskRows = self.rows(&q);
+        let mut samples = Vec::with_capacity(usize::from(STEPS) + 1);
+        samples.push(self.sample(&q, distance, &rows, row));
         let compliance = JointVec16::load(&params.servos.compliance);
         let mut along = [0.0; MAX_AXES];
         along[row] = sign;
         for _ in 0..STEPS {
-            let rows = load_rows(&self.rows(&q));
             let mut c = weighted_gram(&rows, compliance);
             let largest = (0..k).fold(0.0_f64, |max, r| max.max(c[r][r]));
             (0..k).for_each(|r| c[r][r] += DAMPING * largest);
@@ -102,61 +120,60 @@ impl PushPath<'_> {
             }
             (0..n).for_each(|i| q[i] += step * direction[i]);
             distance += step;
-            samples.push((q, distance));
+            rows = self.rows(&q);
+            samples.push(self.sample(&q, distance, &rows, row));
             if let Some(joint) = result {
                 let margin = (q[joint] - self.q[joint]).abs();
-                stop = Some(JointStop { distance, joint, margin, friction: self.friction_without(&q, joint, row) });
+                stop = Some(JointStop { distance, joint, margin, friction: self.friction_without(&rows, joint, row) });
                 break;
             }
         }
-        self.max_friction_sample(row, &samples, stop)
+        let worst = self.max_friction_sample(row, &samples);
+        PathResult { stop, friction: worst.friction, sigma: self.sigma(&worst.scaled)[0], at: worst.distance }
     }
 
-    /// Returns the point of largest friction along axis `row`. A sample holds the joint positions [rad] and the
-    /// displacement of the axis [m, rad].
-    fn max_friction_sample(&self, row: usize, samples: &[(JointVec, f64)], stop: Option<JointStop>) -> PathResult {
-        let evaluate = |q: &JointVec, at: f64| {
-            let rows = self.scaled(q);
-            (self.friction_along(&rows, row), at, rows)
-        };
-        let all: Vec<_> = samples.iter().map(|(q, at)| evaluate(q, *at)).collect();
-        let index = (0..all.len()).fold(0, |best, i| if all[i].0 > all[best].0 { i } else { best });
-        let mut worst = all[index];
+    /// Returns the point of largest friction along axis `row`.
+    fn max_friction_sample(&self, row: usize, samples: &[Sample]) -> Sample {
+        let index =
+            (0..samples.len()).fold(0, |best, i| if samples[i].friction > samples[best].friction { i } else { best });
+        let mut worst = samples[index];
         // A singular pose may lie between two samples: subdivide the steps next to the largest friction.
-        if worst.0 > REFINE_RATIO * all[0].0 {
+        if worst.friction > REFINE_RATIO * samples[0].friction {
             for pair in samples[index.saturating_sub(1)..(index + 2).min(samples.len())].windows(2) {
-                let ((from, near), (to, far)) = (pair[0], pair[1]);
+                let (from, to) = (&pair[0], &pair[1]);
                 for part in 1..PARTS {
                     let share = f64::from(part) / f64::from(PARTS);
-                    let between = std::array::from_fn(|i| from[i] + share * (to[i] - from[i]));
-                    let here = evaluate(&between, near + share * (far - near));
-                    worst = if here.0 > worst.0 { here } else { worst };
+                    let between = std::array::from_fn(|i| from.q[i] + share * (to.q[i] - from.q[i]));
+                    let distance = from.distance + share * (to.distance - from.distance);
+                    let here = self.sample(&between, distance, &self.rows(&between), row);
+                    worst = if here.friction > worst.friction { here } else { worst };
                 }
             }
         }
-        let (friction, at, rows) = worst;
-        PathResult { stop, friction, sigma: self.sigma(&rows)[0], at }
+        worst
     }
 
-    fn rows(&self, q: &JointVec) -> Rows {
-        let (chain, mut frames) = (self.model.chain(), JointFrames::default());
+    /// Returns the sample of a push along axis `row` at the joint positions `q` with these task rows.
+    fn sample(&self, q: &JointVec, distance: f64, rows: &TaskRows, row: usize) -> Sample {
+        let scaled = self.params.scale_rows(rows);
+        Sample { q: *q, distance, scaled, friction: self.friction_along(&scaled, row) }
+    }
+
+    /// Returns the task rows at `q`, not scaled.
+    fn rows(&self, q: &JointVec) -> TaskRows {
         let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
-        chain.forward(q, &mut frames);
-        chain.jacobian(&frames, &mut j_base);
-        crate::kinematics::task_rows(&j_base, &self.base_from_task, &self.params.axes)
-    }
-
-    fn scaled(&self, q: &JointVec) -> Rows {
-        store_rows(&self.params.scale_rows(&load_rows::<JointVec16>(&self.rows(q))))
+        self.model.chain().pose_and_rows(self.simd_level, q, Reference::WorldAligned, &mut j_base);
+        rotated_rows(&load_rows(&j_base), &self.base_from_task, &self.params.axes)
     }
 
     /// Returns the friction along axis `row` of all joints except `joint` [N, N·m]; ∞ if these cannot move all task
     /// axes.
-    fn friction_without(&self, q: &JointVec, joint: usize, row: usize) -> f64 {
-        let (params, mut scaled) = (self.params, self.scaled(q));
-        for r in &mut scaled {
-            r[joint] = 0.0;
-        }
+    fn friction_without(&self, rows: &TaskRows, joint: usize, row: usize) -> f64 {
+        let params = self.params;
+        let mut others = [1.0; MAX_JOINTS];
+        others[joint] = 0.0;
+        let others = JointVec16::load(&others);
+        let scaled = params.scale_rows(rows).map(|row| row * others);
         let [smallest, largest] = self.sigma(&scaled);
         if params.k > params.n || smallest <= SINGULAR * largest {
             f64::INFINITY
@@ -166,16 +183,20 @@ impl PushPath<'_> {
     }
 
     /// Returns the friction along axis `row`, `Σ_i |J⁺_ij| τ_f,i` [N, N·m], from the scaled task rows.
-    fn friction_along(&self, scaled: &Rows, row: usize) -> f64 {
-        let (params, n, k) = (self.params, self.params.n, self.params.k);
-        let size = scaled[..k].iter().flatten().map(|x| x * x).sum::<f64>();
-        let inverse =
-            pseudo_inverse(scaled, &[1.0; MAX_JOINTS], &[FRICTION_DAMPING * FRICTION_DAMPING * size; MAX_AXES]);
-        (0..n).map(|i| inverse[row][i].abs() * self.friction[i]).sum::<f64>() * params.row_scale[row]
+    fn friction_along(&self, scaled: &TaskRows, row: usize) -> f64 {
+        let size = scaled.iter().fold(JointVec16::splat(0.0), |sum, row| JointVec16::fma(*row, *row, sum)).sum();
+        let damping = [FRICTION_DAMPING * FRICTION_DAMPING * size; MAX_AXES];
+        let mut along = [0.0; MAX_AXES];
+        along[row] = 1.0;
+        // Column `row` of J⁺ = Jᵀ M⁻¹ alone.
+        let column = factor_gram(scaled, JointVec16::splat(1.0), &damping).solve::<BaselineF64>(&along);
+        let felt = JointVec16::abs(tr_mul(scaled, &column)) * JointVec16::load(self.friction);
+        felt.sum() * self.params.row_scale[row]
     }
 
     /// Returns the smallest and the largest singular value of the scaled task rows.
-    fn sigma(&self, scaled: &Rows) -> [f64; 2] {
+    fn sigma(&self, scaled: &TaskRows) -> [f64; 2] {
+        let scaled = scaled.map(JointVector::to_joints);
         let all = singular_values(&DMatrix::from_fn(self.params.k, self.params.n, |r, i| scaled[r][i]));
         [all.min(), all.max()]
     }

@@ -233,6 +233,7 @@ fn build_report(controller: &Controller) -> PoseReport {
 pub(super) fn push_path<'a>(controller: &'a Controller, frames: &JointFrames, friction: &'a JointVec) -> PushPath<'a> {
     let base_from_task = controller.params.base_from_task::<crate::math::simd::BaselineF64>(&frames.tool);
     PushPath {
+        simd_level: controller.simd_level,
         model: controller.model(),
         params: &controller.params,
         base_from_task,
@@ -250,6 +251,7 @@ pub(super) fn host_loss_now<'a>(
     friction: &'a JointVec,
 ) -> HostLoss<'a> {
     HostLoss {
+        simd_level: controller.simd_level,
         chain: controller.model().chain(),
         params: &controller.params,
         masses: &controller.masses,

@@ -12,7 +12,7 @@ use crate::batch::state::{RowStatus, row_len};
 use crate::error::{Error, Result};
 use crate::kinematics::GroupMasses;
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::math::simd::SimdLevel;
+use crate::math::simd::{BaselineF64, SimdLevel};
 use crate::math::thread_pool::install;
 use crate::model::Model;
 use crate::params::{Params, Settings};
@@ -247,8 +247,12 @@ impl<'a> Batch<'a> {
                 let m = &values[16 * row..][..16];
                 let line = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
                 named(&|name| {
-                    let pose = Pose::from_rows_of(name, &[line(0), line(1), line(2), line(3)])?;
-                    self.check_target(name, &pose).map(|()| pose)
+                    let pose = Pose::from_unchecked_rows(name, &[line(0), line(1), line(2), line(3)])?;
+                    if pose.is_invalid::<BaselineF64>(&self.params.target_region) {
+                        pose.check(name)?;
+                        self.check_target(name, &pose)?;
+                    }
+                    Ok(pose)
                 })
             }
             Targets::Positions(values) => {

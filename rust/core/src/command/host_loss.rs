@@ -2,12 +2,12 @@
 //! limits.
 
 use crate::kinematics::statics::yield_forces;
-use crate::kinematics::{GroupMasses, JointFrames};
-use crate::math::simd::{BaselineF64, RealOps};
+use crate::kinematics::{GroupMasses, Statics, task_row};
+use crate::math::simd::{BaselineF64, RealOps, SimdLevel};
 use crate::math::spatial::Mat3;
 use crate::model::Chain;
 use crate::params::{LimitRule, Params};
-use crate::{JointVec, MAX_AXES, MAX_JOINTS};
+use crate::{JointVec, MAX_JOINTS, Rows};
 
 /// Distance of a simulated push: along a translation [m], about a rotation [rad].
 pub(crate) const TRAVEL: [f64; 2] = [0.15, 0.4];
@@ -43,6 +43,7 @@ const HALVINGS: u32 = 6;
 /// Arm after a host loss, whose goals and torque limits stay constant.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HostLoss<'a> {
+    pub(crate) simd_level: SimdLevel,
     pub(crate) chain: &'a Chain,
     pub(crate) params: &'a Params,
     pub(crate) masses: &'a GroupMasses,
@@ -84,7 +85,7 @@ impl HostLoss<'_> {
             return q;
         }
         for _ in 0..MAX_SETTLING_STEPS {
-            let (_, [_, pull]) = self.torques(&q);
+            let ([_, pull], _) = self.torques(&q);
             let mut turn = [0.0; MAX_JOINTS];
             for i in 0..n {
                 turn[i] =
@@ -202,23 +203,22 @@ impl HostLoss<'_> {
     }
 
     fn evaluate(&self, q: &JointVec, row: usize, sign: f64) -> PushPoint {
-        let (frames, [holding, pull]) = self.torques(q);
-        let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
-        self.chain.jacobian(&frames, &mut j_base);
-        let lever = crate::kinematics::task_rows(&j_base, &self.base_from_task, &[self.params.per_axis[row].axis])[0];
+        let ([holding, pull], j_base) = self.torques(q);
+        let lever = task_row(&j_base, &self.base_from_task, self.params.per_axis[row].axis);
         PushPoint { lever: lever.map(|a| sign * a), holding, pull }
     }
 
-    /// Returns the joint frames at `q`, the gravity torques, and the servo torques minus the gravity torques [N·m].
-    fn torques(&self, q: &JointVec) -> (JointFrames, [JointVec; 2]) {
-        let (mut frames, mut holding, mut pull) = (JointFrames::default(), [0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
-        self.chain.forward(q, &mut frames);
-        self.chain.gravity(&frames, self.masses, self.gravity, &mut holding);
+    /// Returns the gravity torques at `q`, the servo torques minus the gravity torques [N·m], and the Jacobian's rows in
+    /// base axes.
+    fn torques(&self, q: &JointVec) -> ([JointVec; 2], Rows) {
+        let statics = Statics { chain: self.chain, masses: self.masses, gravity: &self.gravity, q };
+        let (holding, j_base) = self.simd_level.dispatch_narrow(statics);
+        let mut pull = [0.0; MAX_JOINTS];
         for i in 0..self.params.n {
             let spring = self.params.servos.kp[i] * (self.goal[i] - q[i]);
             pull[i] = BaselineF64::clamp_abs(spring, self.limit[i]) - holding[i];
         }
-        (frames, [holding, pull])
+        ([holding, pull], j_base)
     }
 
     /// Returns `q` after the displacement `turn` [rad], scaled so that no joint moves farther than [`MAX_JOINT_STEP`].
@@ -282,6 +282,7 @@ impl HostLoss<'_> {
 /// Arm at the end of a control step, whose torque limits are to bound the force on a hand after a host loss.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HostLossBound<'a> {
+    pub(crate) simd_level: SimdLevel,
     pub(crate) chain: &'a Chain,
     pub(crate) params: &'a Params,
     pub(crate) masses: &'a GroupMasses,
@@ -311,6 +312,7 @@ impl HostLossBound<'_> {
             base[i] = (self.gravity_scale * self.in_limit[i].abs()).max(params.min_torque_limit[i]);
         }
         let dead = HostLoss {
+            simd_level: self.simd_level,
             chain: self.chain,
             params,
             masses: self.masses,

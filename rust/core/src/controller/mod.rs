@@ -55,7 +55,7 @@ pub struct Controller {
     pub(crate) state: State,
     pub(crate) diagnostics: Diagnostics,
     pub(crate) command: Command,
-    simd_level: SimdLevel,
+    pub(crate) simd_level: SimdLevel,
     scratch: KinematicScratch,
 }
 
@@ -595,6 +595,7 @@ impl Controller {
 
     fn context<'a>(&'a mut self, q: &'a [f64], target: &'a Pose, input: &'a Input) -> StepContext<'a> {
         StepContext {
+            simd_level: self.simd_level,
             params: &self.params,
             settings: &self.settings,
             chain: self.model.chain(),

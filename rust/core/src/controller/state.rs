@@ -60,38 +60,40 @@ impl State {
     }
 }
 
-/// Calls `visit` for all fields of the state except the flags, slice by slice, in the same order for writing and
-/// reading.
-#[inline(always)]
-fn for_each_field(state: &mut State, limit: &mut JointVec, n: usize, mut visit: impl FnMut(&mut [f64])) {
-    // Destructured without `..`, so that a new field that is not stored is a compile error.
-    let State {
-        filter,
-        gamma,
-        goal,
-        gravity_offset,
-        singular,
-        governor,
-        rest,
-        integral,
-        started: _,
-        cold: _,
-        limit: _,
-    } = state;
-    visit(&mut goal[..n]);
-    visit(std::slice::from_mut(gamma));
-    for joints in [&mut filter.backlash_output, &mut filter.velocity, gravity_offset, limit, rest, integral] {
-        visit(&mut joints[..n]);
-    }
-    let [min_vectors, second] = &mut singular.min_vectors;
-    for vector in [min_vectors, second, &mut singular.max_vector, &mut governor.velocity] {
-        visit(vector);
-    }
-    for pose in [&mut governor.pose, &mut governor.target] {
-        visit(pose.rotation.as_flattened_mut());
-        visit(&mut pose.position);
-    }
-    visit(&mut governor.target_speed);
+/// Evaluates `$body` with `$numbers` as each slice of the state that a row stores, flags excepted, in the order of the
+/// row; `$n` is the number of joints. A macro, so that slices of constant length are copied in registers: a closure
+/// would be called with a length at run time.
+macro_rules! for_each_field {
+    ($state:expr, $limit:expr, $n:expr, $numbers:ident => $body:expr) => {{
+        // Destructured without `..`, so that a new field that is not stored is a compile error.
+        let State {
+            filter: VelocityFilter { backlash_output, velocity },
+            gamma,
+            goal,
+            gravity_offset,
+            singular: SingularValues { min_vectors: [first, second], max_vector, smallest: _, largest: _ },
+            governor:
+                ReferenceGovernor { pose, velocity: reference_velocity, target, target_speed },
+            rest,
+            integral,
+            started: _,
+            cold: _,
+            limit: _,
+        } = $state;
+        for_each_field!(@slices $numbers, $body;
+            &mut goal[..$n], std::slice::from_mut(gamma), &mut backlash_output[..$n], &mut velocity[..$n],
+            &mut gravity_offset[..$n], &mut $limit[..$n], &mut rest[..$n], &mut integral[..$n],
+            first.as_mut_slice(), second.as_mut_slice(), max_vector.as_mut_slice(),
+            reference_velocity.as_mut_slice(), pose.rotation.as_flattened_mut(), pose.position.as_mut_slice(),
+            target.rotation.as_flattened_mut(), target.position.as_mut_slice(), target_speed.as_mut_slice()
+        )
+    }};
+    (@slices $numbers:ident, $body:expr; $($slice:expr),*) => {
+        {$({
+            let $numbers: &mut [f64] = $slice;
+            $body
+        })*}
+    };
 }
 
 impl State {
@@ -102,23 +104,24 @@ impl State {
         let flags = all.iter().fold(0_u32, |sum, &(on, flag)| if on { sum + flag as u32 } else { sum });
         let Some((first, mut rest)) = row.split_first_mut() else { return };
         *first = f64::from(flags);
-        for_each_field(self, &mut limit, n, |numbers| {
-            let slots;
-            let size = numbers.len().min(rest.len());
-            (slots, rest) = std::mem::take(&mut rest).split_at_mut(size);
-            slots.copy_from_slice(&numbers[..slots.len()]);
+        for_each_field!(self, limit, n, numbers => {
+            let Some((slots, after)) = rest.split_at_mut_checked(numbers.len()) else { return };
+            slots.copy_from_slice(numbers);
+            rest = after;
         });
+        let _ = rest;
     }
 
     /// Reads the state of an arm of `n` joints from `row`, which [`State::write_to`] has written.
     pub(crate) fn read_from(&mut self, n: usize, row: &[f64]) {
         let (Some((&flags, mut rest)), n) = (row.split_first(), n.min(MAX_JOINTS)) else { return };
         let mut limit = [0.0; MAX_JOINTS];
-        for_each_field(self, &mut limit, n, |numbers| {
-            let slots;
-            (slots, rest) = rest.split_at(numbers.len().min(rest.len()));
-            numbers[..slots.len()].copy_from_slice(slots);
+        for_each_field!(&mut *self, limit, n, numbers => {
+            let Some((slots, after)) = rest.split_at_checked(numbers.len()) else { return };
+            numbers.copy_from_slice(slots);
+            rest = after;
         });
+        let _ = rest;
         self.started = true;
         self.cold = Flag::Cold.is_in(flags);
         self.limit = Flag::Limited.is_in(flags).then_some(limit);

@@ -18,7 +18,7 @@ use crate::law::redistribution::{redistribute, without_locked};
 use crate::law::singularity::{row_damping, singularity_state};
 use crate::law::{self, LawInput, Pacing};
 use crate::math::rows::store_rows;
-use crate::math::simd::{Isa, JointVec16, Kernel, LANES, RealOps, SingleArmJoints, TaskVector};
+use crate::math::simd::{Isa, JointVec16, Kernel, LANES, RealOps, SimdLevel, SingleArmJoints, TaskVector};
 use crate::math::singular_values::SingularValues;
 use crate::model::Chain;
 use crate::params::{LimitRule, Params, Settings};
@@ -38,12 +38,11 @@ struct StepReference<W> {
     reference: Pose,
     /// Deviation from the reference, one value per task row [m, rad].
     deviation: W,
-    /// True for those of x, y, z, roll, pitch, yaw that are at their deviation limit.
-    limited: [bool; MAX_AXES],
 }
 
 /// Inputs of one step, and the state that it changes.
 pub(super) struct StepContext<'a> {
+    pub(super) simd_level: SimdLevel,
     pub(super) params: &'a Params,
     pub(super) settings: &'a Settings,
     pub(super) chain: &'a Chain,
@@ -70,7 +69,6 @@ struct StepSolution<J: SingleArmJoints> {
     gamma: f64,
     /// Damping λ² of each task row.
     row_damping: J::Axes,
-    locked: [bool; MAX_JOINTS],
 }
 
 /// Marks its caller's branch as cold, so that the compiler places it behind the others.
@@ -116,7 +114,10 @@ impl StepContext<'_> {
         let arm = ArmState::new(params, settings, q, &view, &mut turned);
         let error = pose_error_by::<J::Elem>(&arm.view.tool, &reference);
         let deviation = params.to_task_rows(&arm.base_from_task, &error);
-        let mut aim = StepReference { reference, deviation, limited: [false; MAX_AXES] };
+        let mut aim = StepReference { reference, deviation };
+        // Those of x, y, z, roll, pitch, yaw that are at their deviation limit. An array that is indexed at run time stays
+        // in memory, with the whole struct that holds it.
+        let mut limited_axes = [false; MAX_AXES];
         if !params.deviation_limits.is_empty() {
             let (tool, base_from_task) = (arm.view.tool, arm.base_from_task);
             let limiter =
@@ -125,12 +126,13 @@ impl StepContext<'_> {
                 // If the limit does not change the reference, keep the deviation bit-identical.
                 let still = limited.reference == aim.reference;
                 let deviation = if still { aim.deviation } else { params.select_rows(&limited.error) };
-                aim = StepReference { reference: limited.reference, deviation, limited: limited.active };
+                aim = StepReference { reference: limited.reference, deviation };
+                limited_axes = limited.active;
             }
         }
         let twist = match &self.input.twist {
             // The deviation limit moves the reference, so its velocity is not that of the target.
-            Some(_) if aim.limited.contains(&true) => {
+            Some(_) if limited_axes.contains(&true) => {
                 params.to_task_rows(&arm.base_from_task, &governor.reference_velocity())
             }
             Some(twist) => params.to_task_rows(&arm.base_from_task, &governor.velocity(twist, speed)),
@@ -139,7 +141,8 @@ impl StepContext<'_> {
         let demand = AxisDemand::new(params, settings, aim.deviation, twist);
         let pacing = self.pacing(&arm, &filtered, &governor, dt);
         let mut singular = self.state.singular;
-        let solved = self.solve(&arm, &demand, &filtered, pacing, &mut singular);
+        let mut locked = [false; MAX_JOINTS];
+        let solved = self.solve(&arm, &demand, &filtered, pacing, (&mut singular, &mut locked));
         let solution = &solved.solution;
 
         let wanted = self.wanted_limits(measured, &arm, &demand, &solved, &singular);
@@ -160,6 +163,7 @@ impl StepContext<'_> {
         }
         if let Some(max) = params.max_host_loss_force {
             let bound = HostLossBound {
+                simd_level: self.simd_level,
                 chain: self.chain,
                 params,
                 masses: self.masses,
@@ -187,8 +191,8 @@ impl StepContext<'_> {
         }
         self.state.governor = governor;
         // Do not integrate while the deviation limit moves the reference: the deviation would not decrease.
-        if settings.tracking.integrate > 0.0 && !aim.limited.contains(&true) {
-            self.integrate(dt, &arm, &demand, &solved);
+        if settings.tracking.integrate > 0.0 && !limited_axes.contains(&true) {
+            self.integrate(dt, &arm, &demand, &solved, &locked);
         }
         goal.store(&mut self.state.goal);
         gravity_offset.store(&mut self.state.gravity_offset);
@@ -198,12 +202,13 @@ impl StepContext<'_> {
         let profile =
             profile_velocity(&arm.view.j_base, speed, settings.tracking.goal_slew, J::load(&params.joint_speed));
         profile.store(&mut self.command.speed_limit);
-        self.record_diagnostics(&arm, &aim, &demand, &solved, &filtered);
+        self.record_diagnostics(&arm, &aim, &demand, &solved, &filtered, (&locked, &limited_axes));
         true
     }
 
     /// Computes the joint targets, lines 7 to 11: evaluates the law, and redistributes the motion of joints that would
-    /// exceed a position limit to the others. Updates `singular` if the settings need it.
+    /// exceed a position limit to the others; those are then true in `locked`. Updates `singular` if the settings need
+    /// it.
     #[inline(always)]
     fn solve<J: SingleArmJoints>(
         &self,
@@ -211,7 +216,7 @@ impl StepContext<'_> {
         demand: &AxisDemand<J::Axes>,
         filtered: &Filtered<J>,
         pacing: Pacing<J::Axes>,
-        singular: &mut SingularValues,
+        (singular, locked): (&mut SingularValues, &mut [bool; MAX_JOINTS]),
     ) -> StepSolution<J> {
         let (params, settings, input, state) = (self.params, self.settings, self.input, &*self.state);
         let scaled;
@@ -247,16 +252,15 @@ impl StepContext<'_> {
             damping: singularity.damping,
             gamma: singularity.gamma,
             row_damping: damping,
-            locked: [false; MAX_JOINTS],
         };
         let solution = &mut solved.solution;
         let (lower, upper) = (J::load(&params.lower), J::load(&params.upper));
         if upper.is_any_lt(solution.q_goal) | solution.q_goal.is_any_lt(lower) {
             cold();
-            let (q_goal, locked) = redistribute(&law_input, arm, solution.feed_forward, &mut solution.motion);
+            let (q_goal, at_limit) = redistribute(&law_input, arm, solution.feed_forward, &mut solution.motion);
             solution.q_goal = q_goal;
-            for (slot, locked) in solved.locked.iter_mut().zip(locked.to_joints()) {
-                *slot = locked > 0.0;
+            for (slot, at_limit) in locked.iter_mut().zip(at_limit.to_joints()) {
+                *slot = at_limit > 0.0;
             }
         }
         solved
@@ -270,8 +274,9 @@ impl StepContext<'_> {
         arm: &ArmState<'_, J>,
         demand: &AxisDemand<J::Axes>,
         solved: &StepSolution<J>,
+        locked: &[bool; MAX_JOINTS],
     ) {
-        let (solution, locked) = (&solved.solution, &solved.locked);
+        let solution = &solved.solution;
         let mut offset = (solution.motion.stiff_offset + solution.motion.null).to_joints();
         for (value, &locked) in offset.iter_mut().zip(locked) {
             *value = if locked { 0.0 } else { *value };
@@ -367,6 +372,7 @@ impl StepContext<'_> {
         demand: &AxisDemand<J::Axes>,
         solved: &StepSolution<J>,
         filtered: &Filtered<J>,
+        (locked, limited_axes): (&[bool; MAX_JOINTS], &[bool; MAX_AXES]),
     ) {
         let solution = &solved.solution;
         let (params, record, motion) = (self.params, &mut *self.diagnostics, &solution.motion);
@@ -393,11 +399,11 @@ impl StepContext<'_> {
         record.gamma = solved.gamma;
         record.factors = motion.factors;
         record.gain_factor = motion.gain_factor;
-        record.locked = solved.locked;
+        record.locked = *locked;
         record.deviation_limited = [false; MAX_AXES];
         if !params.deviation_limits.is_empty() {
             for (slot, &axis) in record.deviation_limited.iter_mut().zip(&params.axes) {
-                *slot = aim.limited[axis];
+                *slot = limited_axes[axis];
             }
         }
         record.reference = aim.reference;

@@ -115,7 +115,7 @@ impl Chain {
     #[inline(always)]
     pub(crate) fn forward_by<A: RealOps>(&self, q: &[A::Real; MAX_JOINTS], frames: &mut JointFrames<A::Real>) {
         let joint_trigs = self.joint_trigs::<A>(q, self.total);
-        frames.tool = self.forward_pass::<ScalarVec3<A>, _>(&joint_trigs, frames);
+        frames.tool = self.forward_pass::<ScalarVec3<A>, MAX_JOINTS, true>(&joint_trigs, frames);
         for k in self.path..self.total.min(MAX_JOINTS) {
             let parent = self.parent[k];
             let (rotation, origin) = if parent < MAX_JOINTS {
@@ -124,7 +124,7 @@ impl Chain {
                 (splat_matrix::<A>(&self.base.rotation), splat::<A>(&self.base.position))
             };
             let turned = multiply::<A>(&rotation, &splat_matrix::<A>(&self.turn[k]));
-            let (axes, origin) = self.advance_frame(
+            let (axes, origin) = self.advance_frame::<ScalarVec3<A>, MAX_JOINTS, true>(
                 k,
                 &columns::<ScalarVec3<A>>(&turned),
                 ScalarVec3::from_components(origin),
@@ -152,16 +152,11 @@ impl Chain {
         JointTrigs { q, all }
     }
 
-    /// Computes the motions at `q` of joints that each have their own coordinate, one joint per lane.
+    /// Computes the motions at `q` of the joints of a simple chain, one joint per lane.
     #[inline(always)]
-    pub(super) fn joint_trigs_simd<'a, J: SingleArmJoints, const N: usize>(
-        &self,
-        q: &'a JointVec,
-    ) -> JointTrigs<'a, f64, N> {
-        let (angle, slide) = ([&self.angle_per_q, &self.angle_offset], [&self.slide_per_q, &self.slide_offset]);
-        let (angle, slide) = ([J::load(angle[0]), J::load(angle[1])], [J::load(slide[0]), J::load(slide[1])]);
-        let JointTrig { sine, cosine, slide } = joint_trig::<J>(J::load(q), angle, slide);
-        JointTrigs { q, all: [sine.prefix(), cosine.prefix(), slide.prefix()] }
+    pub(super) fn joint_trigs_simd<J: SingleArmJoints, const N: usize>(&self, q: J) -> JointTrigs<'static, f64, N> {
+        let (sine, cosine) = sin_cos::<J>(q + J::load(&self.angle_offset));
+        JointTrigs { q: &[0.0; MAX_JOINTS], all: [sine.prefix(), cosine.prefix(), [0.0; N]] }
     }
 
     #[inline(always)]
@@ -173,9 +168,10 @@ impl Chain {
         )
     }
 
-    /// Computes the frames from base to tool, passes those of the joints to `visitor` and returns the tool pose.
+    /// Computes the frames from base to tool, passes those of the joints to `visitor` and returns the tool pose. With
+    /// `SLIDES` false all joints must be revolute.
     #[inline(always)]
-    pub(super) fn forward_pass<T: Vec3Ops, const N: usize>(
+    pub(super) fn forward_pass<T: Vec3Ops, const N: usize, const SLIDES: bool>(
         &self,
         joint_trigs: &JointTrigs<'_, Real<T>, N>,
         visitor: &mut impl Visitor<T>,
@@ -183,7 +179,7 @@ impl Chain {
         let mut axes = columns::<T>(&splat_matrix::<T::Elem>(&self.base.rotation));
         let mut origin = T::constant(&self.base.position);
         for k in 0..self.path.min(N).min(MAX_JOINTS) {
-            (axes, origin) = self.advance_frame(k, &axes, origin, joint_trigs);
+            (axes, origin) = self.advance_frame::<T, N, SLIDES>(k, &axes, origin, joint_trigs);
             visitor.visit_joint(k, &axes, origin);
         }
         let (r, zero) = (&self.tool.rotation, T::constant(&[0.0; 3]));
@@ -201,7 +197,7 @@ impl Chain {
     /// Any rotation is `Rz · Rx · Rz`. The last Rz is added to the joint's angle, and the first one to the joint angle
     /// of the previous frame. So two planar rotations remain.
     #[inline(always)]
-    fn advance_frame<T: Vec3Ops, const N: usize>(
+    fn advance_frame<T: Vec3Ops, const N: usize, const SLIDES: bool>(
         &self,
         k: usize,
         &[x, y, z]: &[T; 3],
@@ -220,7 +216,7 @@ impl Chain {
         // per joint.
         let axes = [x.scaled(c).add_scaled(s, tilted), x.scaled(-s).add_scaled(c, tilted), axis];
         let mut origin = transform_point(&[x, y, z], &self.offset[k], origin);
-        if self.slides[k] {
+        if SLIDES && self.slides[k] {
             origin = origin.add_scaled(slide, axis);
         }
         (axes, origin)

@@ -24,10 +24,7 @@ pub(crate) struct KinematicState<J: JointVector> {
 /// Scratch memory of [`Chain::evaluate`]; contains no results.
 #[derive(Debug, Clone)]
 pub(crate) struct KinematicScratch {
-    cells: JointAxes,
-    /// First moment about each joint's origin [kg·m], base axes: of the joint's own group, then of everything it
-    /// carries.
-    moments: [PaddedVec3; MAX_JOINTS],
+    simple: SimpleScratch<MAX_JOINTS>,
     frames: JointFrames,
     j_base: Rows,
     holding: JointVec,
@@ -36,19 +33,29 @@ pub(crate) struct KinematicScratch {
 impl KinematicScratch {
     pub(crate) fn new() -> Self {
         let zero = [0.0; MAX_JOINTS];
-        Self {
-            cells: JointAxes::new(),
-            moments: [[0.0; 4]; MAX_JOINTS],
-            frames: JointFrames::default(),
-            j_base: [zero; MAX_AXES],
-            holding: zero,
-        }
+        Self { simple: SimpleScratch::new(), frames: JointFrames::default(), j_base: [zero; MAX_AXES], holding: zero }
+    }
+}
+
+/// Scratch memory of [`Chain::evaluate_simple`] for up to `N` joints; zeros in the padding.
+#[derive(Debug, Clone)]
+pub(super) struct SimpleScratch<const N: usize> {
+    cells: JointAxes<N>,
+    /// First moment about each joint's origin [kg·m], base axes: of the joint's own group, then of everything it
+    /// carries.
+    moments: [PaddedVec3; N],
+}
+
+impl<const N: usize> SimpleScratch<N> {
+    #[inline(always)]
+    pub(super) fn new() -> Self {
+        Self { cells: JointAxes::new(), moments: [[0.0; 4]; N] }
     }
 }
 
 /// Origin [m] and axis of each joint, base axes; zeros in the padding.
 #[derive(Debug, Clone)]
-struct JointAxes<const N: usize = MAX_JOINTS> {
+struct JointAxes<const N: usize> {
     origin: [PaddedVec3; N],
     axis: [PaddedVec3; N],
 }
@@ -78,13 +85,13 @@ impl<T: StoreVec3, const N: usize> Visitor<T> for JointAxes<N> {
 }
 
 /// Visitor that stores the joint axes and the first moments of the groups.
-struct WithMasses<'a> {
-    cells: &'a mut JointAxes,
-    moments: &'a mut [PaddedVec3; MAX_JOINTS],
+struct WithMasses<'a, const N: usize> {
+    cells: &'a mut JointAxes<N>,
+    moments: &'a mut [PaddedVec3; N],
     masses: &'a GroupMasses,
 }
 
-impl<T: StoreVec3> Visitor<T> for WithMasses<'_> {
+impl<T: StoreVec3, const N: usize> Visitor<T> for WithMasses<'_, N> {
     #[inline(always)]
     fn visit_joint(&mut self, k: usize, axes: &[T; 3], origin: T) {
         self.cells.visit_joint(k, axes, origin);
@@ -140,28 +147,38 @@ impl Chain {
         weight: Option<(&GroupMasses, &Vec3)>,
         scratch: &mut KinematicScratch,
     ) -> KinematicState<J> {
-        let (q, zero) = (q.to_joints(), J::splat(0.0));
-        if !(self.simple && self.path == self.total) {
-            let KinematicScratch { frames, j_base, holding, .. } = scratch;
-            self.forward_by::<J::Elem>(&q, frames);
-            self.jacobian_by::<J::Elem>(frames, j_base);
-            let (tool, j_base) = (frames.tool, load_rows(j_base));
-            let Some((masses, g)) = weight else { return KinematicState { tool, j_base, holding: zero } };
-            self.gravity_by::<J::Elem>(frames, masses, g, holding);
-            return KinematicState { tool, j_base, holding: J::load(holding) };
+        if self.simple && self.path == self.total {
+            return self.evaluate_simple(q, weight, &mut scratch.simple);
         }
-        let KinematicScratch { cells, moments, .. } = scratch;
-        let joint_trigs = self.joint_trigs_simd::<J, MAX_JOINTS>(&q);
+        let KinematicScratch { frames, j_base, holding, .. } = scratch;
+        self.forward_by::<J::Elem>(&q.to_joints(), frames);
+        self.jacobian_by::<J::Elem>(frames, j_base);
+        let (tool, j_base) = (frames.tool, load_rows(j_base));
+        let Some((masses, g)) = weight else { return KinematicState { tool, j_base, holding: J::splat(0.0) } };
+        self.gravity_by::<J::Elem>(frames, masses, g, holding);
+        KinematicState { tool, j_base, holding: J::load(holding) }
+    }
+
+    /// Computes [`Chain::evaluate`] for a simple chain of at most `N` joints, none of them beside its path.
+    #[inline(always)]
+    pub(super) fn evaluate_simple<J: SingleArmJoints, const N: usize>(
+        &self,
+        q: J,
+        weight: Option<(&GroupMasses, &Vec3)>,
+        scratch: &mut SimpleScratch<N>,
+    ) -> KinematicState<J> {
+        let SimpleScratch { cells, moments } = scratch;
+        let joint_trigs = self.joint_trigs_simd::<J, N>(q);
         let Some((masses, g)) = weight else {
-            let tool = self.forward_pass::<J::Vec3, _>(&joint_trigs, cells);
+            let tool = self.forward_pass::<J::Vec3, N, false>(&joint_trigs, cells);
             let (_, j_base) = cells.jacobian::<J>(&tool);
-            return KinematicState { tool, j_base, holding: zero };
+            return KinematicState { tool, j_base, holding: J::splat(0.0) };
         };
-        let tool = self.forward_pass::<J::Vec3, _>(&joint_trigs, &mut WithMasses { cells, moments, masses });
+        let tool = self.forward_pass::<J::Vec3, N, false>(&joint_trigs, &mut WithMasses { cells, moments, masses });
         // First moments S − M o as in [`Chain::gravity`]. `subtree` and `mass` are S and M of the groups beyond the
         // joint's own, whose origin cancels.
         let (mut subtree, mut mass) = (J::Vec3::constant(&[0.0; 3]), 0.0);
-        for k in (0..self.path.min(MAX_JOINTS)).rev() {
+        for k in (0..self.path.min(N).min(MAX_JOINTS)).rev() {
             let (group, origin) = (J::Vec3::load(&moments[k]), J::Vec3::load(&cells.origin[k]));
             group.sub_scaled(mass, origin).add_scaled(1.0, subtree).store(&mut moments[k]);
             // Terms that do not depend on the previous joint come first, to shorten the dependency chain.
@@ -169,7 +186,7 @@ impl Chain {
             mass += masses.mass[k];
         }
         let (axis, j_base) = cells.jacobian::<J>(&tool);
-        let holding = -dot::<J>(&J::components(moments), &cross::<J>(&splat::<J>(g), &axis));
+        let holding = -dot::<J>(&J::components(&*moments), &cross::<J>(&splat::<J>(g), &axis));
         KinematicState { tool, j_base, holding }
     }
 
@@ -177,7 +194,8 @@ impl Chain {
     #[inline(always)]
     pub(super) fn pose_and_jacobian<J: SingleArmJoints>(&self, q: &JointVec, rows: &mut Rows) -> Pose {
         let mut cells = JointAxes::<LANES>::new();
-        let tool = self.forward_pass::<J::Vec3, LANES>(&self.joint_trigs_simd::<J, LANES>(q), &mut cells);
+        let joint_trigs = self.joint_trigs_simd::<J, LANES>(J::load(q));
+        let tool = self.forward_pass::<J::Vec3, LANES, false>(&joint_trigs, &mut cells);
         let (_, j_base) = cells.jacobian::<J>(&tool);
         for r in 0..MAX_AXES {
             j_base[r].store(&mut rows[r]);

@@ -3,10 +3,10 @@
 use super::forward::{JointFrames, Visitor};
 use crate::math::rows::{load_rows, store_rows};
 use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps, Scalar, ScalarVec3, Vec3Ops};
-use crate::math::spatial::{Mat3, Vec3, cross, sub, tr_rotate};
+use crate::math::spatial::{Mat3, Vec3, cross, dot, sub, tr_rotate};
 use crate::model::Chain;
 use crate::pose::Pose;
-use crate::{MAX_AXES, MAX_JOINTS, Rows};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Visitor that stores each joint's origin in the linear rows and its axis in the angular rows, since the tool position
 /// is not yet known.
@@ -71,8 +71,10 @@ impl Chain {
             self.jacobian_by::<A>(&frames, rows);
             return frames.tool;
         }
-        let tool =
-            self.forward_pass::<ScalarVec3<A>, _>(&self.joint_trigs::<A>(q, self.path), &mut OriginsAndAxes(rows));
+        let tool = self.forward_pass::<ScalarVec3<A>, MAX_JOINTS, true>(
+            &self.joint_trigs::<A>(q, self.path),
+            &mut OriginsAndAxes(rows),
+        );
         for k in 0..self.n.min(MAX_JOINTS) {
             replace_origin::<A>(k, &tool.position, rows);
         }
@@ -108,6 +110,23 @@ pub(crate) fn task_rows(j_base: &Rows, base_from_task: &[[f64; 3]; 3], axes: &[u
     store_rows(&rotated_rows::<JointVec16>(&load_rows(j_base), base_from_task, axes))
 }
 
+/// Returns the row of [`task_rows`] of one axis alone.
+pub(crate) fn task_row(j_base: &Rows, base_from_task: &Mat3, axis: usize) -> JointVec {
+    let ((block, column), mut out) = (block_and_column(axis), [0.0; MAX_JOINTS]);
+    let along = [base_from_task[0][column], base_from_task[1][column], base_from_task[2][column]];
+    for (i, slot) in out.iter_mut().enumerate() {
+        *slot = dot::<BaselineF64>(&along, &[j_base[block][i], j_base[block + 1][i], j_base[block + 2][i]]);
+    }
+    out
+}
+
+/// Returns the first row of the Jacobian's block, linear or angular, to which a task axis belongs, and the column of
+/// the axis in the task frame.
+#[inline(always)]
+fn block_and_column(axis: usize) -> (usize, usize) {
+    if axis < 3 { (0, axis) } else { (3, (axis - 3) % 3) }
+}
+
 /// Computes [`task_rows`] for rows in registers, of one configuration or of several.
 #[inline(always)]
 pub(crate) fn rotated_rows<J: JointVector>(
@@ -117,8 +136,7 @@ pub(crate) fn rotated_rows<J: JointVector>(
 ) -> [J; MAX_AXES] {
     let mut out = [J::splat(0.0); MAX_AXES];
     for r in 0..axes.len().min(MAX_AXES) {
-        let axis = axes[r];
-        let (block, column) = if axis < 3 { (0, axis) } else { (3, (axis - 3) % 3) };
+        let (block, column) = block_and_column(axes[r]);
         let [x, y, z] = [
             J::broadcast(base_from_task[0][column]),
             J::broadcast(base_from_task[1][column]),

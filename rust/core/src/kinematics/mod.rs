@@ -3,7 +3,8 @@
 use nalgebra::{DVector, Matrix6xX};
 
 use crate::error::{Error, Result};
-use crate::math::simd::{F64x8, Isa, Kernel, LANES, ScalarVec3, SimdLevel};
+use crate::math::rows::store_rows;
+use crate::math::simd::{F64x8, Isa, JointVector, Kernel, LANES, ScalarVec3, SimdLevel};
 use crate::model::{Chain, Model};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -21,10 +22,11 @@ mod targets;
 pub(crate) mod velocity_filter;
 
 pub use forward::JointFrames;
+use fused::SimpleScratch;
 pub(crate) use fused::{KinematicScratch, KinematicState};
 pub use gravity::GroupMasses;
 pub use ik::{IkOptions, IkResult, IkStatus};
-pub(crate) use jacobian::{rotated_rows, task_rows};
+pub(crate) use jacobian::{rotated_rows, task_row, task_rows};
 pub use points::{ArmGeometry, ArmPoints, MAX_POINTS};
 pub(crate) use targets::{joint_targets, target_region};
 
@@ -73,8 +75,7 @@ impl Model {
     /// # Errors
     /// As [`Model::forward_kinematics`].
     pub fn kinematics_into(&self, q: &[f64], reference: Reference, rows: &mut Rows) -> Result<Pose> {
-        let q = self.joint_vector(q)?;
-        Ok(SimdLevel::detect().dispatch_narrow(Kinematics { chain: self.chain(), q: &q, reference, rows }))
+        Ok(self.chain().pose_and_rows(SimdLevel::detect(), &self.joint_vector(q)?, reference, rows))
     }
 
     /// Returns the torques (`n`) [N·m or N] that hold the arm and its payload at rest at `q`.
@@ -83,13 +84,8 @@ impl Model {
     /// As [`Model::forward_kinematics`].
     pub fn gravity(&self, q: &[f64]) -> Result<DVector<f64>> {
         let (q, masses) = (self.joint_vector(q)?, self.chain().masses(self.payload()));
-        let gravity = self.gravity_vector();
-        let torque = SimdLevel::detect().dispatch_narrow(Statics {
-            chain: self.chain(),
-            masses: &masses,
-            gravity: &gravity,
-            q: &q,
-        });
+        let statics = Statics { chain: self.chain(), masses: &masses, gravity: &self.gravity_vector(), q: &q };
+        let (torque, _) = SimdLevel::detect().dispatch_narrow(statics);
         Ok(DVector::from_fn(self.n(), |i, _| torque[i]))
     }
 
@@ -114,6 +110,12 @@ impl Model {
 }
 
 impl Chain {
+    /// Returns the pose of the tool and writes the rows of the Jacobian; arguments as [`Model::kinematics_into`], with
+    /// valid positions.
+    pub(crate) fn pose_and_rows(&self, level: SimdLevel, q: &JointVec, reference: Reference, rows: &mut Rows) -> Pose {
+        level.dispatch_narrow(Kinematics { chain: self, q, reference, rows })
+    }
+
     /// Returns true if each coordinate drives exactly one joint, with factor 1, and there are at most eight.
     const fn fits_f64x8(&self) -> bool {
         self.simple && self.n <= LANES
@@ -132,10 +134,11 @@ impl Kernel for Forward<'_> {
     #[inline(always)]
     fn run<M: Isa>(self) -> Pose {
         if self.chain.fits_f64x8() {
-            let joint_trigs = self.chain.joint_trigs_simd::<M::F64x8, LANES>(self.q);
-            self.chain.forward_pass::<<M::F64x8 as F64x8>::Vec3, _>(&joint_trigs, &mut ())
+            let q = <M::F64x8 as JointVector>::load(self.q);
+            let joint_trigs = self.chain.joint_trigs_simd::<M::F64x8, LANES>(q);
+            self.chain.forward_pass::<<M::F64x8 as F64x8>::Vec3, LANES, false>(&joint_trigs, &mut ())
         } else {
-            self.chain.forward_pass::<ScalarVec3<M::Elem>, _>(
+            self.chain.forward_pass::<ScalarVec3<M::Elem>, MAX_JOINTS, true>(
                 &self.chain.joint_trigs::<M::Elem>(self.q, self.chain.path),
                 &mut (),
             )
@@ -143,23 +146,33 @@ impl Kernel for Forward<'_> {
     }
 }
 
-/// Inputs for the gravity torques at one configuration.
-struct Statics<'a> {
-    chain: &'a Chain,
-    masses: &'a GroupMasses,
-    gravity: &'a [f64; 3],
-    q: &'a JointVec,
+/// Inputs for the gravity torques and the Jacobian at one configuration.
+pub(crate) struct Statics<'a> {
+    pub(crate) chain: &'a Chain,
+    pub(crate) masses: &'a GroupMasses,
+    pub(crate) gravity: &'a [f64; 3],
+    pub(crate) q: &'a JointVec,
 }
 
 impl Kernel for Statics<'_> {
-    type Output = JointVec;
+    /// Torques that hold the arm [N·m], and the Jacobian's rows in base axes.
+    type Output = (JointVec, Rows);
 
     #[inline(always)]
-    fn run<M: Isa>(self) -> JointVec {
+    fn run<M: Isa>(self) -> (JointVec, Rows) {
+        let Self { chain, masses, gravity, q } = self;
+        if chain.fits_f64x8() && chain.path == chain.total {
+            let (q, mut scratch) = (<M::F64x8 as JointVector>::load(q), SimpleScratch::<LANES>::new());
+            let state = chain.evaluate_simple(q, Some((masses, gravity)), &mut scratch);
+            return (state.holding.to_joints(), store_rows(&state.j_base));
+        }
+        // Compiled once for all instruction sets.
         let (mut frames, mut torque) = (JointFrames::default(), [0.0; MAX_JOINTS]);
-        self.chain.forward_by::<M::Elem>(self.q, &mut frames);
-        self.chain.gravity_by::<M::Elem>(&frames, self.masses, self.gravity, &mut torque);
-        torque
+        let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
+        chain.forward(q, &mut frames);
+        chain.jacobian(&frames, &mut rows);
+        chain.gravity(&frames, masses, *gravity, &mut torque);
+        (torque, rows)
     }
 }
 

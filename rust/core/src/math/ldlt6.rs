@@ -116,17 +116,18 @@ impl<R: Number> Ldlt6<R> {
         let mut out = *rows;
         // Joint by joint if each joint has its own register: then six values stay in registers instead of six rows.
         for i in 0..J::GROUPS {
-            let b = [
-                rows[0].group(i),
-                rows[1].group(i),
-                rows[2].group(i),
-                rows[3].group(i),
-                rows[4].group(i),
-                rows[5].group(i),
-            ];
-            let (x, weight) = (self.solve::<J::Group>(&b), joint_weight.group(i));
+            // The right side is weighted, not the result: the products are those of [`weighted_gram`].
+            let weight = joint_weight.group(i);
+            let x = self.solve::<J::Group>(&[
+                rows[0].group(i) * weight,
+                rows[1].group(i) * weight,
+                rows[2].group(i) * weight,
+                rows[3].group(i) * weight,
+                rows[4].group(i) * weight,
+                rows[5].group(i) * weight,
+            ]);
             for r in 0..MAX_AXES {
-                out[r].set_group(i, x[r] * weight);
+                out[r].set_group(i, x[r]);
             }
         }
         out

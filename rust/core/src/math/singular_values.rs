@@ -2,7 +2,7 @@
 
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::Mat6;
-use crate::math::simd::{Broadcast, RealOps};
+use crate::math::simd::{BaselineF64, Broadcast, RealOps};
 use crate::{AxisVec, MAX_AXES};
 
 /// Estimates of the largest and the smallest singular value of scaled task rows, with the singular vectors from which
@@ -53,12 +53,12 @@ impl SingularValues {
             let before = self.min_vectors;
             let [first, second] = before;
             let solved = [factor.solve::<A>(&first), factor.solve::<A>(&second)];
-            (self.min_vectors, self.smallest) = match ritz_2d(&solved, &before) {
+            (self.min_vectors, self.smallest) = match ritz_2d::<A>(&solved, &before) {
                 Some(found) => found,
                 None => ritz_scaled(gram, &solved, &before, k),
             };
-            let max_vector = apply(gram, &self.max_vector);
-            let size = norm(&max_vector);
+            let max_vector = apply::<A>(gram, &self.max_vector);
+            let size = norm::<A>(&max_vector);
             if size > 0.0 {
                 let inverse = 1.0 / size;
                 for i in 0..MAX_AXES {
@@ -77,13 +77,13 @@ impl SingularValues {
 /// The value is computed from dot products only, because the step waits for it; the vectors are needed by the next step
 /// only.
 #[inline(always)]
-fn ritz_2d([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
-    let (aa, ab, bb) = (dot(a, a), dot(a, b), dot(b, b));
+fn ritz_2d<A: RealOps<Real = f64>>([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2], f64)> {
+    let (aa, ab, bb) = (dot::<A>(a, a), dot::<A>(a, b), dot::<A>(b, b));
     // Written as `!(a < b)` so that NaN takes the fallback.
     if !(ab * ab < 0.5 * aa * bb && aa < LARGE && bb < LARGE) {
         return None;
     }
-    let (wa, za, zb) = (dot(w, a), dot(z, a), dot(z, b));
+    let (wa, za, zb) = (dot::<A>(w, a), dot::<A>(z, a), dot::<A>(z, b));
     // Entries of M in the orthonormal basis û ∥ a, v̂ ∥ c, with c = b − t a (Gram–Schmidt). M is symmetric, so that
     // w·b = z·a and one of the two products is enough.
     let per_aa = 1.0 / aa;
@@ -100,8 +100,8 @@ fn ritz_2d([a, b]: &[AxisVec; 2], [w, z]: &[AxisVec; 2]) -> Option<([AxisVec; 2]
     let ([xa, ya], [xc, yc]) = ([x * per_a, y * per_a], [x * per_c, y * per_c]);
     let mut min_vectors = [[0.0; MAX_AXES]; 2];
     for i in 0..MAX_AXES {
-        let c = b[i] - t * a[i];
-        (min_vectors[0][i], min_vectors[1][i]) = (xa * a[i] + yc * c, xc * c - ya * a[i]);
+        let c = A::fnma(t, a[i], b[i]);
+        (min_vectors[0][i], min_vectors[1][i]) = (A::fma(xa, a[i], yc * c), A::fnma(ya, a[i], xc * c));
     }
     Some((min_vectors, value.max(0.0).sqrt()))
 }
@@ -140,7 +140,7 @@ struct ImagePair {
 impl ImagePair {
     /// Creates the pair from `v = M⁻¹ b` and `b`, both divided by the length of `v`.
     fn new(v: AxisVec, b: AxisVec) -> Self {
-        let size = norm(&v);
+        let size = norm::<BaselineF64>(&v);
         // With a singular matrix, the square of the length may overflow.
         if size > 0.0 && size.is_finite() {
             Self { v, mv: b }.scaled(1.0 / size)
@@ -157,7 +157,7 @@ impl ImagePair {
             return Self { v: *b, mv: [0.0; MAX_AXES] };
         }
         let smaller = Self { v: *v, mv: *b }.scaled(1.0 / scale);
-        smaller.scaled(1.0 / norm(&smaller.v))
+        smaller.scaled(1.0 / norm::<BaselineF64>(&smaller.v))
     }
 
     fn scaled(mut self, factor: f64) -> Self {
@@ -172,13 +172,13 @@ impl ImagePair {
     fn orthogonalize(mut self, u: &Self) -> Option<Self> {
         // Twice: the first pass leaves a rounding error along `u`.
         for _ in 0..2 {
-            let share = dot(&self.v, &u.v);
+            let share = dot::<BaselineF64>(&self.v, &u.v);
             for i in 0..MAX_AXES {
                 self.v[i] -= share * u.v[i];
                 self.mv[i] -= share * u.mv[i];
             }
         }
-        let size = norm(&self.v);
+        let size = norm::<BaselineF64>(&self.v);
         (size > 1e-10).then(|| self.scaled(1.0 / size))
     }
 }
@@ -186,7 +186,7 @@ impl ImagePair {
 /// Computes the Rayleigh–Ritz values of an orthonormal pair: the rotated unit vectors, that of the smaller value first,
 /// and the square root of that value.
 fn ritz_pair(u: &ImagePair, v: &ImagePair) -> ([AxisVec; 2], f64) {
-    let (a, b, d) = (dot(&u.v, &u.mv), dot(&u.v, &v.mv), dot(&v.v, &v.mv));
+    let (a, b, d) = (dot::<BaselineF64>(&u.v, &u.mv), dot::<BaselineF64>(&u.v, &v.mv), dot::<BaselineF64>(&v.v, &v.mv));
     let half = 0.5 * (a - d);
     let (x, y) = smaller_eigenvector(half, (half * half + b * b).sqrt(), b);
     let (mut min_vectors, mut image) = ([[0.0; MAX_AXES]; 2], [0.0; MAX_AXES]);
@@ -195,7 +195,7 @@ fn ritz_pair(u: &ImagePair, v: &ImagePair) -> ([AxisVec; 2], f64) {
         min_vectors[1][i] = x * v.v[i] - y * u.v[i];
         image[i] = x * u.mv[i] + y * v.mv[i];
     }
-    (min_vectors, dot(&min_vectors[0], &image).max(0.0).sqrt())
+    (min_vectors, dot::<BaselineF64>(&min_vectors[0], &image).max(0.0).sqrt())
 }
 
 /// Returns `u`, a unit vector orthogonal to it (zero with a single axis) as start of the next step, and the value of
@@ -206,29 +206,30 @@ fn restart(gram: &Mat6, u: &AxisVec, k: usize) -> ([AxisVec; 2], f64) {
     let mut unit = ImagePair { v: [0.0; MAX_AXES], mv: [0.0; MAX_AXES] };
     unit.v[(0..k.min(MAX_AXES)).fold(0, |best, i| if u[i].abs() < u[best].abs() { i } else { best })] = 1.0;
     let second = unit.orthogonalize(&ImagePair { v: *u, mv: [0.0; MAX_AXES] }).map_or([0.0; MAX_AXES], |image| image.v);
-    ([*u, second], dot(u, &apply(gram, u)).max(0.0).sqrt())
+    ([*u, second], dot::<BaselineF64>(u, &apply::<BaselineF64>(gram, u)).max(0.0).sqrt())
 }
 
 #[inline(always)]
-fn apply(m: &Mat6, v: &AxisVec) -> AxisVec {
+fn apply<A: RealOps<Real = f64>>(m: &Mat6, v: &AxisVec) -> AxisVec {
     let mut out = [0.0; MAX_AXES];
     for j in 0..MAX_AXES {
         for i in 0..MAX_AXES {
-            out[i] += m[i][j] * v[j];
+            out[i] = A::fma(m[i][j], v[j], out[i]);
         }
     }
     out
 }
 
 #[inline(always)]
-fn dot(a: &AxisVec, b: &AxisVec) -> f64 {
+fn dot<A: RealOps<Real = f64>>(a: &AxisVec, b: &AxisVec) -> f64 {
     // Pairwise summation: a sequential sum would be one long dependency chain.
-    (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
+    let (first, second) = (A::fma(a[1], b[1], a[0] * b[0]), A::fma(a[3], b[3], a[2] * b[2]));
+    (first + second) + A::fma(a[5], b[5], a[4] * b[4])
 }
 
 #[inline(always)]
-fn norm(v: &AxisVec) -> f64 {
-    dot(v, v).sqrt()
+fn norm<A: RealOps<Real = f64>>(v: &AxisVec) -> f64 {
+    A::sqrt(dot::<A>(v, v))
 }
 
 #[cfg(test)]
@@ -236,7 +237,7 @@ mod tests {
     use super::*;
     use crate::MAX_JOINTS;
     use crate::math::rows::{load_rows, weighted_gram};
-    use crate::math::simd::{BaselineF64, JointVec16};
+    use crate::math::simd::JointVec16;
 
     #[test]
     fn singular_values_agree_with_an_svd() {

@@ -1,6 +1,6 @@
 //! 3-vector and 3×3 matrix algebra of the control step, for one configuration or several.
 
-use super::simd::{BaselineF64, RealOps};
+use super::simd::RealOps;
 
 /// 3-vector, of one configuration or of several.
 pub(crate) type Vec3<R = f64> = [R; 3];
@@ -86,24 +86,26 @@ pub(crate) fn splat_matrix<A: RealOps>(m: &Mat3) -> Mat3<A::Real> {
 
 /// Returns `a + s b`.
 #[inline(always)]
-pub(crate) fn add_scaled(a: &[f64; 3], s: f64, b: &[f64; 3]) -> [f64; 3] {
-    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
+pub(crate) fn add_scaled<A: RealOps>(a: &Vec3<A::Real>, s: A::Real, b: &Vec3<A::Real>) -> Vec3<A::Real> {
+    [A::fma(s, b[0], a[0]), A::fma(s, b[1], a[1]), A::fma(s, b[2], a[2])]
 }
 
 /// Returns the Euclidean norm of `v`.
 #[inline(always)]
-pub(crate) fn norm(v: [f64; 3]) -> f64 {
-    (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt()
+pub(crate) fn norm<A: RealOps>(v: &Vec3<A::Real>) -> A::Real {
+    A::sqrt(dot::<A>(v, v))
 }
 
 /// Returns one step of the iteration `R (3 I − RᵀR) / 2`, which keeps a product of many rotations orthonormal.
-pub(crate) fn orthonormal(r: &Mat3) -> Mat3 {
-    let mut correction = [[0.0; 3]; 3];
+#[inline(always)]
+pub(crate) fn orthonormal<A: RealOps>(r: &Mat3<A::Real>) -> Mat3<A::Real> {
+    let (half, mut correction) = (A::splat(0.5), [[A::splat(0.0); 3]; 3]);
     for i in 0..3 {
-        for j in 0..3 {
-            let dot = r[0][i] * r[0][j] + r[1][i] * r[1][j] + r[2][i] * r[2][j];
-            correction[i][j] = if i == j { 1.5 - 0.5 * dot } else { -0.5 * dot };
+        for j in 0..=i {
+            let dot = dot::<A>(&[r[0][i], r[1][i], r[2][i]], &[r[0][j], r[1][j], r[2][j]]);
+            let value = A::fnma(half, dot, A::splat(if i == j { 1.5 } else { 0.0 }));
+            (correction[i][j], correction[j][i]) = (value, value);
         }
     }
-    multiply::<BaselineF64>(r, &correction)
+    multiply::<A>(r, &correction)
 }

@@ -2,7 +2,7 @@
 
 use crate::math::rotation::{rotation_matrix, rotation_matrix_by, task_to_base};
 use crate::math::simd::{BaselineF64, RealOps};
-use crate::math::spatial::{add_scaled, multiply, norm, orthonormal};
+use crate::math::spatial::{add, add_scaled, dot, multiply, norm, orthonormal, scale, sub};
 use crate::params::Params;
 use crate::pose::Pose;
 use crate::task::{pose_error, pose_error_by};
@@ -110,10 +110,12 @@ impl ReferenceGovernor {
                 self.velocity[3 * b + i] -= max * d[i] / dt;
             }
             if b == 0 {
-                self.pose.position = add_scaled(&before.position, 1.0, &part(&moved));
+                self.pose.position = add::<BaselineF64>(&before.position, &part(&moved));
             } else {
-                self.pose.rotation =
-                    orthonormal(&multiply::<BaselineF64>(&rotation_matrix(part(&moved)), &before.rotation));
+                self.pose.rotation = orthonormal::<BaselineF64>(&multiply::<BaselineF64>(
+                    &rotation_matrix(part(&moved)),
+                    &before.rotation,
+                ));
             }
         }
     }
@@ -130,7 +132,7 @@ impl ReferenceGovernor {
         for (block, (&arrived, &max)) in self.arrived().iter().zip(&speed).enumerate() {
             if arrived {
                 let from = 3 * block;
-                let bounded = clamp_norm([twist[from], twist[from + 1], twist[from + 2]], max);
+                let bounded = clamp_norm::<BaselineF64>([twist[from], twist[from + 1], twist[from + 2]], max);
                 out[from..from + 3].copy_from_slice(&bounded);
             }
         }
@@ -159,12 +161,18 @@ impl ReferenceGovernor {
         let mut blocks = [([0.0; 3], true); 2];
         for (b, block) in blocks.iter_mut().enumerate() {
             let part = |v: &[f64; 6]| [v[3 * b], v[3 * b + 1], v[3 * b + 2]];
-            let (target_velocity_now, fast) = target_velocity(part(&moved), speed[b], dt);
+            let (target_velocity_now, fast) = target_velocity::<A>(part(&moved), speed[b], dt);
             // The reference may decelerate as fast as its target, so that it does not overshoot.
             let braked = (self.target_speed[b] - fast).max(0.0);
             self.target_speed[b] = fast;
-            *block =
-                approach(part(&e), part(&self.velocity), target_velocity_now, speed[b], [acceleration[b], braked], dt);
+            *block = approach::<A>(
+                part(&e),
+                part(&self.velocity),
+                target_velocity_now,
+                speed[b],
+                [acceleration[b], braked],
+                dt,
+            );
         }
         let [(linear, at_position), (angular, at_rotation)] = blocks;
         self.target = *target;
@@ -172,14 +180,14 @@ impl ReferenceGovernor {
             self.pose.position = target.position;
         } else {
             for i in 0..3 {
-                self.pose.position[i] += linear[i] * dt;
+                self.pose.position[i] = A::fma(linear[i], dt, self.pose.position[i]);
             }
         }
         if at_rotation {
             self.pose.rotation = target.rotation;
         } else {
             let turn = rotation_matrix_by::<A>([angular[0] * dt, angular[1] * dt, angular[2] * dt]);
-            self.pose.rotation = orthonormal(&multiply::<BaselineF64>(&turn, &self.pose.rotation));
+            self.pose.rotation = orthonormal::<A>(&multiply::<A>(&turn, &self.pose.rotation));
         }
         self.velocity = [linear[0], linear[1], linear[2], angular[0], angular[1], angular[2]];
         self.pose
@@ -226,9 +234,9 @@ impl ReferenceHold<'_> {
 /// Returns the velocity of a target that moved by `moved` in `dt` [s], and its norm; zero for a jump, a motion faster
 /// than `speed`.
 #[inline(always)]
-fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
-    let velocity = add_scaled(&[0.0; 3], 1.0 / dt, &moved);
-    let size = norm(velocity);
+fn target_velocity<A: RealOps<Real = f64>>(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
+    let velocity = scale::<A>(1.0 / dt, &moved);
+    let size = norm::<A>(&velocity);
     if size <= speed { (velocity, size) } else { ([0.0; 3], 0.0) }
 }
 
@@ -237,7 +245,7 @@ fn target_velocity(moved: [f64; 3], speed: f64, dt: f64) -> ([f64; 3], f64) {
 ///
 /// `max` holds the largest acceleration, and an additional change of velocity that is allowed in this period.
 #[inline(always)]
-fn approach(
+fn approach<A: RealOps<Real = f64>>(
     d: [f64; 3],
     v: [f64; 3],
     target_velocity_now: [f64; 3],
@@ -249,28 +257,28 @@ fn approach(
         return ([0.0; 3], true);
     }
     // A speed limit that was lowered during the motion takes effect at once.
-    let v = clamp_norm(v, speed);
-    let behind = add_scaled(&d, -dt, &target_velocity_now);
-    let distance = norm(behind);
+    let v = clamp_norm::<A>(v, speed);
+    let behind = add_scaled::<A>(&d, -dt, &target_velocity_now);
+    let distance = norm::<A>(&behind);
     // Speed from which braking for `periods` ends exactly at the target: the discrete √(2 a d). ∞ is clamped to
     // f64::MAX, because 0 · ∞ would be NaN.
     let step = (max[0] * dt).min(f64::MAX);
     let periods = (0.5 * ((1.0 + 8.0 * distance / (step * dt)).sqrt() - 1.0)).ceil().max(1.0);
     let braking = distance / (periods * dt) + 0.5 * step * (periods - 1.0);
     let closing = if distance > 0.0 { braking / distance } else { 0.0 };
-    let wanted = clamp_norm(add_scaled(&target_velocity_now, closing, &behind), speed);
-    let change = clamp_norm(add_scaled(&wanted, -1.0, &v), step + max[1]);
-    let next = add_scaled(&v, 1.0, &change);
-    let miss = add_scaled(&d, -dt, &next);
-    (next, norm(miss) <= 1e-12 + 1e-9 * norm(d))
+    let wanted = clamp_norm::<A>(add_scaled::<A>(&target_velocity_now, closing, &behind), speed);
+    let change = clamp_norm::<A>(sub::<A>(&wanted, &v), step + max[1]);
+    let next = add::<A>(&v, &change);
+    let miss = add_scaled::<A>(&d, -dt, &next);
+    (next, norm::<A>(&miss) <= 1e-12 + 1e-9 * norm::<A>(&d))
 }
 
 /// Returns `v`, scaled down to the norm `max` if it is longer.
 #[inline(always)]
-fn clamp_norm(v: [f64; 3], max: f64) -> [f64; 3] {
+fn clamp_norm<A: RealOps<Real = f64>>(v: [f64; 3], max: f64) -> [f64; 3] {
     // Compute the root only if the vector is too long.
-    let squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
-    if squared > max * max { add_scaled(&[0.0; 3], max / squared.sqrt(), &v) } else { v }
+    let squared = dot::<A>(&v, &v);
+    if squared > max * max { scale::<A>(max / A::sqrt(squared), &v) } else { v }
 }
 
 #[cfg(test)]
@@ -286,10 +294,10 @@ mod tests {
         for tick in 0..400 {
             let pose = governor.update::<BaselineF64>(&target, [0.25, 1.0], [1.0, 4.0], 0.01);
             let v = governor.velocity;
-            let linear = norm([v[0], v[1], v[2]]);
-            let angular = norm([v[3], v[4], v[5]]);
+            let linear = norm::<BaselineF64>(&[v[0], v[1], v[2]]);
+            let angular = norm::<BaselineF64>(&[v[3], v[4], v[5]]);
             assert!(linear <= 0.25 + 1e-12 && angular <= 1.0 + 1e-12, "tick {tick}: {linear} {angular}");
-            let change = norm([v[0] - before[0], v[1] - before[1], v[2] - before[2]]);
+            let change = norm::<BaselineF64>(&[v[0] - before[0], v[1] - before[1], v[2] - before[2]]);
             assert!(change <= 0.01 + 1e-12, "tick {tick}: {change} m/s in one tick");
             before = v;
             if tick == 399 {
@@ -343,7 +351,10 @@ mod tests {
             governor
         };
         let waiting = gone(&far(5.0, 0.0), 1.0);
-        assert!(norm(waiting.pose.position) < 1e-12 && pose_error(&Pose::IDENTITY, &waiting.pose)[5].abs() < 1e-12);
+        assert!(
+            norm::<BaselineF64>(&waiting.pose.position) < 1e-12
+                && pose_error(&Pose::IDENTITY, &waiting.pose)[5].abs() < 1e-12
+        );
         assert!(waiting.velocity.iter().all(|v| v.abs() < 1e-9) && waiting.arrived() == [false; 2]);
         let sideways = gone(&far(0.0, 5.0), 1.0).pose.position;
         assert!(sideways[1] > 0.08 && sideways[0].abs() < 1e-12);
