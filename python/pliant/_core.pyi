@@ -2869,6 +2869,19 @@ class PositionFilter:
             ShapeError: An array does not have N entries.
         """
 
+    def assume(self, position: ArrayLike, time: float) -> None:
+        """Store assumed positions for the joints that have not been read yet.
+
+        The first reading of a joint replaces its assumed position, however far it lies from it.
+
+        Args:
+            position: Positions (N,) [rad]; any number for joints that have been read.
+            time: Time of the assumption [s].
+
+        Raises:
+            ShapeError: The array does not have N entries.
+        """
+
     def implausible(self, count: int) -> list[tuple[int, float]]:
         """Return the joints whose last `count` or more positions in a row were implausible.
 

@@ -397,15 +397,11 @@ class ArmIO:
             if self.sample().all():
                 break
             self.clock.wait_until(self.clock.now() + 1.0 / rate)
-        unknown = np.isnan(self.positions.position)
-        if unknown.any():
-            last = self.drive.read().position
-            self.positions.position = np.where(unknown, last, self.positions.position)
-            self.positions.time = np.where(unknown, self.clock.now(), self.positions.time)
+        if np.isnan(self.positions.position).any():
+            self.positions.assume(self.drive.read().position, self.clock.now())
         goals = np.where(has_torque, goals, self.positions.position)
         limits = np.where(has_torque, limits, 0.0)
-        self._sent = goals, limits
-        self.goal, self.limit = goals[self.joints.chain], limits[self.joints.chain]
+        self._goals, self._limits, self._is_sent = goals, limits, True
         self.orders = {
             name: (float(goals[i]), float(limits[i]))
             for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True)

@@ -423,6 +423,18 @@ fn a_jump_of_a_position_is_rejected_until_the_joint_can_have_moved_there() {
     assert!(PositionFilter::new(&[1.0, f64::NAN]).unwrap_err().to_string().contains("max_speed[1]"));
 }
 
+#[test]
+fn an_assumed_position_lasts_until_the_first_reading() {
+    let mut filter = PositionFilter::new(&[1.0, 0.0]).unwrap();
+    assert_eq!(filter.update(&[0.1, f64::NAN], &[true, false], &[0.0; 2]), [true, false]);
+    filter.assume(&[5.0, 2.0], 0.01);
+    assert_eq!(filter.position(), [0.1, 2.0]);
+    // Far from the assumed position, and a speed limit of 0.
+    assert_eq!(filter.update(&[0.1, -1.0], &[true, true], &[0.02; 2]), [true, true]);
+    assert_eq!(filter.position(), [0.1, -1.0]);
+    assert_eq!(filter.update(&[0.1, 2.0], &[true, true], &[0.03; 2]), [true, false]);
+}
+
 /// Returns a limiter of the seven joints in reverse order after a gripper, and a thermal model of all eight.
 fn limiter(model: &Model) -> (CommandLimiter, ThermalModel) {
     let (kp, torque) = ([KP; 8], [TORQUE; 8]);

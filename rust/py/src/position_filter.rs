@@ -66,6 +66,13 @@ impl PositionFilter {
         Ok(PyArray1::from_slice(position.py(), accepted))
     }
 
+    #[doc = stub!(PositionFilter.assume)]
+    fn assume(&mut self, position: &Bound<'_, PyAny>, time: f64) -> PyResult<()> {
+        array_into("position", position, &[self.ok.len()], &mut self.position)?;
+        self.core.assume(&self.position, time);
+        Ok(())
+    }
+
     #[doc = stub!(PositionFilter.implausible)]
     fn implausible(&self, count: u32) -> Vec<(usize, f64)> {
         let rows = self.core.rejected().iter().zip(self.core.jump()).enumerate();

@@ -90,6 +90,16 @@ impl PositionFilter {
         &self.jump
     }
 
+    /// Stores assumed positions (N) [rad] at `time` [s] for the joints that have not been read yet; the first reading of
+    /// each replaces its assumed position, however far it lies from it.
+    pub fn assume(&mut self, position: &[f64], time: f64) {
+        for i in 0..self.max_speed.len().min(position.len()) {
+            if self.last[i] == f64::NEG_INFINITY {
+                (self.position[i], self.time[i]) = (position[i], time);
+            }
+        }
+    }
+
     /// Stores the plausible ones of the positions (N) [rad]; returns true for their joints (N).
     ///
     /// `ok` (N) is true for the joints that were read in this cycle, `time` (N) holds the sample times [s]. Joints
@@ -101,7 +111,7 @@ impl PositionFilter {
             if !(ok[i] && position[i].is_finite()) {
                 continue;
             }
-            let is_first = self.position[i].is_nan();
+            let is_first = self.last[i] == f64::NEG_INFINITY;
             let gap = if is_first { 0.0 } else { time[i] - self.last[i] };
             self.last[i] = time[i];
             if self.rejected[i] == 0 || gap > READING_GAP {
