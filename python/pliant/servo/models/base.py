@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import nan
 from struct import Struct
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -91,8 +91,18 @@ class Layout:
             here = address + register.size
             if register.sign not in {"unsigned", "twos"}:
                 self._sign_bits.append((place, 1 << int(register.sign[3:])))
-        self._struct = Struct(code + "x" * (end - here))
+        self._format = code + "x" * (end - here)
+        self._struct = Struct(self._format)
         self._zeros = (0,) * len(rows)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: a `Struct` cannot be, but its format can."""
+        return {name: value for name, value in self.__dict__.items() if name != "_struct"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the layout from what was pickled."""
+        self.__dict__.update(state)
+        self._struct = Struct(self._format)
 
     def decode(self, data: bytes) -> dict[str, int]:
         """Return the values of the registers by name from the bytes of the block."""
