@@ -118,7 +118,7 @@ class Arms:
         given = np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0)
         moved, softness = np.split(given, [given.shape[1] - self._softest.size], axis=1)
         self._softness[rows] = softness[rows]
-        before, cost, largest = self._progress(), np.zeros(self._count), np.zeros(self._count)
+        before, cost, largest = self.progress(), np.zeros(self._count), np.zeros(self._count)
         dt = 1.0 / RATE
         drive = self._start(moved, rows)
         for _ in range(self._ticks):
@@ -137,7 +137,7 @@ class Arms:
             felt = self._contact[row].estimate
             self._dq[row], self._felt[row] = felt.velocity, felt.force
             self._uncertainty[row] = np.minimum(felt.uncertainty, MAX_WRENCH)
-        progress = self._progress()
+        progress = self.progress()
         success, failure = progress >= 1.0, largest > self._task.max_force
         return progress - before - cost + success - failure, success, failure
 
@@ -169,7 +169,8 @@ class Arms:
             **episode.parameters,
         }
 
-    def _progress(self) -> Array:
+    def progress(self) -> Array:
+        """Return the progress of each episode (N,); 0 for an arm without one."""
         return np.array([0.0 if e is None else e.progress for e in self.episodes])
 
     def _start(self, moved: Array, rows: Mask) -> Callable[[float], None]:
