@@ -43,13 +43,17 @@ def test_a_policy_without_gains_is_its_constant_action():
 @pytest.mark.slow
 def test_a_search_measures_its_mean_and_draws(monkeypatch, tmp_path):
     for name, value in {
-        "DOORS": 1, "CANDIDATES": 4, "GENERATIONS": 2, "TEST_EVERY": 2, "STEPS": 10,
-        "TEST_DOORS": 2, "TEST_SEEDS": [7, 8],
+        "DOORS": 1, "CANDIDATES": 4, "GENERATIONS": {"policy": 2}, "MEASURE_EVERY": 2, "STEPS": 10,
+        "VALIDATION": [7, 8], "TEST": [9, 10, 11],
     }.items():  # fmt: skip
         monkeypatch.setattr(learned, name, value)
-    measured = learned.search("policy", 1)
-    assert [one["episodes"] for one in measured] == [0, 8]
-    assert measured[0]["parameters"] != measured[1]["parameters"]
-    assert measured[0]["cost"] >= measured[0]["force"] > 0.0
-    learned.draw(measured, tmp_path / "curve.png")
+    first, second, last = learned.search("policy", 1)
+    assert [first["episodes"], second["episodes"]] == [0, 8]
+    assert first["parameters"] != second["parameters"]
+    assert first["cost"] >= first["force"] > 0.0
+    best = min((first, second), key=lambda one: one["cost"])
+    assert last["parameters"] == best["parameters"]
+    assert last["episodes"] == best["episodes"]
+    assert last["cost"] != best["cost"], "the test doors are other doors"
+    learned.draw([first, second, last], tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 1000
