@@ -3,11 +3,11 @@
     python -m experiments.learned_softness            three seeds of both searches, then the picture
     python -m experiments.learned_softness --draw     only the picture, from the last results
 
-CMA-ES searches two kinds of parameters with the same doors and the same start: a constant action
-(pull, sideways, turn, and the softness of y and yaw), and a policy whose action depends linearly on
-how far the tool has turned and on the felt force. The constant action gets twice the episodes. The
-cost of an episode is the largest force in the grip [N] plus 100 N times the part of the 60° that is
-missing. After each few generations the mean of the search opens validation doors, which no search
+CMA-ES searches two kinds of parameters with the same number of episodes, the same doors and the
+same start: a constant action (pull, sideways, turn, and the softness of y and yaw), and a policy
+whose action depends linearly on how far the tool has turned and on the felt force. The cost of an
+episode is the largest force in the grip [N] plus 100 N times the part of the 60° that is missing.
+After each few generations the mean of the search opens validation doors, which no search
 has seen; the best of these means opens the test doors once.
 """
 
@@ -29,10 +29,8 @@ import pliant.gym  # noqa: F401 - registers the environments
 if TYPE_CHECKING:
     from pliant._typing import Array
 
-#: Doors per candidate, candidates per generation.
-DOORS, CANDIDATES = 6, 10
-#: Generations of the search.
-GENERATIONS = {"constant": 40, "policy": 20}
+#: Doors per candidate, candidates per generation, generations.
+DOORS, CANDIDATES, GENERATIONS = 6, 10, 20
 #: Generations between two measurements of the mean of the search.
 MEASURE_EVERY = 5
 #: Seeds of the doors that validate these means, and of those that test the best of them; no search
@@ -115,13 +113,13 @@ def search(kind: str, seed: int) -> list[dict[str, Any]]:
     trial, validation = Trial(CANDIDATES * DOORS), Trial(len(VALIDATION))
     measured: list[dict[str, Any]] = []
     start = time.process_time()
-    for generation in range(GENERATIONS[kind] + 1):
+    for generation in range(GENERATIONS + 1):
         if generation % MEASURE_EVERY == 0:
             one = measure(validation, optimizer.mean.reshape(mean.shape), VALIDATION)
             one |= {"doors": "validation", "episodes": generation * CANDIDATES * DOORS}
             measured.append(one | {"cpu_seconds": time.process_time() - start})
             print(kind, seed, {k: v for k, v in one.items() if k != "parameters"}, flush=True)
-        if generation < GENERATIONS[kind]:
+        if generation < GENERATIONS:
             asked = [optimizer.ask() for _ in range(CANDIDATES)]
             gains = np.repeat(np.array(asked).reshape(-1, *mean.shape), DOORS, axis=0)
             doors = [1000 * (100 * seed + generation) + door for door in range(DOORS)]

@@ -43,7 +43,7 @@ def test_a_policy_without_gains_is_its_constant_action():
 @pytest.mark.slow
 def test_a_search_measures_its_mean_and_draws(monkeypatch, tmp_path):
     for name, value in {
-        "DOORS": 1, "CANDIDATES": 4, "GENERATIONS": {"policy": 2}, "MEASURE_EVERY": 2, "STEPS": 10,
+        "DOORS": 1, "CANDIDATES": 4, "GENERATIONS": 2, "MEASURE_EVERY": 2, "STEPS": 10,
         "VALIDATION": [7, 8], "TEST": [9, 10, 11],
     }.items():  # fmt: skip
         monkeypatch.setattr(learned, name, value)
