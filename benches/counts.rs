@@ -196,14 +196,21 @@ fn stages() -> Vec<(String, Work)> {
             ));
         }
     }
-    let controller = Controller::new(Arc::clone(&model), soft_y(Law::Cap), Some(servos())).expect("as above");
+    stages.push(batch_with_row_caps(&model, &states));
+    stages
+}
+
+/// Returns the stage of a batch in which each arm has force caps and adaptation of its own.
+fn batch_with_row_caps(model: &Arc<Model>, states: &States) -> (String, Work) {
+    let controller =
+        Controller::new(Arc::clone(model), soft_y(Law::Cap), Some(servos())).expect("settings that fit the bench arm");
     let mut state = BatchState::new(model.n(), STATES).expect("a small one");
     let q = states.iter().flat_map(|(q, _)| q.clone()).collect::<Vec<f64>>();
     let targets = states.iter().flat_map(|(_, target)| target.to_rows().concat()).collect::<Vec<f64>>();
     let mut out = [vec![0.0; q.len()], vec![0.0; q.len()], vec![0.0; q.len()]];
     let of_y = |value| [f64::NAN, value, f64::NAN, f64::NAN, f64::NAN, f64::NAN].repeat(STATES);
     let (caps, adaptation) = (of_y(2.0), of_y(0.5));
-    stages.push((
+    (
         "batch cap, state, row caps".into(),
         Box::new(move || {
             let input = BatchInput {
@@ -215,8 +222,7 @@ fn stages() -> Vec<(String, Work)> {
             let out = BatchCommand { goal, torque_limit, velocity };
             black_box(controller.step_batch(&input, Some(&mut state), out).is_ok());
         }),
-    ));
-    stages
+    )
 }
 
 /// Runs one round over all states, which callgrind counts; `benches/counts.py` finds the function by its name.

@@ -67,6 +67,13 @@ pub(crate) struct AxisParams {
     pub(crate) soft_step_limit: f64,
 }
 
+impl AxisParams {
+    /// Returns true if the axis yields to a push in either direction.
+    pub(crate) fn is_compliant(&self) -> bool {
+        self.yields.iter().any(|&side| side > 0.0)
+    }
+}
+
 /// Deviation limit of one task axis.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DeviationLimit {

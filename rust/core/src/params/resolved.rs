@@ -168,9 +168,8 @@ impl Params {
         joint_space_stats: &mut JointSpaceStats,
     ) -> Result<Self> {
         settings.validate()?;
-        let n = model.n();
         let axes: Vec<usize> = (0..MAX_AXES).filter(|&axis| settings.task.axes[axis]).collect();
-        let k = axes.len();
+        let (n, k) = (model.n(), axes.len());
         check_axes(settings, k, n)?;
         let expanded = servos.map(|s| s.for_joints(n)).transpose()?;
         let arrays = ServoArrays::new(n, expanded.as_ref(), model.effort_limit());

@@ -2,7 +2,7 @@
 
 use crate::MAX_AXES;
 use crate::error::{Error, Result};
-use crate::params::{AXIS_NAMES, AxisParams, Params};
+use crate::params::{AXIS_NAMES, Params};
 
 /// Force caps [N, N·m; N·m under law `paper`] and adaptation η of one arm of a batch, in the order of the axes' names;
 /// `None` for those of the settings.
@@ -12,10 +12,24 @@ pub(crate) struct RowAxes<'a> {
     pub(crate) adaptation: Option<&'a [f64]>,
 }
 
+impl RowAxes<'_> {
+    /// Returns true if all axes have the values of the settings.
+    #[inline(always)]
+    fn is_empty(self) -> bool {
+        self.caps.is_none() && self.adaptation.is_none()
+    }
+}
+
 impl Params {
     /// Checks the caps and the adaptation of arm `row` of a batch: within their bounds for axes that yield, NaN for the
     /// others.
+    #[inline(always)]
     pub(crate) fn check_row_axes(&self, row: usize, axes: RowAxes<'_>) -> Result<()> {
+        if axes.is_empty() { Ok(()) } else { self.check_values(row, axes) }
+    }
+
+    #[inline(never)]
+    fn check_values(&self, row: usize, axes: RowAxes<'_>) -> Result<()> {
         let each = |argument: &str, values: Option<&[f64]>, check: &dyn Fn(usize, f64) -> Result<()>| {
             for (axis, &value) in values.into_iter().flatten().enumerate() {
                 let name = AXIS_NAMES.get(axis).copied().unwrap_or_default();
@@ -59,11 +73,18 @@ impl Params {
     }
 
     /// Replaces caps and adaptation of the axes that yield; the values are checked.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn set_row_axes(&mut self, axes: RowAxes<'_>) {
+        if !axes.is_empty() {
+            self.set_values(axes);
+        }
+    }
+
+    #[inline(never)]
+    fn set_values(&mut self, axes: RowAxes<'_>) {
         for r in 0..self.k.min(MAX_AXES) {
-            let AxisParams { axis, yields, .. } = self.per_axis[r];
-            if yields == [0.0; 2] {
+            let axis = self.per_axis[r].axis;
+            if !self.per_axis[r].is_compliant() {
                 continue;
             }
             let rows = &mut self.axis_simd;
@@ -81,6 +102,6 @@ impl Params {
     /// Returns the task row of this axis if it yields.
     fn row_that_yields(&self, axis: usize) -> Option<usize> {
         let rows = self.per_axis.iter().take(self.k);
-        rows.enumerate().find(|(_, row)| row.axis == axis && row.yields != [0.0; 2]).map(|(r, _)| r)
+        rows.enumerate().find(|(_, row)| row.axis == axis && row.is_compliant()).map(|(r, _)| r)
     }
 }
