@@ -11,8 +11,8 @@ use pliant_core::analysis::report;
 use pliant_core::params::{Axis, CompliantSide, Frame, Law, NullSpace, PaperOptions, Task};
 use pliant_core::task::pose_error;
 use pliant_core::{
-    BatchCommand, BatchInput, BatchState, Controller, JointFrames, JointVec, MAX_AXES, MAX_JOINTS, Model, OnInvalid,
-    Pose, Settings, StepInput, Targets,
+    BatchCommand, BatchInput, BatchState, Controller, JointFrames, JointVec, MAX_AXES, MAX_JOINTS, Model, Pose,
+    Settings, StepInput, Targets,
 };
 
 mod setup;
@@ -203,8 +203,7 @@ fn stages() -> Vec<(String, Work)> {
                 name,
                 Box::new(move || {
                     let targets = Targets::Poses(&targets);
-                    let input =
-                        BatchInput { q: black_box(&q), targets, dt: None, dq: None, invalid: OnInvalid::default() };
+                    let input = BatchInput::new(black_box(&q), targets);
                     let [goal, torque_limit, velocity] = &mut out;
                     let out = BatchCommand { goal, torque_limit, velocity };
                     black_box(controller.step_batch(&input, state.as_mut(), out).is_ok());
@@ -213,7 +212,33 @@ fn stages() -> Vec<(String, Work)> {
         }
     }
     stages.push(("report cap".into(), report_stage(&model, &states)));
+    stages.push(batch_with_row_caps(&model, &states));
     stages
+}
+
+/// Returns the stage of a batch in which each arm has force caps and adaptation of its own.
+fn batch_with_row_caps(model: &Arc<Model>, states: &States) -> (String, Work) {
+    let controller =
+        Controller::new(Arc::clone(model), soft_y(Law::Cap), Some(servos())).expect("settings that fit the bench arm");
+    let mut state = BatchState::new(model.n(), STATES).expect("a small one");
+    let q = states.iter().flat_map(|(q, _)| q.clone()).collect::<Vec<f64>>();
+    let targets = states.iter().flat_map(|(_, target)| target.to_rows().concat()).collect::<Vec<f64>>();
+    let mut out = [vec![0.0; q.len()], vec![0.0; q.len()], vec![0.0; q.len()]];
+    let of_y = |value| [f64::NAN, value, f64::NAN, f64::NAN, f64::NAN, f64::NAN].repeat(STATES);
+    let (caps, adaptation) = (of_y(2.0), of_y(0.5));
+    (
+        "batch cap, state, row caps".into(),
+        Box::new(move || {
+            let input = BatchInput {
+                caps: Some(&caps),
+                adaptation: Some(&adaptation),
+                ..BatchInput::new(black_box(&q), Targets::Poses(&targets))
+            };
+            let [goal, torque_limit, velocity] = &mut out;
+            let out = BatchCommand { goal, torque_limit, velocity };
+            black_box(controller.step_batch(&input, Some(&mut state), out).is_ok());
+        }),
+    )
 }
 
 /// Runs one round over all states, which callgrind counts; `benches/counts.py` finds the function by its name.

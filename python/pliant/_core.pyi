@@ -1973,6 +1973,8 @@ class Controller:
         state: BatchState | None = None,
         dt: float | None = None,
         dq: ArrayLike | None = None,
+        caps: ArrayLike | None = None,
+        adaptation: ArrayLike | None = None,
         invalid: Literal["raise", "nan"] = "raise",
         out: Command | tuple[_Array, _Array, _Array] | None = None,
     ) -> Command:
@@ -1992,9 +1994,14 @@ class Controller:
             state: State from `batch_state(N)`; changed in place.
             dt: Time since the last step of all arms [s], at most 1; None: 1 / settings.rate.
             dq: Joint velocities (N, n) [rad/s] instead of the filtered ones.
-            invalid: Handling of rows with an invalid q, target or dq: ``"raise"``: an error names
-                the first one before any arm is stepped; ``"nan"``: their command is NaN, their
-                state does not change, and the others are stepped.
+            caps: Force caps (N, 6) of the axes `AXES` in each row [N, N·m; N·m under law `paper`],
+                from 0 to the axis' `hold`; NaN for axes that do not yield. A row equals `step` with
+                settings whose yielding axes have these values as `soft` and `firm`. None: the caps
+                of the settings.
+            adaptation: Adaptation (N, 6) of these axes in each row, likewise.
+            invalid: Handling of rows with an invalid q, target, dq, cap or adaptation:
+                ``"raise"``: an error names the first one before any arm is stepped; ``"nan"``:
+                their command is NaN, their state does not change, and the others are stepped.
             out: Command of a batch, or arrays (N, n) for goals, torque limits and speed limits;
                 saves up to a fifth of the time.
 

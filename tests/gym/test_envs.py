@@ -42,6 +42,13 @@ def test_gymnasiums_own_checks_pass(name):
 
 
 @pytest.mark.slow
+def test_the_checks_of_stable_baselines_pass():
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    for name in TASKS:
+        checker.check_env(gymnasium.make(f"pliant/{name}-v0").unwrapped)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", ["twist", "pose", "joints"])
 def test_a_seed_repeats_an_episode_bit_for_bit(motion):
     env = TaskEnv(Door(), action=SoftAction(motion=motion))

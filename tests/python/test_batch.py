@@ -353,3 +353,69 @@ def test_threads_with_their_own_states_get_what_they_get_alone(model):
         thread.join()
     for a, b in zip(alone, together, strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def row_axes(count, **columns):
+    """Return an array (count, 6) with NaN except in the named columns."""
+    out = np.full((count, 6), np.nan)
+    for name, values in columns.items():
+        out[:, pliant.AXES.index(name)] = values
+    return out
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_each_row_may_have_caps_and_adaptation_of_its_own(model, law):
+    spring = {"stiffness": 200.0} if law == "impedance" else {}
+    axes = {"y": pliant.Axis(soft=0.5, adaptation=0.9, **spring)}
+    settings = LAWS[law].replace(axes=axes)
+    controller = pliant.Controller(model, settings)
+    hold = controller.axes["y"].hold
+    rng = np.random.default_rng(5)
+    caps, adaptation = rng.uniform(0.0, hold, 20), rng.uniform(0.0, 0.9, 20)
+    caps[:2] = 0.0, hold
+    alone = []
+    for cap, eta in zip(caps.tolist(), adaptation.tolist(), strict=True):
+        axis = pliant.Axis(soft=cap, firm=cap, hold=hold, adaptation=eta, **spring)
+        alone.append(pliant.Controller(model, settings.replace(axes={"y": axis})))
+    rows = {"caps": row_axes(20, y=caps), "adaptation": row_axes(20, y=adaptation)}
+    state, other = controller.batch_state(20), controller.batch_state(20)
+    for tick in range(4):
+        q, targets = arms(model, 20, tick)
+        command = controller.step_batch(q, targets, state=state, **rows)
+        for row, own in enumerate(alone):
+            assert same(command, row, own.step(q[row], targets[row]))
+        plain = controller.step_batch(q, targets, state=other)
+    assert not np.array_equal(plain.torque_limit, command.torque_limit)
+
+
+def test_wrong_caps_and_adaptation_are_named(model):
+    controller = pliant.Controller(model, pliant.Settings.soft("y"))
+    q, targets = arms(model, 4)
+    state = controller.batch_state(4)
+    hold = controller.axes["y"].hold
+    good = {"caps": row_axes(4, y=3.0), "adaptation": row_axes(4, y=0.5)}
+    controller.step_batch(q, targets, state=state, **good)
+    kept = pickle.dumps(state)
+    for name, values, kind, said in [
+        (
+            "caps",
+            row_axes(4, y=[1, 1, hold + 1, 1]),
+            "OutOfRangeError",
+            r"caps\[2\]: y \[N\] = .*hold",
+        ),
+        (
+            "caps",
+            row_axes(4, y=-1.0),
+            "OutOfRangeError",
+            r"caps\[0\]: y \[N\] = -1 is outside \[0, ",
+        ),
+        ("caps", row_axes(4), "OutOfRangeError", r"caps\[0\]: y \[N\] = NaN is outside"),
+        ("caps", row_axes(4, y=1.0, z=2.0), "ConfigError", r"caps\[0\]: z: 2 has no effect, .*NaN"),
+        ("caps", np.ones((4, 5)), "ShapeError", r"caps has shape \(4, 5\), expected \(N, 6\)"),
+        ("caps", row_axes(3, y=1.0), "ShapeError", r"caps has shape \(3, 6\), expected \(4, 6\)"),
+        ("adaptation", row_axes(4, y=1.0), "OutOfRangeError", r"adaptation\[0\]: y = 1 is outside"),
+        ("adaptation", row_axes(5, y=0.1), "ShapeError", r"adaptation has shape \(5, 6\)"),
+    ]:
+        with pytest.raises(getattr(pliant, kind), match=said):
+            controller.step_batch(q, targets, state=state, **{**good, name: values})
+        assert pickle.dumps(state) == kept

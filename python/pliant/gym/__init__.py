@@ -5,7 +5,11 @@
     >>> observation, info = env.reset(seed=0)
 
 The import registers `pliant/Door-v0`, `Drawer`, `Plug`, `Wall` and `Wipe`. An action moves the
-target and sets one number per soft axis, from -1 (softest) to 1 (firm).
+target and sets one number per soft axis, from -1 (softest) to 1 (firm). Many arms at once:
+
+    >>> envs = gymnasium.make_vec(
+    ...     "pliant/Door-v0", num_envs=64, vectorization_mode="vector_entry_point"
+    ... )
 """
 
 from pliant._extras import missing
@@ -18,6 +22,7 @@ except ImportError as error:
 from pliant.gym.soft_action import SoftAction
 from pliant.gym.task_env import TaskEnv
 from pliant.gym.tasks import Door, Drawer, Episode, Plug, Task, Wall, Wipe
+from pliant.gym.vector_env import VectorTaskEnv
 
 __all__ = [
     "Door",
@@ -27,6 +32,7 @@ __all__ = [
     "SoftAction",
     "Task",
     "TaskEnv",
+    "VectorTaskEnv",
     "Wall",
     "Wipe",
 ]
@@ -35,6 +41,7 @@ for _task in (Door(), Drawer(), Plug(), Wall(), Wipe()):
     gymnasium.register(
         id=f"pliant/{type(_task).__name__}-v0",
         entry_point="pliant.gym:TaskEnv",
+        vector_entry_point="pliant.gym:VectorTaskEnv",
         kwargs={"task": _task},
         max_episode_steps=round(_task.seconds * _task.decision_rate),
     )

@@ -81,12 +81,22 @@ class SoftAction:
             softness: Numbers in [-1, 1], one per soft axis.
         """
         changed: dict[str, Axis] = dict(settings.axes.items())
-        for name, s in zip(self.axes(settings.task.names), softness.tolist(), strict=True):
-            firm = 0.5 * (1.0 + min(max(s, -1.0), 1.0))
-            cap = hold[name] * MIN_SHARE ** (1.0 - firm)
-            adaptation = MAX_ADAPTATION * (1.0 - firm)
-            changed[name] = Axis(soft=cap, profile="constant", adaptation=adaptation)
+        names = self.axes(settings.task.names)
+        caps, adaptation = self.caps(hold, softness[None])
+        for name, cap, share in zip(names, caps[0].tolist(), adaptation[0].tolist(), strict=True):
+            changed[name] = Axis(soft=cap, profile="constant", adaptation=share)
         return settings.replace(axes=changed)
+
+    def caps(self, hold: dict[str, float], softness: Array) -> tuple[Array, Array]:
+        """Return force caps [N, N·m] and adaptation of the soft axes, each (N, number of axes).
+
+        Args:
+            hold: Force with which each axis holds [N, N·m].
+            softness: Numbers in [-1, 1] (N, number of soft axes); larger ones are clipped.
+        """
+        yielding = 0.5 * (1.0 - np.clip(softness, -1.0, 1.0))
+        largest = np.array([hold[name] for name in self.soft.split()])
+        return largest * MIN_SHARE**yielding, MAX_ADAPTATION * yielding
 
 
 def holding_forces(model: Model, settings: Settings) -> dict[str, float]:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from pliant._typing import Array
     from pliant.sim import Plant
 
+#: Angle of an open door [rad].
+OPEN = float(np.deg2rad(60.0))
 #: Force band in which a surface counts as touched well [N].
 TOUCH = (2.0, 10.0)
 
@@ -30,12 +32,14 @@ class Episode:
         progress: How far the task has come, 0 at the start and 1 at success.
         force: Present force on the tool [N].
         parameters: The random parameters, for `info`.
+        place: Last position of the tool along a path [m]; None before the first tick.
     """
 
     scene: Sequence[Any]
     parameters: dict[str, float]
     progress: float = field(default=0.0, init=False)
     force: float = field(default=0.0, init=False)
+    place: float | None = field(default=None, init=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +66,9 @@ class Task(ABC):
     soft: ClassVar[str] = "y yaw"
     #: Initial joint positions of `arm7` (7,) [rad].
     start: ClassVar[Array] = VERTICAL
+    #: True if MuJoCo alone computes the forces of the scene, so that a control period is one call
+    #: of it; objects then record nothing.
+    native: ClassVar[bool] = False
 
     @abstractmethod
     def episode(self, rng: np.random.Generator) -> Episode:
@@ -84,6 +91,7 @@ class Door(Task):
     radius: tuple[float, float] = (0.2, 0.45)
     friction: tuple[float, float] = (0.2, 3.0)
     start: ClassVar[Array] = AT_DOOR
+    native: ClassVar[bool] = True
 
     def episode(self, rng: np.random.Generator) -> Episode:
         """Return a closed door that opens toward the arm."""
@@ -94,8 +102,8 @@ class Door(Task):
     def update(self, episode: Episode, plant: Plant, dt: float) -> None:
         """Count the opening, and the force in the grip."""
         (door,) = episode.scene
-        episode.progress = min(float(door.widest) / np.deg2rad(60.0), 1.0)
-        episode.force = float(np.linalg.norm(door.force))
+        angle, episode.force = door.measure(plant)
+        episode.progress = max(episode.progress, min(angle / OPEN, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,8 +184,8 @@ class Wipe(Task):
         """Count the distance along y within the force band."""
         episode.force = float(np.linalg.norm(plant.hands[0].force))
         place = float(plant.tool[1, 3])
-        last = episode.parameters.get("y", place)
-        episode.parameters["y"] = place
+        last = place if episode.place is None else episode.place
+        episode.place = place
         if TOUCH[0] <= episode.force <= TOUCH[1]:
             episode.progress = min(episode.progress + abs(place - last) / 0.3, 1.0)
 

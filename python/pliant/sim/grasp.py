@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -97,6 +98,20 @@ class GraspedObject(Fixture):
         plant.mj_data.eq_active[self._grip] = 0
         self._row = None
 
+    def grip_force(self, plant: Plant) -> float:
+        """Return the norm of the force in the closed grip [N] after a physics step, unrecorded."""
+        first = self._first_row(plant.mj_data)
+        return math.hypot(*plant.mj_data.efc_force[first : first + 3].tolist())
+
+    def _first_row(self, data: mujoco.MjData) -> int:
+        """Return the first row of the grip among the constraint forces."""
+        if self._row is None:
+            mine = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
+                data.efc_id == self._grip
+            )
+            self._row = int(np.flatnonzero(mine)[0])
+        return self._row
+
     def after(self, plant: Plant) -> None:
         """Record force and torque in the grip after a physics step.
 
@@ -107,12 +122,8 @@ class GraspedObject(Fixture):
             self.force = self.torque = 0.0
             self.pull = np.zeros(3)
             return
-        if self._row is None:
-            mine = (data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (
-                data.efc_id == self._grip
-            )
-            self._row = int(np.flatnonzero(mine)[0])
-        rows = data.efc_force[self._row : self._row + self._rows]
+        first = self._first_row(data)
+        rows = data.efc_force[first : first + self._rows]
         self.pull = rows[:3].copy()
         self.force = float(np.sqrt(rows[:3] @ rows[:3]))
         counts = data.time > SETTLE

@@ -4,9 +4,9 @@
 
 use std::sync::Arc;
 
-use pliant_core::params::{Law, Tracking};
+use pliant_core::params::{Axis, CompliantSide, Law, Tracking};
 use pliant_core::{
-    BatchInput, BatchState, Controller, Error, ModelOptions, OnInvalid, Pose, Settings, StepInput, Targets,
+    BatchInput, BatchState, Controller, Error, MAX_AXES, ModelOptions, OnInvalid, Pose, Settings, StepInput, Targets,
 };
 
 #[path = "oracle/cases.rs"]
@@ -279,5 +279,138 @@ fn numbers_that_no_step_has_written_harm_nobody() {
         for (limit, goal) in out.0[1].iter().zip(&out.0[0]) {
             assert!(limit.is_nan() == goal.is_nan() && (limit.is_nan() || *limit >= 0.0));
         }
+    }
+}
+
+/// Returns caps and adaptation (`ARMS` × 6) within the bounds of the controller, NaN for axes that do not yield.
+fn row_axes(random: &mut Random, controller: &Controller) -> [Vec<f64>; 2] {
+    let (mut caps, mut adaptation) = (Vec::new(), Vec::new());
+    let strengths = controller.axis_strengths();
+    for _ in 0..ARMS {
+        let mut rows = strengths.iter();
+        for axis in 0..MAX_AXES {
+            let strength = controller.settings().task.axes[axis].then(|| rows.next().unwrap());
+            let yields = controller.settings().axes[axis].compliant_side() != CompliantSide::None;
+            let hold = strength.filter(|_| yields).map_or(f64::NAN, |strength| strength.hold);
+            caps.push(random.pick(&[0.0, 0.3, 1.0]) * hold);
+            adaptation.push(if hold.is_nan() { f64::NAN } else { random.pick(&[0.0, 0.5, 0.9]) });
+        }
+    }
+    [caps, adaptation]
+}
+
+/// Returns the settings of a controller whose yielding axes have the caps and the adaptation of row `row`.
+fn settings_of_row(controller: &Controller, caps: Option<&[f64]>, adaptation: Option<&[f64]>, row: usize) -> Settings {
+    let (mut settings, strengths) = (controller.settings().clone(), controller.axis_strengths());
+    let mut rows = strengths.iter();
+    for axis in 0..MAX_AXES {
+        let Some(strength) = settings.task.axes[axis].then(|| rows.next().unwrap()) else { continue };
+        let user = &mut settings.axes[axis];
+        let yields = user.compliant_side();
+        if yields == CompliantSide::None {
+            continue;
+        }
+        user.yields = Some(yields);
+        if let Some(caps) = caps {
+            (user.soft, user.firm) = (Some([caps[row * MAX_AXES + axis]; 2]), Some([caps[row * MAX_AXES + axis]; 2]));
+            user.hold = Some(strength.hold);
+        }
+        if let Some(adaptation) = adaptation {
+            user.adaptation = adaptation[row * MAX_AXES + axis];
+        }
+    }
+    settings
+}
+
+#[test]
+fn caps_and_adaptation_of_a_row_are_those_of_a_controller_of_its_own() {
+    let (mut random, mut softened) = (Random::new(11), 0);
+    for (index, controller) in controllers(&mut random, 3).into_iter().enumerate() {
+        let (model, n) = (Arc::clone(controller.model()), controller.model().n());
+        let [caps, adaptation] = row_axes(&mut random, &controller);
+        let (caps, adaptation) = ((index % 3 != 1).then_some(&*caps), (index % 3 != 2).then_some(&*adaptation));
+        let mut alone: Vec<Controller> = (0..ARMS)
+            .map(|row| {
+                let settings = settings_of_row(&controller, caps, adaptation, row);
+                Controller::new(Arc::clone(&model), settings, controller.servos().cloned()).unwrap()
+            })
+            .collect();
+        let free = |settings: &Settings| Settings {
+            max_tool_speed: [f64::INFINITY; 2],
+            tracking: Tracking { goal_slew: f64::INFINITY, ..settings.tracking.clone() },
+            ..settings.clone()
+        };
+        let mut fresh = alone[ARMS - 1].clone();
+        fresh.update(free(&settings_of_row(&controller, caps, adaptation, ARMS - 1))).unwrap();
+        let mut state = BatchState::new(n, ARMS).unwrap();
+        let (mut out, mut plain) = (Out::new(ARMS, n), Out::new(ARMS, n));
+        for tick in 0..4 {
+            let arms = Arms::new(&mut random, &model, ARMS);
+            let input = BatchInput { caps, adaptation, ..arms.input(Some(0.01), false) };
+            controller.step_batch(&input, Some(&mut state), out.command()).unwrap();
+            for (row, own) in alone.iter_mut().enumerate() {
+                let step = StepInput { dt: Some(0.01), ..StepInput::default() };
+                let want = single(own, &arms.q[row * n..][..n], &arms.poses[row], &step);
+                assert_eq!(out.row(row, n), want, "arm {row}, tick {tick}, {:?}", own.settings());
+            }
+            controller.step_batch(&input, None, out.command()).unwrap();
+            let (row, step) = (ARMS - 1, StepInput { dt: Some(0.01), ..StepInput::default() });
+            let want = single(&mut fresh.clone(), &arms.q[row * n..], &arms.poses[row], &step);
+            assert_eq!(out.row(row, n), want, "without a state, {:?}", fresh.settings());
+            let input = BatchInput { caps: None, adaptation: None, ..input };
+            controller.step_batch(&input, None, plain.command()).unwrap();
+            softened += (0..ARMS).filter(|&row| out.row(row, n) != plain.row(row, n)).count();
+        }
+    }
+    assert!(softened > 2000, "{softened} rows differ from those with the settings' caps");
+}
+
+#[test]
+fn wrong_caps_and_adaptation_are_named_with_row_and_axis() {
+    let mut random = Random::new(12);
+    let model = seeded::arm(0, &ModelOptions::default());
+    let mut settings = Settings::default();
+    settings.axes[1] = Axis { soft: Some([4.0; 2]), ..Axis::default() };
+    settings.axes[5] = Axis { soft: Some([0.5; 2]), ..Axis::default() };
+    let servos = pliant_core::Servos { stiffness_known: false, ..seeded::servos(0) };
+    let controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
+    let hold = controller.axis_strengths()[1].hold;
+    let arms = Arms::new(&mut random, &model, 80);
+    let (mut state, mut out) = (BatchState::new(7, 80).unwrap(), Out::new(80, 7));
+    let none = f64::NAN;
+    let good = [none, 3.0, none, none, none, 0.2].repeat(80);
+    let eta = [none, 0.9, none, none, none, 0.0].repeat(80);
+    let input = BatchInput { caps: Some(&good), adaptation: Some(&eta), ..arms.input(None, false) };
+    controller.step_batch(&input, Some(&mut state), out.command()).unwrap();
+    let before = bits(state.as_slice());
+    let over = format!("caps[70]: y [N] = {} is outside [0, {hold}]: the axis holds with {hold} N", hold + 1.0);
+    for (column, cap, adaptation, said) in [
+        (1, hold + 1.0, 0.9, &*over),
+        (1, -0.5, 0.9, "caps[70]: y [N] = -0.5 is outside [0, "),
+        (1, none, 0.9, "caps[70]: y [N] = NaN is outside [0, "),
+        (5, f64::INFINITY, 0.0, "caps[70]: yaw [N·m] = inf is outside [0, "),
+        (2, 5.0, none, "caps[70]: z: 5 has no effect, because the settings have no axis z that yields: use NaN"),
+        (1, 3.0, 0.96, "adaptation[70]: y = 0.96 is outside [0, 0.95], the bound while k_p is not known"),
+        (1, 3.0, none, "adaptation[70]: y = NaN is outside [0, 0.95]"),
+        (5, 0.2, -0.1, "adaptation[70]: yaw = -0.1 is outside [0, 0.95]"),
+        (0, none, 0.5, "adaptation[70]: x: 0.5 has no effect"),
+    ] {
+        let (mut caps, mut etas) = (good.clone(), eta.clone());
+        (caps[70 * MAX_AXES + column], etas[70 * MAX_AXES + column]) = (cap, adaptation);
+        let input = BatchInput { caps: Some(&caps), adaptation: Some(&etas), ..input };
+        for with_state in [true, false] {
+            let error = controller.step_batch(&input, with_state.then_some(&mut state), out.command()).unwrap_err();
+            assert!(error.to_string().starts_with(said), "{error}");
+            assert_eq!(bits(state.as_slice()), before);
+        }
+        let input = BatchInput { invalid: OnInvalid::Nan, ..input };
+        controller.step_batch(&input, None, out.command()).unwrap();
+        assert!(out.0.iter().all(|all| all[70 * 7..][..7].iter().all(|value| value.is_nan())));
+        assert!(out.0.iter().all(|all| all[..70 * 7].iter().all(|value| value.is_finite())));
+    }
+    for (caps, adaptation, what) in [(&good[6..], &*eta, "caps"), (&*good, &eta[..7], "adaptation")] {
+        let input = BatchInput { caps: Some(caps), adaptation: Some(adaptation), ..input };
+        let error = controller.step_batch(&input, None, out.command()).unwrap_err().to_string();
+        assert!(error.starts_with(&format!("{what} has shape (")), "{error}");
     }
 }

@@ -15,7 +15,10 @@ use pliant_core::params::{
     Axis, CompliantSide, Follow, Frame, Law, LimitRule, NullSpace, OnDeviationLimit, PaperOptions, Projector, Task,
     Tracking,
 };
-use pliant_core::{Controller, HandGuiding, JointFollower, Lowering, ModelOptions, Settings, StepInput};
+use pliant_core::{
+    BatchCommand, BatchInput, BatchState, Controller, HandGuiding, JointFollower, Lowering, ModelOptions, Settings,
+    StepInput, Targets,
+};
 
 #[path = "common/seeded.rs"]
 mod seeded;
@@ -274,4 +277,32 @@ fn laws_of_an_arm_do_not_allocate() {
         }
     });
     assert_eq!(count, 0, "joint follower");
+}
+
+#[test]
+fn a_row_with_caps_of_its_own_does_not_allocate() {
+    let mut settings = Settings::default();
+    settings.axes[1] = Axis { soft: Some([4.0; 2]), ..Axis::default() };
+    let model = seeded::arm(0, &ModelOptions::default());
+    let controller = Controller::new(model.clone(), settings, Some(seeded::servos(0))).unwrap();
+    let target = model.forward_kinematics(&[0.1; 7]).unwrap();
+    let of = |count: usize| {
+        let (q, mut state) = ([0.1; 7].repeat(count), BatchState::new(7, count).unwrap());
+        let caps = [f64::NAN, 2.0, f64::NAN, f64::NAN, f64::NAN, f64::NAN].repeat(count);
+        let adaptation = [f64::NAN, 0.5, f64::NAN, f64::NAN, f64::NAN, f64::NAN].repeat(count);
+        let mut out = [q.clone(), q.clone(), q.clone()];
+        let input = BatchInput {
+            caps: Some(&caps),
+            adaptation: Some(&adaptation),
+            ..BatchInput::new(&q, Targets::One(&target))
+        };
+        let mut step = || {
+            let [goal, torque_limit, velocity] = &mut out;
+            let out = BatchCommand { goal, torque_limit, velocity };
+            controller.step_batch(&input, Some(&mut state), out).unwrap();
+        };
+        step();
+        calls(step)
+    };
+    assert_eq!(of(1), of(64)); // those of a call, not of a row
 }

@@ -8,8 +8,7 @@ use pliant_core::analysis::check_path;
 use pliant_core::params::{Axis, GravityUse, Law, NullSpace, PaperOptions, Task, TorqueLimits, Tracking};
 use pliant_core::{
     BatchCommand, BatchInput, ContactEstimator, ContactInput, ContactOptions, Controller, Error, Model, ModelOptions,
-    OnInvalid, Payload, Servos, Settings, StepInput, Targets, damped_pseudo_inverse, joint_torque_limits,
-    responsibility,
+    Payload, Servos, Settings, StepInput, Targets, damped_pseudo_inverse, joint_torque_limits, responsibility,
 };
 
 #[path = "common/mod.rs"]
@@ -192,13 +191,7 @@ fn positions_say_nothing_of_rotations() {
     let controller = made(Settings::default(), servos()).unwrap();
     let target = controller.model().forward_kinematics(&GRASP).unwrap();
     let [mut goal, mut torque_limit, mut velocity] = [[0.0; 7]; 3];
-    let input = BatchInput {
-        q: &GRASP,
-        targets: Targets::Positions(&target.position),
-        dq: None,
-        dt: None,
-        invalid: OnInvalid::Error,
-    };
+    let input = BatchInput::new(&GRASP, Targets::Positions(&target.position));
     let out = BatchCommand { goal: &mut goal, torque_limit: &mut torque_limit, velocity: &mut velocity };
     assert!(message(controller.step_batch(&input, None, out)).contains("give poses"));
 }

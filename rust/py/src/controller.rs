@@ -149,8 +149,8 @@ impl Controller {
 
     #[doc = stub!(Controller.step_batch)]
     #[pyo3(
-        signature = (Q, targets, *, state = None, dt = None, dq = None, invalid = None, out = None),
-        text_signature = "($self, Q, targets, *, state=None, dt=None, dq=None, invalid='raise', out=None)"
+        signature = (Q, targets, *, state = None, dt = None, dq = None, caps = None, adaptation = None, invalid = None, out = None),
+        text_signature = "($self, Q, targets, *, state=None, dt=None, dq=None, caps=None, adaptation=None, invalid='raise', out=None)"
     )]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
     #[expect(non_snake_case, reason = "`Q` holds many `q`, as documented")]
@@ -162,12 +162,15 @@ impl Controller {
         state: Option<&Bound<'_, PyAny>>,
         dt: Option<&Bound<'_, PyAny>>,
         dq: Option<&Bound<'_, PyAny>>,
+        caps: Option<&Bound<'_, PyAny>>,
+        adaptation: Option<&Bound<'_, PyAny>>,
         invalid: Option<&Bound<'_, PyAny>>,
         out: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Py<Command>> {
         let mut extras = Extras::default();
         extras.read(self.n, dt, None, None, None)?;
-        let call = BatchCall { targets, position_only: self.position_only, dt: extras.dt, dq, invalid, out };
+        let (position_only, dt) = (self.position_only, extras.dt);
+        let call = BatchCall { targets, position_only, dt, dq, caps, adaptation, invalid, out };
         call.run(py, &self.core, Q, state.map(BatchState::from_argument).transpose()?)
     }
 

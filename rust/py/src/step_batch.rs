@@ -1,8 +1,8 @@
 //! Control steps of many arms: `Controller.step_batch` and the Python class `BatchState`.
 
 use pliant_core::{
-    BatchCommand, BatchInput, BatchState as CoreState, Controller as CoreController, OnInvalid, Pose as CorePose,
-    Targets,
+    BatchCommand, BatchInput, BatchState as CoreState, Controller as CoreController, MAX_AXES, OnInvalid,
+    Pose as CorePose, Targets,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -127,6 +127,8 @@ pub(crate) struct BatchCall<'a, 'py> {
     pub(crate) position_only: bool,
     pub(crate) dt: Option<f64>,
     pub(crate) dq: Option<&'a Bound<'py, PyAny>>,
+    pub(crate) caps: Option<&'a Bound<'py, PyAny>>,
+    pub(crate) adaptation: Option<&'a Bound<'py, PyAny>>,
     pub(crate) invalid: Option<&'a Bound<'py, PyAny>>,
     pub(crate) out: Option<&'a Bound<'py, PyAny>>,
 }
@@ -154,12 +156,9 @@ impl<'py> BatchCall<'_, 'py> {
         let q = Rows::read("Q", q, &part, &outs)?;
         let count = q.count;
         let wanted = self.wanted(count, &outs)?;
-        let dq = self.dq.map(|dq| Rows::read("dq", dq, &part, &outs)).transpose()?;
-        if let Some(dq) = &dq
-            && dq.count != count
-        {
-            return Err(shape("dq", &[dq.count, n], format!("({count}, {n})")));
-        }
+        let dq = optional_rows("dq", self.dq, count, &part, &outs)?;
+        let caps = optional_rows("caps", self.caps, count, &[MAX_AXES], &outs)?;
+        let adaptation = optional_rows("adaptation", self.adaptation, count, &[MAX_AXES], &outs)?;
         let invalid = self.invalid.map_or(Ok(OnInvalid::Error), |word| Word::<OnInvalid>::read("invalid", word))?;
         let mut arrays = Vec::with_capacity(3);
         for i in 0..3 {
@@ -171,18 +170,24 @@ impl<'py> BatchCall<'_, 'py> {
             Wanted::Poses(rows) => (None, rows.lent(), false),
             Wanted::Positions(rows) => (None, rows.lent(), true),
         };
-        let (has_dq, dq, dt) = (dq.is_some(), dq.as_ref().map_or(Lent::Numbers(&[]), Rows::lent), self.dt);
+        let given = [&dq, &caps, &adaptation].map(Option::is_some);
+        let [dq, caps, adaptation] =
+            [&dq, &caps, &adaptation].map(|rows| rows.as_ref().map_or(Lent::Numbers(&[]), Rows::lent));
+        let dt = self.dt;
         let mut state = state.map(exclusive).transpose()?;
         let state = state.as_deref_mut().map(|state| &mut state.0);
         let (names, shape) = (["out[0]", "out[1]", "out[2]"], [count, n]);
         let outs = [0, 1, 2].map(|i| (names[i], &arrays[i], &shape[..]));
-        lend(py, &[q.lent(), targets, dq], outs, |[q, targets, dq], [goal, torque_limit, velocity]| {
+        let inputs = [q.lent(), targets, dq, caps, adaptation];
+        lend(py, &inputs, outs, |[q, targets, dq, caps, adaptation], [goal, torque_limit, velocity]| {
             let targets = match one {
                 Some(pose) => Targets::One(pose),
                 None if are_positions => Targets::Positions(targets),
                 None => Targets::Poses(targets),
             };
-            let input = BatchInput { q, targets, dt, dq: has_dq.then_some(dq), invalid };
+            let [dq, caps, adaptation] =
+                [(given[0], dq), (given[1], caps), (given[2], adaptation)].map(|(given, rows)| given.then_some(rows));
+            let input = BatchInput { q, targets, dt, dq, caps, adaptation, invalid };
             core.step_batch(&input, state, BatchCommand { goal, torque_limit, velocity })
         })?
         .or_raise()?;
@@ -216,6 +221,23 @@ impl<'py> BatchCall<'_, 'py> {
         }
         let rows = Rows::read(name, targets, part, outs)?;
         Ok(if part.len() == 2 { Wanted::Poses(rows) } else { Wanted::Positions(rows) })
+    }
+}
+
+/// Reads an optional array with `part` numbers for each of `count` arms.
+fn optional_rows<'a, 'py>(
+    name: &'a str,
+    array: Option<&'a Bound<'py, PyAny>>,
+    count: usize,
+    part: &'a [usize; 1],
+    outs: &[&Bound<'_, PyAny>],
+) -> PyResult<Option<Rows<'a, 'py>>> {
+    let Some(array) = array else { return Ok(None) };
+    let rows = Rows::read(name, array, part, outs)?;
+    if rows.count == count {
+        Ok(Some(rows))
+    } else {
+        Err(shape(name, &[rows.count, part[0]], format!("({count}, {})", part[0])))
     }
 }
 

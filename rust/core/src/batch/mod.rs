@@ -15,9 +15,9 @@ use crate::kinematics::velocity_filter::SPEED_BOUND;
 use crate::math::simd::{BaselineF64, SimdLevel};
 use crate::math::thread_pool::install;
 use crate::model::Model;
-use crate::params::{Params, Settings};
+use crate::params::{Params, RowAxes, Settings};
 use crate::pose::Pose;
-use crate::{JointVec, MAX_JOINTS};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 pub use state::BatchState;
 
@@ -56,6 +56,11 @@ pub struct BatchInput<'a> {
     pub dt: Option<f64>,
     /// Joint velocities (`N` × n) [rad/s]; `None`: filtered from the positions.
     pub dq: Option<&'a [f64]>,
+    /// Force caps (`N` × 6) of the axes x, y, z, roll, pitch, yaw [N, N·m; N·m under law `paper`], at every deviation;
+    /// NaN for axes that do not yield. `None`: those of the settings.
+    pub caps: Option<&'a [f64]>,
+    /// Adaptation η (`N` × 6) of these axes; NaN for axes that do not yield. `None`: that of the settings.
+    pub adaptation: Option<&'a [f64]>,
     /// Handling of arms whose input is invalid.
     pub invalid: OnInvalid,
 }
@@ -91,6 +96,7 @@ pub(crate) struct ArmInput<'a> {
     n: usize,
     pub(crate) target: Pose,
     pub(crate) dq: Option<&'a [f64]>,
+    pub(crate) axes: RowAxes<'a>,
 }
 
 impl ArmInput<'_> {
@@ -104,7 +110,7 @@ impl<'a> BatchInput<'a> {
     /// Creates the input from measured joint positions `q` (`N` × n, row by row) [rad] and targets, without optional
     /// values. The step checks the lengths.
     pub fn new(q: &'a [f64], targets: Targets<'a>) -> Self {
-        Self { q, targets, dt: None, dq: None, invalid: OnInvalid::default() }
+        Self { q, targets, dt: None, dq: None, caps: None, adaptation: None, invalid: OnInvalid::default() }
     }
 }
 
@@ -125,6 +131,8 @@ impl<'a> Batch<'a> {
             Targets::Positions(values) => same("targets", values.len(), 3)?,
         }
         same("dq", input.dq.map_or(count * n, <[f64]>::len), n)?;
+        same("caps", input.caps.map_or(count * MAX_AXES, <[f64]>::len), MAX_AXES)?;
+        same("adaptation", input.adaptation.map_or(count * MAX_AXES, <[f64]>::len), MAX_AXES)?;
         same("goal", out.goal.len(), n)?;
         same("torque_limit", out.torque_limit.len(), n)?;
         same("velocity", out.velocity.len(), n)?;
@@ -176,7 +184,8 @@ impl<'a> Batch<'a> {
     ) -> Result<()> {
         let (n, first) = (self.model.n(), FirstError::default());
         let BatchCommand { goal, torque_limit, velocity } = out;
-        let soa = state.is_none() && soa::supports_soa(self.params);
+        let one_setting = self.input.caps.is_none() && self.input.adaptation.is_none();
+        let soa = state.is_none() && one_setting && soa::supports_soa(self.params);
         let chunk =
             |slot: &mut Option<A>, index: usize, mut row_state: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
                 let mut pending = u64::MAX;
@@ -236,7 +245,10 @@ impl<'a> Batch<'a> {
         if let Some(dq) = dq {
             model.joints_within("dq", dq, SPEED_BOUND).map_err(|error| error.in_row("dq", row))?;
         }
-        Ok(ArmInput { row, q, n, target: self.target(row)?, dq })
+        let of_row = |values: &'a [f64]| &values[row * MAX_AXES..][..MAX_AXES];
+        let axes = RowAxes { caps: self.input.caps.map(of_row), adaptation: self.input.adaptation.map(of_row) };
+        self.params.check_row_axes(row, axes)?;
+        Ok(ArmInput { row, q, n, target: self.target(row)?, dq, axes })
     }
 
     fn target(&self, row: usize) -> Result<Pose> {

@@ -21,7 +21,9 @@ use crate::math::simd::SimdLevel;
 use crate::math::singular_values::SingularValues;
 use crate::model::{Model, Payload};
 use crate::params::joint_space::{self, JointSpaceStats};
-use crate::params::{AxisImpedance, AxisParams, AxisStrength, DampingParams, GravityUse, Params, Servos, Settings};
+use crate::params::{
+    AxisImpedance, AxisParams, AxisStrength, DampingParams, GravityUse, Params, Servos, Settings, max_adaptation,
+};
 use crate::pose::{COORDINATE_BOUND, Pose};
 use crate::{JointVec, MAX_JOINTS};
 
@@ -120,6 +122,10 @@ impl Controller {
     /// `max_tool_speed`. If law, damping, projector and inverse are those of the paper and the arm has at most seven
     /// joints, stateless steps compute one arm per SIMD lane. They equal single steps up to rounding: below 1e-11 of a
     /// row's largest number at λ ≥ 0.02.
+    ///
+    /// With `caps` or `adaptation` in the input, each row equals that of a controller whose settings have these values
+    /// as `soft` = `firm` and as `adaptation` of the axes that yield. They may change from step to step: torque limits
+    /// and goals continue within their slew.
     ///
     /// # Errors
     /// [`Error::Shape`] for inconsistent lengths; [`Error::Config`] for positions as targets of a task with rotations.
@@ -325,6 +331,7 @@ impl Controller {
             }
         }
         self.captured = Some(captured);
+        self.params.max_adaptation = max_adaptation(&self.settings, true);
         self.params.gravity_compliance = captured;
         Ok(captured[..self.params.n].iter().map(|compliance| 1.0 / compliance).collect())
     }
@@ -647,6 +654,7 @@ impl Controller {
 
     /// Steps one arm of a batch from the present state, and writes its command.
     fn step_row(&mut self, one: &ArmInput<'_>, dt: Option<f64>, [goal, limit, speed]: [&mut [f64]; 3]) -> Result<()> {
+        self.params.set_row_axes(one.axes);
         let input = StepInput { dt, dq: one.dq, ..StepInput::default() };
         let command = self.step_impl(one.q(), &one.target, &input).map_err(|error| error.in_row("Q", one.row))?;
         goal.copy_from_slice(command.goal());

@@ -67,6 +67,13 @@ pub(crate) struct AxisParams {
     pub(crate) soft_step_limit: f64,
 }
 
+impl AxisParams {
+    /// Returns true if the axis yields to a push in either direction.
+    pub(crate) fn is_compliant(&self) -> bool {
+        self.yields.iter().any(|&side| side > 0.0)
+    }
+}
+
 /// Deviation limit of one task axis.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DeviationLimit {
@@ -149,6 +156,12 @@ pub(super) fn resolve_rows(
     Ok(rows.map(|row| row.unwrap_or(spare)))
 }
 
+/// Returns the largest adaptation η: 1, which η does not reach, unless an error of `k_p` would make the arm drift.
+pub(crate) fn max_adaptation(settings: &Settings, stiffness_known: bool) -> f64 {
+    let safe = !settings.law.by_force() || stiffness_known || settings.accept_high_adaptation;
+    if safe { 1.0 } else { MAX_UNVERIFIED_ETA }
+}
+
 fn resolve_row(
     settings: &Settings,
     axis: usize,
@@ -178,7 +191,7 @@ fn resolve_row(
             ));
         }
     }
-    if !paper && user.adaptation > MAX_UNVERIFIED_ETA && !stiffness_known && !settings.accept_high_adaptation {
+    if user.adaptation > max_adaptation(settings, stiffness_known) {
         return Err(Error::out_of_range(
             format!("axes.{name}.adaptation"),
             user.adaptation,

@@ -8,7 +8,7 @@ use crate::math::rounding;
 use crate::math::rows::pad;
 use crate::math::spatial::Mat3;
 use crate::model::Model;
-use crate::params::axis_params::{AxisParams, DeviationLimit, deviation_limits, resolve_rows};
+use crate::params::axis_params::{AxisParams, DeviationLimit, deviation_limits, max_adaptation, resolve_rows};
 use crate::params::axis_params_simd::AxisParamsSimd;
 use crate::params::checks::{check_axes, check_gain, check_gravity, check_kp, check_null_torque};
 use crate::params::joint_space::JointSpaceStats;
@@ -81,6 +81,8 @@ pub(crate) struct Params {
     pub(crate) axis_simd: AxisParamsSimd,
     /// Inertia and damping with which the stiff axes track the velocity of their reference.
     pub(crate) pace: PacingParams,
+    /// Largest adaptation η of an axis; η < 1 holds in any case.
+    pub(crate) max_adaptation: f64,
     /// Axes with a deviation limit; if there are none, the step skips that part.
     pub(crate) deviation_limits: Vec<DeviationLimit>,
     /// Factor on each task row, 1 / length for translations and 1 for rotations, which makes the singular values of
@@ -166,9 +168,8 @@ impl Params {
         joint_space_stats: &mut JointSpaceStats,
     ) -> Result<Self> {
         settings.validate()?;
-        let n = model.n();
         let axes: Vec<usize> = (0..MAX_AXES).filter(|&axis| settings.task.axes[axis]).collect();
-        let k = axes.len();
+        let (n, k) = (model.n(), axes.len());
         check_axes(settings, k, n)?;
         let expanded = servos.map(|s| s.for_joints(n)).transpose()?;
         let arrays = ServoArrays::new(n, expanded.as_ref(), model.effort_limit());
@@ -206,6 +207,7 @@ impl Params {
             axis_simd: AxisParamsSimd::new(&rows[..k], &damping_scale, &kx),
             pace: PacingParams::new(model, settings, &arrays, &axes, joint_space_stats),
             per_axis: rows,
+            max_adaptation: max_adaptation(settings, known),
             deviation_limits: deviation_limits(settings, &axes),
             row_scale,
             damping_scale,

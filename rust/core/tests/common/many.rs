@@ -1,7 +1,7 @@
 //! Inputs and outputs of batch steps, and the single steps to compare them with.
 #![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
-use pliant_core::{BatchCommand, BatchInput, Controller, Model, OnInvalid, Pose, StepInput, Targets};
+use pliant_core::{BatchCommand, BatchInput, Controller, Model, Pose, StepInput, Targets};
 
 use crate::seeded::Random;
 
@@ -77,12 +77,6 @@ impl Arms {
     }
 
     pub(crate) fn input(&self, dt: Option<f64>, with_dq: bool) -> BatchInput<'_> {
-        BatchInput {
-            q: &self.q,
-            targets: Targets::Poses(&self.flat),
-            dt,
-            dq: with_dq.then_some(&self.dq),
-            invalid: OnInvalid::Error,
-        }
+        BatchInput { dt, dq: with_dq.then_some(&self.dq), ..BatchInput::new(&self.q, Targets::Poses(&self.flat)) }
     }
 }

@@ -1,0 +1,299 @@
+"""Simulated arms at one task: physics, controller, contact estimation and reward, row by row."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pliant import robots
+from pliant._core import ContactEstimator, Controller, PliantError, Settings
+from pliant._validation import AXES
+from pliant.gym.soft_action import SoftAction, holding_forces
+from pliant.sim import Plant
+from pliant.sim._native import NativeArm
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pliant._typing import Array, Mask
+    from pliant.gym.tasks import Episode, Task
+
+#: Rate of the controller [Hz].
+RATE = 100.0
+#: Largest distance of the target from the tool [m], [rad]: it does not run away from a blocked arm.
+LEASH = (0.08, 0.5)
+#: Bounds of the observed force [N] and torque [N·m], which is unknown in the first tick.
+MAX_WRENCH = np.array([100.0] * 3 + [20.0] * 3)
+
+
+class Arms:
+    """Arms of one or more environments; every array has one row per arm.
+
+    Args:
+        task: The task of all arms.
+        action: Mapping of actions; None: twist and the softness of the task's axes.
+        count: Number of arms N.
+
+    Attributes:
+        action: The mapping.
+        sizes: Number of entries of each observation, by key.
+        episodes: Episode of each arm; None before its first reset.
+        force: Largest force on the tool in the last step (N,) [N].
+    """
+
+    def __init__(self, task: Task, action: SoftAction | None, count: int) -> None:
+        self._task, self._count = task, count
+        self.action = SoftAction(soft=task.soft) if action is None else action
+        self.model = robots.arm7()
+        settings = Settings(rate=RATE)
+        axes = settings.task.names
+        self.action_size = self.action.size(self.model, axes)
+        soft = self.action.axes(axes)
+        self._columns = [AXES.index(name) for name in soft]
+        self._hold = holding_forces(self.model, settings)
+        self._softest = -np.ones(len(soft))
+        self._settings = self.action.softened(settings, self._hold, self._softest)
+        self._controller = Controller(self.model, self._settings)
+        self._state = self._controller.batch_state(count)
+        self._scales = self.action.scales(axes)
+        self._ticks = round(RATE / task.decision_rate)
+        # Joint targets are also the rest posture of a step, which a batch does not take.
+        joints = self.action.motion == "joints"
+        self._own = [Controller(self.model, self._settings) for _ in range(count * joints)]
+        self._contact = [ContactEstimator(self._controller) for _ in range(count)]
+        self._plants: list[Plant | None] = [None] * count
+        self._native: list[NativeArm | None] = [None] * count
+        self.episodes: list[Episode | None] = [None] * count
+        n = self.model.n
+        self.sizes = {
+            "q": n, "dq": n, "tool": 9, "deviation": 6, "force": 6, "uncertainty": 6,
+            "caps": len(soft),
+        }  # fmt: skip
+        self._q, self._dq = np.zeros((count, n)), np.zeros((count, n))
+        self._target = np.tile(np.eye(4), (count, 1, 1))
+        self._felt, self._uncertainty = np.zeros((count, 6)), np.tile(MAX_WRENCH, (count, 1))
+        self._softness = np.tile(self._softest, (count, 1))
+        self._has_command = np.zeros(count, dtype=bool)
+        self._goal, self._limit, self._speed = (np.zeros((count, n)) for _ in range(3))
+        self._range = np.zeros((count, n, 2))
+        # Views of the rows, because indexing costs as much as a control step.
+        self._q_of, self._sent_of = list(self._q), list(zip(self._goal, self._limit, strict=True))
+        self.force = np.zeros(count)
+
+    def reset(self, row: int, rng: np.random.Generator) -> None:
+        """Start an episode with new random parameters."""
+        episode = self.episodes[row] = self._task.episode(rng)
+        seed = int(rng.integers(2**31))
+        plant = self._plants[row] = Plant(self.model, scene=episode.scene, rate=RATE, seed=seed)
+        plant.reset(self._task.start)
+        if self._task.native:
+            goal, limits, place = self._goal[row], self._range[row], self._q_of[row]
+            self._native[row] = NativeArm(plant, goal, limits, place)
+        q = self._q[row] = plant.read().q
+        self._state.reset(row, q)
+        if self._own:
+            self._own[row].update(self._settings)
+            self._own[row].reset(q)
+        # A new estimator: the low-passes of a reset one keep a rounding error of the last episode.
+        self._contact[row] = ContactEstimator(self._controller)
+        self._target[row] = self.model.forward_kinematics(q)
+        self._softness[row], self._dq[row], self._felt[row] = self._softest, 0.0, 0.0
+        self._uncertainty[row], self._has_command[row], self.force[row] = MAX_WRENCH, False, 0.0
+
+    def step(self, actions: Array, rows: Mask) -> tuple[Array, Mask, Mask]:
+        """Run the controllers of some arms for one period of the decision rate.
+
+        Args:
+            actions: Actions (N, size).
+            rows: Mask (N,) of the arms that move; each has an episode.
+
+        Returns:
+            Rewards, success and failure (N,); meaningless for other arms.
+
+        Raises:
+            PliantError: The physics diverged.
+        """
+        active = [int(row) for row in np.flatnonzero(rows)]
+        given = np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0)
+        moved, softness = np.split(given, [given.shape[1] - self._softest.size], axis=1)
+        self._softness[rows] = softness[rows]
+        before, cost, largest = self.progress(), np.zeros(self._count), np.zeros(self._count)
+        dt = 1.0 / RATE
+        drive = self._start(moved, rows)
+        for _ in range(self._ticks):
+            self._feel(active, dt)
+            drive(dt)
+            self._advance(active, dt)
+            force = np.array([0.0 if e is None else e.force for e in self.episodes])
+            excess = np.maximum(force - self._task.free_force, 0.0) / self._task.free_force
+            cost += self._task.force_weight * excess * dt
+            largest = np.maximum(largest, force)
+        if not np.isfinite(self._q).all():
+            wrong = int((~np.isfinite(self._q)).any(axis=1).argmax())
+            raise PliantError(f"the simulation of arm {wrong} of {self._count} diverged")
+        self.force[rows] = largest[rows]
+        for row in active:
+            felt = self._contact[row].estimate
+            self._dq[row], self._felt[row] = felt.velocity, felt.force
+            self._uncertainty[row] = np.minimum(felt.uncertainty, MAX_WRENCH)
+        progress = self.progress()
+        success, failure = progress >= 1.0, largest > self._task.max_force
+        return progress - before - cost + success - failure, success, failure
+
+    def observation(self) -> dict[str, Array]:
+        """Return the observations, arrays (N, size)."""
+        tool = self.model.forward_kinematics_batch(self._q)
+        difference = self._target[:, :3, :3] @ tool[:, :3, :3].transpose(0, 2, 1)
+        caps, _ = self.action.caps(self._hold, self._softness)
+        return {
+            "q": self._q.copy(),
+            "dq": self._dq.copy(),
+            "tool": np.concatenate([tool[:, :3, 3], tool[:, :3, 0], tool[:, :3, 1]], axis=1),
+            "deviation": np.concatenate(
+                [self._target[:, :3, 3] - tool[:, :3, 3], _rotation_vectors(difference)], axis=1
+            ),
+            "force": self._felt.copy(),
+            "uncertainty": self._uncertainty.copy(),
+            "caps": caps,
+        }
+
+    def info(self, row: int) -> dict[str, Any]:
+        """Return what the policy of an arm does not see."""
+        episode = self.episodes[row]
+        assert episode is not None
+        return {
+            "force": float(self.force[row]),
+            "progress": episode.progress,
+            "is_success": episode.progress >= 1.0,
+            **episode.parameters,
+        }
+
+    def progress(self) -> Array:
+        """Return the progress of each episode (N,); 0 for an arm without one."""
+        return np.array([0.0 if e is None else e.progress for e in self.episodes])
+
+    def _start(self, moved: Array, rows: Mask) -> Callable[[float], None]:
+        """Return the function that steps all controllers in each tick of this action."""
+        if self.action.motion == "joints":
+            reach = 0.1 * self.action.max_speed[1]
+            wanted = np.clip(self._q + reach * moved, self.model.lower, self.model.upper)
+            return self._joint_steps(wanted, rows)
+        dt = 1.0 / RATE
+        caps, adaptation = np.full((2, self._count, 6), np.nan)
+        caps[:, self._columns], adaptation[:, self._columns] = self.action.caps(
+            self._hold, self._softness
+        )
+        twist = self.action.motion == "twist"
+        change = moved * self._scales * (dt if twist else 0.1)
+        turn = _rotations(change[:, 3:])
+        if not twist:
+            tool = self.model.forward_kinematics_batch(self._q)
+            self._target[rows] = tool[rows]
+            self._move(change, turn, tool, rows)
+
+        def step(dt: float) -> None:
+            if twist:
+                tool = self.model.forward_kinematics_batch(self._q)
+                self._move(change, turn, tool, rows)
+            self._controller.step_batch(
+                self._q,
+                self._target,
+                state=self._state,
+                dt=dt,
+                caps=caps,
+                adaptation=adaptation,
+                out=(self._goal, self._limit, self._speed),
+            )
+
+        return step
+
+    def _joint_steps(self, wanted: Array, rows: Mask) -> Callable[[float], None]:
+        """Return the function that steps the arms toward joint targets `wanted` (N, n) [rad]."""
+        active = [int(row) for row in np.flatnonzero(rows)]
+        for row in active:
+            settings = self.action.softened(self._settings, self._hold, self._softness[row])
+            self._own[row].update(settings)
+
+        def step(dt: float) -> None:
+            for row in active:
+                command = self._own[row].step_joints(self._q[row], wanted[row], dt=dt)
+                self._goal[row], self._limit[row] = command.goal, command.torque_limit
+
+        return step
+
+    def _move(self, change: Array, turn: Array, tool: Array, rows: Mask) -> None:
+        """Move targets along the base axes (N, 6) [m, rad], no farther than the leash.
+
+        Args:
+            change: Displacements, with rotation vectors.
+            turn: Rotation matrices of these rotation vectors (N, 3, 3).
+            tool: Poses of the tools (N, 4, 4).
+            rows: Mask of the arms whose targets move.
+        """
+        place = tool[:, :3, 3]
+        offset = np.clip(self._target[:, :3, 3] + change[:, :3] - place, -LEASH[0], LEASH[0])
+        turned = turn @ self._target[:, :3, :3]
+        near = _angles(turned @ tool[:, :3, :3].transpose(0, 2, 1)) <= LEASH[1]
+        self._target[rows, :3, 3] = (place + offset)[rows]
+        near &= rows
+        self._target[near, :3, :3] = turned[near]
+
+    def _feel(self, active: list[int], dt: float) -> None:
+        """Update the contact estimators with the positions and the last commands."""
+        has_command = self._has_command.tolist()
+        for row in active:
+            sent = self._sent_of[row] if has_command[row] else None
+            self._contact[row].update(self._q_of[row], dt=dt, sent=sent)
+
+    def _advance(self, active: list[int], dt: float) -> None:
+        """Send the commands, run the physics of one tick, and update the episodes."""
+        self._range[:, :, 0], self._range[:, :, 1] = -self._limit, self._limit
+        for row in active:
+            plant, native, episode = self._plants[row], self._native[row], self.episodes[row]
+            assert plant is not None
+            assert episode is not None
+            if native is None:
+                plant.write(self._goal[row], self._limit[row])
+                plant.advance()
+                self._q[row] = plant.read().q
+            else:
+                native.advance()
+            self._task.update(episode, plant, dt)
+        self._has_command[active] = True
+
+
+def _rotations(vectors: Array) -> Array:
+    """Return the rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
+    angle = np.sqrt((vectors * vectors).sum(axis=1))
+    x, y, z = (vectors / np.maximum(angle, 1e-12)[:, None]).T
+    cross = np.zeros((angle.size, 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
+    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = z, -y, x
+    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
+    out: Array = np.eye(3) + sine * cross + versine * (cross @ cross)
+    return out
+
+
+def _angles(rotations: Array) -> Array:
+    """Return the angles (N,) of rotation matrices (N, 3, 3) [rad]."""
+    trace = rotations[:, 0, 0] + rotations[:, 1, 1] + rotations[:, 2, 2]
+    angles: Array = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
+    return angles
+
+
+def _rotation_vectors(rotations: Array) -> Array:
+    """Return the rotation vectors (N, 3) [rad] of rotations by less than half a turn."""
+    angle = _angles(rotations)
+    axis = np.stack(
+        [
+            rotations[:, 2, 1] - rotations[:, 1, 2],
+            rotations[:, 0, 2] - rotations[:, 2, 0],
+            rotations[:, 1, 0] - rotations[:, 0, 1],
+        ],
+        axis=1,
+    )
+    large = angle > 1e-6
+    scale = np.where(large, angle / np.sin(np.where(large, angle, 1.0)), 1.0)
+    vectors: Array = 0.5 * axis * scale[:, None]
+    return vectors
