@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from pliant import _ros_messages as ros
 from pliant._core import PliantError
-from pliant._priority import lower_priority
 from pliant.ros import wire
 from pliant.ros.interface import DESCRIPTION, PUBLISHED, SUBSCRIBED, ArmInterface
 from pliant.view.ipc import PageEndpoint, Ready, StartupError
@@ -112,7 +111,6 @@ def _from_json(kind: str, data: bytes) -> Any:
 def main(descriptor: int, options: dict[str, Any]) -> int:
     """Run the server until the control loop ends; return the exit code of the process."""
     endpoint = PageEndpoint(descriptor)
-    lower_priority()
     host, port = options["host"], options["port"]
     listener, context = Listener(), Context()
     commands = [Capability.ClientPublish, Capability.Parameters]

@@ -13,7 +13,6 @@ import time
 import uuid
 from typing import TYPE_CHECKING, Any
 
-from pliant._priority import lower_priority
 from pliant.ros import wire
 from pliant.ros.interface import DESCRIPTION, PUBLISHED, SUBSCRIBED, ArmInterface
 from pliant.ros.parameters import ParameterServices
@@ -48,7 +47,18 @@ class Node:
         self._zid = str(session.info.zid())
         self._numbers = itertools.count(1)
         self._kept: list[Any] = []
+        self._threads: list[threading.Thread] = []
         self._announce(name.token(self._zid))
+
+    def close(self) -> None:
+        """Undeclare everything, and wait for the threads that handle messages.
+
+        A thread that still waits in zenoh while Python ends would abort the process.
+        """
+        for declared in reversed(self._kept):
+            declared.undeclare()
+        for thread in self._threads:
+            thread.join()
 
     def _announce(self, token: str) -> None:
         self._kept.append(self._session.liveliness().declare_token(token))
@@ -107,7 +117,9 @@ class Node:
                 handle(sample.payload.to_bytes())
                 time.sleep(PERIOD)
 
-        threading.Thread(target=listen, daemon=True, name=f"pliant-ros-{topic}").start()
+        thread = threading.Thread(target=listen, daemon=True, name=f"pliant-ros-{topic}")
+        self._threads.append(thread)
+        thread.start()
 
     def serve(
         self, service: str, type_name: str, answer: Callable[[Any], Mapping[str, Any]]
@@ -187,7 +199,6 @@ def run_arm(node: Node, arm: ArmInterface, endpoint: PageEndpoint) -> None:
 def main(descriptor: int, options: dict[str, Any]) -> int:
     """Run the node until the control loop ends; return the exit code of the process."""
     endpoint = PageEndpoint(descriptor)
-    lower_priority()
     listen, connect = options["listen"], options["connect"]
     try:
         session = open_session(listen, connect)
@@ -206,7 +217,9 @@ def main(descriptor: int, options: dict[str, Any]) -> int:
         endpoint.send(Ready(connect or listen))
         info = endpoint.receive()
         if info is not None:
-            run_arm(Node(session, name), ArmInterface(info, endpoint.queue), endpoint)
+            node = Node(session, name)
+            run_arm(node, ArmInterface(info, endpoint.queue), endpoint)
+            node.close()
     return 0
 
 
