@@ -147,8 +147,8 @@ def _print_targets(path: Path, sent: list[tuple[float, float]], got: list[Any]) 
     ]
     delay = np.array([wall[tick] - times[place] for place, tick in pairs])
     print(
-        f"targets: {len(sent)} sent, {len({place for place, _ in pairs})} used by the loop (a newer "
-        "one replaces one that waits)"
+        f"targets: {len(sent)} sent, {len({place for place, _ in pairs})} used by the loop "
+        "(a newer one replaces one that waits)"
     )
     print(f"  latency, client to the tick that uses it: {_quantiles(delay)}")
     print(f"ticks: {len(log)}, {len(log) / (log.time[-1] - log.time[0]):.1f} Hz")
