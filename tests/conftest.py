@@ -17,6 +17,7 @@ SLOW = {
     "identify",
     "lerobot_plugin",
     "log",
+    "ros",
     "servo",
     "sim",
     "soak",
@@ -44,6 +45,7 @@ SHARED = (
     ("tests/emulator/test_process.py",),
     *((f"tests/lerobot_plugin/test_{name}.py",) for name in ("follower", "teleoperators")),
     *((f"tests/log/test_{name}.py",) for name in ("damage", "hostile", "log", "report")),
+    *((f"tests/ros/test_{name}.py",) for name in ("foxglove", "node")),
     *((f"tests/view/test_{name}.py",) for name in ("browser", "page")),
 )
 UNITS = {name: line[0] for line in SHARED for name in line}

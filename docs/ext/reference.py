@@ -80,6 +80,7 @@ MODULES = {
     "emulator": "Emulated servos on a serial port",
     "sim": "The simulated arm",
     "gym": "Gymnasium environments",
+    "ros": "ROS 2 and Foxglove",
 }
 
 

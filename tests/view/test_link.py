@@ -103,7 +103,7 @@ def flooded():
     endpoint.queue(messages.Stop())
     made = Link.__new__(Link)
     made._pipe, made._pending = Connection(ours.detach()), messages.Queue()
-    made._acknowledged, made._due, made._edit_due = True, 0.0, 0.0
+    made._acknowledged, made._due, made._edit_due, made._period = True, 0.0, 0.0, 0.0
     return made, endpoint
 
 

@@ -27,6 +27,8 @@ GROUPS = {
             "pliant.cli.view",
             "control an arm, simulated or real, from a page in the browser",
         ),
+        "ros": ("pliant.cli.ros", "let ROS 2 nodes control an arm, without ROS on its computer"),
+        "foxglove": ("pliant.cli.foxglove", "show an arm live in Foxglove"),
         "teach": ("pliant.cli.teach", "record a motion by leading the arm by hand"),
         "replay": ("pliant.cli.replay", "play a motion compliantly"),
         "identify": ("pliant.cli.identify", "measure the servos, gravity or payload of an arm"),

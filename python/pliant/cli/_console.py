@@ -1,17 +1,35 @@
-"""Printing of unformatted lines, and detection of the Enter key while a control loop runs."""
+"""Printing of lines and of the summary of a loop, and detection of the Enter key in a loop."""
 
 from __future__ import annotations
 
 import queue
 import sys
 import threading
+from typing import TYPE_CHECKING
 
 from rich.console import Console
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pliant.arm import Arm
+    from pliant.loop import Loop
 
 
 def print_line(text: str, console: Console | None = None) -> None:
     """Print a line without wrapping, colours or markup; on stdout if `console` is None."""
     (console or Console()).print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+def print_summary(arm: Arm, loop: Loop, notes: Sequence[str] = ()) -> None:
+    """Print notes, and the counters of a loop and of its arm that are not 0."""
+    for note in notes:
+        print_line(note)
+    counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)
+    Console().print(
+        f"{len(loop.lateness)} ticks, late by {loop.lateness}; {loop.missed} missed; bus: {counts}",
+        highlight=False,
+    )
 
 
 class EnterKey:

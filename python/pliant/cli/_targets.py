@@ -19,6 +19,7 @@ import numpy as np
 
 from pliant._core import ConfigError, PliantError, Pose
 from pliant._files import LARGE, read_text
+from pliant._refusals import Refusals
 
 if TYPE_CHECKING:
     from pliant._core import Model
@@ -128,8 +129,6 @@ MAX_LINE = 4096
 READ_SIZE, READ_PAUSE = 65536, 0.001
 #: Maximum number of datagrams read per control cycle.
 MAX_DATAGRAMS = 256
-#: Minimum time between two error messages on rejected targets [s].
-REPORT_PERIOD = 0.5
 
 
 class Targets(Protocol):
@@ -198,11 +197,10 @@ class FileTargets(NoTargets):
 
 
 class RejectedTargets:
-    """Parser of targets; prints at most one error on invalid targets per `REPORT_PERIOD`."""
+    """Parser of targets; prints at most one error on invalid targets per period of `Refusals`."""
 
     def __init__(self) -> None:
-        self._next = -math.inf
-        self._unreported = 0
+        self._refusals = Refusals("target")
 
     def parse(self, line: bytes, model: Model) -> Target | None:
         """Return the target in a line; if the line is invalid, print the error and return None."""
@@ -211,22 +209,12 @@ class RejectedTargets:
                 raise ConfigError(f"a target is longer than {MAX_LINE} bytes")
             return Target.parse(line.decode("utf-8", errors="replace"), model)
         except ConfigError as error:
-            self._report(error)
+            self._refusals.report(error)
             return None
 
-    def _report(self, error: ConfigError) -> None:
-        now = time.monotonic()
-        if now < self._next:
-            self._unreported += 1
-            return
-        more = f" ({self._unreported} more since the last message)" if self._unreported else ""
-        print(f"target refused: {error}{more}", file=sys.stderr)
-        self._next, self._unreported = now + REPORT_PERIOD, 0
-
     def close(self) -> None:
-        """Print the number of invalid targets whose errors the bounded rate has suppressed."""
-        if self._unreported:
-            print(f"{self._unreported} more targets were refused", file=sys.stderr)
+        """Print how many invalid targets were not reported, because of the bounded rate."""
+        self._refusals.close()
 
 
 class StreamTargets(NoTargets):

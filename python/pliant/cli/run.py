@@ -13,7 +13,7 @@ from rich.table import Table
 
 from pliant._core import Command, Controller, Model
 from pliant._validation import AXES
-from pliant.cli._console import print_line
+from pliant.cli._console import print_summary
 from pliant.cli._flags import (
     ArmName,
     Axes,
@@ -89,7 +89,7 @@ def run(
     finally:
         # Print only after the arm is lowered: a blocked terminal must not delay the descent.
         for finished in runs:
-            _summary(*finished)
+            print_summary(*finished)
 
 
 def _follow(
@@ -143,16 +143,6 @@ def _describe_target_error(model: Model, q: Array, target: Array) -> list[str]:
         "not avoid position limits: start in another pose"
     )
     return [f"the tool is {distance * 1e3:.0f} mm off its last target{why if names else ''}"]
-
-
-def _summary(arm: Arm, loop: Loop, notes: list[str]) -> None:
-    for note in notes:
-        print_line(note)
-    counts = ", ".join(f"{name} {count}" for name, count in arm.counters.items() if count)
-    Console().print(
-        f"{len(loop.lateness)} ticks, late by {loop.lateness}; {loop.missed} missed; bus: {counts}",
-        highlight=False,
-    )
 
 
 def _table(

@@ -1,4 +1,4 @@
-"""Layout of a log: ROS 2 message definitions, and the vectors that the loop sends to the writer."""
+"""Layout of a log: its own messages, and the vectors that the loop sends to the writer."""
 
 from __future__ import annotations
 
@@ -19,64 +19,6 @@ VERSION = "1"
 #: settings, configuration, and bus counters at the end.
 RUN, URDF, SETTINGS = "run.json", "robot.urdf", "settings.txt"
 CONFIG, END = "config.json", "end.json"
-
-_LINE = "=" * 80
-_HEADER = f"""{_LINE}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-"""
-_GEOMETRY = f"""{_LINE}
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-{_LINE}
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-{_LINE}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-"""
-_TIME = f"""{_LINE}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-#: ROS 2 definition of a sensor_msgs/JointState.
-JOINTS = f"""std_msgs/Header header
-string[] name
-float64[] position
-float64[] velocity
-float64[] effort
-{_HEADER}{_TIME}"""
-#: ROS 2 definition of a geometry_msgs/PoseStamped.
-POSE = f"""std_msgs/Header header
-geometry_msgs/Pose pose
-{_LINE}
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-{_GEOMETRY}{_HEADER}{_TIME}"""
-#: ROS 2 definition of a tf2_msgs/TFMessage.
-TF = f"""geometry_msgs/TransformStamped[] transforms
-{_LINE}
-MSG: geometry_msgs/TransformStamped
-std_msgs/Header header
-string child_frame_id
-geometry_msgs/Transform transform
-{_LINE}
-MSG: geometry_msgs/Transform
-geometry_msgs/Vector3 translation
-geometry_msgs/Quaternion rotation
-{_GEOMETRY}{_HEADER}{_TIME}"""
-#: ROS 2 definition of a std_msgs/String.
-TEXT = "string data\n"
 
 #: Columns of a log with one value per joint (n,): readings of the servos, and commands to them.
 STATE = ("q", "dq", "load", "current", "voltage", "temperature", "age")

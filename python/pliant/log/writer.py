@@ -14,14 +14,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant._core import PliantError, Pose
 from pliant._files import replacing
 from pliant._priority import lower_priority
+from pliant._ros_messages import (
+    DEFINITIONS,
+    JOINT_STATE,
+    POSE_STAMPED,
+    STRING,
+    TF_MESSAGE,
+    joint_state,
+    pose_stamped,
+    tf_message,
+)
 from pliant.log import frames, layout, serialization
 from pliant.log._mcap import Writer
 from pliant.log.journal import STEP
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from typing import BinaryIO
 
     from pliant._typing import Array
@@ -32,6 +42,8 @@ CHUNK_TIME = 0.5
 #: Number of messages per tick, and size of a message without its numbers [bytes]; both serve to
 #: estimate the size of a chunk.
 MESSAGES, OVERHEAD = 8, 150
+#: Standard ROS 2 messages of a log.
+STANDARD = (JOINT_STATE, POSE_STAMPED, TF_MESSAGE, STRING)
 
 
 class LogFile:
@@ -56,10 +68,7 @@ class LogFile:
         self._schemas = {
             name: self._writer.register_msgdef(name, text)
             for name, text in (
-                ("sensor_msgs/msg/JointState", layout.JOINTS),
-                ("geometry_msgs/msg/PoseStamped", layout.POSE),
-                ("tf2_msgs/msg/TFMessage", layout.TF),
-                ("std_msgs/msg/String", layout.TEXT),
+                *((name, DEFINITIONS[name]) for name in STANDARD),
                 ("pliant_msgs/msg/Tick", layout.tick_message(self._tick)),
                 ("pliant_msgs/msg/Call", layout.CALL),
             )
@@ -77,9 +86,7 @@ class LogFile:
         for name, (kind, text) in texts.items():
             if text is not None:
                 self._writer.add_attachment(self._begin, self._begin, name, kind, text.encode())
-        self._write_message(
-            "/robot_description", "std_msgs/msg/String", {"data": run["model"]["urdf"]}
-        )
+        self._write_message("/robot_description", STRING, {"data": run["model"]["urdf"]})
 
     def tick(self, body: bytes) -> None:
         """Write a tick: a message with all numbers, and standard ROS messages for viewers.
@@ -105,12 +112,10 @@ class LogFile:
             )
             poses["target"] = pieces["target"].reshape(4, 4)
             poses["intermediate"] = pieces["reference"].reshape(4, 4)
+        base, tip = self._model.base, self._model.tip
         for name, pose in poses.items():
-            message = {"header": self._header(self._model.base), "pose": _pose(pose)}
-            self._write_message(f"/tcp/{name}", "geometry_msgs/msg/PoseStamped", message)
-        self._write_message(
-            "/tf", "tf2_msgs/msg/TFMessage", {"transforms": [self._transform(actual)]}
-        )
+            self._write_message(f"/tcp/{name}", POSE_STAMPED, pose_stamped(self._now, base, pose))
+        self._write_message("/tf", TF_MESSAGE, tf_message(self._now, [(base, tip, actual)]))
 
     def step(self, body: bytes) -> None:
         """Write a message with a call of `step` or `step_joints`, from the body of its frame."""
@@ -137,56 +142,13 @@ class LogFile:
     def _call(self, message: dict[str, Any]) -> None:
         self._write_message("/pliant/call", "pliant_msgs/msg/Call", message)
 
-    def _joints(
-        self, topic: str, names: Any, position: Array, velocity: Array, effort: Array
-    ) -> None:
-        values = {"position": position, "velocity": velocity, "effort": effort}
-        lists = {
-            key: [] if np.isnan(value).all() else _pad(value, len(names)).tolist()
-            for key, value in values.items()
-        }
-        message = {"header": self._header(""), "name": list(names), **lists}
-        self._write_message(topic, "sensor_msgs/msg/JointState", message)
-
-    def _transform(self, pose: Array) -> dict[str, Any]:
-        made = _pose(pose)
-        return {
-            "header": self._header(self._model.base),
-            "child_frame_id": self._model.tip,
-            "transform": {"translation": made["position"], "rotation": made["orientation"]},
-        }
-
-    def _header(self, frame: str) -> dict[str, Any]:
-        seconds, rest = divmod(self._now, 1_000_000_000)
-        return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame}
+    def _joints(self, topic: str, names: Sequence[str], *values: Array) -> None:
+        self._write_message(topic, JOINT_STATE, joint_state(self._now, names, *values))
 
     def _write_message(self, topic: str, kind: str, message: dict[str, Any]) -> None:
         self._writer.write_message(
             topic, self._schemas[kind], message, self._now, sequence=next(self._count)
         )
-
-
-def _pad(value: Array, length: int) -> Array:
-    """Return values padded with NaN to a given length: joints outside the chain have no values."""
-    return np.concatenate((value, np.full(length - value.size, np.nan)))
-
-
-def _pose(matrix: Array) -> dict[str, dict[str, float]]:
-    x, y, z, w = _quaternion(matrix)
-    position = dict(zip("xyz", matrix[:3, 3].tolist(), strict=True))
-    return {"position": position, "orientation": {"x": x, "y": y, "z": z, "w": w}}
-
-
-def _quaternion(matrix: Array) -> list[float]:
-    """Return the quaternion x y z w of the rotation nearest to that of a matrix (4, 4)."""
-    u, _, v = np.linalg.svd(matrix[:3, :3])
-    pose = np.eye(4)
-    pose[:3, :3] = u @ v
-    try:
-        x, y, z, w = Pose(pose).xyzw.tolist()
-    except PliantError:
-        return [0.0, 0.0, 0.0, 1.0]
-    return [x, y, z, w]
 
 
 def main() -> None:

@@ -1,5 +1,7 @@
 """Pipe between the process of the control loop and the process of the browser page.
 
+The processes of ROS 2 and Foxglove (`pliant.ros`) use the same pipe. "The page" is each of them.
+
 The loop never waits for the page: it sends a snapshot (state of the arm) only after the page has
 acknowledged the last one. The page cannot overload the loop: at both ends, new messages replace
 obsolete ones, and the loop handles a bounded number of messages per tick.
@@ -17,7 +19,7 @@ import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from pliant._core import PliantError
 from pliant.view.messages import Edit, Message, Queue
@@ -25,9 +27,7 @@ from pliant.view.messages import Edit, Message, Queue
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from pliant.view.snapshot import SceneInfo, Snapshot
-
-#: Maximum rate at which the loop sends snapshots of the arm [Hz].
+#: Maximum rate at which the loop sends snapshots of the arm to the browser page [Hz].
 SNAPSHOT_RATE = 30.0
 #: Timeout for the start and for the end of the page's process [s].
 TIMEOUT = 30.0
@@ -60,29 +60,34 @@ class StartupError:
     text: str
 
 
-class Link:
-    """End of the pipe in the process of the loop; it starts and ends the process of the page.
+class ProcessLink:
+    """End of the pipe in the process of the loop; it starts and ends the other process.
 
     Args:
-        host: Address on which the page listens.
-        port: TCP port; if it is taken, the page uses the next free one.
+        name: Name of the other process in error messages.
+        module: Module that the other process runs as ``python -m MODULE DESCRIPTOR ARGUMENTS``.
+        arguments: Arguments of the module.
+        rate: Maximum rate of `due` [Hz].
 
     Attributes:
-        address: Link that opens the page, with its access token.
+        address: Address that the other process has reported once it was ready.
 
     Raises:
-        PliantError: The page does not start; the message gives the reason.
+        PliantError: The process does not start; the message gives the reason.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
-        """Start the process of the page, and wait until its web server listens."""
+    def __init__(
+        self, name: str, module: str, *arguments: str, rate: float = SNAPSHOT_RATE
+    ) -> None:
+        """Start the other process, and wait until it is ready."""
+        self._name, self._period = name, 1.0 / rate
         ours, theirs = socket.socketpair()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "pliant.view.page", str(theirs.fileno()), host, str(port)],
+            [sys.executable, "-m", module, str(theirs.fileno()), *arguments],
             pass_fds=(theirs.fileno(),),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            # Protect the page from Ctrl-C, which is for the loop; it ends when its pipe closes.
+            # Protect it from Ctrl-C, which is for the loop; it ends when its pipe closes.
             start_new_session=True,
         )
         theirs.close()
@@ -101,7 +106,7 @@ class Link:
         self.close()
         if isinstance(first, StartupError):
             raise PliantError(first.text)
-        raise PliantError("the page's process did not start; its output is above")
+        raise PliantError(f"the {self._name}'s process did not start; its output is above")
 
     def messages(self) -> list[Message]:
         """Return the messages of the page to handle in one tick.
@@ -112,7 +117,9 @@ class Link:
             PageGone: The page's process has ended.
         """
         if not self._listen():
-            raise PageGone("the page's process has ended, so it could no longer stop the arm")
+            raise PageGone(
+                f"the {self._name}'s process has ended, so it could no longer stop the arm"
+            )
         now = time.perf_counter()
         out = self._pending.take(edit=now >= self._edit_due)
         if any(isinstance(message, Edit) for message in out):
@@ -144,17 +151,17 @@ class Link:
         """
         return time.perf_counter() >= self._due and self._listen() and self._acknowledged
 
-    def send(self, snapshot: Snapshot | SceneInfo) -> None:
+    def send(self, snapshot: object) -> None:
         """Send a snapshot (only if `due()` is True) or the description of a scene (at any time).
 
         Raises:
             PageGone: The page's process has ended.
         """
-        self._due, self._acknowledged = time.perf_counter() + 1.0 / SNAPSHOT_RATE, False
+        self._due, self._acknowledged = time.perf_counter() + self._period, False
         try:
             self._pipe.send(snapshot)
         except OSError:
-            raise PageGone("the page's process has ended") from None
+            raise PageGone(f"the {self._name}'s process has ended") from None
 
     def close(self) -> None:
         """Close the pipe and wait for the page's process to end; kill it after `TIMEOUT`."""
@@ -165,7 +172,7 @@ class Link:
             self._process.kill()
             self._process.wait()
 
-    def __enter__(self) -> Link:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -175,6 +182,25 @@ class Link:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+class Link(ProcessLink):
+    """Link to the process of the browser page.
+
+    Args:
+        host: Address on which the page listens.
+        port: TCP port; if it is taken, the page uses the next free one.
+
+    Attributes:
+        address: Link that opens the page, with its access token.
+
+    Raises:
+        PliantError: The page does not start; the message gives the reason.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
+        """Start the process of the page, and wait until its web server listens."""
+        super().__init__("page", "pliant.view.page", host, str(port))
 
 
 class PageEndpoint:

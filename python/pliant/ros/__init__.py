@@ -1,0 +1,16 @@
+"""ROS 2 and Foxglove without ROS: publish an arm's state, take targets and softness.
+
+A process of its own talks to the network, so that the control loop never waits for it. `pliant ros`
+and `pliant foxglove` run a whole arm; `Bridge` connects a loop of one's own.
+
+>>> with pliant.ros.ros_link() as link, pliant.connect("so101") as arm:
+...     loop = pliant.Loop(arm, pliant.Controller(arm.model, settings, arm.servos))
+...     bridge = pliant.ros.Bridge(arm, loop, link)
+...     for tick in loop:
+...         bridge.step(tick)
+"""
+
+from pliant.ros.bridge import Bridge
+from pliant.ros.links import foxglove_link, ros_link
+
+__all__ = ["Bridge", "foxglove_link", "ros_link"]

@@ -1,0 +1,194 @@
+"""A simulated arm whose loop a network process controls, and an independent ROS 2 client."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import os
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant.ros import Bridge
+
+#: Longest time that a test waits for an event [s]; a loaded machine needs seconds for some.
+DEADLINE = 60.0
+#: Pause after every tick [s]: it lets the other processes work.
+PAUSE = 0.002
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Running:
+    """An arm with its loop, which advances only in `until`."""
+
+    def __init__(self, arm, settings, link, stderr):
+        self.arm, self.link, self._stderr = arm, link, stderr
+        self.controller = pliant.Controller(arm.model, settings, arm.servos)
+        self.loop = pliant.Loop(arm, self.controller)
+        self.bridge = Bridge(arm, self.loop, link)
+        self.ticks = iter(self.loop)
+        self.tool = np.eye(4)
+
+    def until(self, condition, what):
+        """Run the loop until `condition()` is true; fail after `DEADLINE`."""
+        end = time.monotonic() + DEADLINE
+        while not condition():
+            assert time.monotonic() < end, f"{what} did not happen within {DEADLINE:g} s"
+            self.ticks_of(1)
+
+    def ticks_of(self, count):
+        """Run the loop for a number of ticks."""
+        for tick in itertools.islice(self.ticks, count):
+            self.bridge.step(tick)
+            self.tool = self.arm.model.forward_kinematics(tick.q)
+            time.sleep(PAUSE)
+
+    def close(self):
+        self.ticks.close()
+
+    def said(self):
+        """Return what the process of the network has printed on stderr so far."""
+        return self._stderr.read_text()
+
+
+@contextlib.contextmanager
+def stderr_to(path):
+    """Let processes that start meanwhile print their errors into a file."""
+    ours = os.dup(2)
+    with path.open("wb") as file:
+        os.dup2(file.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(ours, 2)
+        os.close(ours)
+
+
+#: Definitions of message types as ROS 2 ships them, without comments and constants.
+MESSAGES = {
+    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec\n",
+    "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
+    "std_msgs/msg/String": "string data\n",
+    "std_msgs/msg/MultiArrayDimension": "string label\nuint32 size\nuint32 stride\n",
+    "std_msgs/msg/MultiArrayLayout": "MultiArrayDimension[] dim\nuint32 data_offset\n",
+    "std_msgs/msg/Float64MultiArray": "MultiArrayLayout layout\nfloat64[] data\n",
+    "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/msg/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+    "geometry_msgs/msg/Pose": "Point position\nQuaternion orientation\n",
+    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\nPose pose\n",
+    "geometry_msgs/msg/Transform": "Vector3 translation\nQuaternion rotation\n",
+    "geometry_msgs/msg/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\nTransform transform\n"
+    ),
+    "geometry_msgs/msg/Wrench": "Vector3 force\nVector3 torque\n",
+    "geometry_msgs/msg/WrenchStamped": "std_msgs/Header header\nWrench wrench\n",
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+    "sensor_msgs/msg/JointState": (
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+        "float64[] effort\n"
+    ),
+    "rcl_interfaces/msg/ParameterValue": (
+        "uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\n"
+        "string string_value\nbyte[] byte_array_value\nbool[] bool_array_value\n"
+        "int64[] integer_array_value\nfloat64[] double_array_value\nstring[] string_array_value\n"
+    ),
+    "rcl_interfaces/msg/Parameter": "string name\nParameterValue value\n",
+    "rcl_interfaces/msg/SetParametersResult": "bool successful\nstring reason\n",
+    "rcl_interfaces/msg/ListParametersResult": "string[] names\nstring[] prefixes\n",
+    "rcl_interfaces/msg/FloatingPointRange": (
+        "float64 from_value\nfloat64 to_value\nfloat64 step\n"
+    ),
+    "rcl_interfaces/msg/IntegerRange": "int64 from_value\nint64 to_value\nuint64 step\n",
+    "rcl_interfaces/msg/ParameterDescriptor": (
+        "string name\nuint8 type\nstring description\nstring additional_constraints\n"
+        "bool read_only false\nbool dynamic_typing false\n"
+        "FloatingPointRange[<=1] floating_point_range\nIntegerRange[<=1] integer_range\n"
+    ),
+}
+SERVICES = {
+    "GetParameters": "string[] names\n---\nrcl_interfaces/ParameterValue[] values\n",
+    "ListParameters": (
+        "uint64 DEPTH_RECURSIVE=0\nstring[] prefixes\nuint64 depth\n---\n"
+        "rcl_interfaces/ListParametersResult result\n"
+    ),
+    "SetParameters": (
+        "rcl_interfaces/Parameter[] parameters\n---\nrcl_interfaces/SetParametersResult[] results\n"
+    ),
+    "SetParametersAtomically": (
+        "rcl_interfaces/Parameter[] parameters\n---\nrcl_interfaces/SetParametersResult result\n"
+    ),
+}
+
+
+class Client:
+    """The independent client zenoh-ros2-sdk, with the messages that it has received by topic."""
+
+    def __init__(self, sdk, port, folder):
+        self.sdk, self.port = sdk, port
+        # The client looks for definitions in this folder before it would download them.
+        for name, text in MESSAGES.items():
+            self._write(folder / f"{name}.msg", text)
+        for name, text in SERVICES.items():
+            self._write(folder / "rcl_interfaces" / "srv" / f"{name}.srv", text)
+        self.session = sdk.ZenohSession.get_instance("127.0.0.1", port)
+        self.registry = sdk.get_registry()
+        self.registry.messages_dir = folder
+        self.got: dict[str, list] = {}
+        self._publishers: dict[str, object] = {}
+
+    @staticmethod
+    def _write(path: Path, text: str):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+
+    def subscribe(self, topic, kind, **more):
+        got = self.got.setdefault(topic, [])
+        return self.sdk.ROS2Subscriber(
+            topic, kind, callback=got.append, router_port=self.port, domain_id=0, **more
+        )
+
+    def publish(self, topic, kind, **fields):
+        if topic not in self._publishers:
+            self._publishers[topic] = self.sdk.ROS2Publisher(
+                topic, kind, router_port=self.port, domain_id=0
+            )
+        self._publishers[topic].publish(**fields)
+
+    def make(self, kind, **fields):
+        assert self.registry.load_message_type(kind)
+        return self.session.store.types[kind](**fields)
+
+    def call(self, name, kind, **request):
+        client = self.sdk.ROS2ServiceClient(
+            name, f"rcl_interfaces/srv/{kind}", router_port=self.port, domain_id=0, timeout=DEADLINE
+        )
+        answer = client.call(**request)
+        client.close()
+        return answer
+
+
+@pytest.fixture(scope="module")
+def client_of(tmp_path_factory):
+    """Return a function that connects the client to a port."""
+    sdk = pytest.importorskip("zenoh_ros2_sdk", reason="the client: pip install zenoh-ros2-sdk")
+    logging.getLogger("zenoh_ros2_sdk").setLevel(logging.ERROR)
+    made = []
+
+    def connect(port):
+        made.append(Client(sdk, port, tmp_path_factory.mktemp("messages")))
+        return made[-1]
+
+    yield connect
+    for client in made:
+        client.session.close()
