@@ -2,8 +2,8 @@
 
     python benches/ros.py --minutes 10
 
-A client sends a target at 50 Hz, a slow circle of the tool, with zenoh-ros2-sdk, and receives the
-state. The log of the arm says which targets the control loop has used, and when.
+A client sends a target at 50 Hz, a slow circle of the tool, over a zenoh session of zenoh-ros2-sdk,
+and receives the state. The log of the arm says which targets the control loop has used, and when.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def run(minutes: float = 10.0) -> None:
         try:
             got, sent = _exchange(60.0 * minutes)
         finally:
-            arm.send_signal(signal.SIGINT)
+            arm.send_signal(signal.SIGTERM)
             arm.wait()
         _print_states(got)
         _print_targets(path, sent, got)

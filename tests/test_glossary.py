@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import pliant
+import pliant.ros
 from pliant.config.factory import ARM_OPTIONS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,7 +39,13 @@ SPOKEN = words_of(
     *(pliant.feasibility.AxisReport, pliant.feasibility.PoseReport),
     *(pliant.Servos, pliant.Settings, pliant.Task, pliant.Tick, pliant.types.WrenchEstimate),
     *(pliant.arm, pliant.feasibility, pliant.identify, pliant.log, pliant.servo),
-    *(pliant.config, pliant.servo.ServoSpec, pliant.teleop, pliant.teleop.JointFollower),
+    *(
+        pliant.ros,
+        pliant.config,
+        pliant.servo.ServoSpec,
+        pliant.teleop,
+        pliant.teleop.JointFollower,
+    ),
 )
 
 
