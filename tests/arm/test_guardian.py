@@ -158,7 +158,7 @@ def test_a_second_program_gets_an_error_and_the_first_goes_on(bus, begin):
     assert "in use by another program" in error
     assert second.wait() == 3
     assert is_running(pid)
-    first.send_signal(signal.SIGINT)
+    first.send_signal(signal.SIGTERM)
     _, complained = first.communicate()
     assert "was lowered: torque OFF" in complained
     assert wait_for(pid)

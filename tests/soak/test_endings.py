@@ -22,7 +22,8 @@ PROGRAM = """
 import os, signal, sys, pliant
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-with pliant.connect("so101", port=sys.argv[1], comm_timeout=20.0) as arm:
+options = {{"comm_timeout": 20.0, "guardian": {guardian}}}
+with pliant.connect("so101", port=sys.argv[1], **options) as arm:
     print("torque", flush=True)
     for tick in pliant.Loop(arm, max_step_time=20.0):
         tick.skip()
@@ -35,9 +36,11 @@ with pliant.connect("so101", port=sys.argv[1], comm_timeout=20.0) as arm:
 NEAR = [0.0, -1.5, 1.4, 0.3, 0.0]
 
 
-def start(bus, *words):
+def start(bus, *words, guardian=True):
     # Start a new session: a signal to its process group then acts like Ctrl-C in a terminal.
-    program = Program("-c", PROGRAM, bus.port, *words, start_new_session=True)
+    program = Program(
+        "-c", PROGRAM.format(guardian=guardian), bus.port, *words, start_new_session=True
+    )
     assert program.stdout.readline() == "torque\n", program.communicate()[1]
     return program
 
@@ -67,12 +70,18 @@ def test_the_arm_is_lowered(ending, code):
         assert bus.call("recorder.speeds")[False] < 0.25
 
 
-def test_killed_it_keeps_its_last_order():
-    with EmulatorProcess(so101) as bus:
-        program = start(bus)
+@pytest.mark.parametrize("guardian", [True, False])
+def test_killed_it_is_lowered_by_its_guardian_and_keeps_its_last_order_without(guardian):
+    with EmulatorProcess(so101, NEAR) as bus:
+        program = start(bus, guardian=guardian)
         height = bus.call("plant.tool.tolist")[2][3]
         program.kill()
-        program.communicate()
-        time.sleep(1.0)  # the emulator's time is the machine's
-        assert bus.call("on")
-        assert bus.call("plant.tool.tolist")[2][3] == pytest.approx(height, abs=0.01)
+        # The guardian holds stderr of the program until it is done.
+        program.communicate(timeout=120)
+        if guardian:
+            assert not bus.call("on")
+            assert bus.call("plant.tool.tolist")[2][3] < height - 0.02
+        else:
+            time.sleep(1.0)  # the emulator's time is the machine's
+            assert bus.call("on")
+            assert bus.call("plant.tool.tolist")[2][3] == pytest.approx(height, abs=0.01)

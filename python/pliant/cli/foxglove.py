@@ -21,7 +21,7 @@ def run(
     arm: ArmName,
     *,
     soft: Axes = "",
-    rate: float = 50.0,
+    state_rate: float = 50.0,
     host: str = "127.0.0.1",
     http_port: Port = 8765,
     allow_commands: bool = False,
@@ -39,9 +39,9 @@ def run(
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         soft: Axes that yield: "y yaw" with the arm's default caps, "y=2 z=5" with caps of 2 and 5 N
             (N·m for roll, pitch, yaw). The other axes keep their settings.
-        rate: Rate of the shown state [Hz].
-        host: Address to listen on; 0.0.0.0 opens the server to the network.
-        http_port: TCP port of the server.
+        state_rate: Rate of the published state [Hz].
+        host: Address to listen on; 0.0.0.0 opens it to the network.
+        http_port: TCP port to listen on.
         allow_commands: Take targets and parameters from clients.
         duration: Time after which the command ends [s].
         log: MCAP file to write (needs the extra log).
@@ -53,7 +53,7 @@ def run(
         arm,
         lambda: foxglove_link(host=host, port=http_port, allow_commands=allow_commands),
         soft=soft,
-        rate=rate,
+        rate=state_rate,
         duration=duration,
         override=override,
         log=log,

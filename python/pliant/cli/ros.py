@@ -22,7 +22,7 @@ def run(
     arm: ArmName,
     *,
     soft: Axes = "",
-    rate: float = 50.0,
+    state_rate: float = 50.0,
     name: str = "pliant",
     namespace: str = "/",
     domain: Domain = None,
@@ -42,7 +42,7 @@ def run(
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         soft: Axes that yield: "y yaw" with the arm's default caps, "y=2 z=5" with caps of 2 and 5 N
             (N·m for roll, pitch, yaw). The other axes keep their settings.
-        rate: Rate of the published state [Hz].
+        state_rate: Rate of the published state [Hz].
         name: Name of the node.
         namespace: Namespace of the node and its topics.
         domain: ROS domain id. Default: the environment variable ROS_DOMAIN_ID, or 0.
@@ -62,7 +62,7 @@ def run(
             connect=connect,
         ),
         soft=soft,
-        rate=rate,
+        rate=state_rate,
         duration=duration,
         override=override,
         log=log,

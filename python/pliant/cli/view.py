@@ -44,8 +44,8 @@ def run(
         scene: Simulate ARM, one of arm7, so101 and koch, in a scene: free, door, drawer, wall or
             hand-over.
         rate: Control rate of the simulated arm [Hz].
-        host: Address to listen on; 0.0.0.0 opens the page to the network.
-        http_port: TCP port of the page; if it is taken, the next free one is used.
+        host: Address to listen on; 0.0.0.0 opens it to the network.
+        http_port: TCP port to listen on.
         browser: Open the page in the default browser.
         log: MCAP file to write (needs the extra log).
         override: Values that replace those of the configuration file.

@@ -7,7 +7,7 @@ use crate::math::simd::{BaselineF64, RealOps, SimdLevel};
 use crate::math::spatial::Mat3;
 use crate::model::Chain;
 use crate::params::{LimitRule, Params};
-use crate::{JointVec, MAX_JOINTS, Rows};
+use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// Distance of a simulated push: along a translation [m], about a rotation [rad].
 pub(crate) const TRAVEL: [f64; 2] = [0.15, 0.4];
@@ -211,8 +211,10 @@ impl HostLoss<'_> {
     /// Returns the gravity torques at `q`, the servo torques minus the gravity torques [N·m], and the Jacobian's rows in
     /// base axes.
     fn torques(&self, q: &JointVec) -> ([JointVec; 2], Rows) {
-        let statics = Statics { chain: self.chain, masses: self.masses, gravity: &self.gravity, q };
-        let (holding, j_base) = self.simd_level.dispatch_narrow(statics);
+        let mut j_base = [[0.0; MAX_JOINTS]; MAX_AXES];
+        let rows = Some(&mut j_base);
+        let statics = Statics { chain: self.chain, masses: self.masses, gravity: &self.gravity, q, rows };
+        let holding = self.simd_level.dispatch_narrow(statics);
         let mut pull = [0.0; MAX_JOINTS];
         for i in 0..self.params.n {
             let spring = self.params.servos.kp[i] * (self.goal[i] - q[i]);

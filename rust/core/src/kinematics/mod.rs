@@ -3,7 +3,6 @@
 use nalgebra::{DVector, Matrix6xX};
 
 use crate::error::{Error, Result};
-use crate::math::rows::store_rows;
 use crate::math::simd::{F64x8, Isa, JointVector, Kernel, LANES, ScalarVec3, SimdLevel};
 use crate::model::{Chain, Model};
 use crate::pose::{COORDINATE_BOUND, Pose};
@@ -22,7 +21,6 @@ mod targets;
 pub(crate) mod velocity_filter;
 
 pub use forward::JointFrames;
-use fused::SimpleScratch;
 pub(crate) use fused::{KinematicScratch, KinematicState};
 pub use gravity::GroupMasses;
 pub use ik::{IkOptions, IkResult, IkStatus};
@@ -84,8 +82,9 @@ impl Model {
     /// As [`Model::forward_kinematics`].
     pub fn gravity(&self, q: &[f64]) -> Result<DVector<f64>> {
         let (q, masses) = (self.joint_vector(q)?, self.chain().masses(self.payload()));
-        let statics = Statics { chain: self.chain(), masses: &masses, gravity: &self.gravity_vector(), q: &q };
-        let (torque, _) = SimdLevel::detect().dispatch_narrow(statics);
+        let gravity = self.gravity_vector();
+        let statics = Statics { chain: self.chain(), masses: &masses, gravity: &gravity, q: &q, rows: None };
+        let torque = SimdLevel::detect().dispatch_narrow(statics);
         Ok(DVector::from_fn(self.n(), |i, _| torque[i]))
     }
 
@@ -146,33 +145,28 @@ impl Kernel for Forward<'_> {
     }
 }
 
-/// Inputs for the gravity torques and the Jacobian at one configuration.
+/// Inputs for the gravity torques at one configuration, and the Jacobian's rows in base axes if they are asked for.
 pub(crate) struct Statics<'a> {
     pub(crate) chain: &'a Chain,
     pub(crate) masses: &'a GroupMasses,
     pub(crate) gravity: &'a [f64; 3],
     pub(crate) q: &'a JointVec,
+    pub(crate) rows: Option<&'a mut Rows>,
 }
 
 impl Kernel for Statics<'_> {
-    /// Torques that hold the arm [N·m], and the Jacobian's rows in base axes.
-    type Output = (JointVec, Rows);
+    /// Torques that hold the arm [N·m], with the same bits as those of a batch.
+    type Output = JointVec;
 
     #[inline(always)]
-    fn run<M: Isa>(self) -> (JointVec, Rows) {
-        let Self { chain, masses, gravity, q } = self;
-        if chain.fits_f64x8() && chain.path == chain.total {
-            let (q, mut scratch) = (<M::F64x8 as JointVector>::load(q), SimpleScratch::<LANES>::new());
-            let state = chain.evaluate_simple(q, Some((masses, gravity)), &mut scratch);
-            return (state.holding.to_joints(), store_rows(&state.j_base));
-        }
-        // Compiled once for all instruction sets.
+    fn run<M: Isa>(self) -> JointVec {
         let (mut frames, mut torque) = (JointFrames::default(), [0.0; MAX_JOINTS]);
-        let mut rows = [[0.0; MAX_JOINTS]; MAX_AXES];
-        chain.forward(q, &mut frames);
-        chain.jacobian(&frames, &mut rows);
-        chain.gravity(&frames, masses, *gravity, &mut torque);
-        (torque, rows)
+        self.chain.forward_by::<M::Elem>(self.q, &mut frames);
+        if let Some(rows) = self.rows {
+            self.chain.jacobian_by::<M::Elem>(&frames, rows);
+        }
+        self.chain.gravity_by::<M::Elem>(&frames, self.masses, self.gravity, &mut torque);
+        torque
     }
 }
 
