@@ -24,7 +24,7 @@ from pliant.teach import Motion
 from pliant.view import messages
 
 MODEL = pliant.robots.so101()
-#: A file of the test's own folder is written anew for each input.
+#: Hypothesis runs many inputs per test; each overwrites the file in the folder of the test.
 FOLDER = {"suppress_health_check": [HealthCheck.function_scoped_fixture], "deadline": None}
 
 NUMBERS = st.one_of(
