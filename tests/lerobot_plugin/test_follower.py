@@ -137,7 +137,7 @@ def test_a_stall_of_the_interpreter_does_not_lower_the_arm(robot, monkeypatch):
 
 
 def test_the_force_in_the_action_is_the_force_at_the_table(robot):
-    """The same target inside the table is sent with two values of `max_force`."""
+    """Send one target inside the table with two values of `max_force`."""
     arm, model = arm_of(robot), arm_of(robot).model
     inside = np.array([0.0, 0.0, 0.9, 0.6, 0.0])
     assert np.asarray(model.forward_kinematics(inside))[2, 3] < -0.02
