@@ -1,4 +1,4 @@
-"""Printing of lines and of the summary of a loop, and detection of the Enter key in a loop."""
+"""Printing of lines and of the summary of a loop, and lines typed during a loop."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import threading
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+
+from pliant._core import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,22 +34,36 @@ def print_summary(arm: Arm, loop: Loop, notes: Sequence[str] = ()) -> None:
     )
 
 
-class EnterKey:
-    """Detector of the Enter key; a separate thread reads standard input, so nothing blocks."""
+class Keyboard:
+    """Lines typed on standard input; a separate thread reads it, so nothing blocks."""
 
     def __init__(self) -> None:
         """Start the thread that reads standard input."""
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         threading.Thread(target=self._read, daemon=True, name="pliant-keys").start()
 
     def _read(self) -> None:
-        for line in sys.stdin:
+        for line in sys.stdin or ():
             self._lines.put(line)
+        self._lines.put(None)
 
     def pressed(self) -> bool:
         """Return True if Enter has been pressed since the last call of this method."""
         pressed = False
         while not self._lines.empty():
-            self._lines.get()
-            pressed = True
+            pressed = self._lines.get() is not None or pressed
         return pressed
+
+    def line(self) -> str | None:
+        """Return the next line, or None if there is none yet.
+
+        Raises:
+            ConfigError: Standard input has ended.
+        """
+        if self._lines.empty():
+            return None
+        line = self._lines.get()
+        if line is None:
+            self._lines.put(None)
+            raise ConfigError("standard input ended before the last answer")
+        return line

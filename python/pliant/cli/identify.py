@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 
 from pliant import identify
-from pliant._core import ConfigError, Controller, Settings
+from pliant._core import ConfigError, Controller
 from pliant.cli._console import print_line
-from pliant.cli._flags import ArmName, ConfigFlags
+from pliant.cli._flags import ArmName, ConfigFlags, File
+from pliant.cli._measurements import Measurements
 from pliant.config import connect
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ def run(
     procedure: Annotated[Procedure, tyro.conf.Positional],
     *,
     span: Annotated[float | None, tyro.conf.arg(metavar="RADIANS")] = None,
+    report: File = None,
     override: ConfigFlags,
 ) -> None:
     """Measure the arm, print the results and the lines for its configuration, and lower the arm.
@@ -46,24 +49,34 @@ def run(
         procedure: servos, gravity or payload.
         span: Largest motion of each joint from the present pose [rad]. Default: 0.1 for servos,
             0.3 for payload.
+        report: Measurements file (JSON) to write or to continue, ready to be sent in. Only for
+            servos.
         override: Values that replace those of the configuration file.
     """
     options: dict[str, Any] = {} if span is None else {"span": span}
     if procedure == "gravity" and options:
         raise ConfigError("--span belongs to servos and payload: gravity moves nothing")
+    if report is not None and procedure != "servos":
+        raise ConfigError(f"--report belongs to servos, got {procedure}")
     arm_config = override.load(arm)
-    settings = arm_config.settings()
+    file = None if report is None else Measurements(report, override.inputs(arm, arm_config))
     connected = connect(arm_config)
     # Check the settings here, so that an error is raised before torque is on.
-    Controller(connected.model, settings, connected.servos)
+    Controller(connected.model, arm_config.settings(), connected.servos)
     console = Console()
     print_line(f"{procedure}: {PROCEDURE_TEXTS[procedure]}; do not touch the arm", console)
     results: list[list[str]] = []
     try:
-        with connected as live:
-            results.append(_measure(procedure, live, arm_config, settings, options))
+        with closing(connected):
+            if file is not None:
+                connected.open()
+                file.start(connected, arm_config)
+            with connected as live:
+                results.append(_measure(procedure, live, arm_config, options, file))
     finally:
-        # Print only after the arm is lowered: a blocked terminal must not delay the descent.
+        # Only after the arm is lowered: a blocked terminal or disk must not delay the descent.
+        if file is not None and "servos" in file:
+            file.save()
         for line in (line for lines in results for line in lines):
             print_line(line, console)
 
@@ -72,14 +85,17 @@ def _measure(
     procedure: Procedure,
     arm: Arm,
     arm_config: Config,
-    settings: Settings,
     options: dict[str, Any],
+    file: Measurements | None,
 ) -> list[str]:
     """Run a procedure; return the printed lines: its results and lines for the configuration."""
     if procedure == "servos":
+        q = arm.read().q
         found = identify.identify_servos(arm, arm.model, arm.servos, **options)
+        if file is not None:
+            file.add_servos(found, q)
         return [*found.summary(), *_servo_lines(arm_config, found), *_payload_lines(found.payload)]
-    controller = Controller(arm.model, settings, arm.servos)
+    controller = Controller(arm.model, arm_config.settings(), arm.servos)
     if procedure == "payload":
         estimate = identify.estimate_payload(arm, controller, **options)
         return [*estimate.summary(), *_payload_lines(estimate)]

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pliant import teach
 from pliant._core import ConfigError, Controller
-from pliant.cli._console import EnterKey, print_line
+from pliant.cli._console import Keyboard, print_line
 from pliant.cli._flags import (
     ArmName,
     Axes,
@@ -114,7 +114,7 @@ class _Player:
 
     def run(self, loop: Loop, arm: Arm, make: Callable[..., Replay]) -> None:
         """Play the motion in the control loop; `make` creates the `Replay` of a controller."""
-        keys, replay, last_state = EnterKey(), make(loop.controller), ""
+        keys, replay, last_state = Keyboard(), make(loop.controller), ""
         start: float | None = None
         for tick in loop:
             start = tick.time if start is None else start

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pliant import teach
 from pliant._core import ConfigError
-from pliant.cli._console import EnterKey, print_line
+from pliant.cli._console import Keyboard, print_line
 from pliant.cli._flags import (
     ArmName,
     ConfigFlags,
@@ -75,7 +75,7 @@ def run(
             "--scripted-hand leads simulated arms only: add --backend sim or emulator"
         )
     console = Console()
-    keys = EnterKey() if by == "enter" else None
+    keys = Keyboard() if by == "enter" else None
 
     def should_toggle(teacher: Teacher, state: State) -> bool:
         return teacher.gripper_pressed(state) if keys is None else keys.pressed()

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pliant._core import Model
+    from pliant._typing import Array
     from pliant.config.schema import Config
     from pliant.servo._handshake import ServoInfo
 
@@ -226,24 +227,34 @@ def _sense(chain: ServoBus, model: Model) -> Iterator[Diagnosis]:
         )
 
 
-def _cycle(chain: ServoBus, config: Config) -> Diagnosis:
-    """Measure the time to read all joints; compare it with the transmission time of the bytes."""
-    times, before = [], chain.counters["timeouts"]
-    for _ in range(CYCLES):
+def time_readings(chain: ServoBus) -> tuple[Array, int]:
+    """Read all joints `CYCLES` times; return the durations [s] and the number of lost replies."""
+    times, before = np.zeros(CYCLES), chain.counters["timeouts"]
+    for i in range(CYCLES):
         begin = time.perf_counter()
         chain.read()
-        times.append(time.perf_counter() - begin)
-    lost = chain.counters["timeouts"] - before
-    median, worst = float(np.median(times)), float(np.quantile(times, 0.99))
+        times[i] = time.perf_counter() - begin
+    return times, chain.counters["timeouts"] - before
+
+
+def wire_read_time(chain: ServoBus, baudrate: int) -> float:
+    """Return the transmission time of the bytes of one reading of all joints [s]."""
     family = chain.specs[0].row.family
     servos = sum(len(spec.servos) for spec in chain.specs)
-    bare = wire_time(
+    return wire_time(
         family.protocol,
         "sync_read" if family.sync_read else "read",
         servos if family.sync_read else 1,
         family.read[0].size,
-        baudrate=config.port[0].baud,
+        baudrate=baudrate,
     ) * (1 if family.sync_read else servos)
+
+
+def _cycle(chain: ServoBus, config: Config) -> Diagnosis:
+    """Measure the time to read all joints; compare it with the transmission time of the bytes."""
+    times, lost = time_readings(chain)
+    median, worst = float(np.median(times)), float(np.quantile(times, 0.99))
+    bare = wire_read_time(chain, config.port[0].baud)
     text = (
         f"reading takes {median * 1e3:.2f} ms, 99 %: {worst * 1e3:.2f} ms; the wire alone "
         f"{bare * 1e3:.2f} ms"

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from rich.console import Console
 from rich.markup import escape
 
 from pliant._core import ConfigError, PliantError
-from pliant.cli._flags import ArmName, ConfigFlags, Seconds, check_duration
+from pliant.cli._console import Keyboard, print_line
+from pliant.cli._flags import ArmName, ConfigFlags, File, Seconds, check_duration
+from pliant.cli._measurements import Measurements
 from pliant.cli.servos._joint_monitor import watch as watch_joints
+from pliant.cli.servos._measure import measure as run_session
+from pliant.config import connect
 from pliant.config.doctor import examine
 
 #: Printed mark, with its colour, of each level of a finding.
@@ -25,23 +31,46 @@ def run(
     override: ConfigFlags,
     watch: bool = False,
     duration: Seconds = None,
+    measure: bool = False,
+    report: File = None,
 ) -> None:
     """Check files, ports, servos and this machine; nothing is written and nothing moves.
 
     The sign of a joint needs a check by eye: --watch shows the angles while a hand moves the
     joints, and the direction in which the tool must move as each angle grows.
 
+    --measure moves the arm: a session of 5 minutes with a kitchen scale and a weight compares
+    servos, forces, latencies and the descent with their tables, and writes the file of --report.
+
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         override: Values that replace those of the configuration file.
         watch: Show the joint angles until Ctrl-C, with torque off.
         duration: Time after which the command ends [s]. Needs --watch.
+        measure: Measure the arm with the help of a person, who answers questions.
+        report: Measurements file (JSON) to write or to continue, ready to be sent in. Needs
+            --measure; by default measurements.json.
     """
     if duration is not None and not watch:
         raise ConfigError("--duration belongs to --watch, which was not given")
+    if watch and measure:
+        raise ConfigError("--watch needs torque off, and --measure switches it on: give one")
+    if report is not None and not measure:
+        raise ConfigError("--report belongs to --measure, which was not given")
     check_duration(duration)
     console, problem_count = Console(), 0
     arm_config = override.load(arm)
+    if measure:
+        path = Path("measurements.json") if report is None else report
+        file = Measurements(path, override.inputs(arm, arm_config))
+        try:
+            connected = connect(arm_config)
+            run_session(connected, arm_config, file, Keyboard(), lambda s: print_line(s, console))
+        finally:
+            if file.data["steps"]:
+                console.print(file.table())
+                print_line(f"{path}: {', '.join(file.data['steps'])}", console)
+        return
     if watch:
         watch_joints(arm_config, console, duration)
         return
