@@ -43,6 +43,8 @@ MIN_READING, MIN_WEIGHT = 1.0, 20.0
 #: Largest plausible reading, as a multiple of what the servos hold at full torque by the table; and
 #: largest mass of the weight, as a share of it [1].
 MAX_READING_SHARE, MAX_WEIGHT_SHARE = 3.0, 0.4
+#: Smallest height of the tool above a table in the pose of the session [m].
+MIN_HEIGHT = 0.15
 #: Time for which the arm is observed after torque off [s].
 WATCH_TIME = 1.0
 
@@ -88,6 +90,8 @@ class _Session:
         self.settings = settings.replace(axes=firm)
         # Check the settings here, so that an error is raised before torque is on.
         Controller(self.arm.model, self.settings, self.arm.servos)
+        #: Pose of the tool (4, 4) that the arm holds between the steps.
+        self.home = np.eye(4)
         self.late = LatenessHistogram()
         self.missed = self.missing = 0
         self.write_times: list[float] = []
@@ -106,8 +110,7 @@ class _Session:
                 "Next: torque comes on. You: hold the arm in a free pose, elbow bent, the tool "
                 "15 cm or more above the table, and press Enter; let go at the next line."
             )
-            while self.keys.line() is None:
-                time.sleep(0.05)
+            self._wait_for_pose()
             with arm:
                 for step, run in (
                     ("servos", self._servos),
@@ -119,6 +122,20 @@ class _Session:
                     if step not in self.file:
                         run()
                         self._save_beside()
+
+    def _wait_for_pose(self) -> None:
+        """Wait, with torque off, until a person has confirmed a pose with room below the tool."""
+        while True:
+            while self.keys.line() is None:
+                time.sleep(0.05)
+            self.home = self.arm.model.forward_kinematics(self.arm.read().q)
+            height = float(self.home[2, 3]) - (self.arm.table or 0.0)
+            if self.arm.table is None or height >= MIN_HEIGHT:
+                return
+            self.say(
+                f"the tool is {height * 100:.0f} cm above the table, needed are "
+                f"{MIN_HEIGHT * 100:.0f} cm or more: hold it higher and press Enter"
+            )
 
     def save(self) -> None:
         """Write the file once the arm is lowered: a slow disk must not delay the descent."""
@@ -220,19 +237,19 @@ class _Session:
             return
         mass = grams * 1e-3
         test = WeightTest(before, self._leads(before), mass)
-        kp, sigma = test.stiffness
+        kp, sigma, extra = test.solve()
         values: dict[str, Any] = {
             "q": before.pose,
             "scale": grams,
             "mass": mass,
             "mass_by_table": test.mass_seen(self._kp),
-            "extra_mass": test.extra_mass,
+            "extra_mass": extra,
         }
         if "servos" in self.file:
             found = np.array([joint["kp"] for joint in self.file["servos"]["joints"]])
             values["mass_by_identified"] = test.mass_seen(found)
         columns = {
-            "torque": test.torque,
+            "torque": test.torque(extra),
             "lead": test.lead,
             "lead_sigma": test.sigma,
             "kp": kp,
@@ -341,11 +358,9 @@ class _Session:
         self.say(question)
         arm = self.arm
         controller = controller or Controller(arm.model, self.settings, arm.servos)
-        target: Array | None = None
         for tick in self._ticks(controller):
             pose = arm.model.forward_kinematics(tick.q)
-            target = pose if target is None else target
-            command = controller.step(tick.q, target, dt=tick.dt)
+            command = controller.step(tick.q, self.home, dt=tick.dt)
             begin = time.perf_counter()
             tick.write(command)
             self.write_times.append(time.perf_counter() - begin)
