@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import sys
 import threading
@@ -43,16 +44,26 @@ class Keyboard:
         threading.Thread(target=self._read, daemon=True, name="pliant-keys").start()
 
     def _read(self) -> None:
-        for line in sys.stdin or ():
-            self._lines.put(line)
+        # A stream that cannot be read has ended.
+        with contextlib.suppress(OSError, ValueError):
+            for line in sys.stdin or ():
+                self._lines.put(line)
         self._lines.put(None)
 
     def pressed(self) -> bool:
         """Return True if Enter has been pressed since the last call of this method."""
         pressed = False
         while not self._lines.empty():
-            pressed = self._lines.get() is not None or pressed
+            if self._lines.get() is None:
+                self._lines.put(None)  # for `line`
+                break
+            pressed = True
         return pressed
+
+    def discard(self) -> None:
+        """Drop what a person has typed too early; lines of a script are kept."""
+        if sys.stdin is not None and sys.stdin.isatty():
+            self.pressed()
 
     def line(self) -> str | None:
         """Return the next line, or None if there is none yet.

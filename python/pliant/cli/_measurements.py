@@ -34,11 +34,8 @@ if TYPE_CHECKING:
 
 #: Value of the key `format`. Files of another value are not continued.
 FORMAT = "pliant measurements 1"
-#: Steps of a session in their order, which are also keys of the file.
-STEPS = ("bus", "servos", "push", "weight", "loop", "ending")
 #: Unit of each key with a number or numbers.
 UNITS = {
-    "ceiling": "register units",
     "cpu_count": "1",
     "gain": "register units",
     "gear_ratio": "1",
@@ -65,6 +62,7 @@ UNITS = {
     "missing": "1",
     "counters": "1",
     "q": "rad",
+    "max_torque_assumed": "N·m",
     "kp": "N·m/rad",
     "kp_assumed": "N·m/rad",
     "kp_sigma": "N·m/rad",
@@ -285,6 +283,7 @@ def _arm(arm: Arm, config: Config) -> dict[str, Any]:
 
 def _servos(chain: ServoBus) -> list[dict[str, Any]]:
     rows = {spec.name: spec for spec in chain.specs}
+    torque = dict(zip(chain.names, chain.servos.max_torque, strict=True))
     return [
         {
             "joint": info.joint,
@@ -297,6 +296,7 @@ def _servos(chain: ServoBus) -> list[dict[str, Any]]:
             "voltage": info.voltage,
             "temperature": info.temperature,
             "return_delay": info.return_delay,
+            "max_torque_assumed": torque[info.joint],
         }
         for info in chain.found
     ]

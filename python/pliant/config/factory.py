@@ -499,7 +499,8 @@ def _as_set_up(servo: Servo) -> dict[str, int]:
     row = get_model(servo.model)
     mode = {"operating_mode": 5} if row.limit_type == "current" else {}
     gain = {} if servo.gain is None else {"p_coefficient": servo.gain}
-    return {"return_delay_time": 0, **mode, **gain}
+    number = {} if servo.model_number is None else {"model_number": servo.model_number}
+    return {"return_delay_time": 0, **mode, **gain, **number}
 
 
 def _calibrated(file: Calibration | None, servo: Servo) -> dict[str, int]:

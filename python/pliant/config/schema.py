@@ -120,6 +120,10 @@ class Servo(StrictModel):
 
     Attributes:
         model: Name of a servo model, e.g. `STS3215-7.4V` or `XM430-W350`.
+        model_number: Content of the register Model Number, if the servo is not in the table of
+            models but has the control table of `model`; None: that of `model`.
+        no_load: No-load speed at the rated voltage [rpm]; None: that of the servo model.
+        voltage: Lowest and highest supply voltage [V]; None: those of the servo model.
         id: Id of the servo on its port.
         port: Name of the port.
         sign: +1 if encoder counts rise with the joint angle, else -1.
@@ -140,6 +144,9 @@ class Servo(StrictModel):
     """
 
     model: str
+    model_number: Annotated[int, Field(ge=1, le=65535, strict=True)] | None = None
+    no_load: Positive | None = None
+    voltage: tuple[Positive, Positive] | None = None
     id: Id
     port: str = "main"
     sign: Literal[1, -1] = 1

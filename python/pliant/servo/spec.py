@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from math import floor, pi
@@ -86,6 +86,10 @@ class ServoSpec:
     Attributes:
         name: Joint name.
         model: Servo model, as `pliant.servo.list_models()` lists them.
+        model_number: Content of the register Model Number of a servo that is not in the table of
+            models, but has the control table of `model`; None: that of `model`.
+        no_load: No-load speed at the rated voltage [rpm]; None: the value of the model.
+        voltage: Lowest and highest supply voltage [V]; None: those of the model.
         id: Id on the bus.
         port: Serial port, e.g. ``/dev/ttyUSB0``.
         sign: +1 if counts rise with the joint angle, else -1.
@@ -122,6 +126,9 @@ class ServoSpec:
     friction: float | None = None
     damping: float | None = None
     calibration: Calibration | None = None
+    model_number: int | None = None
+    no_load: float | None = None
+    voltage: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Raise `ConfigError` unless all attributes have valid values."""
@@ -155,11 +162,30 @@ class ServoSpec:
         bounds = [b for b in (self.lower, self.upper) if b is not None]
         if not np.isfinite(bounds).all() or (len(bounds) == 2 and bounds[0] >= bounds[1]):
             raise ConfigError(f"{self.name}: lower must be below upper [rad], got {bounds}")
+        known = [] if self.model_number is None else by_number(self.model_number)
+        if known and row.name not in [one.name for one in known]:
+            raise ConfigError(
+                f"{self.name}: model_number {self.model_number} is that of {known[0].name}, not of "
+                f"a servo that the package does not know: model = {known[0].name!r}"
+            )
+        if self.no_load is not None and not (np.isfinite(self.no_load) and self.no_load > 0.0):
+            raise ConfigError(f"{self.name}: no_load must be above 0 rpm, got {self.no_load!r}")
+        low, high = row.voltage
+        if not (np.isfinite(low) and 0.0 < low < high < np.inf):
+            raise ConfigError(f"{self.name}: voltage is lowest and highest [V], got {row.voltage}")
 
-    @property
+    @cached_property
     def row(self) -> ServoModel:
-        """Data of the servo model."""
-        return get_model(self.model)
+        """Data of the servo model; of an unknown model, with the values of this spec."""
+        row = get_model(self.model)
+        if all(value is None for value in (self.model_number, self.no_load, self.voltage)):
+            return row
+        return replace(
+            row,
+            model_number=row.model_number if self.model_number is None else self.model_number,
+            no_load=row.no_load if self.no_load is None else ((row.rated, self.no_load),),
+            voltage=row.voltage if self.voltage is None else self.voltage,
+        )
 
     @property
     def servos(self) -> tuple[tuple[int, int], ...]:

@@ -85,7 +85,9 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
     checked = set()
     for change in former:
         row, where = rows[change.joint, change.id], f"{path}: {change.joint} (id {change.id})"
-        if change.model and get_model(change.model).model_number != row.model_number:
+        # A servo that is in no table has the name of a model, but a number of its own.
+        is_named = change.model in {"", row.name}
+        if not is_named and get_model(change.model).model_number != row.model_number:
             raise ConfigError(
                 f"{where} was {change.model}, the configuration says {row.name}: its registers "
                 "mean something else. Nothing was written"

@@ -55,6 +55,9 @@ class Lines(Protocol):
     def line(self) -> str | None:
         """Return the next line, None if there is none yet; raise ConfigError at the end."""
 
+    def discard(self) -> None:
+        """Drop what a person has typed before a question."""
+
 
 def measure(
     arm: Arm, config: Config, file: Measurements, keys: Lines, say: Callable[[str], None]
@@ -355,6 +358,7 @@ class _Session:
         Raises:
             ConfigError: The lines have ended.
         """
+        self.keys.discard()
         self.say(question)
         arm = self.arm
         controller = controller or Controller(arm.model, self.settings, arm.servos)

@@ -1,0 +1,339 @@
+"""The session of `pliant servos doctor --measure`, on emulated servos that no table knows.
+
+The servos are stronger than assumed, and the arm carries a load that the model lacks; the file must
+show both.
+"""
+
+import getpass
+import io
+import json
+import platform
+import re
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mismatch import Mismatch, Parameters
+
+pytest.importorskip("mujoco", reason="the arm behind the bytes needs the extra sim")
+pytest.importorskip("rustypot", reason="servo buses need the extra servo")
+
+import pliant
+from pliant import config
+from pliant.arm import Arm
+from pliant.cli import main
+from pliant.cli._console import Keyboard
+from pliant.cli._measurements import UNITS, Measurements
+from pliant.cli.servos._measure import MIN_READING, G, _grams, measure
+from pliant.config import factory
+from pliant.emulator import models
+from pliant.sim import Drag, ForceProfile
+
+#: Model number of the unknown servo, its torque over that of the STS3215, and the hidden load [kg].
+NUMBER, STRONGER, LOAD = 2825, 1.3, 0.08
+#: Mass that the person hangs on the tool [kg], and pose with room below the tool [rad].
+WEIGHT, POSE = 0.1, [0.0, -1.0, 0.7, 0.5, 0.0]
+DOCS = Path(__file__).parents[2] / "docs" / "first_measurements.md"
+
+
+class Steps:
+    """Emulated time, which advances only during waits."""
+
+    def __init__(self, bus):
+        self.bus = bus
+
+    def now(self):
+        return self.bus.time
+
+    def wait_until(self, deadline):
+        if deadline > self.bus.time:
+            self.bus.advance(deadline - self.bus.time)
+
+
+class Person:
+    """Pushes the emulated arm with a scale, hangs a weight on it, and answers.
+
+    Attributes:
+        asked: Questions and errors that were shown.
+        skipped: Words of questions that are answered by `skip`.
+        stop: Words of a question at which the person presses Ctrl-C.
+    """
+
+    def __init__(self, bus, skipped=(), stop=None):
+        self.bus, self.skipped, self.stop, self.asked = bus, skipped, stop, []
+        self.scale = []
+
+    def say(self, text):
+        self.asked.append(text)
+        self.began, self.acting = self.bus.time, False
+
+    def discard(self):
+        """Nothing is typed too early."""
+
+    def line(self):
+        question, plant, time = self.asked[-1], self.bus.plant, self.bus.time - self.began
+        if self.stop is not None and self.stop in question:
+            raise KeyboardInterrupt
+        if any(words in question for words in self.skipped):
+            return "skip\n"
+        if "torque comes on" in question:
+            return "\n"
+        if found := re.search(r"yields along (.).*for (\d+) cm", question):
+            return self.push(plant, found, 1.0 if "+y" in question else -1.0, time)
+        if "weigh a weight" in question:
+            if not self.acting:
+                self.acting = True
+                always = ForceProfile(start=0.0, rise=0.0, end=1e9)
+                down = Drag(axis="z", distance=-9.0, limit=WEIGHT * G, damping=0.0, at="tool")
+                plant.set_hands([replace(down, course=always)])
+            return f"{WEIGHT * 1e3:.0f}\n" if time > 2.0 else None
+        if "take the weight off" in question:
+            plant.set_hands([])
+        return "\n" if time > 0.2 else None
+
+    def push(self, plant, found, sign, time):
+        if not self.acting:
+            self.acting, self.scale = True, []
+            course = ForceProfile(start=plant.time + 0.5, rise=3.0, end=plant.time + 3.6)
+            way = sign * (float(found[2]) * 0.01 + 0.01)
+            hand = Drag(axis=found[1], distance=way, limit=40.0, at="tool", course=course)
+            plant.set_hands([hand])
+        if 2.5 < time < 3.5:
+            self.scale.append(np.abs(plant.hands[0].force).max())
+        if time < 5.0:
+            return None
+        plant.set_hands([])
+        return f"{np.mean(self.scale) / G * 1e3:.0f}\n"
+
+
+@contextmanager
+def arm_of_unknown_servos(monkeypatch, folder, load=LOAD):
+    """Yield an emulated SO-101 with unknown servos, its closed arm, and its configuration."""
+    known = models.MODELS["STS3215-7.4V"]
+    motor = replace(known.motor, stall=STRONGER * known.motor.stall)
+    monkeypatch.setitem(models.MODELS, known.name, replace(known, number=NUMBER, motor=motor))
+    text = config.loader.builtin_text("so101").replace(
+        "{ model", f"{{ model_number = {NUMBER}, model"
+    )
+    simulated = config.parse(text, backend="emulator", folder=folder)
+    payload = {"payload": (load, (0.0, 0.0, 0.0))}
+    with factory.make_emulator(simulated, q=POSE, clock="steps", plant=payload) as bus:
+        own = config.parse(text, port=bus.port, folder=folder)
+        drive = factory.make_bus(own.model_copy(update={"loop": patient(own)}), {"main": bus.port})
+        drive.clock = Steps(bus)
+        yield (
+            bus,
+            Arm(
+                own.model(),
+                drive,
+                rest_q=own.life.rest_q,
+                table=own.robot.table,
+                grippers=factory.gripper_configs(own),
+                handle_signals=False,
+            ),
+            own,
+        )
+
+
+def patient(own):
+    return own.loop.model_copy(update={"reply_timeout_min": 0.1})
+
+
+def run(bus, arm, own, path, **person):
+    """Run a session; return what the person was asked, and the contents of the file."""
+    human = Person(bus, **person)
+    try:
+        measure(arm, own, Measurements(path), human, human.say)
+    except KeyboardInterrupt:
+        human.asked.append("Ctrl-C")
+    return human.asked, json.loads(path.read_text("utf-8"))
+
+
+def is_limp(bus):
+    return not any(bus.servo(k).enabled for k in range(1, 6))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """Run a session without the identification; return the file, its path and the true k_p."""
+    folder = tmp_path_factory.mktemp("session")
+    path = folder / "arm.json"
+    gap = Mismatch(plant=Parameters(payload=LOAD), assumed=Parameters(), compared=("payload",))
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        gap,
+        arm_of_unknown_servos(patch, folder) as (bus, arm, own),
+    ):
+        asked, data = run(bus, arm, own, path, skipped=("swings every joint by about 0.1",))
+        assert is_limp(bus)
+        bus.servo(2).put("torque_enable", 1)
+        true = bus.servo(2).drive().stiffness
+        assert true / arm.servos.kp[1] == pytest.approx(STRONGER, rel=0.05)
+        return data, path, true, asked, bus.port
+
+
+def test_the_weight_shows_a_wrong_stiffness_and_a_hidden_load(session):
+    data, _, true, _, _ = session
+    weight = data["steps"]["weight"]
+    clear = [joint for joint in weight["joints"] if joint["kp"] is not None]
+    assert len(clear) >= 3
+    for joint in clear:
+        assert joint["kp"] == pytest.approx(true, rel=0.08)
+        assert joint["kp_assumed"] == pytest.approx(true / STRONGER, rel=0.05)
+    assert weight["extra_mass"] == pytest.approx(LOAD, abs=0.01)
+    assert weight["mass_by_table"] == pytest.approx(WEIGHT / STRONGER, rel=0.12)
+    assert "mass_by_identified" not in weight
+
+
+def test_the_scale_shows_that_the_servos_are_stronger_than_promised(session):
+    pushes = session[0]["steps"]["push"]
+    assert [(p["axis"], p["toward"]) for p in pushes] == [("y", "+"), ("y", "+"), ("x", "-")]
+    # The difference of two pushes along one axis does not contain the friction.
+    slope = (pushes[1]["measured"] - pushes[0]["measured"]) / (
+        pushes[1]["promised"] - pushes[0]["promised"]
+    )
+    assert slope == pytest.approx(STRONGER, rel=0.15)
+    for push in pushes:
+        off = push["measured"] - STRONGER * push["promised"]
+        assert abs(off) < 1.5 * push["friction_force"] + 0.3
+
+
+def test_the_file_names_servos_latencies_and_the_ending(session):
+    data, *_ = session
+    assert [servo["model_number"] for servo in data["servos"]] == [NUMBER] * 6
+    assert {servo["gain"] for servo in data["servos"]} == {16}
+    assert set(data["steps"]) == {"bus", "push", "weight", "loop", "ending"}
+    ending = data["steps"]["ending"]
+    assert ending["drop"] > 0.05
+    assert abs(ending["drop_after_torque_off"]) < 0.01
+    assert data["steps"]["bus"]["read_lost"] == 0
+    assert data["steps"]["loop"]["write_median"] > 0.0
+
+
+def numbers(value, key=""):
+    """Yield the keys of all numbers in the file."""
+    if isinstance(value, dict):
+        for name, each in value.items():
+            yield from numbers(each, key if key == "counters" else name)
+    elif isinstance(value, list):
+        for each in value:
+            yield from numbers(each, key)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield key
+
+
+def test_every_number_has_a_unit_and_a_line_in_the_document(session):
+    data, *_ = session
+    assert set(numbers(data)) <= set(UNITS)
+    assert data["units"] == UNITS
+    rows = re.findall(r"^\| (`.*?) \| (.*?) \|", DOCS.read_text("utf-8"), flags=re.MULTILINE)
+    documented = {key: unit for keys, unit in rows for key in re.findall(r"`(\w+)`", keys)}
+    assert {key: documented.get(key) for key in UNITS} == UNITS
+
+
+def test_the_file_has_no_private_data(session):
+    _, path, _, _, port = session
+    text = path.read_text("utf-8")
+    for secret in (port, str(path.parent), str(Path.home()), platform.node(), getpass.getuser()):
+        assert not re.search(rf"\b{re.escape(secret)}\b", text), secret
+
+
+def test_every_step_says_first_what_arm_and_person_do(session):
+    asked = session[3]
+    assert all(re.match(r"Next: .*\. You: .*", text) for text in asked[1:])
+
+
+def test_ctrl_c_lowers_the_arm_and_the_next_session_continues(tmp_path, monkeypatch):
+    path = tmp_path / "arm.json"
+    skipped = ("swings", "yields along y")
+    with arm_of_unknown_servos(monkeypatch, tmp_path, 0.0) as (bus, arm, own):
+        asked, data = run(bus, arm, own, path, skipped=skipped, stop="is lowered")
+        assert asked[-1] == "Ctrl-C"
+        assert is_limp(bus)
+        assert set(data["steps"]) == {"bus", "push", "loop"}
+        pushed = data["steps"]["push"]
+    with arm_of_unknown_servos(monkeypatch, tmp_path, 0.0) as (bus, arm, own):
+        asked, data = run(bus, arm, own, path, skipped=("swings",))
+        assert not any("yields along" in text for text in asked)
+        assert data["steps"]["push"] == pushed
+        assert "ending" in data["steps"]
+
+
+def test_a_file_of_another_arm_is_not_continued(tmp_path, monkeypatch, session):
+    path = tmp_path / "arm.json"
+    data = json.loads(session[1].read_text("utf-8"))
+    data["servos"][0]["firmware"] += 1
+    path.write_text(json.dumps(data))
+    with (
+        arm_of_unknown_servos(monkeypatch, tmp_path) as (bus, arm, own),
+        pytest.raises(pliant.ConfigError, match="is of other servos"),
+    ):
+        run(bus, arm, own, path)
+    assert json.loads(path.read_text("utf-8")) == data
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("9000\n", r"9000 g is impossible: 1 to 1020 g here, twice what the servos hold"),
+        ("0\n", "0 g is impossible: 1 to"),
+        ("-5\n", "-5 g is impossible"),
+        ("nan\n", "nan g is impossible"),
+        ("1e999\n", "inf g is impossible"),
+        ("half a pound\n", "'half a pound' is no number of grams"),
+        ("\n", "'' is no number of grams"),
+    ],
+)
+def test_an_impossible_reading_is_refused_with_its_bound(line, said):
+    with pytest.raises(pliant.ConfigError, match=said):
+        _grams(line, MIN_READING, 10.0, "twice what the servos")
+    assert _grams(" 120 g\n", MIN_READING, 10.0, "twice what the servos") == 120.0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("servos doctor so101 --report a.json", "--report belongs to --measure"),
+        ("servos doctor so101 --measure --watch", "give one"),
+        ("servos doctor so101 --measure --backend sim", "backend 'sim' has none"),
+        ("servos doctor so101 --measure --backend sim --report old.json", "is no measurements"),
+        ("identify so101 gravity --report a.json --backend sim", "--report belongs to servos"),
+        ("identify so101 servos --report a.json --backend sim", "backend 'sim' has none"),
+    ],
+)
+def test_flags_are_refused_before_torque_comes_on(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "old.json").write_text('{"servo": 1}')
+    assert main(words.split()) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert [file.name for file in tmp_path.iterdir()] == ["old.json"]
+
+
+def test_the_command_takes_its_answers_from_a_script(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "arm.json"
+    words = ["servos", "doctor", "so101", "--backend", "emulator", "--measure", "--report"]
+    answers = "\nskip\n99999\nskip\nskip\nskip\nskip\n\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(answers))
+    assert main([*words, str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "99999 g is impossible" in out
+    assert "drop after torque off, mm" in out
+    data = json.loads(path.read_text("utf-8"))
+    assert list(data["steps"]) == ["bus", "loop", "ending"]
+    assert data["arm"]["backend"] == "emulator"
+
+
+def test_the_end_of_the_answers_is_an_error(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("12\n"))
+    keys, lines = Keyboard(), []
+
+    def read_all():
+        while True:
+            lines.extend(line for line in [keys.line()] if line is not None)
+
+    with pytest.raises(pliant.ConfigError, match="standard input ended"):
+        read_all()
+    assert lines == ["12\n"]
+    assert not keys.pressed()
