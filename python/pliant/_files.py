@@ -54,7 +54,7 @@ HEAD = 4096
 KINDS: dict[str, Callable[[bytes], bool]] = {
     "log": lambda head: head.startswith(b"\x89MCAP0\r\n"),
     "motion": lambda head: b"pliant motion" in head,
-    "measurements file": lambda head: b'"pliant measurements ' in head,
+    "measurements file": lambda head: b'"pliant-measurements ' in head,
     "picture": lambda head: (
         head.startswith((b"\x89PNG\r\n", b"%PDF-")) or b"<svg" in head or b"<!DOCTYPE svg" in head
     ),

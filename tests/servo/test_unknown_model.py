@@ -13,7 +13,7 @@ from pliant import config
 from pliant.cli import main
 from pliant.config import factory
 from pliant.emulator import Device, Emulator
-from pliant.servo import ServoBus, ServoSpec, get_model
+from pliant.servo import ServoBus, ServoSpec
 
 NUMBER = 1999
 TOML = """
@@ -27,7 +27,7 @@ elbow_flex = {{ model = "XL430-W250", id = 3{more} }}
 wrist_flex = {{ model = "XL430-W250", id = 4{more} }}
 wrist_roll = {{ model = "XL430-W250", id = 5{more} }}
 """
-OWN = f", model_number = {NUMBER}, stall = 2.8, no_load = 70.0, voltage = [6.0, 15.0]"
+OWN = f", model_number = {NUMBER}, stall = 2.8, no_load = 70.0, voltage = [9.0, 15.0]"
 
 
 @pytest.fixture
@@ -53,13 +53,13 @@ def test_the_values_of_the_file_replace_those_of_the_model(bus):
     assert own.model().servos.max_torque == pytest.approx(2.8)
     with factory.make_bus(own, {"main": bus.port}) as chain:
         spec = chain.specs[0]
-        assert (spec.row.model_number, spec.row.voltage) == (NUMBER, (6.0, 15.0))
+        assert (spec.row.model_number, spec.row.voltage) == (NUMBER, (9.0, 15.0))
         assert spec.row.no_load == ((spec.row.rated, 70.0),)
         copy = pickle.loads(pickle.dumps(chain.closed_copy()))  # as the guardian gets it
         assert copy.specs[0].row.model_number == NUMBER
-    bus.supply(16.0)
+    bus.supply(8.0)
     with (
-        pytest.raises(pliant.ServoError, match="takes 6 to 15 V"),
+        pytest.raises(pliant.ServoError, match="takes 8.5 to 14 V"),
         factory.make_bus(own, {"main": bus.port}),
     ):
         pass

@@ -75,7 +75,7 @@ def run(
                 results.append(_measure(procedure, live, arm_config, options, file))
     finally:
         # Only after the arm is lowered: a blocked terminal or disk must not delay the descent.
-        if file is not None and "servos" in file:
+        if file is not None and "servos" in file.steps:
             file.save()
         for line in (line for lines in results for line in lines):
             print_line(line, console)
@@ -90,10 +90,9 @@ def _measure(
 ) -> list[str]:
     """Run a procedure; return the printed lines: its results and lines for the configuration."""
     if procedure == "servos":
-        q = arm.read().q
         found = identify.identify_servos(arm, arm.model, arm.servos, **options)
         if file is not None:
-            file.add_servos(found, q)
+            file.add_servos(found)
         return [*found.summary(), *_servo_lines(arm_config, found), *_payload_lines(found.payload)]
     controller = Controller(arm.model, arm_config.settings(), arm.servos)
     if procedure == "payload":

@@ -1,9 +1,17 @@
-"""Leads (goal minus position) that hold an arm in a pose, free of friction, from slow swings."""
+"""Leads (goal minus position) that hold an arm, from slow swings; stiffness by a known mass.
+
+The mean of the leads in motion up and down is free of friction. Joint i has the lead λ before, and
+λ' after the mass m was hung on:
+
+    k_p λ = g + y M,        k_p λ' = g' + y' (M + m)
+
+with the gravity torque g of the model and the torque y per mass at the tool, both at the measured
+positions. Unknown are k_p of each joint and the mass M that the model lacks, common to all joints.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,23 +27,20 @@ if TYPE_CHECKING:
 
 #: Amplitude of the joints [rad]; period [s] and number of the swings.
 AMPLITUDE, SWINGS = 0.05, (2.6, 2.75)
-#: A joint's stiffness is reported if its change of lead exceeds this many standard deviations [1].
+#: k_p of a joint is given if its change of lead exceeds this many standard deviations [1].
 SIGNIFICANCE = 4.0
-#: Iterations for the stiffness and the extra mass; each reduces the error about tenfold.
+#: Iterations for k_p and M; each reduces the error about tenfold.
 ITERATIONS = 8
 
 
-@dataclass(frozen=True)
-class Leads:
-    """Leads near a pose, averaged over slow motion up and down so that friction cancels.
+class Leads(NamedTuple):
+    """Leads near a pose; NaN for a joint that did not swing steadily.
 
     Attributes:
-        pose: Middle of the planned swings (n,) [rad].
-        size: Amplitude of the goals (n,) [rad].
-        lead: Lead that holds each joint (n,) [rad]; NaN if a joint did not swing.
-        sigma: Standard deviations of `lead` (n,) [rad].
-        gravity: Gravity torque of the model at the measured positions (n,) [N·m].
-        row: Torque per mass at the tool, at the measured positions (n,) [N·m/kg].
+        pose, size: Middle of the planned swings and amplitude of the goals (n,) [rad].
+        lead, sigma: Lead of each joint and its standard deviation (n,) [rad].
+        gravity: Gravity torque of the model (n,) [N·m].
+        row: Torque per mass at the tool (n,) [N·m/kg].
     """
 
     pose: Array
@@ -46,77 +51,12 @@ class Leads:
     row: Array
 
 
-@dataclass(frozen=True)
-class WeightTest:
-    """Leads before and after a known mass was hung on the tool.
-
-    Attributes:
-        before, after: The leads.
-        mass: The mass [kg].
-    """
-
-    before: Leads
-    after: Leads
-    mass: float
-
-    @property
-    def lead(self) -> Array:
-        """Change of the lead (n,) [rad]."""
-        return self.after.lead - self.before.lead
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations of `lead` (n,) [rad]."""
-        return np.hypot(self.before.sigma, self.after.sigma)
-
-    def torque(self, extra_mass: float = 0.0) -> Array:
-        """Return the change of the torque that holds each joint (n,) [N·m].
-
-        It includes that the arm sags under the mass. `extra_mass` [kg] is a mass at the tool that
-        the model lacks.
-        """
-        before, after = self.before, self.after
-        sag = after.gravity - before.gravity + (after.row - before.row) * extra_mass
-        return after.row * self.mass + sag
-
-    def solve(self) -> tuple[Array, Array, float]:
-        """Return the stiffness k_p, its standard deviation (n,) [N·m/rad], and the extra mass [kg].
-
-        The extra mass at the tool was there before, and the model lacks it. The table of the servos
-        does not matter. Joints on which the mass has no clear effect have the stiffness NaN; if
-        all have, the extra mass is NaN.
-        """
-        clear = np.abs(self.lead) > SIGNIFICANCE * self.sigma  # False for NaN
-        lead = np.where(clear, self.lead, np.nan)
-        extra = 0.0
-        for _ in range(ITERATIONS):
-            kp = self.torque(extra) / lead
-            extra = self._mass(kp, kp * self.before.lead - self.before.gravity, self.before.row)
-            if not np.isfinite(extra):
-                break
-        return kp, kp * self.sigma / np.abs(lead), extra
-
-    def mass_seen(self, kp: Array) -> float:
-        """Return the mass [kg] that the changes show if the stiffness is kp (n,) [N·m/rad]."""
-        sag = self.torque() - self.after.row * self.mass
-        return self._mass(kp, kp * self.lead - sag, self.after.row)
-
-    def _mass(self, kp: Array, torque: Array, row: Array) -> float:
-        """Return the mass [kg] at the tool that explains torques (n,) [N·m] best; NaN if none."""
-        good = np.isfinite(torque)
-        if not good.any():
-            return float("nan")
-        weight = 1.0 / (kp[good] * self.sigma[good]) ** 2
-        row = row[good]
-        return float((weight * row * torque[good]).sum() / (weight * row**2).sum())
-
-
 def lead_procedure(
-    model: Model, servos: Servos, *, period: float = 0.01, like: Leads | None = None
+    model: Model, servos: Servos, *, period: float, like: Leads | None = None
 ) -> Procedure[Leads]:
-    """Return a procedure that measures leads in the present pose, or in that of `like`.
+    """Return a procedure that measures leads in the present pose, or in that of `like`; 7 to 20 s.
 
-    The joints swing for 7 s, without `like` for 5 to 15 s more.
+    `period` is the control period [s].
     """
     rig = Excitation(model, servos, period)
     return Procedure(lambda q: _measure(rig, q, like), model.n)
@@ -137,28 +77,34 @@ def _measure(rig: Excitation, q: Array, like: Leads | None) -> Steps[Leads]:
     rig.start_record()
     yield from rig.travel(q, pose, pose)
     rig.records[:] = [swing]
-    return _evaluate(rig, pose, size)
-
-
-def _evaluate(rig: Excitation, pose: Array, size: Array) -> Leads:
-    """Return the leads from the segments of steady motion, up and down."""
     means, sigma = np.full((3, rig.n), np.nan), np.full(rig.n, np.nan)
-    segments = all_segments(rig)
+    rows = [(s.joint, s.direction, s.drive, s.gravity, s.payload[0]) for s in all_segments(rig)]
+    table = np.array(rows).reshape(-1, 5)
     for i in range(rig.n):
-        sides = [
-            np.array(
-                [
-                    (s.drive, s.gravity, s.payload[0])
-                    for s in segments
-                    if s.joint == i and s.direction == direction
-                ]
-            )
-            for direction in (1.0, -1.0)
-        ]
-        if min(map(len, sides)) < 2:
-            continue
-        means[:, i] = 0.5 * (sides[0].mean(axis=0) + sides[1].mean(axis=0))
-        noise = sum(side[:, 0].var(ddof=1) / len(side) for side in sides)
-        sigma[i] = 0.5 * np.sqrt(noise + rig.count[i] ** 2 / 12.0)
+        mine = table[table[:, 0] == i]
+        up, down = mine[mine[:, 1] > 0.0, 2:], mine[mine[:, 1] < 0.0, 2:]
+        if min(len(up), len(down)) >= 2:
+            means[:, i] = 0.5 * (up.mean(axis=0) + down.mean(axis=0))
+            noise = sum(side[:, 0].var(ddof=1) / len(side) for side in (up, down))
+            sigma[i] = 0.5 * np.sqrt(noise + rig.count[i] ** 2 / 12.0)
     lead, gravity, row = means
     return Leads(pose, size, lead, sigma, gravity, row)
+
+
+def solve_weight(before: Leads, after: Leads, mass: float) -> tuple[Array, Array, float]:
+    """Return k_p, its standard deviation (n,) [N·m/rad], and the mass M [kg] that the model lacks.
+
+    `mass` [kg] was hung on the tool between the two measurements. k_p is NaN for joints on which it
+    has no clear effect; M is NaN if that are all.
+    """
+    change, sigma = after.lead - before.lead, np.hypot(before.sigma, after.sigma)
+    change = np.where(np.abs(change) > SIGNIFICANCE * sigma, change, np.nan)
+    good, extra = np.isfinite(change), 0.0
+    for _ in range(ITERATIONS):
+        torque = after.gravity - before.gravity + (after.row - before.row) * extra
+        kp = (torque + after.row * mass) / change
+        excess = (kp * before.lead - before.gravity)[good]
+        weight = 1.0 / (kp * sigma)[good] ** 2
+        row = before.row[good]
+        extra = float((weight * row) @ excess / ((weight * row) @ row)) if good.any() else np.nan
+    return kp, np.abs(kp * sigma / change), extra

@@ -12,7 +12,7 @@ from pliant.cli._console import Keyboard, print_line
 from pliant.cli._flags import ArmName, ConfigFlags, File, Seconds, check_duration
 from pliant.cli._measurements import Measurements
 from pliant.cli.servos._joint_monitor import watch as watch_joints
-from pliant.cli.servos._measure import measure as run_session
+from pliant.cli.servos._measure import Session
 from pliant.config import connect
 from pliant.config.doctor import examine
 
@@ -64,12 +64,14 @@ def run(
         path = Path("measurements.json") if report is None else report
         file = Measurements(path, override.inputs(arm, arm_config))
         try:
-            connected = connect(arm_config)
-            run_session(connected, arm_config, file, Keyboard(), lambda s: print_line(s, console))
+            session = Session(
+                connect(arm_config), arm_config, file, Keyboard(), lambda s: print_line(s, console)
+            )
+            session.run()
         finally:
-            if file.data["steps"]:
+            if file.steps:
                 console.print(file.table())
-                print_line(f"{path}: {', '.join(file.data['steps'])}", console)
+                print_line(f"{path}: {', '.join(file.steps)}", console)
         return
     if watch:
         watch_joints(arm_config, console, duration)
