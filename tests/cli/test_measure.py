@@ -243,6 +243,24 @@ def test_every_step_says_first_what_arm_and_person_do(session):
     assert all(re.match(r"Next: .*\. You: .*", text) for text in asked)
 
 
+@pytest.mark.full
+def test_identification_depends_on_the_stall_torque_of_the_table(tmp_path, monkeypatch):
+    path = tmp_path / "arm.json"
+    with arm_of_unknown_servos(monkeypatch, tmp_path) as (bus, arm, own):
+        _, data = run(bus, arm, own, path, skipped=("yields along x",))
+        true = STRONGER * arm.servos.kp[1]
+    steps = data["steps"]
+    pushes = steps["push"]
+    slope = (pushes[1]["measured"] - pushes[0]["measured"]) / (
+        pushes[1]["promised"] - pushes[0]["promised"]
+    )
+    identified = [joint["kp"] for joint in steps["servos"]["joints"][1:4]]
+    by_weight = [joint["kp"] for joint in steps["weight"]["joints"][1:4]]
+    assert np.median(identified) == pytest.approx(true / STRONGER, rel=0.12)
+    assert slope * np.median(identified) == pytest.approx(true, rel=0.15)
+    assert by_weight == pytest.approx([true] * 3, rel=0.08)
+
+
 def test_ctrl_c_lowers_the_arm_and_the_next_session_continues(tmp_path, monkeypatch):
     path = tmp_path / "arm.json"
     skipped = ("swings", "yields along y")

@@ -59,7 +59,7 @@ def test_the_values_of_the_file_replace_those_of_the_model(bus):
         assert copy.specs[0].row.model_number == NUMBER
     bus.supply(8.0)
     with (
-        pytest.raises(pliant.ServoError, match="takes 8.5 to 14 V"),
+        pytest.raises(pliant.ServoError, match=r"takes 8\.5 to 14 V"),
         factory.make_bus(own, {"main": bus.port}),
     ):
         pass
