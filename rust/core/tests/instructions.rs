@@ -61,6 +61,42 @@ fn sets_differ_by_rounding_alone() {
     }
 }
 
+/// Without a direction band, the deviation's sign alone decides on the strength of an axis that yields to one side, and
+/// at rest on the target that sign is rounding. A band removes the jump.
+#[test]
+fn only_a_direction_band_makes_a_one_sided_axis_continuous_at_its_target() {
+    let model = arm();
+    let q = [-0.1, -0.6, 0.7, -1.7, 0.9, 0.6, -0.1];
+    let home = model.forward_kinematics(&q).unwrap();
+    let command = |set: SimdLevel, direction_band: Option<f64>, y: f64| {
+        let mut settings = Settings::paper();
+        settings.axes[1] =
+            Axis { soft: Some([1.0; 2]), firm: Some([4.0; 2]), yields: Some(CompliantSide::Plus), ..Axis::default() };
+        settings.paper_options.direction_band = direction_band;
+        let servos = Servos { stiffness_known: true, ..Servos::new(vec![100.0], vec![60.0]) };
+        let mut controller = Controller::new(Arc::clone(&model), settings, Some(servos)).unwrap();
+        controller.set_simd_level(set);
+        let mut target = home;
+        target.position[1] += y;
+        let command = *controller.step(&q, &target, &StepInput::default()).unwrap();
+        (command.torque_limit().to_vec(), controller.diagnostics().axis_strength[1])
+    };
+    let beside = |band| [-1e-9, 1e-9].map(|y| command(SimdLevel::BASELINE, band, y).1);
+    let [beyond, short] = beside(None);
+    // Beyond the target the axis yields with `soft`, short of it the axis holds.
+    assert!((beyond - 1.0).abs() < 1e-6 && (short - 10.0).abs() < 1e-6, "{beyond} {short}");
+    let [beyond, short] = beside(Some(0.1));
+    assert!((beyond - 5.5).abs() < 1e-4 && (short - 5.5).abs() < 1e-4, "{beyond} {short}");
+    for set in SimdLevel::available() {
+        for y in [-1e-17, 0.0, 1e-17, 1e-16] {
+            let (want, _) = command(SimdLevel::BASELINE, Some(0.1), 0.0);
+            for (got, want) in command(set, Some(0.1), y).0.iter().zip(want) {
+                assert!((got - want).abs() <= 1e-11 * 60.0, "{set}, {y}: {got} {want}");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_set_repeats_bit_for_bit() {
     let model = arm();

@@ -144,7 +144,9 @@ pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) ->
     let (distance, room) = (J::abs(motion), step - J::abs(lift));
     let mut share = J::Elem::splat(1.0);
     if room.is_any_lt(distance) {
-        let missing = J::select_lt(room, distance, J::splat(1.0) - room / distance, J::splat(0.0));
+        // A motion that is only rounding error must not stop the other joints while the gravity part takes all the room.
+        let free = J::max(room, step * J::splat(1e-9));
+        let missing = J::select_lt(free, distance, J::splat(1.0) - room / distance, J::splat(0.0));
         share = share - missing.max_element();
     }
     (
@@ -213,6 +215,17 @@ mod tests {
         assert!(near(gravity_offset, [0.1, 0.0]) && near(goal, [0.1, 0.02]), "{goal:?} {gravity_offset:?}");
         let [goal, gravity_offset] = slewed([0.1, 0.0], [0.1, 0.0], [0.35, 0.02], [0.15, 0.0], 0.1);
         assert!(near(gravity_offset, [0.15, 0.0]) && near(goal, [0.2, 0.005]), "{goal:?} {gravity_offset:?}");
+    }
+
+    #[test]
+    fn a_rounding_error_beside_a_moving_gravity_part_stops_no_other_joint() {
+        for noise in [0.0, 1e-17, -1e-15, 1e-13] {
+            let [goal, gravity_offset] = slewed([0.0; 2], [0.0; 2], [0.3 + noise, 0.02], [0.3, 0.0], 0.1);
+            assert!((gravity_offset[0] - 0.1).abs() < 1e-15 && (goal[1] - 0.02).abs() < 1e-15, "{noise}: {goal:?}");
+        }
+        // A motion of its own does stop them.
+        let [goal, _] = slewed([0.0; 2], [0.0; 2], [0.3 + 1e-6, 0.02], [0.3, 0.0], 0.1);
+        assert!(goal[1].abs() < 1e-15, "{goal:?}");
     }
 
     #[test]

@@ -19,7 +19,8 @@ impl Drop for Fence {
     fn drop(&mut self) {
         #[cfg(test)]
         tests::FENCES.with(|count| count.set(count.get() + 1));
-        #[cfg(target_arch = "x86_64")]
+        // Miri knows no fence instruction.
+        #[cfg(all(target_arch = "x86_64", not(miri)))]
         // SAFETY: every x86-64 processor has the instruction.
         unsafe {
             std::arch::x86_64::_mm_sfence();
@@ -46,7 +47,12 @@ impl<'a> NonTemporalWriter<'a> {
     #[cfg(target_arch = "x86_64")]
     #[inline(always)]
     pub(crate) fn copy(&self, from: &[f64], to: &'a mut [f64]) {
-        use std::arch::x86_64::{_mm_loadu_pd, _mm_stream_pd};
+        use std::arch::x86_64::_mm_loadu_pd;
+        // Miri knows no non-temporal store; the aligned store needs the same alignment and bounds.
+        #[cfg(miri)]
+        use std::arch::x86_64::_mm_store_pd as _mm_stream_pd;
+        #[cfg(not(miri))]
+        use std::arch::x86_64::_mm_stream_pd;
         /// Number of `f64` per cache line.
         const LINE: usize = 8;
         assert!(from.len() == to.len(), "each number has its place");

@@ -1,0 +1,40 @@
+#!/bin/sh
+# Runs the tests of arrays, batches and the process pool on an extension module built with AddressSanitizer.
+# usage: asan.sh PYTHON   (the project's own)
+# Needs rustup's nightly toolchain and a C compiler on Linux. Everything goes into build/asan; the installed module stays.
+set -eu
+python=$1
+root=$(CDPATH= cd -- "$(dirname -- "$0")/.." && pwd)
+cd "$root"
+build=$root/build/asan
+
+skip() {
+    printf '\n!! SKIPPED: asan: %s\n' "$1"
+    exit 0
+}
+[ "$(uname -sm)" = "Linux x86_64" ] || skip "only on Linux on x86-64"
+library=$(rustup run nightly rustc --print sysroot 2>/dev/null) \
+    || skip "no nightly toolchain (rustup toolchain install nightly)"
+library=$library/lib/rustlib/x86_64-unknown-linux-gnu/lib/librustc-nightly_rt.asan.a
+[ -f "$library" ] || skip "this nightly toolchain has no AddressSanitizer"
+
+printf '\n== extension module with AddressSanitizer\n'
+mkdir -p "$build"
+export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$build/target}"
+# A target is named so that build scripts and macros, which run in the compiler, stay without the sanitizer.
+RUSTFLAGS="-Zsanitizer=address -Cdebug-assertions=on -Cllvm-args=-inline-threshold=150" PYO3_PYTHON=$python \
+    CARGO_PROFILE_RELEASE_LTO=off CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16 \
+    cargo +nightly build --quiet --release --target x86_64-unknown-linux-gnu -p pliant-py
+rm -rf "$build/python"
+cp -R python "$build/python"
+rm -f "$build"/python/pliant/_core*.so
+cp "$CARGO_TARGET_DIR/x86_64-unknown-linux-gnu/release/lib_core.so" "$build/python/pliant/_core.abi3.so"
+# rustc links the runtime into programs only: as a library of its own it is loaded before Python.
+cc -shared -o "$build/libasan.so" -Wl,--whole-archive "$library" -Wl,--no-whole-archive -lpthread -ldl -lm -lrt -lresolv
+
+printf '\n== tests with AddressSanitizer\n'
+# CPython keeps memory until its end, which is no leak of ours.
+export ASAN_OPTIONS=detect_leaks=0:abort_on_error=1 LD_PRELOAD="$build/libasan.so" PYTHONPATH="$build/python:$root"
+"$python" -c 'import pliant._core; assert "build/asan" in pliant._core.__file__, pliant._core.__file__'
+"$python" -m pytest -n0 -q -p no:cacheprovider tests/python/test_arrays.py tests/python/test_batch.py \
+    tests/python/test_borrows.py tests/python/test_functions.py tests/python/test_pickle.py tests/python/test_pool.py

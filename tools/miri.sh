@@ -1,0 +1,22 @@
+#!/bin/sh
+# Interprets unit tests of the core with Miri, on the plain path and on AVX2; docs/security.md says which and why.
+# Needs rustup's nightly toolchain with the components miri and rust-src.
+set -eu
+root=$(CDPATH= cd -- "$(dirname -- "$0")/.." && pwd)
+cd "$root"
+
+skip() {
+    printf '\n!! SKIPPED: miri: %s\n' "$1"
+    exit 0
+}
+cargo +nightly miri --version >/dev/null 2>&1 \
+    || skip "no Miri (rustup toolchain install nightly --component miri,rust-src)"
+export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$root/build/miri}"
+# Without deterministic floats Miri adds rounding errors of its own to sin and exp, and tests of accuracy fail.
+export MIRIFLAGS="-Zmiri-deterministic-floats -Zmiri-disable-isolation -Zmiri-ignore-leaks"
+
+for features in "" "-Ctarget-feature=+avx2,+fma,+bmi1,+bmi2"; do
+    printf '\n== miri: %s\n' "${features:-baseline}"
+    RUSTFLAGS="$features" cargo +nightly miri test --quiet -p pliant-core --lib -- math::simd math::rows math::ldlt6 \
+        math::rotation kinematics::batch batch::state
+done
