@@ -35,6 +35,38 @@ fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).fold(0.0, |most, (x, y)| most.max((x - y).abs()))
 }
 
+/// A straight arm cannot move along itself. A reference that moves that way must not take the torque of the other axis.
+#[test]
+fn a_reference_along_a_straight_arm_leaves_the_other_axis_its_torque() {
+    let urdf = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/robots/planar_2r.urdf");
+    let options = ModelOptions { tip: Some("tool".into()), ..ModelOptions::default() };
+    let model = Arc::new(Model::from_urdf_file(urdf, &options).unwrap());
+    let servos = Servos {
+        damping: vec![1.0],
+        armature: vec![0.01],
+        stiffness_known: true,
+        ..Servos::new(vec![150.0], vec![60.0])
+    };
+    for law in [Law::Cap, Law::Impedance] {
+        let task = Task { axes: [true, false, true, false, false, false], frame: Frame::Tool, length: Some(0.2) };
+        let settings = Settings { law, task, ..Settings::default() };
+        for elbow in [0.01, 1e-3, 1e-4, 1e-6, 1e-9, 1e-16, 0.0] {
+            let mut controller = Controller::new(Arc::clone(&model), settings.clone(), Some(servos.clone())).unwrap();
+            let q = [-0.9, elbow];
+            let mut target = model.forward_kinematics(&q).unwrap();
+            for i in 0..3 {
+                target.position[i] += 0.2 * target.rotation[i][0];
+            }
+            for _ in 0..20 {
+                controller.step(&q, &target, &StepInput::default()).unwrap();
+            }
+            let (factors, wrench) = (controller.diagnostics().factors, controller.diagnostics().wrench);
+            assert!(factors[2] > 0.999, "{law:?}, elbow {elbow:e}: the stiff axes have {} of their lead", factors[2]);
+            assert!(wrench[0].abs() < 100.0, "{law:?}, elbow {elbow:e}: {} N along the arm", wrench[0]);
+        }
+    }
+}
+
 #[test]
 fn the_slew_starts_at_reset_and_the_first_limit_is_not_slewed() {
     let (_, mut controller, target) = make(Settings::default());

@@ -206,10 +206,13 @@ impl AxisPush<'_> {
 impl<J: JointVector> LawInput<'_, J> {
     /// Returns the force [N, N·m] that keeps the stiff axes at the velocity of their reference, and the approximate
     /// joint speeds [rad/s] at that velocity; `c_diagonal` is the diagonal of `C = J K_p⁻¹ Jᵀ`.
+    ///
+    /// An axis that the joints hardly move has the stiffness k̄/λ² instead of 1/C_jj: as C_jj vanishes, the torque of a
+    /// joint would grow without bound.
     #[inline(always)]
     pub(crate) fn pacing_force(&self, c_diagonal: J::Axes) -> (J::Axes, J) {
-        let c_diagonal = J::Axes::max(c_diagonal, J::Axes::splat(f64::MIN_POSITIVE));
-        let stiffness = (J::Axes::splat(1.0) - self.demand.softness) / c_diagonal;
+        let damping = J::Axes::max(self.params.per_stiffness(self.damping), J::Axes::splat(f64::MIN_POSITIVE));
+        let stiffness = (J::Axes::splat(1.0) - self.demand.softness) / J::Axes::max(c_diagonal, damping);
         let along = tr_mul(self.rows, &(stiffness * self.pacing.velocity).to_axes());
         (stiffness * self.pacing.displacement, along * J::load(&self.params.servos.compliance))
     }
