@@ -11,6 +11,9 @@ use super::input::Input;
 /// Most calls in one run.
 const CALLS: usize = 24;
 
+/// Largest number in gradient, speed, posture and twist for which instruction sets are compared.
+const LARGEST_USUAL: f64 = 10.0;
+
 /// One call of a controller, with its arguments.
 #[derive(Debug)]
 pub enum Call {
@@ -100,13 +103,13 @@ impl Call {
         matches!(self, Self::Step { .. } | Self::StepJoints { .. })
     }
 
-    /// Returns false for a period below 1 ms: accelerations are differences divided by its square, so that rounding
-    /// errors grow beyond the documented tolerance.
-    fn has_usual_period(&self) -> bool {
-        match self {
-            Self::Step { optional, .. } | Self::StepJoints { optional, .. } => optional.dt.is_none_or(|dt| dt >= 1e-3),
-            _ => true,
-        }
+    /// Returns true if rounding errors stay below the documented tolerance: accelerations are differences divided by the
+    /// square of the period, and of a large gradient or speed the step may leave a small part.
+    fn has_usual_numbers(&self) -> bool {
+        let (Self::Step { optional, .. } | Self::StepJoints { optional, .. }) = self else { return true };
+        let vectors = [&optional.dq, &optional.gradient, &optional.posture].into_iter().flatten().flatten();
+        let usual = vectors.chain(optional.twist.iter().flatten()).all(|value| value.abs() <= LARGEST_USUAL);
+        usual && optional.dt.is_none_or(|dt| dt >= 1e-3)
     }
 
     fn apply(&self, controller: &mut Controller) -> Result<()> {
@@ -170,7 +173,7 @@ pub fn run(data: &[u8]) {
     }
 }
 
-/// Panics unless the call has the same result with another instruction set, up to rounding at usual periods.
+/// Panics unless the call has the same result with another instruction set, up to rounding for usual numbers.
 fn compare(call: &Call, before: Controller, level: SimdLevel, controller: &Controller, result: &Result<()>) {
     let mut other = before;
     other.set_simd_level(level);
@@ -181,21 +184,33 @@ fn compare(call: &Call, before: Controller, level: SimdLevel, controller: &Contr
         "{level} and {}",
         controller.simd_level()
     );
-    if !call.has_usual_period() {
+    if !call.has_usual_numbers() {
         return;
     }
-    if result.is_ok() && is_undetermined(controller, &other) {
+    let [smallest, largest] = controller.sigma_range();
+    if result.is_ok() && (smallest < SINGULAR * largest || is_undetermined(controller, &other)) {
         return;
     }
     if let (Ok(()), Some(got), Some(want)) = (result, other.last_command(), controller.last_command()) {
         assert_near(|| format!("goal after {call:?} with {level}"), got.goal(), want.goal());
-        assert_near(|| format!("torque_limit after {call:?} with {level}"), got.torque_limit(), want.torque_limit());
+        // The bound on the force after a host loss is searched in steps of 1/64 of the limits: rounding may choose another.
+        if controller.settings().torque_limits.max_host_loss_force.is_none() {
+            assert_near(
+                || format!("torque_limit after {call:?} with {level}"),
+                got.torque_limit(),
+                want.torque_limit(),
+            );
+        }
         assert_near(|| format!("speed_limit after {call:?} with {level}"), got.speed_limit(), want.speed_limit());
     }
 }
 
 /// Largest deviation [m, rad] that rounding makes of zero.
 const ROUNDED_ZERO: f64 = 1e-12;
+
+/// Ratio of the smallest to the largest singular value below which rounding errors, which grow with the inverse of its
+/// square, exceed the tolerance.
+const SINGULAR: f64 = 0.01;
 
 /// Length [m/rad] of a Jacobian row below which its rounding error is more than the tolerance of its direction.
 const SHORT_ROW: f64 = 1e-4;

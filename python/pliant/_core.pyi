@@ -2112,8 +2112,8 @@ class Controller:
         """Instruction set of the steps: ``"baseline"``, ``"avx2"`` or ``"avx512"``.
 
         The widest set of the processor, or that of the environment variable
-        ``PLIANT_INSTRUCTIONS``. Results differ between sets by rounding, below 1e-11 of their size,
-        and are bit-identical within a set.
+        ``PLIANT_INSTRUCTIONS``. Results differ between sets by rounding, below 1e-11 of their size
+        away from singular poses, and are bit-identical within a set.
         """
 
     @property

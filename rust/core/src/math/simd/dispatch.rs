@@ -67,8 +67,8 @@ impl Isa for Avx512x8 {
 
 /// An instruction set that this processor has.
 ///
-/// Results differ between sets by rounding: by less than 1e-11, relative, at λ ≥ 0.02 and periods of 1 ms or more. On one
-/// set they are bit-identical.
+/// Results differ between sets by rounding: by less than 1e-11, relative, at λ ≥ 0.02, σ ≥ 0.01 σ_max and periods of
+/// 1 ms or more, unless rounding decides between two cases of law `paper`. On one set they are bit-identical.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SimdLevel(Set);
 
