@@ -49,7 +49,7 @@ START := $(shell date +%s)
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench tick bench-stages browser counts counts-check aarch64 fuzz peers soak wheel wheels notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench tick bench-stages browser counts counts-check aarch64 fuzz miri asan mutants peers soak wheel wheels notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -175,6 +175,18 @@ gallery: setup ## Run the examples that changed, keep pictures and texts for the
 fuzz: ## Every fuzz target for MINUTES=1, or TARGETS='urdf step'; needs nightly and cargo-fuzz
 	$(call say,fuzz targets)
 	@tools/fuzz.sh $(or $(MINUTES),1) $(TARGETS)
+
+miri: ## Unit tests of the core's unsafe code under Miri; needs nightly with miri
+	$(call say,Miri)
+	@tools/miri.sh
+
+asan: setup ## Tests of arrays, batches and pool with AddressSanitizer; needs nightly
+	$(call say,AddressSanitizer)
+	@tools/asan.sh $(CURDIR)/$(BIN)/python
+
+mutants: ## Mutation tests of the laws; slow: SHARD=0/40 picks a part; needs cargo-mutants
+	$(call say,mutants)
+	@tools/mutants.sh $(or $(SHARD),0/1)
 
 # --- the rest ------------------------------------------------------------------------------------------------------
 

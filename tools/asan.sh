@@ -29,12 +29,18 @@ rm -rf "$build/python"
 cp -R python "$build/python"
 rm -f "$build"/python/pliant/_core*.so
 cp "$CARGO_TARGET_DIR/x86_64-unknown-linux-gnu/release/lib_core.so" "$build/python/pliant/_core.abi3.so"
-# rustc links the runtime into programs only: as a library of its own it is loaded before Python.
-cc -shared -o "$build/libasan.so" -Wl,--whole-archive "$library" -Wl,--no-whole-archive -lpthread -ldl -lm -lrt -lresolv
+# rustc links the runtime into programs only: as a library of its own it is loaded before Python. The runtime refuses
+# a library with the name libasan.
+# Its early start is for programs: a linker refuses it in a library.
+cp "$library" "$build/runtime.a"
+ar d "$build/runtime.a" asan_preinit.cpp.o
+cc -shared -o "$build/runtime.so" -Wl,--whole-archive "$build/runtime.a" -Wl,--no-whole-archive -lpthread -ldl -lm -lrt \
+    -lresolv
 
 printf '\n== tests with AddressSanitizer\n'
 # CPython keeps memory until its end, which is no leak of ours.
-export ASAN_OPTIONS=detect_leaks=0:abort_on_error=1 LD_PRELOAD="$build/libasan.so" PYTHONPATH="$build/python:$root"
+export ASAN_OPTIONS=detect_leaks=0:abort_on_error=1 LD_PRELOAD="$build/runtime.so" PYTHONPATH="$build/python:$root"
 "$python" -c 'import pliant._core; assert "build/asan" in pliant._core.__file__, pliant._core.__file__'
-"$python" -m pytest -n0 -q -p no:cacheprovider tests/python/test_arrays.py tests/python/test_batch.py \
+# Debug assertions are what the module takes for a build without optimisation.
+"$python" -m pytest -n0 -q -p no:cacheprovider -W 'ignore:pliant was built:RuntimeWarning' tests/python/test_arrays.py tests/python/test_batch.py \
     tests/python/test_borrows.py tests/python/test_functions.py tests/python/test_pickle.py tests/python/test_pool.py
