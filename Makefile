@@ -133,12 +133,14 @@ test-lerobot: wheel ## The plugin with LeRobot itself (6 GB, Python >= 3.12); LE
 	$(call say,LeRobot in $(LEROBOT))
 	@test -x $(LEROBOT)/bin/python || ./tools/make_venv.sh $(LEROBOT) 3.12
 	@$(LEROBOT)/bin/python -m pip install --quiet 'lerobot[core-scripts,feetech,dynamixel,evaluation]==0.6.1' \
-	  'pytest>=8' "$$(ls $(WHEELS)/*.whl)[servo,sim]" --editable integrations/lerobot
+	  'pytest>=8' "$$(ls $(WHEELS)/*.whl)[servo,sim,gym]" --editable integrations/lerobot \
+	  --editable integrations/lerobot_env
 	@$(LEROBOT)/bin/python -m pip install --quiet --force-reinstall --no-deps $(WHEELS)/*.whl
 	$(call say,contract of the plugin with LeRobot)
 	@$(LEROBOT)/bin/python -m pytest -o addopts=--import-mode=importlib tests/lerobot_plugin $(ARGS)
 	$(call say,programs of LeRobot$(comma) stock arms$(comma) units)
 	@$(LEROBOT)/bin/python -m pytest integrations/lerobot/tests $(ARGS)
+	@$(LEROBOT)/bin/python -m pytest integrations/lerobot_env/tests $(ARGS)
 
 lint: lint-rust lint-py stubs ## Formats, clippy, ruff, import contracts, mypy, stubs against the binary
 

@@ -37,6 +37,8 @@ STIFFNESS, DAMPING = 5000.0, 20.0
 WRONG_PAN = math.radians(40.0)
 #: Angle of the open jaw, and angle at which a hard object stops it when it is closed to 0 [rad].
 OPEN, OBJECT = 1.2, 0.6
+#: Calibrated range of the jaw [counts].
+JAW_RANGE = {"range_min": 1024, "range_max": 3071}
 #: Size of the sines [rad] and their frequency [Hz].
 SINE, FREQUENCY = math.radians(15.0), 0.5
 
@@ -103,7 +105,8 @@ class Bench:
         folder = Path(self._folder.name)
         table = {
             name: {"id": i, "drive_mode": 0, "homing_offset": 0}
-            | {"range_min": 1024, "range_max": 3071}
+            # Wide for the arm, which falls when the supply is switched off, narrow for the jaw.
+            | ({"range_min": 347, "range_max": 3748} if name in JOINTS else JAW_RANGE)
             for i, name in enumerate((*JOINTS, "gripper"), 1)
         }
         (folder / "arm.json").write_text(json.dumps(table), "utf-8")
@@ -242,12 +245,16 @@ TESTS: dict[str, tuple[Callable[[Robot], tuple[str, ...]], str]] = {
 
 def main(names: list[str]) -> None:
     """Print one row per test."""
-    import dynamixel_sdk
-    import scservo_sdk
+    from lerobot.motors.feetech import feetech
 
-    # LeRobot's drivers wait 50 ms for an answer; an emulator on a busy machine may need more.
-    for sdk in (scservo_sdk, dynamixel_sdk):
-        sdk.port_handler.LATENCY_TIMER = 500.0
+    # LeRobot waits 50 ms for a Feetech servo; an emulator on a busy machine may need more.
+    stock_timeout = feetech.patch_setPacketTimeout
+
+    def set_timeout(port: Any, length: int) -> None:
+        stock_timeout(port, length)
+        port.packet_timeout = 1000.0
+
+    feetech.patch_setPacketTimeout = set_timeout
     robots = {
         "LeRobot, P 16": stock(16),
         "LeRobot, P 32": stock(32),

@@ -136,3 +136,28 @@ def test_a_light_touch_succeeds():
 def test_wrong_actions_are_refused(options, said):
     with pytest.raises(pliant.ConfigError, match=said):
         TaskEnv(Wall(), action=SoftAction(**options))
+
+
+@pytest.mark.slow
+def test_pictures_follow_the_arm_and_end_with_the_scene():
+    env = gymnasium.make("pliant/Drawer-v0", render_mode="rgb_array", width=160, height=120)
+    env.reset(seed=0)
+    first = env.render()
+    assert (first.shape, first.dtype) == ((120, 160, 3), np.uint8)
+    assert first.std() > 5.0, "an empty picture"
+    np.testing.assert_array_equal(env.render(), first)
+    for _ in range(20):
+        env.step(np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -0.5, -0.5], dtype=np.float32))
+    moved = np.abs(env.render().astype(int) - first).max(axis=2) > 10
+    assert moved.mean() > 0.005
+    # A new episode has a new scene, with another drawer.
+    env.reset(seed=1)
+    assert (np.abs(env.render().astype(int) - first).max(axis=2) > 10).any()
+    env.close()
+
+
+def test_without_a_render_mode_there_is_no_picture():
+    env = TaskEnv(Wall())
+    assert env.render() is None
+    with pytest.raises(pliant.ConfigError, match="render_mode 'human'; choose \"rgb_array\""):
+        TaskEnv(Wall(), render_mode="human")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import logging
 import os
 import socket
+import struct
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +75,68 @@ def stderr_to(path):
     finally:
         os.dup2(ours, 2)
         os.close(ours)
+
+
+class Foxglove:
+    """Client of Foxglove's protocol: channels, raw messages by topic, answers by operation."""
+
+    def __init__(self, address):
+        from websockets.sync.client import connect
+
+        self.socket = connect(address, subprotocols=["foxglove.sdk.v1"])
+        self.channels, self.got, self.answers = {}, {}, {}
+        self._topics = {}
+
+    def poll(self):
+        """Take what has arrived."""
+        while True:
+            try:
+                message = self.socket.recv(timeout=0)
+            except TimeoutError:
+                return
+            if isinstance(message, bytes):
+                kind, subscription, _ = struct.unpack_from("<BIQ", message)
+                assert kind == 1
+                self.got.setdefault(self._topics[subscription], []).append(message[13:])
+                continue
+            answer = json.loads(message)
+            self.answers[answer["op"]] = answer
+            if answer["op"] == "advertise":
+                self.channels |= {channel["topic"]: channel for channel in answer["channels"]}
+
+    def send(self, **message):
+        self.socket.send(json.dumps(message))
+
+    def subscribe(self, topic):
+        number = len(self._topics) + 1
+        self._topics[number] = topic
+        wanted = {"id": number, "channelId": self.channels[topic]["id"]}
+        self.send(op="subscribe", subscriptions=[wanted])
+
+    def decode(self, topic):
+        """Decode the last message with the definition that the server has announced."""
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        channel = self.channels[topic]
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(channel["schema"], channel["schemaName"]))
+        return store.deserialize_cdr(self.got[topic][-1], channel["schemaName"])
+
+
+@contextlib.contextmanager
+def run_node(port, tmp_path_factory, settings):
+    """Start a node on a port, and a loop of a simulated SO-101 that it commands."""
+    from pliant.ros import ros_link
+
+    stderr = tmp_path_factory.mktemp("node") / "stderr"
+    with stderr_to(stderr):
+        link = ros_link(listen=f"tcp/127.0.0.1:{port}")
+    with link, pliant.connect("so101", backend="sim", on_exit="leave_enabled") as arm:
+        made = Running(arm, settings, link, stderr)
+        made.ticks_of(5)
+        yield made
+        made.close()
 
 
 #: Definitions of message types as ROS 2 ships them, without comments and constants.
@@ -144,6 +209,8 @@ class Client:
         self.session = sdk.ZenohSession.get_instance("127.0.0.1", port)
         self.registry = sdk.get_registry()
         self.registry.messages_dir = folder
+        # The registry outlives the session of an earlier client, whose types are gone.
+        self.registry._loaded_types.clear()
         self.got: dict[str, list] = {}
         self._publishers: dict[str, object] = {}
 
@@ -176,6 +243,36 @@ class Client:
         answer = client.call(**request)
         client.close()
         return answer
+
+
+def answer(running, call):
+    """Return the result of a call that waits for the node, while the loop runs."""
+    with ThreadPoolExecutor(1) as pool:
+        out = pool.submit(call)
+        running.until(out.done, "the answer of the service")
+    assert out.result() is not None, "the service did not answer"
+    return out.result()
+
+
+def six(client, values):
+    """Return the fields of a message with one number per axis."""
+    layout = client.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+    return {"layout": layout, "data": np.array(values, dtype=float)}
+
+
+def send_until(running, client, topic, fields, *, condition, what):
+    """Publish until the loop shows the effect: subscribers learn of each other in their time."""
+    from pliant.ros.interface import SUBSCRIBED
+
+    kind, last = SUBSCRIBED[topic.replace("/pliant", "~")], [0.0]
+
+    def check():
+        if time.monotonic() - last[0] > 0.3:
+            client.publish(topic, kind, **fields)
+            last[0] = time.monotonic()
+        return condition()
+
+    running.until(check, what)
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
@@ -14,8 +11,7 @@ import zenoh
 
 import pliant
 from pliant.ros import ros_link, wire
-from pliant.ros.interface import SUBSCRIBED
-from tests.ros.conftest import Running, free_port, stderr_to
+from tests.ros.conftest import answer, free_port, run_node, send_until, six
 
 SOFT = pliant.Settings.soft("x y", task="xyz")
 
@@ -27,28 +23,13 @@ def port():
 
 @pytest.fixture(scope="module")
 def running(port, tmp_path_factory):
-    stderr = tmp_path_factory.mktemp("node") / "stderr"
-    with stderr_to(stderr):
-        link = ros_link(listen=f"tcp/127.0.0.1:{port}")
-    with link, pliant.connect("so101", backend="sim", on_exit="leave_enabled") as arm:
-        made = Running(arm, SOFT, link, stderr)
-        made.ticks_of(5)
+    with run_node(port, tmp_path_factory, SOFT) as made:
         yield made
-        made.close()
 
 
 @pytest.fixture(scope="module")
 def client(running, port, client_of):
     return client_of(port)
-
-
-def answer(running, call):
-    """Return the result of a call that waits for the node, while the loop runs."""
-    with ThreadPoolExecutor(1) as pool:
-        out = pool.submit(call)
-        running.until(out.done, "the answer of the service")
-    assert out.result() is not None, "the service did not answer"
-    return out.result()
 
 
 def pose_fields(client, pose, frame="base", xyzw=None, stamp=(0, 0)):
@@ -64,24 +45,6 @@ def pose_fields(client, pose, frame="base", xyzw=None, stamp=(0, 0)):
         "header": client.make("std_msgs/msg/Header", stamp=time_, frame_id=frame),
         "pose": client.make("geometry_msgs/msg/Pose", position=point, orientation=turn),
     }
-
-
-def six(client, values):
-    layout = client.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-    return {"layout": layout, "data": np.array(values, dtype=float)}
-
-
-def send_until(running, client, topic, fields, *, condition, what):
-    """Publish until the loop shows the effect: subscribers learn of each other in their time."""
-    kind, last = SUBSCRIBED[topic.replace("/pliant", "~")], [0.0]
-
-    def check():
-        if time.monotonic() - last[0] > 0.3:
-            client.publish(topic, kind, **fields)
-            last[0] = time.monotonic()
-        return condition()
-
-    running.until(check, what)
 
 
 def test_state_arrives_with_names_frames_and_values(running, client):

@@ -30,10 +30,17 @@ AWAY = {"shoulder_pan.pos": 20.0, "elbow_flex.pos": -25.0, "wrist_flex.pos": 15.
 def patient(monkeypatch):
     """Give LeRobot's drivers time for an emulator on a busy machine."""
     import dynamixel_sdk
-    import scservo_sdk
+    from lerobot.motors.feetech import feetech
 
     monkeypatch.setattr(dynamixel_sdk.port_handler, "LATENCY_TIMER", 500.0)
-    monkeypatch.setattr(scservo_sdk.port_handler, "LATENCY_TIMER", 500.0)
+    # LeRobot sets its own timeout for Feetech servos: 50 ms.
+    stock_timeout = feetech.patch_setPacketTimeout
+
+    def set_timeout(port, length):
+        stock_timeout(port, length)
+        port.packet_timeout = 1000.0
+
+    monkeypatch.setattr(feetech, "patch_setPacketTimeout", set_timeout)
 
 
 def registers(robot):

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pliant._core import Controller
 from pliant.cli._console import print_line, print_summary
-from pliant.cli._flags import ConfigFlags, check_duration, check_log, make_recorder
+from pliant.cli._flags import (
+    ArmName,
+    Axes,
+    ConfigFlags,
+    File,
+    Seconds,
+    check_duration,
+    check_log,
+    make_recorder,
+)
 from pliant.config import connect
 from pliant.config._soft import apply_soft
 from pliant.loop import Loop
@@ -14,61 +24,65 @@ from pliant.ros import Bridge
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from pliant.view.ipc import ProcessLink
 
 
-def control(
-    arm: str,
-    open_link: Callable[[], ProcessLink],
-    *,
-    soft: str,
-    rate: float,
-    duration: float | None,
-    override: ConfigFlags,
-    log: Path | None,
-    ready: str,
-) -> None:
-    """Switch torque on, let the network control the arm until Ctrl-C, and lower it.
+@dataclass(frozen=True, kw_only=True)
+class NetworkFlags:
+    """Flags of the commands that let the network control an arm.
 
-    Args:
-        arm: Configuration file, or the name of a ready one.
-        open_link: Function that starts the process of the network.
-        soft: Axes that yield, as `--soft`.
-        rate: Rate at which the state is published [Hz].
-        duration: Time after which the command ends [s]; None: no limit.
-        override: Values that replace those of the configuration.
-        log: MCAP file to write; None: no log.
-        ready: Text that is printed with the address of the process in place of {address}.
+    Attributes:
+        arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
+        soft: Axes that yield: "y yaw" with the arm's default caps, "y=2 z=5" with caps of 2 and 5 N
+            (N·m for roll, pitch, yaw). The other axes keep their settings.
+        state_rate: Rate of the published state [Hz].
+        duration: Time after which the command ends [s].
+        log: MCAP file to write (needs the extra log).
+        override: Values that replace those of the configuration file.
     """
-    config = override.load(arm)
-    check_log(log, override.inputs(arm, config))
-    check_duration(duration)
-    settings = apply_soft(config.settings(), soft, config.model(), option="--soft")
-    # A simulated arm must keep the time of the clients.
-    is_simulated = config.backend == "sim"
-    connected = connect(config, real_time=True) if is_simulated else connect(config)
-    # Check the settings here, so that an error is raised before torque is on.
-    Controller(connected.model, settings, connected.servos)
-    with open_link() as link:
-        print_line(ready.format(address=link.address))
-        loop = None
-        try:
-            with connected as live:
-                controller = Controller(live.model, settings, live.servos)
-                recorder = None if log is None else make_recorder(log, config=config)
-                loop = Loop(
-                    live,
-                    controller,
-                    rate=settings.rate,
-                    duration=duration,
-                    recorder=recorder,
-                )
-                bridge = Bridge(live, loop, link, rate)
-                for tick in loop:
-                    bridge.step(tick)
-        finally:
-            # Print only after the arm is lowered: a blocked terminal must not delay the descent.
-            if loop is not None:
-                print_summary(connected, loop)
+
+    arm: ArmName
+    soft: Axes = ""
+    state_rate: float = 50.0
+    duration: Seconds = None
+    log: File = None
+    override: ConfigFlags
+
+    def run(self, open_link: Callable[[], ProcessLink], ready: str) -> None:
+        """Switch torque on, let the network control the arm until Ctrl-C, and lower it.
+
+        Args:
+            open_link: Function that starts the process of the network.
+            ready: Text that is printed with the address of the process in place of {address}.
+        """
+        config = self.override.load(self.arm)
+        check_log(self.log, self.override.inputs(self.arm, config))
+        check_duration(self.duration)
+        settings = apply_soft(config.settings(), self.soft, config.model(), option="--soft")
+        # A simulated arm must keep the time of the clients.
+        is_simulated = config.backend == "sim"
+        connected = connect(config, real_time=True) if is_simulated else connect(config)
+        # Check the settings here, so that an error is raised before torque is on.
+        Controller(connected.model, settings, connected.servos)
+        with open_link() as link:
+            print_line(ready.format(address=link.address))
+            loop = None
+            try:
+                with connected as live:
+                    controller = Controller(live.model, settings, live.servos)
+                    recorder = None if self.log is None else make_recorder(self.log, config=config)
+                    loop = Loop(
+                        live,
+                        controller,
+                        rate=settings.rate,
+                        duration=self.duration,
+                        recorder=recorder,
+                    )
+                    bridge = Bridge(live, loop, link, self.state_rate)
+                    for tick in loop:
+                        bridge.step(tick)
+            finally:
+                # Print after the arm is lowered: a blocked terminal must not delay the descent.
+                if loop is not None:
+                    print_summary(connected, loop)

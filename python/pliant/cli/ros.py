@@ -8,8 +8,7 @@ from typing import Annotated
 import tyro
 
 from pliant._core import ConfigError
-from pliant.cli._flags import ArmName, Axes, ConfigFlags, File, Seconds
-from pliant.cli._network import control
+from pliant.cli._network import NetworkFlags
 from pliant.ros.links import LISTEN, ros_link
 
 #: zenoh address.
@@ -19,18 +18,13 @@ Domain = Annotated[int | None, tyro.conf.arg(metavar="ID")]
 
 
 def run(
-    arm: ArmName,
+    control: NetworkFlags,
     *,
-    soft: Axes = "",
-    state_rate: float = 50.0,
     name: str = "pliant",
     namespace: str = "/",
     domain: Domain = None,
     listen: Endpoint = LISTEN,
     connect: Endpoint = "",
-    duration: Seconds = None,
-    log: File = None,
-    override: ConfigFlags,
 ) -> None:
     """Switch torque on, let ROS 2 nodes control the arm until Ctrl-C, and lower it.
 
@@ -39,21 +33,14 @@ def run(
     arm to everyone on the network, without encryption or password.
 
     Args:
-        arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
-        soft: Axes that yield: "y yaw" with the arm's default caps, "y=2 z=5" with caps of 2 and 5 N
-            (N·m for roll, pitch, yaw). The other axes keep their settings.
-        state_rate: Rate of the published state [Hz].
+        control: Arm, softness, rate, duration and log.
         name: Name of the node.
         namespace: Namespace of the node and its topics.
         domain: ROS domain id. Default: the environment variable ROS_DOMAIN_ID, or 0.
         listen: Address on which the node listens, as a zenoh router.
         connect: Address of a router that runs already (rmw_zenohd), in place of --listen.
-        duration: Time after which the command ends [s].
-        log: MCAP file to write (needs the extra log).
-        override: Values that replace those of the configuration file.
     """
-    control(
-        arm,
+    control.run(
         lambda: ros_link(
             name=name,
             namespace=namespace,
@@ -61,11 +48,6 @@ def run(
             listen=listen,
             connect=connect,
         ),
-        soft=soft,
-        rate=state_rate,
-        duration=duration,
-        override=override,
-        log=log,
         ready=f"ROS 2 node {namespace.rstrip('/')}/{name} at {{address}}. Ctrl-C lowers the arm.",
     )
 

@@ -39,6 +39,7 @@ class Arms:
         action: The mapping.
         sizes: Number of entries of each observation, by key.
         episodes: Episode of each arm; None before its first reset.
+        plants: Simulated arms; None before their first reset.
         force: Largest force on the tool in the last step (N,) [N].
     """
 
@@ -62,7 +63,7 @@ class Arms:
         joints = self.action.motion == "joints"
         self._own = [Controller(self.model, self._settings) for _ in range(count * joints)]
         self._contact = [ContactEstimator(self._controller) for _ in range(count)]
-        self._plants: list[Plant | None] = [None] * count
+        self.plants: list[Plant | None] = [None] * count
         self._native: list[NativeArm | None] = [None] * count
         self.episodes: list[Episode | None] = [None] * count
         n = self.model.n
@@ -85,7 +86,7 @@ class Arms:
         """Start an episode with new random parameters."""
         episode = self.episodes[row] = self._task.episode(rng)
         seed = int(rng.integers(2**31))
-        plant = self._plants[row] = Plant(self.model, scene=episode.scene, rate=RATE, seed=seed)
+        plant = self.plants[row] = Plant(self.model, scene=episode.scene, rate=RATE, seed=seed)
         plant.reset(self._task.start)
         if self._task.native:
             goal, limits, place = self._goal[row], self._range[row], self._q_of[row]
@@ -250,7 +251,7 @@ class Arms:
         """Send the commands, run the physics of one tick, and update the episodes."""
         self._range[:, :, 0], self._range[:, :, 1] = -self._limit, self._limit
         for row in active:
-            plant, native, episode = self._plants[row], self._native[row], self.episodes[row]
+            plant, native, episode = self.plants[row], self._native[row], self.episodes[row]
             assert plant is not None
             assert episode is not None
             if native is None:

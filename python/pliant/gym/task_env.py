@@ -8,9 +8,13 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from pliant._core import ConfigError
 from pliant.gym._arms import Arms
+from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from pliant._typing import Array
     from pliant.gym.soft_action import SoftAction
     from pliant.gym.tasks import Task
@@ -30,18 +34,33 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
     Args:
         task: The task.
         action: Mapping of actions; None: twist and the softness of the task's axes.
-        render_mode: None: there are no pictures; see `pliant view` for one.
+        render_mode: "rgb_array": `render` returns pictures; None: it does not.
+        width, height: Size of the pictures [pixel].
+
+    Attributes:
+        picture_size: Height and width of the pictures [pixel].
 
     Raises:
-        ConfigError: `action` names an axis twice or one that does not exist.
+        ConfigError: `action` names an axis twice or one that does not exist, or there is no such
+            render mode.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 - the name and the type are Gymnasium's
+    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - the name and the type are Gymnasium's
 
     def __init__(
-        self, task: Task, *, action: SoftAction | None = None, render_mode: str | None = None
+        self,
+        task: Task,
+        *,
+        action: SoftAction | None = None,
+        render_mode: str | None = None,
+        width: int = 320,
+        height: int = 240,
     ) -> None:
-        self.task, self.render_mode = task, render_mode
+        if render_mode not in (None, "rgb_array"):
+            raise ConfigError(f'render_mode {render_mode!r}; choose "rgb_array" or None')
+        self.task, self.render_mode, self.picture_size = task, render_mode, (height, width)
+        self.metadata = {**self.metadata, "render_fps": round(task.decision_rate)}
+        self._renderer: Any = None
         self._arms = Arms(task, action, 1)
         self.action = self._arms.action
         self.action_space: spaces.Space[Any] = action_space(self._arms)
@@ -52,6 +71,7 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
     ) -> tuple[dict[str, Array], dict[str, Any]]:
         """Start an episode with new random parameters."""
         super().reset(seed=seed)
+        self.close()
         self._arms.reset(0, self.np_random)
         return self._observation(), self._arms.info(0)
 
@@ -61,6 +81,31 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
         rewards, success, failure = self._arms.step(np.asarray(action)[None], np.array([True]))
         end = bool(success[0] or failure[0])
         return self._observation(), float(rewards[0]), end, False, self._arms.info(0)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture (height, width, 3) of arm and scene; None without a render mode.
+
+        Walls and surfaces, which are forces only, are not in it.
+        """
+        if self.render_mode is None:
+            return None
+        plant = self._arms.plants[0]
+        assert plant is not None, "call reset() first"
+        if self._renderer is None:
+            plant.mj_model.vis.headlight.ambient[:] = 0.6
+            self._renderer = mujoco.Renderer(plant.mj_model, *self.picture_size)
+            self._camera = mujoco.MjvCamera()
+            self._camera.lookat[:], self._camera.distance = (0.25, 0.0, -0.18), 1.25
+            self._camera.azimuth, self._camera.elevation = 130.0, -18.0
+        self._renderer.update_scene(plant.mj_data, self._camera)
+        picture: NDArray[np.uint8] = self._renderer.render()
+        return picture
+
+    def close(self) -> None:
+        """Free the drawing context."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
     def _observation(self) -> dict[str, Array]:
         return {name: rows[0] for name, rows in self._arms.observation().items()}

@@ -1,0 +1,35 @@
+"""`~/target_stiffness`, which only law `impedance` takes."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("zenoh", reason="ROS 2 needs zenoh: pip install 'pliant[ros]'")
+
+import pliant
+from tests.ros.conftest import answer, free_port, run_node, send_until, six
+
+
+def test_stiffness_from_the_client_changes_the_springs_of_law_impedance(
+    tmp_path_factory, client_of
+):
+    port, nan = free_port(), float("nan")
+    settings = pliant.Settings.soft("x y", task="xyz", law="impedance")
+    with run_node(port, tmp_path_factory, settings) as springs:
+        client, before = client_of(port), springs.controller.axes
+        assert before["x"].stiffness == (0.0, 0.0)
+        send_until(
+            springs,
+            client,
+            "/pliant/target_stiffness",
+            six(client, [150.0, nan, nan, nan, nan, nan]),
+            condition=lambda: springs.controller.axes["x"].stiffness == (150.0, 150.0),
+            what="the change of the stiffness",
+        )
+        assert springs.controller.axes["y"].stiffness == before["y"].stiffness
+        # The name of CRISP's controllers for the same number.
+        read = answer(
+            springs,
+            lambda: client.call("/pliant/get_parameters", "GetParameters", names=["task.k_pos_x"]),
+        )
+        assert read.values[0].double_value == 150.0
