@@ -3,7 +3,8 @@
 ``python -m experiments.descent [--arm so101] [--poses 50] [--jobs 2] [--bytes]`` prints a table of
 the worst values per arm, over random poses with random errors of the assumptions, in free air and
 over a table, and for the ready pose. With `--bytes` the arm has emulated servos on a serial port,
-in emulated time.
+in emulated time. With `--hand` torque comes on while a hand holds the arm; the hand lets the arm go
+at once, and the arm is not lowered.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
     from experiments.poses import Array
     from pliant import Model
+    from pliant._typing import Mask
     from pliant.config import Config
     from pliant.emulator.servo import Servo
 
@@ -117,8 +119,8 @@ class DescentResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
-    """One run: an arm in a pose with true parameters.
+class Case:
+    """An arm in a pose with true parameters.
 
     Attributes:
         arm: Name of the arm.
@@ -136,11 +138,23 @@ class Job:
     q: tuple[float, ...] = field(repr=False)
     truth: TrueParameters
 
+    def enable(self, arm: Arm, recorder: PeakRecorder) -> tuple[float, float]:
+        """Switch torque on; return largest displacement [m] and speed [m/s] of the tool."""
+        recorder.begin()
+        arm.enable()
+        arm.clock.wait_until(arm.clock.now() + BEFORE)
+        return recorder.seen.moved, recorder.seen.speed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job(Case):
+    """One run: torque on, descent, and torque on again."""
+
     def run(self) -> DescentResult:
         """Enable the arm, lower it, enable it again, and return the recorded result."""
         with (_over_bytes if self.on_bytes else _simulated)(self) as (arm, recorder):
             plant, clock = recorder.plant, arm.clock
-            moved, jerk = self._enable(arm, recorder)
+            moved, jerk = self.enable(arm, recorder)
             recorder.begin()
             begin = clock.now()
             arm.lower()
@@ -150,7 +164,7 @@ class Job:
             clock.wait_until(clock.now() + AFTER)
             after = recorder.seen.speed
             resting = sum(float(np.linalg.norm(felt.force)) for felt in plant.hands)
-            woken, stir = self._enable(arm, recorder)
+            woken, stir = self.enable(arm, recorder)
             ratio = np.log(recorder.stiffness() / np.asarray(arm.servos.kp))
         return DescentResult(
             apart=float(np.exp(np.abs(ratio).max())),
@@ -168,13 +182,73 @@ class Job:
             height=float(height),
         )
 
-    @staticmethod
-    def _enable(arm: Arm, recorder: PeakRecorder) -> tuple[float, float]:
-        """Switch torque on; return largest displacement [m] and speed [m/s] of the tool."""
-        recorder.begin()
-        arm.enable()
-        arm.clock.wait_until(arm.clock.now() + BEFORE)
-        return recorder.seen.moved, recorder.seen.speed
+
+@dataclass(frozen=True, kw_only=True)
+class HandResult:
+    """Result of torque on of an arm in a hand that lets it go at once.
+
+    Attributes:
+        apart: Largest ratio between true and assumed stiffness of a joint.
+        strain: Torque for weight and load, as a share of the servo's true torque.
+        moved: Largest displacement of the tool [m].
+        jerk: Largest speed of the tool [m/s].
+        left: Displacement of the tool at the end [m].
+        seconds: Duration of torque on [s].
+    """
+
+    apart: float
+    strain: float
+    moved: float
+    jerk: float
+    left: float
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandJob(Case):
+    """One run: torque on of an arm in a hand that lets it go at once."""
+
+    def run(self) -> HandResult:
+        """Enable the arm and return the recorded result."""
+        with _over_bytes(self) if self.on_bytes else _simulated(self, HandDrive) as (arm, recorder):
+            begin = arm.clock.now()
+            moved, jerk = self.enable(arm, recorder)
+            seconds = arm.clock.now() - begin - BEFORE
+            ratio = np.log(recorder.stiffness() / np.asarray(arm.servos.kp))
+            arm.disable_torque()
+        return HandResult(
+            apart=float(np.exp(np.abs(ratio).max())),
+            strain=recorder.strain,
+            moved=moved,
+            jerk=jerk,
+            left=float(np.linalg.norm(recorder.plant.tool[:3, 3] - recorder.start)),
+            seconds=seconds,
+        )
+
+
+class HandDrive(SimDrive):
+    """Simulated drive that reports torque off until `enable`; its servos are the hand until then.
+
+    They hold the arm exactly, so that the arm is released when the first goals arrive.
+    """
+
+    _is_released = False
+
+    @property
+    def enabled(self) -> Mask:
+        """Mask (N,) of the joints with torque on."""
+        return self._on & self._is_released
+
+    @property
+    def orders(self) -> tuple[Array, Array]:
+        """NaN: goals (N,) [rad] and torque limits (N,) [N·m] in the servos are unknown."""
+        unknown = np.full(len(self.names), np.nan)
+        return unknown, unknown
+
+    def enable(self, goal: Array, limit: Array) -> None:
+        """Switch torque of all joints on, with goals (N,) [rad] and torque limits (N,) [N·m]."""
+        self._is_released = True
+        super().enable(goal, limit)
 
 
 @dataclass
@@ -197,7 +271,7 @@ class PeakRecorder:
         start: Position of the tool at `begin` (3,) [m].
     """
 
-    def __init__(self, job: Job, plant: Plant) -> None:
+    def __init__(self, job: Case, plant: Plant) -> None:
         """Store the simulation, and place the table under the arm if the job has one."""
         self.plant, self._load = plant, job.truth.load
         if job.over_table:
@@ -236,8 +310,8 @@ class PeakRecorder:
 
 
 @contextmanager
-def _simulated(job: Job) -> Iterator[tuple[Arm, PeakRecorder]]:
-    """Return the arm of a job on the simulator, and its recorder.
+def _simulated(job: Case, kind: type[SimDrive] = SimDrive) -> Iterator[tuple[Arm, PeakRecorder]]:
+    """Return the arm of a job on the simulator with a drive of this kind, and its recorder.
 
     Goals and limits as of an earlier program hold the arm, with the leads for the true parameters.
     """
@@ -253,7 +327,7 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, PeakRecorder]]:
     )
     plant.reset(job.q)
     recorder = PeakRecorder(job, plant)
-    drive = SimDrive(plant, servos=model.servos.replace(stiffness_known=False))
+    drive = kind(plant, servos=model.servos.replace(stiffness_known=False))
     arm = Arm(
         model, drive, grippers=factory.gripper_configs(configuration(job.arm)), handle_signals=False
     )
@@ -266,7 +340,7 @@ def _simulated(job: Job) -> Iterator[tuple[Arm, PeakRecorder]]:
 
 
 @contextmanager
-def _over_bytes(job: Job) -> Iterator[tuple[Arm, PeakRecorder]]:
+def _over_bytes(job: Case) -> Iterator[tuple[Arm, PeakRecorder]]:
     """Return the arm of a job on emulated servos, and its recorder.
 
     The emulator holds the arm until all servos have torque.
@@ -407,9 +481,24 @@ def descents(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) ->
     return runs + ready
 
 
+def in_hand(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[HandJob]:
+    """Return the runs of torque on in a hand, with poses and parameters of `descents`."""
+    return [
+        HandJob(
+            arm=job.arm,
+            number=job.number,
+            over_table=False,
+            on_bytes=on_bytes,
+            q=job.q,
+            truth=job.truth,
+        )
+        for job in descents(name, count, seed=seed, on_bytes=on_bytes)
+        if not job.over_table
+    ]
+
+
 def rows(name: str, work: Sequence[Job], seen: Sequence[DescentResult]) -> list[str]:
     """Return lines of the table, with worst value, median, and number of the worst pose."""
-    lines = []
     pairs = list(zip(work, seen, strict=True))
     # Runs in which the servos cannot hold the arm have a row of their own.
     strong = [(job, one) for job, one in pairs if one.strain < 1.0]
@@ -419,7 +508,7 @@ def rows(name: str, work: Sequence[Job], seen: Sequence[DescentResult]) -> list[
         "ready pose": [(job, one) for job, one in strong if job.number < 0],
         "too weak": [(job, one) for job, one in pairs if one.strain >= 1.0],
     }
-    columns = [
+    columns = (
         ("moved", 1e3, 0),
         ("jerk", 1.0, 2),
         ("woken", 1e3, 0),
@@ -431,7 +520,27 @@ def rows(name: str, work: Sequence[Job], seen: Sequence[DescentResult]) -> list[
         ("resting", 1.0, 1),
         ("pressed", 1.0, 1),
         ("seconds", 1.0, 0),
-    ]
+    )
+    return _lines(name, cases, columns)
+
+
+def hand_rows(name: str, work: Sequence[HandJob], seen: Sequence[HandResult]) -> list[str]:
+    """Return lines of the table of torque on in a hand, as `rows` does."""
+    pairs = list(zip(work, seen, strict=True))
+    cases = {
+        "no load": [(job, one) for job, one in pairs if not job.truth.load],
+        "load": [(job, one) for job, one in pairs if job.truth.load],
+    }
+    columns = (("moved", 1e3, 0), ("jerk", 1.0, 2), ("left", 1e3, 0), ("seconds", 1.0, 1))
+    return _lines(name, cases, columns)
+
+
+def _lines(
+    name: str,
+    cases: dict[str, list[tuple[Any, Any]]],
+    columns: tuple[tuple[str, float, int], ...],
+) -> list[str]:
+    lines = []
     for case, runs in cases.items():
         cells = []
         for what, unit, digits in columns:
@@ -448,6 +557,7 @@ def rows(name: str, work: Sequence[Job], seen: Sequence[DescentResult]) -> list[
     return lines
 
 
+HAND_COLUMNS = ("arm", "runs", "moves [mm]", "speed [m/s]", "in the end [mm]", "takes [s]")
 COLUMNS = (
     "arm",
     "runs",
@@ -472,6 +582,7 @@ def main(
     seed: int = 0,
     jobs: int = 1,
     each: bool = False,
+    hand: bool = False,
     over_bytes: Annotated[bool, tyro.conf.arg(name="bytes")] = False,
 ) -> None:
     """Lower arms whose true parameters differ from the assumed ones.
@@ -482,12 +593,18 @@ def main(
         seed: Random seed of poses and true parameters.
         jobs: Number of processes.
         each: True prints every run too.
+        hand: True switches torque on in a hand, and does not lower the arm.
         over_bytes: True uses emulated servos on a serial port, in emulated time.
     """
-    print(program.head(COLUMNS), flush=True)
+    print(program.head(HAND_COLUMNS if hand else COLUMNS), flush=True)
     for name in arm or ARMS:
         if not is_here(name):
             print(f"{name}: no description beside the project, skipped")
+            continue
+        if hand:
+            held = in_hand(name, poses, seed=seed, on_bytes=over_bytes)
+            results = list(run_jobs(held, jobs, f"torque on of {name}"))
+            print("\n".join(hand_rows(name, held, results)), flush=True)
             continue
         work = descents(name, poses, seed=seed, on_bytes=over_bytes)
         seen: list[DescentResult] = []
