@@ -44,6 +44,7 @@ __all__ = [
     "Pose",
     "PoseReport",
     "PositionFilter",
+    "ServoCodec",
     "ServoError",
     "ServoFaultError",
     "ServoTimeoutError",
@@ -2900,6 +2901,95 @@ class PositionFilter:
         """Discard all positions: the next position of each joint is then accepted in any case."""
 
 @final
+class ServoCodec:
+    """Converts registers of servos to values of the joints (n,), and commands to registers.
+
+    A position is accepted if it lies within ``2 v dt + 0.1 rad`` of the last accepted one, with the
+    joint's speed without load v [rad/s] and the time dt since that position [s]. dt does not grow
+    while implausible positions arrive. `configure` must be called for each servo.
+
+    Args:
+        servos: Number of servos; those of one joint follow each other.
+        joints: Number of joints n.
+    """
+
+    def __new__(cls, servos: int, joints: int) -> ServoCodec: ...
+    def configure(self, servo: int, joint: int, numbers: ArrayLike) -> None:
+        """Set joint, registers and units of a servo.
+
+        Args:
+            servo: Index of the servo.
+            joint: Index of the joint.
+            numbers: 51 numbers. Address, size and sign of 9 registers: position, speed, load,
+                current, voltage, temperature, goal, limit, speed cap (size 0: there is none; sign
+                0: unsigned, -1: two's complement, else value of the sign bit). Address and size of
+                2 packets (size 0: there is none). 20 units and bounds: position at angle 0
+                [counts]; sign; angle of a count [rad]; velocity of a unit [rad/s]; measured torque
+                of a unit, torque lost in the gears [N m]; 1 if the current measures the torque,
+                else 0; current of a unit [A]; limit of a unit, torque lost in the gears [N m];
+                largest limit and its torque [N m]; largest speed cap; speed without load [rad/s];
+                smallest and largest goal, largest position, turn (0: no wrap-around) [counts]; 1
+                if goals may exceed a turn, else 0; smallest usual voltage.
+
+        Raises:
+            ShapeError, OutOfRangeError: Not 51 numbers, or no such servo or joint.
+        """
+
+    def decode(
+        self, servo: int, data: bytes, status: int, address: int, time: float
+    ) -> bool | None:
+        """Store a reading of a servo, requested at `time` [s].
+
+        Args:
+            servo: Index of the servo.
+            data: Bytes from `address` on.
+            status: Status byte.
+            address: Address of the first byte.
+            time: Time of the request [s].
+
+        Returns:
+            None: nothing but position, speed and load has changed. False: the position is
+            implausible, and the reading was not stored. True: status or turns are not 0, voltage
+            or temperature have changed or are unusual, or any position was accepted.
+
+        Raises:
+            ShapeError: The bytes do not contain the position.
+        """
+
+    def joints(self, read: Sequence[int]) -> tuple[_Array, NDArray[np.bool_]]:
+        """Return position [rad], time [s], velocity [rad/s], torque [N m] and current [A] (5, n).
+
+        The mask (n,) is True for joints whose servos all are among `read`. Of two servos on a joint
+        the first has angle and velocity; time is the older, torque the mean, current the sum.
+        """
+
+    def encode(
+        self, servo: int, goal: float, limit: float, speed: float
+    ) -> tuple[int, int, int, bytes, bytes]:
+        """Return the registers of goal, limit and speed cap of a servo, and its 2 packets.
+
+        A goal [rad] is clamped to the range; a limit [N m] is rounded down and clamped to the
+        largest; a speed [rad/s] is rounded down, but at least 1 unit.
+
+        Raises:
+            OutOfRangeError: A number is not finite.
+        """
+
+    def reading(self, servo: int) -> _Array:
+        """Return the last accepted reading of a servo, 8 numbers; NaN for what was not read.
+
+        Position without wrap-around [counts], turns, time [s]; registers of voltage and
+        temperature; time of the last usual voltage [s]; number of implausible positions since, and
+        distance of the last one [rad].
+        """
+
+    def accept_any(self, servo: int, position: float, turns: float, time: float) -> None:
+        """Accept any position in the next reading of a servo.
+
+        Unless `position` [counts] is NaN, store it with turns and time [s] as the last reading.
+        """
+
+@final
 class CommandLimiter:
     """Limits goals and torque limits before they are sent to the N joints of a drive.
 
@@ -2948,7 +3038,7 @@ class CommandLimiter:
         limit: ArrayLike,
         gravity: ArrayLike,
         position: ArrayLike,
-        off_chain: Sequence[Sequence[float]],
+        off_chain: ArrayLike,
         *,
         ramp: float,
         ramp_start: ArrayLike,

@@ -17,7 +17,7 @@ pytest.importorskip("rustypot", reason="the tests of servo buses need the extra 
 from pliant.emulator.packets import packet_1, status_2
 from pliant.emulator.pty import Pty
 from pliant.servo import BusError
-from pliant.servo._transactions import TransactionGuard
+from pliant.servo._transactions import Reply, TransactionGuard
 from pliant.servo.models import Block
 from pliant.servo.transport import RustypotTransport
 
@@ -112,7 +112,8 @@ def test_a_damaged_reply(port, call, spoil, lie):
             case "read":
                 got = [guard.read(IDS[0], BLOCK)]
             case "sync_read":
-                got = list(guard.sync_read(IDS, BLOCK).values())
+                block, answers, time = guard.sync_read(IDS, BLOCK)
+                got = [Reply(block, *answer, time) for answer in answers]
             case "write":
                 assert 0 <= guard.write(IDS[0], 30, b"\x01") <= 255
             case _:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pliant.servo import BusError
-from pliant.servo._transactions import TransactionGuard
+from pliant.servo._transactions import Reply, TransactionGuard
 from pliant.servo.models import get_model
 
 #: Number of reply bytes with the time of the request [µs], which the servos report as position.
@@ -117,7 +117,10 @@ def test_no_answer_from_before_a_stall_is_taken(model, patience, keeps_order):
         guard.start_cycle(0.03)
         replies = {}
         try:
-            replies = guard.sync_read(bus.ids, *blocks)
+            block, answers, time = guard.sync_read(bus.ids, *blocks)
+            replies = {
+                id: Reply(block, *answer, time) for id, answer in zip(bus.ids, answers, strict=True)
+            }
         except BusError:
             for id in bus.ids:
                 try:

@@ -63,14 +63,6 @@ def test_a_rising_angle_is_rising_counts_by_the_sign(units):
     assert math.copysign(1, step) == units.spec.sign
 
 
-@given(joints(), st.floats(0.05, 20.0))
-def test_a_speed_cap_is_never_faster_than_asked(units, speed):
-    register = units.speed_register(speed)
-    assert register >= 1  # 0 means "no speed limit"
-    slowest = abs(units.velocity(1))
-    assert abs(units.velocity(register)) <= max(speed, slowest) * (1 + 1e-9)
-
-
 @given(joints(), st.integers(1, 254))
 def test_stiffness_is_positive_and_goes_with_the_gain(units, gain):
     assert units.stiffness(gain) > 0

@@ -54,6 +54,8 @@ class JointMap:
     Attributes:
         names: Names of all joints (N,).
         chain: Index of each joint of the chain in drive order (n,).
+        select: Index that selects the chain's values of a vector (N,): `chain`, or a slice if these
+            joints follow each other, which is quicker and selects a view.
         off_chain: Index of each joint off the chain in drive order (N - n,).
         extra: Names of the joints off the chain (N - n,).
     """
@@ -75,6 +77,9 @@ class JointMap:
                 f"{', '.join(model.joint_names)}"
             )
         self.chain = np.array([self.names.index(name) for name in model.joint_names])
+        first, last = self.chain[0], self.chain[-1]
+        in_a_row = np.array_equal(self.chain, np.arange(first, last + 1))
+        self.select = slice(first, last + 1) if in_a_row else self.chain
         self.off_chain = np.setdiff1d(np.arange(len(self.names)), self.chain)
         self.extra = tuple(self.names[i] for i in self.off_chain)
 
@@ -230,6 +235,8 @@ class ArmIO:
         )
         self._low_torque = LowTorqueWarning(model, self.servos)
         self.orders: dict[str, tuple[float, float]] = {}
+        self._off_chain: list[tuple[float, float]] = []
+        self._off_chain_rows: Array = np.zeros((0, 2))
         self._ramp_start: float = -math.inf
         self._min_limit: Array = np.zeros(model.n)
         self._last_update: float | None = None
@@ -260,13 +267,13 @@ class ArmIO:
         finally:
             self._last_access = self.clock.now()
         read = np.asarray(sample.ok, dtype=bool)
-        if read.any():
+        if True in read.tolist():
             now = self.clock.now()
             gap, self._last_position = now - self._last_position, now
             if self._watchdog and gap > 0.5 * self._watchdog:
                 self._rearm()
         ok = self.positions.update(sample.position, read, sample.time)
-        chain = self.joints.chain
+        chain = self.joints.select
         self._rows = {
             "dq": None if sample.velocity is None else sample.velocity[chain],
             "load": None if sample.load is None else sample.load[chain],
@@ -278,31 +285,38 @@ class ArmIO:
 
     def state(self, ok: Mask) -> State:
         """Return the state of the arm after a `sample`, which returned the mask `ok` (n,)."""
-        positions, chain = self.positions, self.joints.chain
+        positions, chain = self.positions, self.joints.select
         time = positions.time[chain]
         position = positions.position
-        return State(
+        state = object.__new__(State)
+        # The constructor of a frozen dataclass makes a call per attribute.
+        state.__dict__.update(
+            self._rows,
             q=position[chain],
-            time=float(time.min()),
-            fresh=bool(ok.all()),
+            time=min(time.tolist()),
+            fresh=False not in ok.tolist(),
             extra={name: float(position[self._index[name]]) for name in self.joints.extra},
             age=self.clock.now() - time,
-            voltage=self._voltage[chain],
+            voltage=self._voltage[chain].copy(),
             temperature=self.thermal.temperature[chain],
             faults=self.faults(),
-            **self._rows,
         )
+        return state
 
     def faults(self) -> tuple[str, ...]:
         """Return the present faults of the servos, one sentence each."""
         names = self.joints.names
+        implausible = self.positions.implausible(MAX_JUMPS)
+        is_hot = self.thermal.is_too_hot(TOO_HOT)
+        if not (self._reported or implausible or is_hot):
+            return ()
         found = [text for texts in self._reported.values() for text in texts]
         found += [
             f"{names[i]}: its position jumped by {jump:.2f} rad, which it cannot have moved: "
             "encoder fault, slipped horn or loose gear. Torque off, then check its zero"
-            for i, jump in self.positions.implausible(MAX_JUMPS)
+            for i, jump in implausible
         ]
-        if self.thermal.is_too_hot(TOO_HOT):
+        if is_hot:
             found += thermal_faults(self.thermal, names)
         return tuple(found)
 
@@ -433,7 +447,7 @@ class ArmIO:
             raise OutOfRangeError(f"limit must be at least 0 N·m, got {least:g}")
         if velocity is not None:
             velocity = vector(self.model, velocity, "velocity", finite=False)
-            if not all(speed >= 0.0 for speed in velocity.tolist()):
+            if not all(map((0.0).__le__, velocity.tolist())):
                 raise OutOfRangeError(f"velocity must be at least 0 rad/s, got {velocity.tolist()}")
         orders = {} if extra is None else self.joints.check(extra)
         joint = self._limiter.unreachable(goal)
@@ -445,15 +459,19 @@ class ArmIO:
                 "Nothing was sent"
             )
         position = self.positions.position
-        gravity = self.model.gravity(position[self.joints.chain])
+        gravity = self.model.gravity(position[self.joints.select])
         if orders:
             self.orders = {**self.orders, **orders}
+        off_chain = [self.orders[name] for name in self.joints.extra]
+        if off_chain != self._off_chain:
+            self._off_chain = off_chain
+            self._off_chain_rows = np.array(off_chain, dtype=np.float64).reshape(-1, 2)
         goals, limits = self._limiter.limit(
             goal,
             limit,
             gravity,
             position,
-            [self.orders[name] for name in self.joints.extra],
+            self._off_chain_rows,
             ramp=(self.clock.now() - self._ramp_start) / RAMP_TIME,
             ramp_start=self._min_limit,
             lead=lead,
@@ -496,7 +514,7 @@ class ArmIO:
         speeds = None
         if velocity is not None:
             speeds = self._unlimited.copy()
-            speeds[self.joints.chain] = velocity
+            speeds[self.joints.select] = velocity
         self.drive.write(goals, limits, speeds)
         self._last_access = self.clock.now()
         self._update_status(self.drive.poll_status())
@@ -534,7 +552,10 @@ class ArmIO:
             self._voltage[index] = status.voltage
         if status.temperature is not None:
             self.thermal.set_temperature(index, status.temperature)
-        self._reported[status.name] = status.faults
+        if status.faults:
+            self._reported[status.name] = status.faults
+        elif self._reported:
+            self._reported.pop(status.name, None)
 
 
 def _per_joint(value: ArrayLike, size: int) -> Array:

@@ -59,7 +59,8 @@ class Supervisor:
             ServoError: Another process switched torque on.
             ServoTimeoutError: The watchdog thread has taken the arm over.
         """
-        if self.reason is not None or self.is_owned_elsewhere:
+        owner = self.owner
+        if self.reason is not None or (owner is not None and owner != os.getpid()):
             self.check()
         self.lock.acquire()
         if self.reason is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from math import isnan, nan
+from typing import TYPE_CHECKING, Any
 
 from pliant._core import ServoError
 from pliant.servo import _status as status
@@ -12,22 +13,18 @@ from pliant.servo.spec import Units
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pliant._core import ServoCodec
     from pliant.servo._transactions import Reply
     from pliant.servo.models import Family, ServoModel
     from pliant.servo.spec import ServoSpec
 
 #: Longest undervoltage that is not reported as a fault [s].
 UNDERVOLTAGE_GRACE = 0.5
-#: Tolerance of the check for implausible positions [rad]: a position may change by this, plus the
-#: distance at twice the no-load speed since the last accepted position.
-JUMP_MARGIN = 0.1
 #: A goal or limit register that does not read back as written is a fault after `MISMATCH_TIME` [s]
 #: and `MISMATCHES` packets.
 MISMATCH_TIME, MISMATCHES = 0.5, 3
-#: Number of consecutive implausible positions that is reported as a fault; and time between two
-#: readings [s] above which the accepted change of position grows even after an implausible one,
-#: because the joint may have moved in that time.
-MAX_JUMPS, READING_GAP = 3, 0.1
+#: Number of consecutive implausible positions that is reported as a fault.
+MAX_JUMPS = 3
 #: Value of the register Bus Watchdog after it has tripped.
 TRIPPED = 255
 SEAM_TEXT = (
@@ -73,9 +70,7 @@ class Device:
         enabled: True if this program switched the torque on, or took over a servo with torque on.
         torque_on: True if torque was on at the last reading of Torque Enable.
         goal, limit: Goal and limit register as last written; goal is None before the first write.
-        position: Unwrapped count of the last reading; None before the first reading.
         time: Time of the request of the last reading [s].
-        speed, load, current: Register values of the last reading; current is None without sensor.
         voltage, temperature: Supply voltage [V] and temperature [°C] as last read.
         limit_read: Limit register as last read.
         conditions: Errors in the status of the last reply.
@@ -89,6 +84,7 @@ class Device:
             otherwise.
         drive_values: Registers that bound torque or motion, and the values that `enable` writes.
         mismatches: Number of times a register did not read back as written.
+        has_mismatch: True if goal or limit did not read back as written the last time.
     """
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
@@ -106,14 +102,10 @@ class Device:
         self.overload: float | None = self.row.overload
         self.min_voltage, self._last_good_voltage = 0.0, 0.0
         self.alerts = 0
-        self.turns = 0
         self.enabled = self.torque_on = False
         self.goal: int | None = None
         self.limit = 0
-        self.position: float | None = None
         self.time = 0.0
-        self.speed = self.load = 0
-        self.current: int | None = None
         self.voltage: float | None = None
         self.temperature: float | None = None
         self.limit_read: int | None = None
@@ -126,9 +118,46 @@ class Device:
         self.mismatches = 0
         self._writes = 0
         self._read_backs = {"goal": ReadBack(), "limit": ReadBack()}
-        self._has_mismatch = False
+        self.has_mismatch = False
         self.tripped, self.trips, self.watchdog = False, 0, 0
-        self._rejected, self._allowed, self._last = 0, 0.0, 0.0
+        self.index = 0
+        self._codec: ServoCodec | None = None
+        self._last_reading = [nan, 0.0, 0.0]
+
+    def attach(self, codec: ServoCodec, index: int) -> None:
+        """Decode and encode with `codec` from now on, as servo `index`; keep the last reading."""
+        last = self._reading()[:3]
+        self._codec, self.index = codec, index
+        self.configure()
+        codec.accept_any(index, *last)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: the last reading, without the codec."""
+        return {**self.__dict__, "_codec": None, "_last_reading": self._reading()}
+
+    @property
+    def codec(self) -> ServoCodec:
+        """Codec of all servos of the bus."""
+        assert self._codec is not None, "attach comes first"
+        return self._codec
+
+    def configure(self) -> None:
+        """Pass registers, units and bounds to the codec, after one of them has changed."""
+        row, units, lost = self.row, self.units, self.spec.torque_offset
+        uses_current = row.limit_type == "current"
+        measured = (units.torque_per_unit, lost) if uses_current else (units.load(1), 0.0)
+        numbers = (
+            *self.family.codec_registers,
+            *(units.zero, units.sign, units.count, abs(units.velocity(1))),
+            *(*measured, uses_current, row.current_unit or nan),
+            *(units.torque_per_unit, lost),
+            *(min(self.ceiling, units.full), units.usable(self.ceiling)),
+            *(self.family.speed_max, units.no_load_speed),
+            *(self.low, self.high, row.max_position, self.wraparound or 0, self.multi_turn),
+            # Voltage registers have units of 0.1 V; the margin is for rounding.
+            10.0 * self.min_voltage - 1e-6,
+        )
+        self.codec.configure(self.index, self.joint, [float(number) for number in numbers])
 
     def set_range(self) -> None:
         """Narrow the range of goals to the position limits of the joint, if both are given.
@@ -163,39 +192,34 @@ class Device:
     def faults(self) -> tuple[str, ...]:
         """Present faults, one sentence each, with the joint name."""
         found = (self.hardware or self.conditions) + tuple(self.other_faults.values())
+        if not found:
+            return ()
         return tuple(f"{self.name}: {text}" for text in found)
+
+    @property
+    def position(self) -> float | None:
+        """Unwrapped count of the last reading; None before the first reading."""
+        position = self._reading()[0]
+        return None if isnan(position) else position
 
     def angle(self, position: float) -> float:
         """Return the joint angle [rad] at which this servo's position is `position` [counts]."""
         return self.units.angle(position)
 
-    def goal_counts(self, angle: float) -> int:
-        """Return the value of the goal register for a joint angle [rad], within the goal range.
+    def command(self, goal: float, limit: float, speed: float) -> list[int]:
+        """Return the values of goal, limit and speed cap register.
 
         A single-turn servo that was pushed past the seam of its encoder, where the count jumps,
         would move to such a goal the long way round. Its goal is the end of the encoder at which
-        it stands instead.
+        it stands instead. The range of a multi-turn servo that stands outside of it extends to its
+        present position.
+
+        Args:
+            goal: Joint angle [rad], clamped to the range.
+            limit: Joint torque [N·m], at most that of `ceiling`.
+            speed: Largest joint speed [rad/s]; the register is at least 1: 0 means no limit.
         """
-        counts = self.units.counts(angle)
-        if self.multi_turn:
-            return self.clamp(counts) - self.turns * (self.wraparound or 0)
-        if self.turns:
-            return 0 if self.turns > 0 else self.row.max_position
-        return max(self.low, min(counts, self.high))
-
-    def clamp(self, counts: int) -> int:
-        """Return `counts` clamped to the goal range [counts].
-
-        For a multi-turn servo that stands outside, the range extends to its present position.
-        """
-        low, high = self.low, self.high
-        if self.position is not None and self.multi_turn:
-            low, high = min(low, round(self.position)), max(high, round(self.position))
-        return max(low, min(counts, high))
-
-    def limit_register(self, torque: float) -> int:
-        """Return the value of the limit register for a joint torque [N·m], at most `ceiling`."""
-        return self.units.register(min(torque, self.units.usable(self.ceiling)), self.ceiling)
+        return list(self.codec.encode(self.index, goal, limit, speed)[:3])
 
     def packet(self, names: tuple[str, ...], goal: int, limit: int, speed: int) -> bytes:
         """Return the bytes to write to the contiguous registers `names`.
@@ -209,17 +233,46 @@ class Device:
 
     def accept(self, reply: Reply) -> bool:
         """Store the values of a reading and return True, unless its position is implausible."""
-        values = self.family.layout(reply.block).decode(reply.data)
-        turns, position = self._unwrap(values["position"])
-        if not self._is_reachable(position, reply.time):
+        block, data, status_byte, time = reply
+        found = self.codec.decode(self.index, data, status_byte, block.address, time)
+        is_accepted = found is None or self.check_reading(found, status_byte, time)
+        if is_accepted and self.family.layout(block).has_status:
+            self.note(reply)
+        if is_accepted:
+            self.time = time
+        return is_accepted
+
+    def _reading(self) -> list[float]:
+        """Return the last accepted reading, see `ServoCodec.reading`; without codec 3 numbers."""
+        if self._codec is None:
+            return self._last_reading
+        reading: list[float] = self._codec.reading(self.index).tolist()
+        return reading
+
+    def check_reading(self, is_accepted: bool, status_byte: int, time: float) -> bool:
+        """Look for faults in a reading that needs attention, and return `is_accepted`.
+
+        `MAX_JUMPS` implausible positions in a row are a fault.
+
+        Args:
+            is_accepted: Result of `ServoCodec.decode`: False if the position is implausible.
+            status_byte: Status byte of the reply.
+            time: Time of the request [s].
+        """
+        _, turns, _, voltage, temperature, supplied, rejected, jump = self._reading()
+        if not is_accepted:
+            if rejected >= MAX_JUMPS:
+                self.other_faults["jump"] = (
+                    f"its position jumped by {jump:.2f} rad, which it cannot have moved: encoder "
+                    "fault, slipped horn or loose gear. Torque off, then check its zero"
+                )
             return False
-        self.turns, self.position, self.time = turns, position, reply.time
-        if turns or self.other_faults:
-            self.fault("seam", turns != 0 and not self.multi_turn, SEAM_TEXT)
-        self.speed = values["speed"]
-        self.load = values.get("load", self.load)
-        self.current = values.get("current", self.current)
-        self._note(values, reply.status, reply.time)
+        self.fault("seam", turns != 0.0 and not self.multi_turn, SEAM_TEXT)
+        found = {"voltage": voltage, "temperature": temperature}
+        values = {name: int(value) for name, value in found.items() if not isnan(value)}
+        if "voltage" in values:
+            self._last_good_voltage = max(self._last_good_voltage, supplied)
+        self._note(values, status_byte, time)
         return True
 
     def note(self, reply: Reply) -> None:
@@ -247,7 +300,8 @@ class Device:
         if "torque_enable" in values:
             self.torque_on = bool(values["torque_enable"])
             went_off = (self.enabled or "torque" in self.other_faults) and not self.torque_on
-            self.fault("torque", went_off, "its torque went off by itself")
+            if went_off or self.other_faults:
+                self.fault("torque", went_off, "its torque went off by itself")
             if went_off:
                 # Send no more goals: on some servos a goal switches torque on, and the joint may be
                 # far from it now.
@@ -264,16 +318,6 @@ class Device:
     def is_refusing(self) -> bool:
         """True if the servo is known not to receive goals, or to reject them."""
         return self.enabled and (self.tripped or self._read_backs["goal"].wrong >= MISMATCHES)
-
-    @property
-    def torque(self) -> float:
-        """Joint torque [N·m] from this servo's current or load register.
-
-        Two servos on one joint are assumed to exert equal torques.
-        """
-        if self.row.limit_type == "current":
-            return self.units.sign * self.units.torque(self.current or 0)
-        return self.units.sign * self.units.load(self.load)
 
     def set_voltage(self, volts: float, time: float) -> None:
         """Store the supply voltage [V], read at `time` [s], and update the unit conversions.
@@ -293,37 +337,13 @@ class Device:
             )
         if volts != self.units.voltage and volts > 0.0:
             self.units = replace(self.units, voltage=volts)
-
-    def _is_reachable(self, position: float, time: float) -> bool:
-        """Return True if the joint can have reached `position` [counts] at `time` [s].
-
-        The accepted distance from the last accepted position grows with time, but not while
-        implausible positions arrive. `MAX_JUMPS` implausible positions in a row are a fault.
-        """
-        if self.position is None or self._allowed == float("inf"):
-            self._rejected, self._allowed, self._last = 0, 0.0, time
-            self.fault("jump", False, "")
-            return True
-        gap, self._last = time - self._last, time
-        if not self._rejected or gap > READING_GAP:
-            self._allowed += gap
-        jump = abs(position - self.position) * self.units.count
-        if jump <= 2.0 * self.units.no_load_speed * self._allowed + JUMP_MARGIN:
-            self._rejected, self._allowed = 0, 0.0
-            return True
-        self._rejected += 1
-        if self._rejected >= MAX_JUMPS:
-            self.fault(
-                "jump",
-                True,
-                f"its position jumped by {jump:.2f} rad, which it cannot have moved: encoder "
-                "fault, slipped horn or loose gear. Torque off, then check its zero",
-            )
-        return False
+            if self._codec is not None:
+                self.configure()
 
     def accept_any_position(self) -> None:
         """Accept any position at the next reading, because a joint without torque can be moved."""
-        self._allowed = float("inf")
+        self.codec.accept_any(self.index, nan, 0.0, 0.0)
+        self.other_faults.pop("jump", None)
 
     def fault(self, key: str, is_wrong: bool, text: str) -> None:
         """Set the fault of the topic `key` with this text if `is_wrong`, else clear it."""
@@ -331,11 +351,6 @@ class Device:
             self.other_faults[key] = text
         else:
             self.other_faults.pop(key, None)
-
-    @property
-    def is_inconspicuous(self) -> bool:
-        """True if the servo has no fault, and all its registers read back as written so far."""
-        return not (self.conditions or self.other_faults or self._has_mismatch)
 
     @property
     def has_suspect_register(self) -> bool:
@@ -369,9 +384,10 @@ class Device:
             read_back.wrong += 1
             read_back.write = self._writes
             self.mismatches += 1
-        self._has_mismatch = any(entry.wrong for entry in self._read_backs.values())
+        self.has_mismatch = bool(self._read_backs["goal"].wrong or self._read_backs["limit"].wrong)
         is_wrong = read_back.wrong >= MISMATCHES and time - read_back.matched > MISMATCH_TIME
-        self.fault(key, is_wrong, self._mismatch(key, found, written) if is_wrong else "")
+        if is_wrong or self.other_faults:
+            self.fault(key, is_wrong, self._mismatch(key, found, written) if is_wrong else "")
 
     def _mismatch(self, key: str, found: int, written: int) -> str:
         """Return the fault text for a register `goal` or `limit` that differs from that written."""
@@ -386,17 +402,3 @@ class Device:
             f"its {name} reads {found} ({values[0]}), written was {written} ({values[1]}): it does "
             "not hear, or refuses"
         )
-
-    def _unwrap(self, raw: int) -> tuple[int, float]:
-        """Return whole turns and unwrapped count of the position register value `raw`.
-
-        The turns are those with which the count is nearest to the last position.
-        """
-        if self.wraparound is None:
-            return 0, float(raw)
-        reference = self.position if self.position is not None else (self.low + self.high) / 2
-        turns = round((reference - raw) / self.wraparound) if self.position is not None else 0
-        if self.position is None and not self.low <= raw <= self.high:
-            candidate = round((reference - raw) / self.wraparound)
-            turns = candidate if self.multi_turn else 0
-        return turns, float(raw + turns * self.wraparound)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pliant._core import ServoError, ServoFaultError
 from pliant.servo._handshake import RegisterImage, read_image
+from pliant.servo._port import write_groups
 from pliant.servo._status import refusal
 from pliant.servo.transport import BusError
 
@@ -63,28 +64,29 @@ def enable(
     for device in devices:
         before[id(device)] = _check_state(device, ports, goal)
     switched = [d for d in devices if not before[id(d)]["torque_enable"]]
+    commands = {
+        id(d): FirstCommand(*d.command(goal[d.joint], limit[d.joint], speed_cap[d.joint]))
+        for d in devices
+    }
     is_sent = False
     try:
         for device in devices:
             if _has_tripped(device, before):
                 _set(device, ports, "watchdog", 0)
-            _write_limits(device, ports, device.limit_register(limit[device.joint]))
+            _write_limits(device, ports, commands[id(device)].limit)
         # Read the positions for the goals only now: an arm without torque may be sinking.
         start = {id(d): _image(d, ports, "position", "speed") for d in devices}
-        commands: dict[int, FirstCommand] = {}
-        packets: dict[Port, list[tuple[Device, int, int, int]]] = {}
-        for device in devices:
-            angle, speed = goal[device.joint], speed_cap[device.joint]
-            register = (
-                start[id(device)]["position"] if device in switched else device.goal_counts(angle)
-            )
-            command = FirstCommand(register, device.limit, device.units.speed_register(speed))
-            commands[id(device)] = command
-            packets.setdefault(ports[id(device)], []).append((device, *command))
+        for device in switched:
+            goal_register = start[id(device)]["position"]
+            commands[id(device)] = commands[id(device)]._replace(goal=goal_register)
         # From here on a failure may leave torque on, because on some servos a goal switches it on.
         is_sent = True
-        for port, group in packets.items():
-            port.write(group)
+        for port in dict.fromkeys(ports[id(device)] for device in devices):
+            served = [device for device in devices if ports[id(device)] is port]
+            port.write(
+                (group, [_encoded(device, commands[id(device)]) for device in group])
+                for group in write_groups(served)
+            )
         for device in devices:
             start[id(device)] = _send_first_command(
                 device, ports, commands[id(device)], start[id(device)]
@@ -164,6 +166,12 @@ class FirstCommand(NamedTuple):
     goal: int
     limit: int
     speed: int
+
+
+def _encoded(device: Device, command: FirstCommand) -> tuple[int, int, int, bytes, bytes]:
+    """Return registers and packets of a command, as `ServoCodec.encode` does."""
+    packets = [device.packet(names, *command) for names in device.family.write]
+    return (*command, packets[0], packets[-1])
 
 
 def _write_limits(device: Device, ports: Ports, limit: int) -> None:

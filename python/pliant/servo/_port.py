@@ -8,18 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from pliant.drive import ServoStatus
-from pliant.servo._transactions import TransactionGuard, wire_time
+from pliant.servo._transactions import Reply, TransactionGuard, wire_time
 from pliant.servo.transport import BusError, RustypotTransport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
     from pliant.servo._device import Device
-    from pliant.servo._transactions import Reply
     from pliant.servo.models import Family
     from pliant.servo.models.base import Block
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
+
+    #: Servos of one kind, and for each the registers of goal, limit and speed cap and its packets,
+    #: as `ServoCodec.encode` returns them.
+    Packets = tuple[Sequence[Device], Sequence[tuple[int, int, int, bytes, bytes]]]
 
 _T = TypeVar("_T")
 
@@ -93,6 +96,7 @@ class Port:
         self._misses: dict[int, int] = {}
         self._silent: dict[int, int] = {}
         self._read_groups = _read_groups(self.devices)
+        self._write_groups = write_groups(self.devices)
 
     @property
     def responsive(self) -> list[Device]:
@@ -121,41 +125,41 @@ class Port:
         """Close the port; the servos hold their last goal and limit."""
         self._io.close()
 
-    def read(self, budget: float) -> set[int]:
+    def read(self, budget: float) -> list[int]:
         """Read all servos with one request; if it fails, read them one by one.
 
         Args:
             budget: Time after which the port makes no retries [s].
 
         Returns:
-            Ids of the servos whose reading was received and is plausible.
+            Indices of the servos whose reading was received and is plausible.
 
         Raises:
             BusError: The port is gone.
         """
         self.guard.start_cycle(budget)
-        replies: dict[int, Reply] = {}
+        accepted: list[int] = []
         groups = _read_groups(self.responsive) if self._silent else self._read_groups
         for group in groups:
-            replies |= (
-                self._read_group(group) if group[0].family.sync_read else self._read_each(group)
-            )
-        if self._silent:
-            replies |= self._probe()
-        accepted = set()
-        for device in self.devices:
-            reply = replies.get(device.id)
-            if reply is None:
-                continue
-            self._misses.pop(device.id, None)
-            silent = reply.time - device.time > self._restart
-            if device.enabled and silent and not self._check_restart(device):
-                continue
-            if device.accept(reply):
-                accepted.add(device.id)
+            if group[0].family.sync_read:
+                self._read_group(group, accepted)
             else:
-                self.guard.counters.stale += 1
+                self._read_each(group, accepted)
+        if self._silent:
+            self._probe(accepted)
         return accepted
+
+    def _accept(self, device: Device, reply: Reply, accepted: list[int]) -> None:
+        """Pass a reading to its servo; add the servo's index to `accepted` if it is plausible."""
+        if self._misses:
+            self._misses.pop(device.id, None)
+        silent = reply.time - device.time > self._restart
+        if device.enabled and silent and not self._check_restart(device):
+            return
+        if device.accept(reply):
+            accepted.append(device.index)
+        else:
+            self.guard.counters.stale += 1
 
     def _check_restart(self, device: Device) -> bool:
         """Read torque state and watchdog of a servo that was silent; return False without a reply.
@@ -228,24 +232,42 @@ class Port:
             self._is_armed = False
         return [device.name for device in pending]
 
-    def write(self, packets: Sequence[tuple[Device, int, int, int]]) -> None:
+    def encode(
+        self, goal: Sequence[float], limit: Sequence[float], speed: Sequence[float]
+    ) -> list[Packets]:
+        """Return the packets that send goals [rad], torque limits [N·m] and speeds [rad/s] (n,).
+
+        They are for servos with torque on; one entry per kind of servo.
+        """
+        enabled = [device for device in self.devices if device.enabled]
+        groups = self._write_groups
+        if len(enabled) < len(self.devices):
+            groups = write_groups(enabled)
+        packets: list[Packets] = []
+        for group in groups:
+            encoded = []
+            for device in group:
+                i = device.joint
+                encoded.append(device.codec.encode(device.index, goal[i], limit[i], speed[i]))
+            packets.append((group, encoded))
+        return packets
+
+    def write(self, packets: Iterable[Packets]) -> None:
         """Send goal, limit and speed cap registers with sync writes, one per kind of servo.
 
         Args:
-            packets: Each servo with the values of its goal, limit and speed cap registers.
+            packets: Servos of one kind, with registers and packets of each.
 
         Raises:
             BusError: A packet could not be sent.
         """
-        for group in _groups(packets, lambda p: p[0].family.write):
-            family = group[0][0].family
-            ids = [packet[0].id for packet in group]
-            for block in family.write_blocks:
-                encode = family.layout(block).encode
-                data = [encode({"goal": g, "limit": m, "speed_cap": s}) for _, g, m, s in group]
+        for group, commands in packets:
+            ids = [device.id for device in group]
+            for i, block in enumerate(group[0].family.write_blocks):
+                data = [command[3:][i] for command in commands]
                 self.guard.sync_write(ids, block.address, data)
-            for device, goal, limit, _ in group:
-                device.record_sent(goal, limit)
+            for device, command in zip(group, commands, strict=True):
+                device.record_sent(command[0], command[1])
 
     def _read_block(self, device: Device, block: Block) -> bool:
         """Read a block of registers and store its values in the device; False: no reply came."""
@@ -256,28 +278,46 @@ class Port:
             return False
         return True
 
-    def _read_group(self, group: Sequence[Device]) -> dict[int, Reply]:
-        """Read several servos with one request; return the replies by servo id.
+    def _read_group(self, group: Sequence[Device], accepted: list[int]) -> None:
+        """Read several servos with one request; add the indices of plausible ones to `accepted`.
 
         If the request fails, read the servos one by one, the servo that failed last.
         """
         try:
-            return self.guard.sync_read([device.id for device in group], *group[0].family.read)
+            block, answers, time = self.guard.sync_read(
+                [device.id for device in group], *group[0].family.read
+            )
         except BusError as error:
             error.raise_if_gone()
-            culprit = error.id
-        return self._read_each(group, last=culprit, again=False)
+            self._read_each(group, accepted, last=error.id, again=False)
+            return
+        is_usual = not (self._misses or group[0].family.layout(block).has_status)
+        for device, (data, status) in zip(group, answers, strict=True):
+            if is_usual and time - device.time <= self._restart:
+                found = device.codec.decode(device.index, data, status, block.address, time)
+                if found is None or device.check_reading(found, status, time):
+                    device.time = time
+                    accepted.append(device.index)
+                else:
+                    self.guard.counters.stale += 1
+            else:
+                self._accept(device, Reply(block, data, status, time), accepted)
 
     def _read_each(
-        self, group: Sequence[Device], *, last: int | None = None, again: bool = True
-    ) -> dict[int, Reply]:
-        """Read each servo with a separate request; return the replies by servo id.
+        self,
+        group: Sequence[Device],
+        accepted: list[int],
+        *,
+        last: int | None = None,
+        again: bool = True,
+    ) -> None:
+        """Read each servo with a separate request; add indices of plausible ones to `accepted`.
 
         The servo with the oldest reading comes first, so that a cycle that runs out of time does
         not always miss the same servos. A servo that is silent repeatedly is skipped for some
         cycles. `last` is the id of a servo to read last; `again` is True to retry after a failure.
         """
-        replies = {}
+        replies = []
         missed = []
         for device in sorted(group, key=lambda device: (device.id == last, device.time)):
             self.guard.counters.retries += not again
@@ -288,19 +328,17 @@ class Port:
                 if error.reason == "timeout":
                     missed.append(device.id)
             else:
-                replies[device.id] = reply
+                replies.append((device, reply))
         # Count missing replies only if another servo replies: otherwise the line has failed.
         for number in missed if replies else ():
             self._misses[number] = self._misses.get(number, 0) + 1
             if self._misses[number] >= MAX_MISSES:
                 self._silent[number] = PROBE_CYCLES
-        return replies
+        for device, reply in replies:
+            self._accept(device, reply, accepted)
 
-    def _probe(self) -> dict[int, Reply]:
-        """Read one of the skipped servos whose `PROBE_CYCLES` are over.
-
-        Return its reply by id; empty if no servo is due or the servo does not reply.
-        """
+    def _probe(self, accepted: list[int]) -> None:
+        """Read one of the skipped servos whose `PROBE_CYCLES` are over, if there is one."""
         for number in self._silent:
             self._silent[number] -= 1
         due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]
@@ -312,8 +350,7 @@ class Port:
                 error.raise_if_gone()
             else:
                 del self._silent[device.id]
-                return {device.id: reply}
-        return {}
+                self._accept(device, reply, accepted)
 
 
 def latency_timer(path: str) -> float | None:
@@ -341,6 +378,11 @@ def _groups(items: Iterable[_T], key: Callable[[_T], Hashable]) -> list[list[_T]
 def _read_groups(devices: Iterable[Device]) -> list[list[Device]]:
     """Return lists of the devices that one sync read can read, or that are read one by one."""
     return _groups(devices, lambda device: (device.family.sync_read, device.family.read))
+
+
+def write_groups(devices: Iterable[Device]) -> list[list[Device]]:
+    """Return lists of the devices whose registers one packet can write."""
+    return _groups(devices, lambda device: device.family.write)
 
 
 def status_blocks(family: Family) -> tuple[Block, ...]:
@@ -434,19 +476,19 @@ class StatusPoller:
             return False
         try:
             block = enabled[0].family.block("torque_enable")
-            replies = port.guard.sync_read([d.id for d in enabled], block)
+            block, answers, time = port.guard.sync_read([d.id for d in enabled], block)
         except BusError as error:
             error.raise_if_gone()
             return True
-        for device in enabled:
-            device.note(replies[device.id])
+        for device, (data, status) in zip(enabled, answers, strict=True):
+            device.note(Reply(block, data, status, time))
         # After False the caller reads the status of a servo that lost its torque in this cycle.
         return all(d.enabled for d in enabled)
 
     def _choose(self) -> tuple[Device, Block]:
         for joint in self._joints:
             for device in joint:
-                if device.is_inconspicuous:
+                if not (device.conditions or device.other_faults or device.has_mismatch):
                     self._reported.discard(id(device))
                     continue
                 if device.has_suspect_register and not self._is_repeat:
@@ -469,10 +511,14 @@ class StatusPoller:
 
     def _status(self, joint: int) -> ServoStatus:
         devices = self._joints[joint]
-        volts = [d.voltage for d in devices if d.voltage is not None]
-        temperatures = [d.temperature for d in devices if d.temperature is not None]
         first = devices[0]
         limit = None if first.limit_read is None else first.units.torque(first.limit_read)
+        if len(devices) == 1:
+            return ServoStatus(
+                first.spec.name, first.voltage, first.temperature, first.faults, limit
+            )
+        volts = [d.voltage for d in devices if d.voltage is not None]
+        temperatures = [d.temperature for d in devices if d.temperature is not None]
         return ServoStatus(
             first.spec.name,
             min(volts) if volts else None,

@@ -17,7 +17,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from math import isinf
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 
 from pliant._core import ConfigError
 from pliant._validation import real
@@ -146,28 +146,30 @@ class PendingReply:
 
 
 class PendingReplies:
-    """Missing replies of the servos on one port, to tell late replies from new ones by length."""
+    """Missing replies of the servos on one port, to tell late replies from new ones by length.
+
+    Attributes:
+        missing: Missing replies by servo id.
+    """
 
     def __init__(self) -> None:
         """Create an empty record: no reply is missing."""
-        self._missing: dict[int, list[PendingReply]] = {}
+        self.missing: dict[int, list[PendingReply]] = {}
 
     def add(self, ids: Iterable[int], size: int, time: float) -> None:
         """Record for each servo a missing reply with `size` data bytes, requested at `time` [s]."""
         for id in ids:
-            self._missing.setdefault(id, []).append(PendingReply(size, time))
+            self.missing.setdefault(id, []).append(PendingReply(size, time))
 
     def mark_superseded(self, ids: Iterable[int]) -> None:
         """Mark all missing replies of these servos as superseded by a later reply."""
-        if not self._missing:
-            return
         for id in ids:
-            for reply in self._missing.get(id, ()):
+            for reply in self.missing.get(id, ()):
                 reply.is_superseded = True
 
     def ambiguous_lengths(self, id: int) -> set[int]:
         """Return the numbers of data bytes that a late reply of servo `id` may have."""
-        return {reply.size for reply in self._missing.get(id, ()) if not reply.is_superseded}
+        return {reply.size for reply in self.missing.get(id, ()) if not reply.is_superseded}
 
     def choose(self, ids: Sequence[int], blocks: Sequence[Block], now: float) -> Block | None:
         """Return the first of `blocks` whose length no missing reply of the servos `ids` has.
@@ -175,11 +177,9 @@ class PendingReplies:
         Lengths of recently superseded replies are avoided if possible. `now` is the present time
         [s]. None: every block has the length of a missing reply.
         """
-        if not self._missing:
-            return blocks[0]
         for id in ids:
             self._expire(id, now)
-        recent_lengths = {reply.size for id in ids for reply in self._missing.get(id, ())}
+        recent_lengths = {reply.size for id in ids for reply in self.missing.get(id, ())}
         ambiguous_lengths = {size for id in ids for size in self.ambiguous_lengths(id)}
         for sizes in (recent_lengths, ambiguous_lengths):
             for block in blocks:
@@ -190,15 +190,16 @@ class PendingReplies:
     def _expire(self, id: int, now: float) -> None:
         remaining = [
             reply
-            for reply in self._missing.get(id, ())
+            for reply in self.missing.get(id, ())
             if now - reply.time < (AVOID_TIME if reply.is_superseded else EXPIRY)
         ]
         if remaining:
-            self._missing[id] = remaining
+            self.missing[id] = remaining
         else:
-            self._missing.pop(id, None)
+            self.missing.pop(id, None)
 
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 NOISE_MESSAGE = (
@@ -267,6 +268,20 @@ class Reply(NamedTuple):
     time: float
 
 
+class GroupReply(NamedTuple):
+    """Replies of several servos to one request.
+
+    Attributes:
+        block: Block of registers that was read.
+        answers: Bytes of the block, and error byte, of each servo.
+        time: Time of the request [s].
+    """
+
+    block: Block
+    answers: list[tuple[bytes, int]]
+    time: float
+
+
 class TransactionGuard:
     """Requests on one port, with timeouts, retries, counters and rejection of late replies.
 
@@ -320,7 +335,6 @@ class TransactionGuard:
         self._pending = PendingReplies()
         # Wire time and reply timeout [s] of the kinds of requests made so far.
         self._times: dict[tuple[Kind, int, int, float, float], tuple[float, float]] = {}
-        self._silence = SILENCE_SHARE * reply_timeout_min + latency
 
     def start_cycle(self, budget: float = float("inf")) -> None:
         """Start a control cycle: retries and drains end within `budget` [s] from now.
@@ -343,16 +357,12 @@ class TransactionGuard:
             BusError: All tries failed, or the budget allowed no further try. The reason is `late`
                 if every length equals that of a missing reply.
         """
+        if again:
+            return self._with_retries(self._read, id, blocks)
+        return self._read(id, blocks)
 
-        def once() -> Reply:
-            return self._read(id, self._choose([id], blocks))
-
-        return self._with_retries(once) if again else self._once(once)
-
-    def sync_read(self, ids: Sequence[int], *blocks: Block) -> dict[int, Reply]:
+    def sync_read(self, ids: Sequence[int], *blocks: Block) -> GroupReply:
         """Read a block of registers of several servos with one request, without a retry.
-
-        Return the replies by servo id.
 
         Args:
             ids: Ids of the servos.
@@ -361,31 +371,31 @@ class TransactionGuard:
         Raises:
             BusError: At least one reply is missing or corrupt.
         """
-
-        def once() -> dict[int, Reply]:
-            block = self._choose(ids, blocks)
+        if self._is_dirty or self.is_gone:
+            self._clear_line()
+        try:
+            is_clear = self._pending.missing.keys().isdisjoint(ids)
+            block = blocks[0] if is_clear else self._choose(ids, blocks)
             start = self._prepare("sync_read", len(ids), block.size)
             started = self._clock()
             try:
                 answers = self._io.sync_read(ids, block.address, block.size)
-                pairs = zip(ids, answers, strict=True)
-                replies = {i: self._checked(i, block, d, s, start) for i, (d, s) in pairs}
+                for id, (data, status) in zip(ids, answers, strict=True):
+                    if len(data) != block.size:
+                        raise _mismatch(id, block, data, status)
             except BusError:
                 self._pending.add(ids, block.size, started)
                 raise
+        except BusError as error:
+            self._note_failure(error)
+            raise
+        if not is_clear:
             self._pending.mark_superseded(ids)
-            return replies
-
-        return self._once(once)
+        return GroupReply(block, answers, start)
 
     def write(self, id: int, address: int, data: bytes) -> int:
         """Write bytes to one servo, with retries; return the error byte of the reply."""
-
-        def once() -> int:
-            self._prepare("write", 1, len(data))
-            return self._io.write(id, address, data)
-
-        return self._with_retries(once)
+        return self._with_retries(self._write, id, address, data)
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write bytes from `address` on to several servos, with one packet, which has no reply.
@@ -393,42 +403,44 @@ class TransactionGuard:
         Raises:
             BusError: The port is gone.
         """
-
-        def once() -> None:
-            self._prepare("sync_write", len(ids), len(data[0]))
-            self._io.sync_write(ids, address, data)
-
         # Do not drain the line: a packet without a reply does not need a silent line.
-        self.check_port()
-        self._count_failures(once)
+        if self.is_gone:
+            self.check_port()
+        self._prepare("sync_write", len(ids), len(data[0]))
+        try:
+            self._io.sync_write(ids, address, data)
+        except BusError as error:
+            self._note_failure(error)
+            raise
 
     def ping(self, id: int) -> bool:
         """Return True if a servo answers one ping."""
-
-        def once() -> bool:
-            self._prepare("ping", 1, 0, is_urgent=True)
-            started = self._clock()
+        self._clear_line()
+        self._prepare("ping", 1, 0, is_urgent=True)
+        started = self._clock()
+        try:
             answered = self._io.ping(id)
-            if not answered:
-                # Drain the line before the next request: a late servo, or two servos with one id,
-                # may still be sending.
-                self._is_dirty = True
-                self._pending.add([id], PING_SIZE[self._protocol], started)
-            return answered
-
-        return self._once(once)
+        except BusError as error:
+            self._note_failure(error)
+            raise
+        if not answered:
+            # Drain the line before the next request: a late servo, or two servos with one id,
+            # may still be sending.
+            self._is_dirty = True
+            self._pending.add([id], PING_SIZE[self._protocol], started)
+        return answered
 
     def reboot(self, id: int) -> None:
         """Restart a servo; discard its reply, which not every servo sends."""
-
-        def once() -> None:
-            self._prepare("write", 1, 0)
-            try:
-                self._io.reboot(id)
-            finally:
-                self._is_dirty = True
-
-        self._once(once)
+        self._clear_line()
+        self._prepare("write", 1, 0)
+        try:
+            self._io.reboot(id)
+        except BusError as error:
+            self._note_failure(error)
+            raise
+        finally:
+            self._is_dirty = True
 
     def find_unused_id(self, used: Iterable[int], highest: int) -> None:
         """Find the highest id without a servo, for the pings that drain the line.
@@ -450,18 +462,42 @@ class TransactionGuard:
             self._unused_id = number
             return
 
-    def _read(self, id: int, block: Block) -> Reply:
+    def _read(self, id: int, blocks: Sequence[Block]) -> Reply:
+        """Read one of the blocks of one servo, without a retry; see `read`."""
+        if self._is_dirty or self.is_gone:
+            self._clear_line()
+        try:
+            is_clear = id not in self._pending.missing
+            block = blocks[0] if is_clear else self._choose((id,), blocks)
+            return self._read_block(id, block)
+        except BusError as error:
+            self._note_failure(error)
+            raise
+
+    def _read_block(self, id: int, block: Block) -> Reply:
         start = self._prepare("read", 1, block.size)
         started = self._clock()
         try:
             data, status = self._io.read(id, block.address, block.size)
             self.held_back = min(self.held_back, self._clock() - started - self._wire)
-            reply = self._checked(id, block, data, status, start)
+            if len(data) != block.size:
+                raise _mismatch(id, block, data, status)
         except BusError:
-            self._pending.add([id], block.size, started)
+            self._pending.add((id,), block.size, started)
             raise
-        self._pending.mark_superseded([id])
-        return reply
+        if id in self._pending.missing:
+            self._pending.mark_superseded((id,))
+        return Reply(block, data, status, start)
+
+    def _write(self, id: int, address: int, data: bytes) -> int:
+        """Write bytes to one servo, without a retry; see `write`."""
+        self._clear_line()
+        self._prepare("write", 1, len(data))
+        try:
+            return self._io.write(id, address, data)
+        except BusError as error:
+            self._note_failure(error)
+            raise
 
     def _choose(self, ids: Sequence[int], blocks: Sequence[Block]) -> Block:
         """Return the first of `blocks` whose length no missing reply of the servos `ids` has.
@@ -487,28 +523,7 @@ class TransactionGuard:
             )
             if size is None:
                 raise BusError(f"id {id} owes too many answers to be asked again", "late")
-            self._read(id, Block(0, size))
-
-    def _checked(self, id: int, block: Block, data: bytes, status: int, start: float) -> Reply:
-        """Return the reply of servo `id` if `data` has the length of the block.
-
-        Raises:
-            BusError: The servo rejected the request, or the reply belongs to an earlier request.
-        """
-        if len(data) == block.size:
-            return Reply(block, data, status, start)
-        if not data and status:
-            raise BusError(
-                f"id {id} refuses to be read at {block.address}..{block.address + block.size - 1} "
-                f"(status {status})",
-                "refused",
-                id,
-            )
-        raise BusError(
-            f"id {id} answered {len(data)} bytes instead of {block.size}: to an earlier request",
-            "stale",
-            id,
-        )
+            self._read_block(id, Block(0, size))
 
     def _prepare(self, kind: Kind, servos: int, size: int, *, is_urgent: bool = False) -> float:
         """Set the reply timeout for a request, count the request, and return the present time [s].
@@ -522,8 +537,8 @@ class TransactionGuard:
         wire, self._reply_timeout = times
         if isinf(self._deadline) and not is_urgent:
             self._reply_timeout *= RELAXED_FACTOR
-        self._set_timeout(self._reply_timeout)
-        self._silence = SILENCE_SHARE * self._reply_timeout_min + wire + self.latency
+        if self._reply_timeout != self._timeout:
+            self._set_timeout(self._reply_timeout)
         self._wire = wire
         self.counters.transactions += 1
         return self._sample_clock()
@@ -541,19 +556,18 @@ class TransactionGuard:
         return wire, reply_timeout(wire, self.latency, self._cycle, self._reply_timeout_min)
 
     def _set_timeout(self, timeout: float) -> None:
-        if timeout != self._timeout:
-            self._io.set_timeout(timeout)
-            self._timeout = timeout
+        self._io.set_timeout(timeout)
+        self._timeout = timeout
 
-    def _with_retries(self, call: Callable[[], T]) -> T:
-        """Return the result of `call()`, a function that makes one request.
+    def _with_retries(self, call: Callable[P, T], *args: P.args, **options: P.kwargs) -> T:
+        """Return the result of `call(*args)`, a function that makes one request.
 
         After a temporary failure, drain the line and call again if the time in the cycle allows.
         """
         tries = TRIES if isinf(self._deadline) else 2
         while True:
             try:
-                return self._once(call)
+                return call(*args, **options)
             except BusError as error:
                 tries -= 1
                 if tries == 0 or error.reason in {"gone", "noisy"}:
@@ -570,14 +584,17 @@ class TransactionGuard:
         """Return True if a request that is sent now could time out after the end of the cycle."""
         return self._clock() + self._reply_timeout > self._deadline
 
-    def _once(self, call: Callable[[], T]) -> T:
-        """Drain the line if the last request failed, then return the result of `call()`."""
+    def _clear_line(self) -> None:
+        """Drain the line if the last request failed.
+
+        Raises:
+            BusError: The port is gone, or the line cannot be drained.
+        """
         self.check_port()
         if self._is_dirty and not self._drain():
             if isinf(self._deadline):
                 raise BusError(NOISE_MESSAGE, "noisy")
             raise BusError("no time left in this cycle", "late")
-        return self._count_failures(call)
 
     def check_port(self) -> None:
         """Check that the port is present.
@@ -588,18 +605,14 @@ class TransactionGuard:
         if self.is_gone:
             raise BusError("the port is gone: close it, plug it in and open it again", "gone")
 
-    def _count_failures(self, call: Callable[[], T]) -> T:
-        """Return the result of `call()`; count a failure by its reason, and raise it again."""
-        try:
-            return call()
-        except BusError as error:
-            self._is_dirty = True
-            if error.reason == "gone":
-                self.is_gone = True
-            name = _COUNTER_OF_REASON.get(error.reason)
-            if name is not None:
-                setattr(self.counters, name, getattr(self.counters, name) + 1)
-            raise
+    def _note_failure(self, error: BusError) -> None:
+        """Count a failed request by its reason; the line is drained before the next one."""
+        self._is_dirty = True
+        if error.reason == "gone":
+            self.is_gone = True
+        name = _COUNTER_OF_REASON.get(error.reason)
+        if name is not None:
+            setattr(self.counters, name, getattr(self.counters, name) + 1)
 
     def _drain(self) -> bool:
         """Wait until the line has been silent for the time of a reply; return False on timeout.
@@ -610,7 +623,9 @@ class TransactionGuard:
         """
         self.counters.drains += 1
         is_relaxed = isinf(self._deadline)
-        silence = max(self._silence, self._reply_timeout) if is_relaxed else self._silence
+        silence = SILENCE_SHARE * self._reply_timeout_min + self._wire + self.latency
+        if is_relaxed:
+            silence = max(silence, self._reply_timeout)
         end = self._deadline
         if is_relaxed:
             end = self._clock() + silence + (DRAIN_AGAIN if self.is_noisy else DRAIN)
@@ -627,3 +642,22 @@ class TransactionGuard:
                 return True
         self.is_noisy = self.is_noisy or is_relaxed
         return False
+
+
+def _mismatch(id: int, block: Block, data: bytes, status: int) -> BusError:
+    """Return the error for a reply that does not have the length of the block.
+
+    The servo rejected the request, or the reply belongs to an earlier request.
+    """
+    if not data and status:
+        return BusError(
+            f"id {id} refuses to be read at {block.address}..{block.address + block.size - 1} "
+            f"(status {status})",
+            "refused",
+            id,
+        )
+    return BusError(
+        f"id {id} answered {len(data)} bytes instead of {block.size}: to an earlier request",
+        "stale",
+        id,
+    )

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant._core import ConfigError, ServoError, ShapeError
+from pliant._core import ConfigError, ServoCodec, ServoError, ShapeError
 from pliant.drive import Clock, JointReadings, ServoStatus
 from pliant.servo import _enable as sequences
 from pliant.servo._device import Device
@@ -51,47 +50,18 @@ def align_secondaries(joints: Sequence[Sequence[Device]]) -> None:
                 zero = secondary.position - secondary.units.sign * q / secondary.units.count
                 secondary.units = replace(secondary.units, zero=zero)
                 secondary.set_range()
+                secondary.configure()
 
 
-def gather(joints: Sequence[Sequence[Device]], answered: set[tuple[str, int]]) -> JointReadings:
-    """Return the readings of all joints from the last replies of their servos.
-
-    Args:
-        joints: Servos of each joint, the primary servo first.
-        answered: Port and id of the servos with an accepted reply in this cycle.
-    """
-    rows = []
-    for joint in joints:
-        first = joint[0]
-        is_read = (first.spec.port, first.id) in answered
-        angle = math.nan if first.position is None else first.units.angle(first.position)
-        sampled, torque, counts = first.time, first.torque, abs(first.current or 0)
-        if len(joint) > 1:
-            angle = _common_angle(joint)
-            is_read = all((d.spec.port, d.id) in answered for d in joint)
-            sampled = min(d.time for d in joint)
-            torque = sum(d.torque for d in joint) / len(joint)
-            counts = sum(abs(d.current or 0) for d in joint)
-        has_current = first.current is not None and first.row.current_unit
-        amps = first.row.current_unit * counts if has_current else math.nan
-        rows.append((angle, sampled, first.units.velocity(first.speed), torque, amps, is_read))
-    position, times, velocity, load, current, ok = np.array(rows, dtype=np.float64).T.copy()
-    return JointReadings(position, ok.astype(bool), times, velocity, load, current)
-
-
-def _common_angle(joint: Sequence[Device]) -> float:
-    """Return the joint angle [rad] by the first servo with a position; NaN if there is none.
-
-    Set or clear the fault of a joint whose servos disagree about its angle.
-    """
-    angles = [d.angle(d.position) for d in joint if d.position is not None]
+def check_agreement(joint: Sequence[Device]) -> None:
+    """Set or clear the fault of a joint whose two servos disagree about its angle."""
+    angles = [d.angle(position) for d in joint if (position := d.position) is not None]
     difference = max(angles) - min(angles) if angles else 0.0
     joint[0].fault(
         "secondaries",
         difference > MAX_DISAGREEMENT,
         f"its two servos disagree by {difference:.2f} rad and work against each other",
     )
-    return angles[0] if angles else math.nan
 
 
 #: Largest time for reading all servos with retries, as a multiple of the control period, or of
@@ -213,6 +183,10 @@ class ServoBus:
         }
         return copy
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled of a `closed_copy`; `reopen` makes the codec again."""
+        return {name: value for name, value in self.__dict__.items() if name != "_codec"}
+
     def reopen(self) -> tuple[Array, Array]:
         """Open the ports of a `closed_copy` after the program has ended with torque on.
 
@@ -229,6 +203,7 @@ class ServoBus:
             ServoError: A port cannot be opened, for example because a program still uses it; or
                 servos do not answer, and no other has torque.
         """
+        self._attach()
         try:
             for path, (response_delay, latency) in self._timing.items():
                 port = self._open_port(path)
@@ -290,6 +265,8 @@ class ServoBus:
                 found += identify(port)
             except ServoError as error:
                 errors.append(str(error))
+        for device in self._devices:
+            device.configure()
         if errors:
             raise ServoError("\n".join(errors))
         order = {name: i for i, name in enumerate(self.names)}
@@ -380,18 +357,18 @@ class ServoBus:
         Raises:
             ServoError: All ports are gone. If only some ports are gone, their joints have a fault.
         """
-        self._check_open()
+        if not self._ports:
+            self._check_open()
         if self._pool is None:
-            accepted = [self._read_port(port) for port in self._ports]
+            accepted = self._read_port(self._ports[0])
         else:
-            accepted = list(self._pool.map(self._read_port, self._ports))
+            accepted = [i for found in self._pool.map(self._read_port, self._ports) for i in found]
         self._report_lost_ports()
-        answered = {
-            (port.path, number)
-            for port, ids in zip(self._ports, accepted, strict=True)
-            for number in ids
-        }
-        return gather(self._joints, answered)
+        (position, times, velocity, load, current), ok = self._codec.joints(accepted)
+        for joint in self._joints:
+            if len(joint) > 1:
+                check_agreement(joint)
+        return JointReadings(position, ok, times, velocity, load, current)
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
         """Send goal and limit of all enabled joints, in one packet per port and kind of servo.
@@ -408,23 +385,17 @@ class ServoBus:
             ServoError: All ports are gone. Other packets that cannot be sent are counted, and the
                 last goal and limit stay in force.
         """
-        self._check_open()
+        if not self._ports:
+            self._check_open()
         goals, limits = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
         speeds = self._speed_caps(velocity)
-        for port in self._ports:
-            packets = [
-                (
-                    device,
-                    device.goal_counts(goals[device.joint]),
-                    device.limit_register(limits[device.joint]),
-                    device.units.speed_register(speeds[device.joint]),
-                )
-                for device in port.devices
-                if device.enabled
-            ]
-            # Ignore the error, which the port counts: the servos keep the values written last.
-            with suppress(BusError):
-                port.write(packets)
+        packets = [(port, port.encode(goals, limits, speeds)) for port in self._ports]
+        for port, groups in packets:
+            try:
+                port.write(groups)
+            except BusError:
+                # The port counts the error, and the servos keep the values written last.
+                continue
         self._report_lost_ports()
 
     def poll_status(self) -> ServoStatus | None:
@@ -436,13 +407,17 @@ class ServoBus:
         Raises:
             ServoError: All ports are gone.
         """
-        self._check_open()
-        status = None
-        with suppress(BusError):
+        if not self._ports:
+            self._check_open()
+        try:
             status = self._poller.step(self._port_of)
+        except BusError:
+            status = None
         for port in self._ports:
-            with suppress(BusError):
+            try:
                 port.clear_watchdogs(port.devices)
+            except BusError:
+                continue
         self._report_lost_ports()
         return status
 
@@ -500,12 +475,15 @@ class ServoBus:
         if silent:
             raise ServoError(f"{', '.join(silent)} did not confirm the bus watchdog")
 
-    def _read_port(self, port: Port) -> set[int]:
-        """Read the servos of one port; return the ids with a reading, empty if the port is gone."""
+    def _read_port(self, port: Port) -> list[int]:
+        """Read the servos of one port; return the indices of those with a reading.
+
+        The list is empty if the port is gone.
+        """
         try:
             return port.read(self._budget)
         except BusError:
-            return set()
+            return []
 
     def _report_lost_ports(self) -> None:
         """Set a fault for each joint of a port that is gone; other joints can still be driven.
@@ -513,9 +491,12 @@ class ServoBus:
         Raises:
             BusError: All ports are gone.
         """
-        gone = [port for port in self._ports if port.guard.is_gone]
-        if not gone:
+        for port in self._ports:
+            if port.guard.is_gone:
+                break
+        else:
             return
+        gone = [port for port in self._ports if port.guard.is_gone]
         if len(gone) == len(self._ports):
             gone[0].guard.check_port()
         for port in gone:
@@ -532,6 +513,13 @@ class ServoBus:
         self._devices = [device for joint in self._joints for device in joint]
         self._poller = StatusPoller(self._joints)
         self._counters: list[Counters] = []
+        self._attach()
+
+    def _attach(self) -> None:
+        """Create the codec of all servos; their last readings stay."""
+        self._codec = ServoCodec(len(self._devices), self.n)
+        for i, device in enumerate(self._devices):
+            device.attach(self._codec, i)
 
     def _open_port(self, path: str) -> Port:
         devices = [device for device in self._devices if device.spec.port == path]

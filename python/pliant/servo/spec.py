@@ -369,11 +369,6 @@ class Units:
         """Return the joint velocity [rad/s] of a speed register value."""
         return self.sign * register * self.row.speed_unit * RPM / self.spec.gear_ratio
 
-    def speed_register(self, speed: float) -> int:
-        """Return the speed cap register for a joint speed [rad/s], at least 1: 0 means no cap."""
-        counts = abs(speed) * self.spec.gear_ratio / (self.row.speed_unit * RPM)
-        return max(1, min(floor(counts), self.row.family.speed_max))
-
     def stiffness(self, gain: int) -> float:
         """Return the stiffness k_p of the joint [N·m/rad] for a value of the gain register.
 

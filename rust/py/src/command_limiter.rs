@@ -20,6 +20,7 @@ pub(crate) struct CommandLimiter {
     core: CoreLimiter,
     thermal: Py<ThermalModel>,
     position: Vec<f64>,
+    off_chain: Vec<[f64; 2]>,
     goal: Vec<f64>,
     limit: Vec<f64>,
     load: Vec<f64>,
@@ -42,7 +43,8 @@ impl CommandLimiter {
         let (kp, max_torque) = (vector("kp", kp)?, vector("max_torque", max_torque)?);
         let core = CoreLimiter::new(&model.get().core, &servos.get().0, &chain, &kp, &max_torque).or_raise()?;
         let zeros = || vec![0.0; kp.len()];
-        Ok(Self { core, thermal, position: zeros(), goal: zeros(), limit: zeros(), load: zeros() })
+        let off_chain = vec![[0.0; 2]; core.size() - core.n()];
+        Ok(Self { core, thermal, off_chain, position: zeros(), goal: zeros(), limit: zeros(), load: zeros() })
     }
 
     #[doc = stub!(CommandLimiter.unreachable)]
@@ -54,27 +56,27 @@ impl CommandLimiter {
     #[doc = stub!(CommandLimiter.limit)]
     #[pyo3(signature = (goal, limit, gravity, position, off_chain, *, ramp, ramp_start, lead))]
     #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn limit<'py>(
         &mut self,
         goal: &Bound<'py, PyAny>,
         limit: &Bound<'py, PyAny>,
         gravity: &Bound<'py, PyAny>,
         position: &Bound<'py, PyAny>,
-        off_chain: Vec<[f64; 2]>,
+        off_chain: &Bound<'py, PyAny>,
         ramp: f64,
         ramp_start: &Bound<'py, PyAny>,
         lead: bool,
     ) -> PyResult<Limited<'py>> {
         let (py, n, size) = (goal.py(), self.core.n(), self.core.size());
         array_into("position", position, &[size], &mut self.position)?;
+        array_into("off_chain", off_chain, &[size - n, 2], self.off_chain.as_flattened_mut())?;
         let thermal = self.thermal.bind(py).borrow();
         let input = LimiterInput {
             goal: &joints("goal", goal, n)?[..n],
             torque_limit: &joints("limit", limit, n)?[..n],
             gravity: &joints("gravity", gravity, n)?[..n],
             position: &self.position,
-            off_chain: &off_chain,
+            off_chain: &self.off_chain,
             ramp,
             ramp_start: &joints("ramp_start", ramp_start, n)?[..n],
             may_lead: lead,

@@ -31,6 +31,7 @@ mod pose;
 mod position_filter;
 mod read;
 mod report;
+mod servo_codec;
 mod servos;
 mod settings;
 mod solution;
@@ -84,6 +85,8 @@ mod _core {
     use crate::position_filter::PositionFilter;
     #[pymodule_export]
     use crate::report::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport, check_path};
+    #[pymodule_export]
+    use crate::servo_codec::ServoCodec;
     #[pymodule_export]
     use crate::servos::Servos;
     #[pymodule_export]

@@ -65,12 +65,29 @@ class Block(NamedTuple):
     size: int
 
 
+#: Registers of a reading, and those of a command, in the order of `pliant._core.ServoCodec`.
+READING_REGISTERS = ("position", "speed", "load", "current", "voltage", "temperature")
+COMMAND_REGISTERS = ("goal", "limit", "speed_cap")
+#: Registers that a servo's readings and status consist of, and those that are written every cycle.
+CYCLIC_REGISTERS = frozenset(
+    (
+        *READING_REGISTERS,
+        *("torque_enable", "hardware_error", "watchdog"),
+        *COMMAND_REGISTERS,
+        *("goal_time", "goal_velocity", "acceleration_cap"),
+    )
+)
+
+
 class Layout:
     """Registers within a block, which are encoded and decoded together.
 
     Args:
         block: The block.
         registers: Registers by name; those that the block does not contain entirely are ignored.
+
+    Attributes:
+        has_status: True if the block has other registers than those of a reading.
     """
 
     def __init__(self, block: Block, registers: Mapping[str, Register]) -> None:
@@ -81,6 +98,7 @@ class Layout:
             if block.address <= r.address and r.address + r.size <= end
         )
         self._names = tuple(name for _, name in rows)
+        self.has_status = not set(READING_REGISTERS).issuperset(self._names)
         # Place and sign bit of the registers that are coded as magnitude and sign.
         self._sign_bits: list[tuple[int, int]] = []
         code, here = "<", block.address
@@ -123,16 +141,6 @@ class Layout:
             if row[place] < 0:
                 row[place] = -row[place] | bit
         return self._struct.pack(*row)
-
-
-#: Registers that a servo's readings and status consist of, and those that are written every cycle.
-CYCLIC_REGISTERS = frozenset(
-    (
-        *("position", "speed", "load", "current", "voltage", "temperature"),
-        *("torque_enable", "hardware_error", "watchdog"),
-        *("goal", "limit", "speed_cap", "goal_time", "goal_velocity", "acceleration_cap"),
-    )
-)
 
 
 def nested_blocks(inner: Block, outer: Block) -> tuple[Block, ...]:
@@ -215,6 +223,22 @@ class Family:
     def write_blocks(self) -> tuple[Block, ...]:
         """Block of each packet in `write`."""
         return tuple(self.block(*names) for names in self.write)
+
+    @cached_property
+    def codec_registers(self) -> tuple[int, ...]:
+        """Registers and write packets as `pliant._core.ServoCodec.configure` takes them."""
+        rows: list[int] = []
+        for name in (*READING_REGISTERS, *COMMAND_REGISTERS):
+            register = self.registers.get(name)
+            if register is None:
+                rows += (0, 0, 0)
+            else:
+                sign = {"unsigned": 0, "twos": -1}.get(register.sign)
+                sign = 1 << int(register.sign[3:]) if sign is None else sign
+                rows += (register.address, register.size, sign)
+        for block in (*self.write_blocks, Block(0, 0))[:2]:
+            rows += block
+        return tuple(rows)
 
     def blocks(self, *names: str) -> tuple[Block, ...]:
         """Return the blocks that contain the registers `names`, by default all registers.

@@ -1,5 +1,5 @@
 //! Functions of an arm beside the controller: descent, hand guiding, following of joint targets, the filter of measured
-//! positions, and the limits of commands with the thermal model of the servos.
+//! positions, the limits of commands with the thermal model of the servos, and the registers of servos on a bus.
 //!
 //! Each is called once per tick and does not allocate in that call. Except for the thermal limits, they
 //! measure joint positions only.
@@ -9,6 +9,7 @@ mod hand_guiding;
 mod joint_follower;
 mod lowering;
 mod position_filter;
+mod servo_codec;
 mod thermal;
 
 use crate::error::{Error, Result};
@@ -21,6 +22,7 @@ pub use hand_guiding::{HandGuiding, HandGuidingOptions, SwingResult};
 pub use joint_follower::{JointFollower, JointFollowerOptions};
 pub use lowering::{DEFAULT_SPEED, Lowering, LoweringPhase, LoweringStart, SUPPORT, torque_margin};
 pub use position_filter::PositionFilter;
+pub use servo_codec::{Decoded, MAX_PACKET, Register, ServoCodec, ServoReading, ServoUnits};
 pub use thermal::{ThermalModel, ThermalOptions};
 
 /// Largest |number| in a joint vector; larger ones would overflow in squares and rates.

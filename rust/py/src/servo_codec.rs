@@ -1,0 +1,151 @@
+//! Python class `ServoCodec`: registers of the servos on a bus as joint values, and commands as registers.
+
+use numpy::PyArray1;
+use pliant_core::arm::{Decoded, MAX_PACKET, Register, ServoCodec as CoreCodec, ServoUnits};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+use crate::error::{OrRaise, shape, tuple};
+use crate::ndarray::new_array;
+use crate::read::vector;
+
+/// Registers of goal, limit and speed cap, and two packets.
+type Encoded<'py> = (i64, i64, i64, Bound<'py, PyBytes>, Bound<'py, PyBytes>);
+
+/// Number of numbers that describe registers, packets and units of a servo.
+const NUMBERS: usize = 9 * 3 + 2 * 2 + 20;
+
+#[doc = stub!(ServoCodec)]
+#[pyclass(module = "pliant._core")]
+#[derive(Debug)]
+pub(crate) struct ServoCodec {
+    core: CoreCodec,
+    joints: Vec<f64>,
+    packets: [[u8; MAX_PACKET]; 2],
+}
+
+#[pymethods]
+impl ServoCodec {
+    #[new]
+    fn new(servos: usize, joints: usize) -> Self {
+        Self { core: CoreCodec::new(servos, joints), joints: vec![0.0; 5 * joints], packets: [[0; MAX_PACKET]; 2] }
+    }
+
+    #[doc = stub!(ServoCodec.configure)]
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "addresses, sizes and bits")]
+    fn configure(&mut self, servo: usize, joint: usize, numbers: &Bound<'_, PyAny>) -> PyResult<()> {
+        let numbers = vector("numbers", numbers)?;
+        let Ok(numbers): Result<&[f64; NUMBERS], _> = numbers.as_slice().try_into() else {
+            return Err(shape("numbers", &[numbers.len()], tuple(&[NUMBERS])));
+        };
+        // Addresses, sizes and signs; what is no whole number becomes one.
+        let whole = |i: usize| numbers[i] as i64;
+        let mut registers = [Register::default(); 9];
+        for (i, place) in registers.iter_mut().enumerate() {
+            *place =
+                Register { address: whole(3 * i) as usize, size: whole(3 * i + 1) as usize, sign: whole(3 * i + 2) };
+        }
+        let packet = |i: usize| [whole(27 + 2 * i) as usize, whole(28 + 2 * i) as usize];
+        let &[
+            ..,
+            zero,
+            sign,
+            count,
+            velocity,
+            measured,
+            lost,
+            uses_current,
+            current,
+            limit,
+            limit_lost,
+            ceiling,
+            usable,
+            max_speed,
+            no_load_speed,
+            low,
+            high,
+            max_position,
+            turn,
+            multi_turn,
+            min_voltage,
+        ] = numbers;
+        let units = ServoUnits {
+            registers,
+            packets: [packet(0), packet(1)],
+            zero,
+            sign,
+            count,
+            velocity,
+            measured: [measured, lost],
+            uses_current,
+            current,
+            limit: [limit, limit_lost],
+            ceiling: [ceiling, usable],
+            max_speed,
+            no_load_speed,
+            range: [low, high],
+            max_position,
+            turn,
+            multi_turn,
+            min_voltage,
+        };
+        self.core.configure(servo, joint, &units).or_raise()
+    }
+
+    #[doc = stub!(ServoCodec.decode)]
+    fn decode(
+        &mut self,
+        servo: usize,
+        data: &Bound<'_, PyBytes>,
+        status: usize,
+        address: usize,
+        time: f64,
+    ) -> PyResult<Option<bool>> {
+        Ok(match self.core.decode(servo, data.as_bytes(), address, status != 0, time).or_raise()? {
+            Decoded::Usual => None,
+            decoded => Some(decoded == Decoded::Notable),
+        })
+    }
+
+    #[doc = stub!(ServoCodec.joints)]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn joints<'py>(&mut self, py: Python<'py>, read: Vec<usize>) -> (Bound<'py, PyAny>, Bound<'py, PyArray1<bool>>) {
+        let (joints, ok) = self.core.joints(&read);
+        for (i, values) in joints.iter().enumerate() {
+            for (k, value) in values.iter().enumerate() {
+                self.joints[k * joints.len() + i] = *value;
+            }
+        }
+        (new_array(py, &[5, joints.len()], &self.joints), PyArray1::from_slice(py, ok))
+    }
+
+    #[doc = stub!(ServoCodec.encode)]
+    fn encode<'py>(
+        &mut self,
+        py: Python<'py>,
+        servo: usize,
+        goal: f64,
+        limit: f64,
+        speed: f64,
+    ) -> PyResult<Encoded<'py>> {
+        let ([goal, limit, speed], sizes) =
+            self.core.encode(servo, [goal, limit, speed], &mut self.packets).or_raise()?;
+        let packet = |i: usize| PyBytes::new(py, self.packets[i].get(..sizes[i]).unwrap_or_default());
+        Ok((goal, limit, speed, packet(0), packet(1)))
+    }
+
+    #[doc = stub!(ServoCodec.reading)]
+    fn reading<'py>(&self, py: Python<'py>, servo: usize) -> PyResult<Bound<'py, PyAny>> {
+        let (reading, rejected, jump) = self.core.reading(servo).or_raise()?;
+        let [voltage, temperature] = reading.supply.map(|value| value.map_or(f64::NAN, |value| value as f64));
+        let position = reading.position.unwrap_or(f64::NAN);
+        let rejected = f64::from(rejected);
+        let numbers = [position, reading.turns, reading.time, voltage, temperature, reading.supplied, rejected, jump];
+        Ok(new_array(py, &[numbers.len()], &numbers))
+    }
+
+    #[doc = stub!(ServoCodec.accept_any)]
+    fn accept_any(&mut self, servo: usize, position: f64, turns: f64, time: f64) -> PyResult<()> {
+        self.core.accept_any(servo, [position, turns, time]).or_raise()
+    }
+}

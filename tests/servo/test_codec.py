@@ -1,0 +1,106 @@
+"""`ServoCodec` against the conversions of `Units`, and its check of positions."""
+
+from math import floor, pi
+
+import numpy as np
+import pytest
+
+from pliant._core import OutOfRangeError, ServoCodec, ShapeError
+from pliant.servo import ServoSpec, list_models
+from pliant.servo._device import Device
+from pliant.servo._transactions import Reply
+
+MODELS = list_models()
+
+
+def device(model="STS3215-12V", **options):
+    made = Device(ServoSpec(name="pan", model=model, id=1, port="a", **options), 0, 1, 1)
+    made.units = made.units.of(made.spec)
+    made.attach(ServoCodec(1, 1), 0)
+    return made
+
+
+def reply(servo, time, **values):
+    block = servo.family.read[0]
+    return Reply(block, servo.family.layout(block).encode(values), 0, time)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_joint_values_are_those_of_the_units(model):
+    servo = device(model, sign=-1, zero=300.0, gear_ratio=1.5, torque_offset=0.02)
+    units, row = servo.units, servo.row
+    measured = "current" if row.limit_type == "current" else "load"
+    signed = servo.family.registers["speed"].sign != "unsigned"
+    rng = np.random.default_rng(0)
+    for time in range(50):
+        position, speed, load = 200 + int(rng.integers(300)), *rng.integers(-90, 90, 2).tolist()
+        if not signed:
+            speed, load = abs(speed), abs(load)
+        servo.accept_any_position()
+        assert servo.accept(
+            reply(servo, float(time), position=position, speed=speed, **{measured: load})
+        )
+        values, ok = servo.codec.joints([0])
+        if measured == "current":
+            torque = units.sign * units.torque(load)
+            assert values[4] == pytest.approx(row.current_unit * abs(load))
+        else:
+            torque = units.sign * units.load(load)
+        expected = [units.angle(position), time, units.velocity(speed), torque]
+        assert values[:4, 0] == pytest.approx(expected, rel=1e-12, abs=1e-15)
+        assert ok.tolist() == [True]
+        assert servo.codec.joints([])[1].tolist() == [False]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_registers_are_those_of_the_units(model):
+    servo = device(model, zero=500.0, gear_ratio=1.5, torque_offset=0.02)
+    servo.low, servo.high, servo.ceiling = 300, 800, servo.units.full // 2
+    servo.configure()
+    units, row = servo.units, servo.row
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        goal, limit, speed = (
+            rng.normal(0.0, 0.5),
+            abs(rng.normal(0.0, 2.0)),
+            abs(rng.normal(0.0, 4.0)),
+        )
+        goal_register = max(300, min(units.counts(goal), 800))
+        limit_register = units.register(min(limit, units.usable(servo.ceiling)), servo.ceiling)
+        unit = row.speed_unit * 2.0 * pi / 60.0 / 1.5
+        speed_register = max(1, min(floor(speed / unit), servo.family.speed_max))
+        expected = [goal_register, limit_register, speed_register]
+        assert servo.command(goal, limit, speed) == expected
+        # A speed cap is never higher than the speed, but at least one unit: 0 means no limit.
+        assert 0.0 < units.velocity(speed_register) <= max(speed, units.velocity(1)) * (1 + 1e-9)
+        packets = servo.codec.encode(0, goal, limit, speed)[3:]
+        for names, packet in zip(servo.family.write, packets, strict=False):
+            assert packet == servo.packet(names, *expected)
+    assert servo.command(0.0, 0.0, 0.0)[1:] == [0, 1]
+    for register in range(servo.ceiling):
+        assert servo.command(0.0, units.torque(register), 1.0)[1] in {register, 0}
+
+
+def test_implausible_positions_do_not_extend_the_accepted_change():
+    servo = device()
+    reach = (2.0 * servo.units.no_load_speed * 0.01 + 0.1) / servo.units.count
+    assert servo.accept(reply(servo, 1.0, position=2000))
+    assert servo.accept(reply(servo, 1.01, position=2000 + floor(reach)))
+    last = servo.position
+    for i in range(20):
+        assert not servo.accept(reply(servo, 1.02 + 0.01 * i, position=int(last + reach + 2)))
+    assert "jumped" in " ".join(servo.faults)
+    assert servo.position == last
+    assert servo.accept(reply(servo, 1.5, position=int(last + 1)))
+
+
+def test_arguments_that_do_not_fit():
+    servo = device()
+    with pytest.raises(ShapeError, match="numbers"):
+        servo.codec.configure(0, 0, [1.0])
+    with pytest.raises(OutOfRangeError, match="servo = 1"):
+        servo.codec.encode(1, 0.0, 0.0, 0.0)
+    with pytest.raises(OutOfRangeError, match="command"):
+        servo.codec.encode(0, float("nan"), 0.0, 0.0)
+    with pytest.raises(ShapeError, match="position"):
+        servo.codec.decode(0, b"\0" * 15, 0, 200, 0.0)
