@@ -22,7 +22,7 @@ printf '\n== extension module with AddressSanitizer\n'
 mkdir -p "$build"
 export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$build/target}"
 # A target is named so that build scripts and macros, which run in the compiler, stay without the sanitizer.
-RUSTFLAGS="-Zsanitizer=address -Cdebug-assertions=on -Cllvm-args=-inline-threshold=150" PYO3_PYTHON=$python \
+RUSTFLAGS="-Zsanitizer=address -Cdebug-assertions=on -Cllvm-args=-inline-threshold=60" PYO3_PYTHON=$python \
     CARGO_PROFILE_RELEASE_LTO=off CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16 \
     cargo +nightly build --quiet --release --target x86_64-unknown-linux-gnu -p pliant-py
 rm -rf "$build/python"
