@@ -20,7 +20,7 @@ export PATH="$tools/bin:$PATH"
 # The flags of .cargo/config.toml stay; these keep the folders of this machine out of the binary.
 export CARGO_BUILD_RUSTFLAGS="--remap-path-prefix=${CARGO_HOME:-$HOME/.cargo}/registry/src= --remap-path-prefix=$root="
 
-"$tools/bin/maturin" sdist --quiet --manifest-path rust/py/Cargo.toml --out "$out"
+"$tools/bin/maturin" sdist --manifest-path rust/py/Cargo.toml --out "$out"
 twine check --strict "$out"/*.tar.gz
 missing=0
 for target in $targets; do

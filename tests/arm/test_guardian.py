@@ -24,6 +24,7 @@ from experiments import guardian
 from experiments.guardian import Case, is_running
 from pliant.arm import _guardian_process
 from pliant.arm._guardian import is_available
+from pliant.arm._messages import MESSAGES
 from pliant.config.factory import make_emulator
 from pliant.emulator import emulate
 
@@ -272,6 +273,15 @@ def test_simulated_and_emulated_arms_and_other_drives_have_no_guardian():
     spec = pliant.servo.ServoSpec(name="pan", model="STS3215-7.4V", id=1, port="COM3")
     assert is_available(pliant.servo.ServoBus([spec]))
     assert not is_available(pliant.servo.ServoBus([spec], transport=lambda *_: None))
+
+
+def test_a_program_that_cannot_have_a_guardian_says_so(monkeypatch, caplog):
+    spec = pliant.servo.ServoSpec(name="pan", model="STS3215-7.4V", id=1, port="COM3")
+    monkeypatch.setattr(sys, "frozen", True, raising=False)
+    with caplog.at_level("WARNING", logger="pliant.arm"):
+        assert not is_available(pliant.servo.ServoBus([spec]))
+        MESSAGES.flush(5.0)
+    assert "no guardian watches this arm" in caplog.text
 
 
 def test_a_tick_makes_no_more_calls_and_requests_with_a_guardian():

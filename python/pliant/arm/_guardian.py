@@ -160,9 +160,20 @@ def is_available(drive: Drive) -> bool:
 
     The servos must keep their torque after the end of the program, and the system must have the
     signals of POSIX. A program that was frozen into one file cannot start another interpreter.
+    Where such servos go without a guardian, a message warns.
     """
-    frozen = bool(getattr(sys, "frozen", False))
-    return bool(getattr(drive, "outlives_program", False)) and os.name == "posix" and not frozen
+    if not getattr(drive, "outlives_program", False):
+        return False
+    if os.name == "posix" and not getattr(sys, "frozen", False):
+        return True
+    MESSAGES.start()
+    MESSAGES.post(
+        "no guardian watches this arm, because the program runs on Windows or is frozen into one "
+        "file: after a kill or a crash the servos keep their last goal and limit; guardian=False "
+        "hides this message",
+        logging.WARNING,
+    )
+    return False
 
 
 def _executable() -> str:

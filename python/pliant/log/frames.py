@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import struct
 import time
 from typing import IO
@@ -15,6 +14,8 @@ HEADER = struct.Struct("<BI")
 RUN, TICK, STEP, CALL, END = range(5)
 #: Maximum size of frames that wait for the writer process [bytes]; further frames are dropped.
 MAX_BACKLOG = 8_000_000
+#: Time between two attempts to send the rest at the end [s]; Windows cannot wait for a pipe.
+FLUSH_PERIOD = 0.005
 
 
 class Sender:
@@ -67,7 +68,7 @@ class Sender:
         end = time.monotonic() + timeout
         self._flush()
         while self._backlog and not self.broken and (left := end - time.monotonic()) > 0.0:
-            select.select([], [self._descriptor], [], left)
+            time.sleep(min(left, FLUSH_PERIOD))
             self._flush()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pliant._child import child_options
 from pliant._core import ConfigError, Controller, __version__
 from pliant._files import check_output
 from pliant._validation import format_value, instance
@@ -44,7 +46,7 @@ class Recorder:
         ticks: Number of recorded ticks (control cycles) so far.
 
     Raises:
-        ConfigError: The file exists and is not a log.
+        ConfigError: The file exists and is not a log, or the system has no non-blocking pipes.
         TypeError: An argument has the wrong type.
         OSError: The file cannot be written.
         ImportError: The extra `log` is not installed.
@@ -63,6 +65,8 @@ class Recorder:
             raise TypeError(
                 f"config must be what pliant.config.load gives, got {format_value(config)}"
             )
+        if not hasattr(os, "set_blocking"):
+            raise ConfigError("a log on Windows needs Python 3.12 or newer: leave the log out")
         self.path, self.ticks = Path(path), 0
         self._config, self._note = config, note
         self._process: subprocess.Popen[bytes] | None = None
@@ -123,7 +127,7 @@ class Recorder:
             [sys.executable, "-m", "pliant.log.writer", str(self.path)],
             stdin=subprocess.PIPE,
             # Protect the writer from Ctrl-C and a closed terminal; it ends when its pipe closes.
-            start_new_session=True,
+            **child_options(),
         )
         assert self._process.stdin is not None
         self._sender = frames.Sender(self._process.stdin.fileno())

@@ -10,7 +10,6 @@ obsolete ones, and the loop handles a bounded number of messages per tick.
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Self
 
+from pliant._child import child_options, keep_private
 from pliant._core import PliantError
 from pliant.view.messages import Edit, Message, Queue
 
@@ -84,11 +84,10 @@ class ProcessLink:
         ours, theirs = socket.socketpair()
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, str(theirs.fileno()), *arguments],
-            pass_fds=(theirs.fileno(),),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             # Protect it from Ctrl-C, which is for the loop; it ends when its pipe closes.
-            start_new_session=True,
+            **child_options(theirs.fileno()),
         )
         theirs.close()
         self._pipe = Connection(ours.detach())
@@ -212,7 +211,7 @@ class PageEndpoint:
 
     def __init__(self, descriptor: int) -> None:
         """Open the pipe's inherited file descriptor; start a thread to receive and one to send."""
-        os.set_inheritable(descriptor, False)
+        keep_private(descriptor)
         self._pipe, self._lock = Connection(descriptor), threading.Lock()
         self._pending, self._changed, self._acknowledged = Queue(), threading.Condition(), True
         self._inbox: SimpleQueue[Any] = SimpleQueue()
