@@ -32,10 +32,10 @@ def test_every_name_is_there_and_documented():
         *pliant.teleop.__all__,
         *pliant.types.__all__,
     }
-    # Names that only `pliant.arm` and `pliant.identify` use; these wrap them for the user.
+    # Names that only `pliant.arm`, `pliant.identify` and `pliant.servo` use; these wrap them for the user.
     internal = {
-        *("ArmPoints", "CommandLimiter", "HandGuidingLaw", "PositionFilter", "SUPPORT"),
-        *("ThermalModel", "torque_margin"),
+        *("ArmPoints", "CommandLimiter", "HandGuidingLaw", "PositionFilter"),
+        *("SUPPORT", "ServoCodec", "ThermalModel", "torque_margin"),
     }
     assert set(pliant._core.__all__) == (public & set(pliant._core.__all__)) | internal
 

@@ -228,8 +228,9 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
         present = " or ".join(r.name for r in known)
         present = (
             present
-            or f"no {row.name} (it reads as model number {number}, which is in no table: if its "
-            f"control table is that of {row.name}, add `model_number = {number}` to its line)"
+            or f"no {row.name} (it reads as model number {number}, which is in no table; "
+            f"`pliant servos scan` names it. If its control table is that of {row.name}, add "
+            f"`model_number = {number}` to its line)"
         )
         return [f"it is {present}, the configuration says {row.name} ({row.model_number})"]
     errors = [*_check_mode(device, image), *_calibration_differences(device, image)]

@@ -25,7 +25,6 @@ use crate::error::{Error, Result};
 use crate::law::activation::Activation;
 use crate::law::nullspace::projector_damping_sq;
 use crate::law::{activation, nullspace};
-use crate::math::ldlt6::pseudo_inverse;
 use crate::math::rows::load_rows;
 use crate::math::simd::{JointVec16, JointVector, RealOps, TaskVector};
 use crate::math::svd::Svd;
@@ -36,10 +35,6 @@ use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, task};
 
 use arrays::{array, check, finite, inverse_rows, product, same_length, square, task_rows, without_overflow};
 
-/// Ratio λ² / tr(JJᵀ) up to which the pseudo-inverse is computed by SVD: added to JJᵀ, so small a λ² is lost to
-/// rounding.
-const MIN_DAMPING_RATIO: f64 = 1e-9;
-
 /// Computes the damped pseudo-inverse of (3), `J⁺ = Jᵀ (J Jᵀ + λ²I)⁻¹`, n × k.
 ///
 /// `damping` is λ, not λ². λ = 0 gives the Moore–Penrose inverse, also of a rank-deficient matrix.
@@ -48,13 +43,10 @@ const MIN_DAMPING_RATIO: f64 = 1e-9;
 /// [`Error::Shape`] above six rows or sixteen columns, [`Error::OutOfRange`] for an entry that is not finite or λ < 0,
 /// [`Error::Config`] if the result overflows.
 pub fn damped_pseudo_inverse(jacobian: &DMatrix<f64>, damping: f64) -> Result<DMatrix<f64>> {
-    let (rows, k, n) = task_rows("J", jacobian)?;
+    let (_, k, n) = task_rows("J", jacobian)?;
     check("damping", damping, damping >= 0.0 && damping.is_finite(), "[0, ∞)")?;
     let squared = damping * damping;
-    if squared > MIN_DAMPING_RATIO * jacobian.norm_squared() {
-        let transposed = pseudo_inverse(&rows, &[1.0; MAX_JOINTS], &[squared; MAX_AXES]);
-        return without_overflow("J", DMatrix::from_fn(n, k, |i, r| transposed[r][i]));
-    }
+    // Not from J Jᵀ + λ²I: where J has fewer joints than axes or is singular, a small λ² is lost to rounding there.
     let svd = svd(jacobian)?;
     let cutoff = f64::EPSILON * k.max(n) as f64 * svd.sigma.max();
     let gains = svd.sigma.map(|s| if s > cutoff { s / (s * s + squared) } else { 0.0 });
@@ -258,12 +250,14 @@ mod tests {
     }
 
     #[test]
-    fn damped_inverses_of_kernel_and_svd_agree() {
-        let j = jacobian(6, 7);
-        let lambda = (MIN_DAMPING_RATIO * j.norm_squared()).sqrt();
-        let (kernel, svd) = (damped_pseudo_inverse(&j, lambda * 1.0001), damped_pseudo_inverse(&j, lambda * 0.9999));
-        let scale = kernel.as_ref().unwrap().amax();
-        assert!((kernel.unwrap() - svd.unwrap()).amax() < 1e-3 * scale);
+    fn a_small_damping_is_exact_with_fewer_joints_than_axes() {
+        // (J Jᵀ + λ²I)⁻¹ of 6 × 6 has five pivots of the size of λ² here; (Jᵀ J + λ²I)⁻¹ is a number.
+        let j = jacobian(6, 1);
+        for damping in [1e-7, 1e-5, 1e-4, 1e-3, 1e-2, 0.1] {
+            let exact = j.transpose() / (j.norm_squared() + damping * damping);
+            let got = damped_pseudo_inverse(&j, damping).unwrap();
+            assert!((got - &exact).amax() < 1e-13 * exact.amax(), "{damping}");
+        }
         assert!(damped_pseudo_inverse(&DMatrix::zeros(6, 7), 0.1).unwrap().amax() < f64::MIN_POSITIVE);
     }
 
