@@ -32,7 +32,7 @@ def test_every_name_is_there_and_documented():
         *pliant.teleop.__all__,
         *pliant.types.__all__,
     }
-    # Names that only `pliant.arm`, `pliant.identify` and `pliant.servo` use; these wrap them for the user.
+    # Names that only `pliant.arm`, `pliant.identify` and `pliant.servo` use, which wrap them.
     internal = {
         *("ArmPoints", "CommandLimiter", "HandGuidingLaw", "PositionFilter"),
         *("SUPPORT", "ServoCodec", "ThermalModel", "torque_margin"),
