@@ -13,7 +13,7 @@ import pliant
 from experiments import bus_lower
 from experiments.lifecycle import LOAD
 from pliant.arm import Arm
-from pliant.emulator import Mount, emulate
+from pliant.emulator import ManualClock, Mount, emulate
 from pliant.servo import ServoBus, ServoSpec
 
 #: Units of the speed registers [rad/s]: one encoder step per second, and 0.229 rpm.
@@ -24,20 +24,6 @@ MORE = {
     "mx": ("so101", "MX-64", None, {"return_delay_time": 0}),
     "xm": ("koch", "XM430-W350", None, {"operating_mode": 5, "return_delay_time": 0}),
 }
-
-
-class Steps:
-    """Emulated time, which advances only during waits."""
-
-    def __init__(self, bus):
-        self.bus = bus
-
-    def now(self):
-        return self.bus.time
-
-    def wait_until(self, deadline):
-        if deadline > self.bus.time:
-            self.bus.advance(deadline - self.bus.time)
 
 
 @contextmanager
@@ -55,7 +41,7 @@ def arm_over_bytes(family, q, clock="steps", plant=None, *, zero=None, patience=
             for k, n in enumerate(names, 1)
         ]
         chain = ServoBus(
-            specs, reply_timeout_min=patience, clock=Steps(bus) if clock == "steps" else None
+            specs, reply_timeout_min=patience, clock=ManualClock(bus) if clock == "steps" else None
         )
         yield bus, Arm(chain_model, chain, handle_signals=False, **options)
 

@@ -28,7 +28,7 @@ from pliant.cli._console import Keyboard
 from pliant.cli._measurements import UNITS, Measurements
 from pliant.cli.servos._measure import MIN_READING, G, Session, grams
 from pliant.config import factory
-from pliant.emulator import models
+from pliant.emulator import ManualClock, models
 from pliant.sim import Drag, ForceProfile
 
 #: Model number of the unknown servo, its torque over that of the STS3215, and the hidden load [kg].
@@ -36,20 +36,6 @@ NUMBER, STRONGER, LOAD = 2825, 1.3, 0.08
 #: Mass that the person hangs on the tool [kg], and pose with room below the tool [rad].
 WEIGHT, POSE = 0.1, [0.0, -1.0, 0.7, 0.5, 0.0]
 DOCS = Path(__file__).parents[2] / "docs" / "first_measurements.md"
-
-
-class Steps:
-    """Emulated time, which advances only during waits."""
-
-    def __init__(self, bus):
-        self.bus = bus
-
-    def now(self):
-        return self.bus.time
-
-    def wait_until(self, deadline):
-        if deadline > self.bus.time:
-            self.bus.advance(deadline - self.bus.time)
 
 
 class Person:
@@ -122,7 +108,7 @@ def arm_of_unknown_servos(monkeypatch, folder, load=LOAD):
     with factory.make_emulator(simulated, q=POSE, clock="steps", plant=payload) as bus:
         own = config.parse(text, port=bus.port, folder=folder)
         drive = factory.make_bus(own.model_copy(update={"loop": patient(own)}), {"main": bus.port})
-        drive.clock = Steps(bus)
+        drive.clock = ManualClock(bus)
         yield (
             bus,
             Arm(

@@ -9,7 +9,7 @@ pytest.importorskip("mujoco", reason="the arm needs the extra sim")
 pytest.importorskip("rustypot", reason="the bus needs the extra servo")
 
 import pliant
-from pliant.emulator import Faults, Mount, emulate
+from pliant.emulator import Faults, ManualClock, Mount, emulate
 from pliant.servo import ServoBus, ServoSpec
 
 TICK = 0.01
@@ -39,19 +39,6 @@ def arm7():
     )
 
 
-class Steps:
-    """Emulated time, which advances only during waits."""
-
-    def __init__(self, bus):
-        self._bus = bus
-
-    def now(self):
-        return self._bus.time
-
-    def wait_until(self, deadline):
-        self._bus.advance(max(0.0, deadline - self._bus.time))
-
-
 @pytest.mark.parametrize("build", [so101, arm7])
 @pytest.mark.parametrize("share", [0.0, 0.01])
 def test_limits_reach_the_motors_and_the_arm_stays(build, share):
@@ -73,7 +60,7 @@ def test_limits_reach_the_motors_and_the_arm_stays(build, share):
             )
             for mount, low, high in zip(mounts, model.lower, model.upper, strict=True)
         ]
-        chain = ServoBus(specs, rate=1.0 / TICK, reply_timeout_min=0.3, clock=Steps(bus))
+        chain = ServoBus(specs, rate=1.0 / TICK, reply_timeout_min=0.3, clock=ManualClock(bus))
         try:
             run(bus, chain, model, settings, share)
         finally:

@@ -19,4 +19,4 @@ class EnvConfig(draccus.ChoiceRegistry):
 
     @property
     def gym_id(self) -> str:
-        return f"{self.package_name}/{self.task}"  # type: ignore[attr-defined]
+        return f"{self.package_name}/{self.task}"
