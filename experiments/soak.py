@@ -268,8 +268,8 @@ class SoakResult:
             before the reply.
         furthest: Largest distance of a reading from the true positions between request and reply,
             or in the `MAX_AGE` before the reply for a `late` reading [counts].
-        telling: Share of the readings that would count as `late` if they were three cycles old. It
-            shows how sensitive the comparison is.
+        telling: Share of the readings of the control loop that would count as `late` if they were
+            three cycles old. It shows how sensitive the comparison is.
         positions: Number of compared readings.
         limits: Number of torque limits compared with the requested ones.
         off: Largest difference between a sent and the requested torque limit, beyond
@@ -340,11 +340,12 @@ def stale(readings: list[tuple[int, float, float, float]], truth: Array, count: 
     return out
 
 
-def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
+def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str, float]:
     """Enable the arm, follow a moving target with soft y for `seconds`, and switch torque off.
 
     Returns:
-        The control loop, and the text of the error that ended it ("" if none did).
+        The control loop, the text of the error that ended it ("" if none did), and the time at
+        which the loop began [s].
     """
     settings = pliant.Settings.soft("y").replace(rate=rate)
     ended = ""
@@ -366,11 +367,11 @@ def drive(arm: Arm, seconds: float, rate: float) -> tuple[Loop, str]:
         arm.disable_torque()
     except pliant.PliantError as error:
         ended = f"{ended} {error}".strip()
-    return loop, ended
+    return loop, ended, begin
 
 
 def judge(
-    family: str, arm: Arm, driven: tuple[Loop, str], ask: Callable[[str], Any], lag: float
+    family: str, arm: Arm, driven: tuple[Loop, str, float], ask: Callable[[str], Any], lag: float
 ) -> SoakResult:
     """Return the result of a run, from the records of the host and of the emulator.
 
@@ -381,7 +382,7 @@ def judge(
         ask: Function that calls the method of the emulator's `Audit` with this name.
         lag: Time that the emulator dropped because the computer was too slow [s].
     """
-    (loop, ended), chain = driven, arm.drive
+    (loop, ended, begun), chain = driven, arm.drive
     assert isinstance(chain, Recorder)
     report, truth = ask("report"), ask("truth")
     count = np.array(
@@ -391,7 +392,10 @@ def judge(
     earlier = [(i, q, min(begin, end - MAX_AGE), end) for i, q, begin, end in chain.readings]
     within = np.where(away > ROUNDING, stale(earlier, truth, count), away)
     later = 3.0 * loop.period
-    shifted = [(i, q, begin + later, end + later) for i, q, begin, end in chain.readings]
+    # An arm that torque on still holds has the position of three cycles ago.
+    shifted = [
+        (i, q, begin + later, end + later) for i, q, begin, end in chain.readings if begin >= begun
+    ]
     sent, unit = ask("limits"), ask("units")
     ids = [spec.id for spec in chain.specs]
     asked = np.minimum(np.array(chain.asked), chain.ceilings)

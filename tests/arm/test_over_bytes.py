@@ -255,8 +255,8 @@ def test_lowered_in_place_of_a_program_that_never_returns():
 def test_an_unknown_load_sinks_and_is_brought_back_slowly(monkeypatch):
     q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
     with (
-        unknown(0.2),
-        arm_over_bytes("sts", q, plant={"payload": (0.2, (0.0, 0.0, 0.0))}) as (bus, arm),
+        unknown(0.4),
+        arm_over_bytes("sts", q, plant={"payload": (0.4, (0.0, 0.0, 0.0))}) as (bus, arm),
     ):
         step = bus.world.physics.step
 
@@ -268,7 +268,9 @@ def test_an_unknown_load_sinks_and_is_brought_back_slowly(monkeypatch):
         arm.enable()
         arm.disable_torque()
     height, speed = np.array(tools).T
-    assert height[0] - height.min() > 0.01, "it was put to the test"
+    # Leads and limits of the model's weight alone let the tool sink by more than 10 mm with
+    # half this load.
+    assert 0.005 < height[0] - height.min() < 0.010
     assert speed.max() < 0.08
     assert height[-1] == pytest.approx(height[0], abs=0.003)
 

@@ -23,10 +23,10 @@ from pliant.arm._startup import (
     check_within_limits,
     initial_commands,
     stiffness_mismatch,
-    transfer_weight,
     wait_for_all,
 )
 from pliant.arm._supervisor import Supervisor
+from pliant.arm._transfer import transfer_weight
 from pliant.arm.gripper import Gripper, check_grippers, make_grippers
 from pliant.arm.thermal import Budget
 
@@ -216,7 +216,7 @@ class Arm:
             if not self.enabled:
                 self._release()
             raise
-        self.leads = transfer_weight(io, start_q, carried, self.rate)
+        self.leads = transfer_weight(io, self._points, start_q, carried, self.rate)
         if text := stiffness_mismatch(io, self.leads):
             MESSAGES.post(text, logging.WARNING)
         io.set_watchdog(self._watchdog)

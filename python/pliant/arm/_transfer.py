@@ -1,0 +1,363 @@
+"""Transfer of the weight of a standing arm to its servos when torque comes on.
+
+The lead of a joint is goal minus position [rad]; a servo turns it into torque.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pliant._core import ServoTimeoutError, torque_margin
+from pliant.arm._io import RAMP_TIME
+from pliant.arm._startup import LEAD_FACTOR
+
+if TYPE_CHECKING:
+    from pliant._core import ArmPoints
+    from pliant._typing import Array, Mask
+    from pliant.arm._io import ArmIO
+
+
+#: Lead beyond that of `LEAD_FACTOR`, for the motion until the next goal [rad], and largest lead
+#: [rad].
+FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
+#: Smallest rate of the loop of the transfer [Hz].
+LOOP_RATE = 250.0
+#: Load at the tool that the inertia matrix of the balance includes [kg]. The inertia of a small arm
+#: is up to four times larger or smaller with 0.5 kg or none.
+ASSUMED_LOAD = 0.15
+#: Pole of the observer [1/s]: its product with the delay of the loop, and its largest value.
+POLE_DELAY, MAX_POLE = 1.0, 45.0
+#: Assumed disturbance over the error of a position, before the first reading [1/s²]. More makes an
+#: unknown load known earlier, but takes an encoder step of a joint at rest for a fall.
+FIRST_DISTURBANCE = 3e3
+#: Weight of the last period in the mean period of the loop, and longest period [s].
+PERIOD_SHARE, MAX_PERIOD = 0.2, 0.1
+#: Ratio of the poles of the position control to that of the observer.
+CONTROL_SHARE = 0.4
+#: Shortest and longest duration of the balance [s]; it ends when all joints have been slower than
+#: `STILL_SPEED` [rad/s] and nearer than `STILL_AWAY` [rad] for `STILL_TIME` [s].
+MIN_BALANCE, MAX_BALANCE, STILL_SPEED, STILL_AWAY, STILL_TIME = 0.2, 1.5, 0.02, 0.01, 0.1
+#: Time constant of the mean torque of the balance [s], and ratio to friction below which the sign
+#: of this torque is not known.
+TORQUE_TIME, LIGHT = 0.1, 2.0
+#: Time constant with which leads shrink [s], largest speed at which they do [rad/s], and lead that
+#: counts as zero [rad].
+SHRINK_TIME, SHRINK_SPEED, MIN_LEAD = 0.4, 0.15, 0.002
+#: Change of a position that is above rounding [rad], and largest encoder step that is concluded
+#: from the changes of a position [rad].
+MIN_CHANGE, MAX_COUNT = 1e-6, 0.006
+#: Displacement below which a joint counts as sinking [rad] (at least two encoder steps).
+SINKING = 0.002
+#: Torque beyond that of the balance at which a sinking joint counts as carried by its lead: shares
+#: of friction and of the torque of the balance.
+FOUND_FRICTION, FOUND_SHARE = 2.5, 0.1
+#: Time for which the lead of a sinking joint waits for this torque [s], and speed at which it
+#: shrinks afterwards [rad/s].
+MAX_WAIT, SLOW_SHRINK_SPEED = 0.3, 0.02
+#: Largest rise of the lead of a joint that was found to sink [rad].
+MAX_BACK = 0.005
+#: Time in which the torque limit of a joint that sinks further rises from zero to the servo's
+#: maximum [s].
+LIMIT_RISE = 0.1
+#: Time in which the limits of joints with torque rise to their holding torque, and before which no
+#: joint is drawn back [s].
+SETTLE_TIME = 0.2
+#: Gain [1/s] and largest speed [rad/s] of the goal of a joint that returns to its first position,
+#: and speed of the joint above which its goal waits [rad/s]: the goal of a joint that sticks moves
+#: ahead of it.
+RETURN_GAIN, RETURN_SPEED, RETURNING = 8.0, 0.1, 0.03
+#: Time constant of the mean position that is drawn back [s]: drawing back an arm that swings on its
+#: servos would swing it further.
+MEAN_TIME = 0.3
+#: Displacement below which a joint has returned [rad] (at least 0.6 counts), and time after which
+#: the transfer does not wait for joints to return [s].
+RETURNED, MAX_TIME = 1.5e-4, 5.0
+#: Time without a position of a joint after which the weight transfer ends with an error [s].
+MAX_SILENCE = 0.5
+
+
+def transfer_weight(
+    io: ArmIO, points: ArmPoints, start_q: Array, taken: Mask, rate: float
+) -> Array:
+    """Transfer the weight of a standing arm to its servos, and measure the leads that carry it.
+
+    The arm is first balanced by its torque limits, with an unknown load too, and then given to the
+    stiffness of its servos; see `_WeightTransfer`.
+
+    Args:
+        io: Read and write access to the arm, with torque on.
+        points: Points of the arm, with the inertia of its rotors.
+        start_q: Joint positions before torque on (n,) [rad].
+        taken: Mask (n,) of joints whose present goals and limits already carry them.
+        rate: Rate of the arm's own loops [Hz]; the transfer uses at least `LOOP_RATE`.
+
+    Returns:
+        Leads that carry the joints (n,) [rad]; NaN for joints that rest on an object.
+
+    Raises:
+        ServoTimeoutError: A joint was silent for 0.5 s; goals and limits stayed unchanged
+            meanwhile.
+    """
+    return _WeightTransfer(io, points, start_q, taken, rate).run()
+
+
+class _DisturbanceObserver:
+    """Motion of the joints, and the acceleration that the model does not explain.
+
+    Each joint is ``ẍ = u + d`` with a known input u [rad/s²] and an unknown constant d. The
+    estimate belongs to the time of the last reading; `predict` continues it with later inputs.
+    The gains are those of the critically damped filter of third order (Brookner 1998, 2.4), or, if
+    larger, those of least squares over all readings since the joint was at rest with d unknown.
+
+    Attributes:
+        x, v, d: Displacement (n,) [rad], speed (n,) [rad/s] and disturbance (n,) [rad/s²].
+        step: Encoder steps (n,) [rad].
+    """
+
+    def __init__(self, time: float, step: Array) -> None:
+        """Start at rest at `time` [s]; `step` are the encoder steps (n,) [rad]."""
+        self.x, self.v, self.d = np.zeros(step.size), np.zeros(step.size), np.zeros(step.size)
+        self._time, self.step = time, step
+        self._begin, self._squares = time, 0.0
+        self._inputs: deque[tuple[float, Array]] = deque([(time, np.zeros(step.size))])
+
+    def send(self, time: float, u: Array) -> None:
+        """Store the input u (n,) [rad/s²] that is sent at `time` [s]."""
+        self._inputs.append((time, u))
+
+    def update(self, time: float, x: Array, pole: float) -> None:
+        """Correct the estimate by displacements x (n,) [rad] that show the inputs up to `time` [s].
+
+        `pole` is the pole of the error of the estimate [1/s].
+        """
+        dt = time - self._time
+        if dt <= 0.0:
+            return
+        self.x, self.v = self.predict(time)
+        self._time = time
+        while len(self._inputs) > 1 and self._inputs[1][0] <= time:
+            self._inputs.popleft()
+        # A position within half an encoder step of the reading agrees with it.
+        error = x - self.x
+        error = error - np.clip(error, -0.5 * self.step, 0.5 * self.step)
+        z = np.exp(-pole * dt)
+        passed = time - self._begin
+        path = 0.5 * passed**2  # displacement per disturbance
+        self._squares += path**2
+        first = path / (self._squares + FIRST_DISTURBANCE**-2)
+        self.x = self.x + max(path * first, 1.0 - z**3) * error
+        self.v = self.v + max(passed * first, 1.5 * (1.0 - z**2) * (1.0 - z) / dt) * error
+        self.d = self.d + max(first, (1.0 - z) ** 3 / dt**2) * error
+
+    def predict(self, time: float) -> tuple[Array, Array]:
+        """Return displacement [rad] and speed [rad/s] (n,) once inputs up to `time` [s] show."""
+        x, v, at = self.x, self.v, self._time
+        ends = [*(sent for sent, _ in self._inputs), time][1:]
+        for (_, u), end in zip(self._inputs, ends, strict=True):
+            if (dt := min(end, time) - at) > 0.0:
+                x, v, at = x + dt * v + 0.5 * dt**2 * (u + self.d), v + dt * (u + self.d), at + dt
+        return x, v
+
+
+class _WeightTransfer:
+    """Transfer of the weight of a standing arm to its servos, and measurement of what carries it.
+
+    The lead of a joint is goal minus position. With a large lead, a servo exerts its torque limit,
+    independent of its stiffness. The limits and the signs of the leads are first those of
+
+    ``τ = w - M (d + 2 ω v + ω² x)``
+
+    with the model's weight w and inertia M, the displacement x from the first position, its speed v
+    and the disturbance d of a `_DisturbanceObserver`. Once the arm stands, τ carries it, an unknown
+    load included. Then the leads shrink. A servo whose lead no longer suffices for τ lets its joint
+    sink, whatever its limit: this lead carries the joint. A joint that does not sink rests on an
+    object. In the end limits have the margin of `torque_margin`, and joints that sank return
+    slowly.
+    """
+
+    def __init__(
+        self, io: ArmIO, points: ArmPoints, start_q: Array, taken: Mask, rate: float
+    ) -> None:
+        """Prepare the transfer; send nothing. The arguments are those of `transfer_weight`."""
+        self._io, self._start, self._taken = io, start_q, taken
+        self._rate = max(rate, LOOP_RATE)
+        self._period = 1.0 / self._rate
+        servos = io.servos
+        self._kp, self._usable = np.asarray(servos.kp), np.asarray(servos.max_torque)
+        self._friction = np.asarray(servos.friction)
+        self._assumed_step = np.asarray(servos.encoder_step)
+        self._least_change = np.full(start_q.size, np.inf)
+        self._weight = io.gravity()
+        tool = np.asarray(io.model.jacobian(start_q))[:3]
+        self._inertia = points.inertia(start_q) + ASSUMED_LOAD * tool.T @ tool
+        self._inverse = np.linalg.inv(self._inertia)
+        self._first = io.limit
+        self._heard = self._tick = io.clock.now()
+        self._observer = _DisturbanceObserver(
+            self._heard - io.delay(self._heard), self._assumed_step
+        )
+        self._x, self._v = np.zeros(start_q.size), np.zeros(start_q.size)
+
+    def run(self) -> Array:
+        """Carry out the transfer, see `transfer_weight`."""
+        carried = self._taken.all() or self._io.servos.stiffness_known
+        return self._shrink(self._weight if carried else self._balance())
+
+    def _step(self) -> float:
+        """Wait for the next period and read all joints; return the time since the last reading."""
+        io, clock, before = self._io, self._io.clock, self._io.q
+        while True:
+            self._tick = max(self._tick + 1.0 / self._rate, clock.now())
+            clock.wait_until(self._tick)
+            if (ok := io.sample()).all():
+                break
+            # Without positions, sinking and rising cannot be told apart: keep goals and limits.
+            if clock.now() - self._heard > MAX_SILENCE:
+                raise ServoTimeoutError(
+                    f"no position of {_joint_names(io, ~ok)} for {MAX_SILENCE:g} s while torque "
+                    "came on: check their power, cable and id"
+                )
+            io.send(io.goal, io.limit)
+        # Encoder steps may be coarser than assumed.
+        change = np.abs(io.q - before)
+        change = np.where(change > MIN_CHANGE, change, np.inf)
+        self._least_change = np.minimum(self._least_change, change)
+        seen = np.where(np.isfinite(self._least_change), self._least_change, 0.0)
+        self._observer.step = np.maximum(self._assumed_step, np.minimum(seen, MAX_COUNT))
+        now = clock.now()
+        dt, self._heard = now - self._heard, now
+        # A slow bus has a longer period; a silence is no period.
+        self._period += PERIOD_SHARE * (min(dt, MAX_PERIOD) - self._period)
+        return dt
+
+    def _control(self) -> Array:
+        """Return the torques (n,) [N·m] that bring the joints to rest at their first positions."""
+        io, observer, now = self._io, self._observer, self._heard
+        age = io.delay(now)
+        pole = min(POLE_DELAY / (age + self._period), MAX_POLE)
+        observer.update(now - age, io.q - self._start, pole)
+        self._x, self._v = observer.predict(now)
+        omega = CONTROL_SHARE * pole
+        back = observer.d + 2.0 * omega * self._v + omega**2 * self._x
+        return np.clip(self._weight - self._inertia @ back, -self._usable, self._usable)
+
+    def _apply(self, goal: Array, torque: Array, limit: Array) -> None:
+        """Send goals and limits (n,), except to joints that are taken over, and store the torques.
+
+        `torque` are the torques that the observer takes as exerted (n,) [N·m].
+        """
+        io, taken = self._io, self._taken
+        self._observer.send(self._heard, self._inverse @ (torque - self._weight))
+        io.send(np.where(taken, io.goal, goal), np.where(taken, io.limit, limit))
+
+    def _full_lead(self, torque: Array) -> Array:
+        """Return the leads (n,) [rad] with which servos exert limits of |torque| (n,) [N·m]."""
+        size = LEAD_FACTOR * np.abs(torque) / self._kp + FIRST_LEAD
+        lead: Array = np.sign(torque) * np.minimum(size, LARGEST_LEAD)
+        return lead
+
+    def _balance(self) -> Array:
+        """Balance the joints by their torque limits until they stand; return their torques (n,)."""
+        torque, passed, still = self._weight, 0.0, 0.0
+        mean = torque.copy()
+        # Less than friction: keeps a joint in place, and does not lift it.
+        spare = 0.5 * self._friction
+        while passed < MIN_BALANCE or (still < STILL_TIME and passed < MAX_BALANCE):
+            goal = self._start + self._full_lead(torque)
+            self._apply(goal, torque, np.abs(torque) + spare)
+            dt = self._step()
+            passed += dt
+            torque = self._control()
+            mean += min(dt / TORQUE_TIME, 1.0) * (torque - mean)
+            calm = np.abs(self._v).max() < STILL_SPEED and np.abs(self._x).max() < STILL_AWAY
+            still = still + dt if calm else 0.0
+        return mean
+
+    def _shrink(self, weight: Array) -> Array:
+        """Shrink the leads until they just carry the joints; return them (n,) [rad].
+
+        `weight` is the torque that carries each joint (n,) [N·m].
+        """
+        io, servos, kp, usable = self._io, self._io.servos, self._kp, self._usable
+        taken, start_q = self._taken, self._start
+        up = np.sign(weight)
+        enough = FOUND_FRICTION * self._friction + FOUND_SHARE * np.abs(weight)
+        margin = torque_margin(servos, weight)
+        lead = np.where(taken, io.goal - start_q, self._full_lead(weight))
+        found = np.where(taken, lead, np.nan)
+        # Stiffness alone holds a joint whose torque may have either sign.
+        light = ~taken & (np.abs(weight) < LIGHT * self._friction)
+        lead, found = np.where(light, 0.0, lead), np.where(light, 0.0, found)
+        if servos.stiffness_known:
+            lead = np.where(taken, lead, weight / kp)
+            found = lead
+        carrying = lead
+        more, pull, waited = np.zeros((3, start_q.size))
+        before, mean, passed = io.q, io.q, 0.0
+        while True:
+            dt = self._step()
+            passed += dt
+            q, torque = io.q, self._control()
+            step = self._observer.step
+            sinking, returned = np.maximum(SINKING, 2.0 * step), np.maximum(RETURNED, 0.6 * step)
+            mean = mean + min(dt / MEAN_TIME, 1.0) * (q - mean)
+            sunk = (start_q - q) * up
+            shrinking = np.isnan(found) & (lead != 0.0)
+            # The servo may exert much more than carried the joint before, but the joint sinks.
+            carried = (sunk > sinking) & (torque * up > np.abs(weight) + enough)
+            held = shrinking & (carried | (passed > MAX_TIME))
+            # Return to the lead before the joint began to sink.
+            back = np.minimum(np.abs(carrying - lead), MAX_BACK)
+            lead = np.where(held, lead + up * back, lead)
+            found = np.where(held, lead, found)
+            sinks = shrinking & ~held & (sunk > sinking)
+            waited = np.where(sinks, waited + dt, 0.0)
+            speed = np.minimum(np.abs(lead) / SHRINK_TIME, SHRINK_SPEED)
+            speed = np.where(sinks, np.where(waited > MAX_WAIT, SLOW_SHRINK_SPEED, 0.0), speed)
+            left = up * np.maximum(up * lead - speed * dt, 0.0)
+            carrying = np.where(sunk > returned, carrying, lead)
+            lead = np.where(shrinking & ~held, left, lead)
+            lead = np.where(np.isnan(found) & (np.abs(lead) < MIN_LEAD), 0.0, lead)
+            # A joint that sank earlier is held by the stiffness of its servo at lead 0.
+            found = np.where(np.isnan(found) & (lead == 0.0) & (sunk > 0.5 * sinking), 0.0, found)
+            known = np.isfinite(found) | (lead == 0.0)
+            # Give a joint that is carried, but sinks further, more torque.
+            falls = known & (sunk > 2.0 * sinking) & ((before - q) * up > 0.0)
+            more += np.where(falls, usable * dt / LIMIT_RISE, 0.0)
+            firm = np.abs(weight) + margin + more
+            limit = np.where(known, firm, np.maximum(torque * up, 0.0) + 0.5 * self._friction)
+            rise = min(passed / SETTLE_TIME, 1.0) * np.maximum(firm - self._first, 0.0)
+            limit = np.minimum(np.where(taken, self._first + rise, limit), usable)
+            # The smaller of displacement and its mean, 0 if their signs differ.
+            away = np.where(
+                (q - start_q) * (mean - start_q) > 0.0,
+                np.sign(start_q - q) * np.minimum(np.abs(start_q - q), np.abs(start_q - mean)),
+                0.0,
+            )
+            returning = np.isfinite(found) & (np.abs(away) > returned)
+            speed = np.clip(RETURN_GAIN * away, -RETURN_SPEED, RETURN_SPEED)
+            waits = np.sign(away) * self._v > RETURNING
+            if passed > SETTLE_TIME:
+                pull += np.where(returning & ~waits, speed * dt, 0.0)
+            goal = start_q + lead + pull
+            # Anti-windup: bound the lead, because a larger one would not increase the torque.
+            largest = np.maximum(LEAD_FACTOR * limit / kp, np.abs(lead))
+            goal = np.clip(goal, q - largest, q + largest)
+            pull = goal - start_q - lead
+            self._observer.send(
+                self._heard, self._inverse @ (up * np.minimum(torque * up, limit) - self._weight)
+            )
+            io.send(goal, limit)
+            before = q
+            arrived = not returning.any() or passed > MAX_TIME
+            if passed >= RAMP_TIME and bool(known.all()) and arrived:
+                break
+        io.ramp_limits(limit)
+        return np.where(np.isfinite(found), io.goal - io.q, np.nan)
+
+
+def _joint_names(io: ArmIO, joints: Mask) -> str:
+    return ", ".join(io.model.joint_names[i] for i in np.flatnonzero(joints))
