@@ -11,7 +11,7 @@ from pliant._core import ContactEstimator, Controller, PliantError, Settings
 from pliant._validation import AXES
 from pliant.gym.soft_action import SoftAction, holding_forces
 from pliant.sim import Plant
-from pliant.sim._native import NativeArm
+from pliant.sim._native import NativeArms
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,9 +64,9 @@ class Arms:
         self._own = [Controller(self.model, self._settings) for _ in range(count * joints)]
         self._contact = [ContactEstimator(self._controller) for _ in range(count)]
         self.plants: list[Plant | None] = [None] * count
-        self._native: list[NativeArm | None] = [None] * count
         self.episodes: list[Episode | None] = [None] * count
         n = self.model.n
+        self._native = NativeArms(count, n) if task.native else None
         self.sizes = {
             "q": n, "dq": n, "tool": 9, "deviation": 6, "force": 6, "uncertainty": 6,
             "caps": len(soft),
@@ -77,7 +77,7 @@ class Arms:
         self._softness = np.tile(self._softest, (count, 1))
         self._has_command = np.zeros(count, dtype=bool)
         self._goal, self._limit, self._speed = (np.zeros((count, n)) for _ in range(3))
-        self._range = np.zeros((count, n, 2))
+        self._progress, self._force, self._place = np.zeros((3, count))
         # Views of the rows, because indexing costs as much as a control step.
         self._q_of, self._sent_of = list(self._q), list(zip(self._goal, self._limit, strict=True))
         self.force = np.zeros(count)
@@ -88,9 +88,8 @@ class Arms:
         seed = int(rng.integers(2**31))
         plant = self.plants[row] = Plant(self.model, scene=episode.scene, rate=RATE, seed=seed)
         plant.reset(self._task.start)
-        if self._task.native:
-            goal, limits, place = self._goal[row], self._range[row], self._q_of[row]
-            self._native[row] = NativeArm(plant, goal, limits, place)
+        if self._native is not None:
+            self._native.put(row, plant)
         q = self._q[row] = plant.read().q
         self._state.reset(row, q)
         if self._own:
@@ -101,6 +100,7 @@ class Arms:
         self._target[row] = self.model.forward_kinematics(q)
         self._softness[row], self._dq[row], self._felt[row] = self._softest, 0.0, 0.0
         self._uncertainty[row], self._has_command[row], self.force[row] = MAX_WRENCH, False, 0.0
+        self._progress[row], self._force[row], self._place[row] = 0.0, 0.0, np.nan
 
     def step(self, actions: Array, rows: Mask) -> tuple[Array, Mask, Mask]:
         """Run the controllers of some arms for one period of the decision rate.
@@ -119,17 +119,16 @@ class Arms:
         given = np.clip(np.asarray(actions, dtype=np.float64), -1.0, 1.0)
         moved, softness = np.split(given, [given.shape[1] - self._softest.size], axis=1)
         self._softness[rows] = softness[rows]
-        before, cost, largest = self.progress(), np.zeros(self._count), np.zeros(self._count)
+        before, cost, largest = self._progress.copy(), *np.zeros((2, self._count))
         dt = 1.0 / RATE
         drive = self._start(moved, rows)
         for _ in range(self._ticks):
             self._feel(active, dt)
             drive(dt)
-            self._advance(active, dt)
-            force = np.array([0.0 if e is None else e.force for e in self.episodes])
-            excess = np.maximum(force - self._task.free_force, 0.0) / self._task.free_force
+            self._advance(active, rows, dt)
+            excess = np.maximum(self._force - self._task.free_force, 0.0) / self._task.free_force
             cost += self._task.force_weight * excess * dt
-            largest = np.maximum(largest, force)
+            np.maximum(largest, self._force, out=largest)
         if not np.isfinite(self._q).all():
             wrong = int((~np.isfinite(self._q)).any(axis=1).argmax())
             raise PliantError(f"the simulation of arm {wrong} of {self._count} diverged")
@@ -138,9 +137,8 @@ class Arms:
             felt = self._contact[row].estimate
             self._dq[row], self._felt[row] = felt.velocity, felt.force
             self._uncertainty[row] = np.minimum(felt.uncertainty, MAX_WRENCH)
-        progress = self.progress()
-        success, failure = progress >= 1.0, largest > self._task.max_force
-        return progress - before - cost + success - failure, success, failure
+        success, failure = self._progress >= 1.0, largest > self._task.max_force
+        return self._progress - before - cost + success - failure, success, failure
 
     def observation(self) -> dict[str, Array]:
         """Return the observations, arrays (N, size)."""
@@ -165,14 +163,14 @@ class Arms:
         assert episode is not None
         return {
             "force": float(self.force[row]),
-            "progress": episode.progress,
-            "is_success": episode.progress >= 1.0,
+            "progress": float(self._progress[row]),
+            "is_success": bool(self._progress[row] >= 1.0),
             **episode.parameters,
         }
 
     def progress(self) -> Array:
         """Return the progress of each episode (N,); 0 for an arm without one."""
-        return np.array([0.0 if e is None else e.progress for e in self.episodes])
+        return self._progress.copy()
 
     def _start(self, moved: Array, rows: Mask) -> Callable[[float], None]:
         """Return the function that steps all controllers in each tick of this action."""
@@ -232,13 +230,14 @@ class Arms:
             tool: Poses of the tools (N, 4, 4).
             rows: Mask of the arms whose targets move.
         """
-        place = tool[:, :3, 3]
-        offset = np.clip(self._target[:, :3, 3] + change[:, :3] - place, -LEASH[0], LEASH[0])
-        turned = turn @ self._target[:, :3, :3]
-        near = _angles(turned @ tool[:, :3, :3].transpose(0, 2, 1)) <= LEASH[1]
-        self._target[rows, :3, 3] = (place + offset)[rows]
-        near &= rows
-        self._target[near, :3, :3] = turned[near]
+        place, target = tool[:, :3, 3], self._target[:, :3, :3]
+        offset = self._target[:, :3, 3] + change[:, :3] - place
+        np.maximum(np.minimum(offset, LEASH[0], out=offset), -LEASH[0], out=offset)
+        turned = turn @ np.ascontiguousarray(target)
+        # The trace of their relative rotation is 1 + 2 cos(angle).
+        near = (turned * tool[:, :3, :3]).sum(axis=(1, 2)) >= 1.0 + 2.0 * np.cos(LEASH[1])
+        np.copyto(self._target[:, :3, 3], place + offset, where=rows[:, None])
+        np.copyto(target, turned, where=(near & rows)[:, None, None])
 
     def _feel(self, active: list[int], dt: float) -> None:
         """Update the contact estimators with the positions and the last commands."""
@@ -247,21 +246,28 @@ class Arms:
             sent = self._sent_of[row] if has_command[row] else None
             self._contact[row].update(self._q_of[row], dt=dt, sent=sent)
 
-    def _advance(self, active: list[int], dt: float) -> None:
-        """Send the commands, run the physics of one tick, and update the episodes."""
-        self._range[:, :, 0], self._range[:, :, 1] = -self._limit, self._limit
-        for row in active:
-            plant, native, episode = self.plants[row], self._native[row], self.episodes[row]
-            assert plant is not None
-            assert episode is not None
-            if native is None:
+    def _advance(self, active: list[int], rows: Mask, dt: float) -> None:
+        """Send the commands, run the physics of one tick, and update force and progress."""
+        if self._native is not None:
+            native = self._native
+            native.goal[:] = self._goal
+            native.limits[:, :, 0], native.limits[:, :, 1] = -self._limit, self._limit
+            native.advance(active)
+            self._q[:], self._force[:], place = native.q, native.force, native.travel
+        else:
+            place = self._place.copy()
+            for row in active:
+                plant, episode = self.plants[row], self.episodes[row]
+                assert plant is not None
+                assert episode is not None
                 plant.write(self._goal[row], self._limit[row])
                 plant.advance()
                 self._q[row] = plant.read().q
-            else:
-                native.advance()
-            self._task.update(episode, plant, dt)
-        self._has_command[active] = True
+                place[row], self._force[row] = self._task.measure(episode, plant)
+        move = np.where(np.isnan(self._place), 0.0, place - self._place)
+        progress = self._task.progress(self._progress, move, place, self._force, dt)
+        self._progress[rows], self._place[rows] = progress[rows], place[rows]
+        self._has_command[rows] = True
 
 
 def _rotations(vectors: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -23,23 +23,17 @@ OPEN = float(np.deg2rad(60.0))
 TOUCH = (2.0, 10.0)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Episode:
     """One episode of a task.
 
     Attributes:
         scene: Objects of `pliant.sim.Plant`, with the episode's random parameters.
-        progress: How far the task has come, 0 at the start and 1 at success.
-        force: Present force on the tool [N].
         parameters: The random parameters, for `info`.
-        place: Last position of the tool along a path [m]; None before the first tick.
     """
 
     scene: Sequence[Any]
     parameters: dict[str, float]
-    progress: float = field(default=0.0, init=False)
-    force: float = field(default=0.0, init=False)
-    place: float | None = field(default=None, init=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +60,8 @@ class Task(ABC):
     soft: ClassVar[str] = "y yaw"
     #: Initial joint positions of `arm7` (7,) [rad].
     start: ClassVar[Array] = VERTICAL
-    #: True if MuJoCo alone computes the forces of the scene, so that a control period is one call
-    #: of it; objects then record nothing.
+    #: True if the scene is one object on a joint, in the arm's grip, whose forces MuJoCo alone
+    #: computes: a control period is one call of it, and `measure` is not called.
     native: ClassVar[bool] = False
 
     @abstractmethod
@@ -75,8 +69,27 @@ class Task(ABC):
         """Return an episode with random parameters."""
 
     @abstractmethod
-    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
-        """Update progress and force of an episode after a control tick of dt [s]."""
+    def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
+        """Return the progress of all arms after a control tick.
+
+        Args:
+            before: Progress before the tick (N,), 0 at the start and 1 at success.
+            move: Change of `place` in the tick (N,).
+            place: What `measure` returns (N,); position of the grasped object's joint if `native`.
+            force: Force on the tool (N,) [N].
+            dt: Length of the tick [s].
+        """
+
+    def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
+        """Return place of the tool or the object, and force on the tool [N], of one arm."""
+        raise NotImplementedError
+
+
+def _count_touch(force: Array, before: Array, gain: Array | float) -> Array:
+    """Return the progress with `gain` for each arm whose force is within the band `TOUCH`."""
+    touches = (TOUCH[0] <= force) & (force <= TOUCH[1])
+    counted: Array = np.where(touches, np.minimum(before + gain, 1.0), before)
+    return counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,11 +112,9 @@ class Door(Task):
         door = sim.Door(hinge=(0.0, -radius, 0.0), friction=friction, grip="rigid")
         return Episode([door], {"radius": radius, "friction": friction})
 
-    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
-        """Count the opening, and the force in the grip."""
-        (door,) = episode.scene
-        angle, episode.force = door.measure(plant)
-        episode.progress = max(episode.progress, min(angle / OPEN, 1.0))
+    def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
+        """Count the opening."""
+        return np.maximum(before, np.minimum(place / OPEN, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,11 +138,14 @@ class Drawer(Task):
             [sim.drawer(axis=axis, friction=friction)], {"angle": angle, "friction": friction}
         )
 
-    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
-        """Count the opening, and the force in the grip."""
+    def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
+        """Count the opening."""
+        return np.minimum(place / 0.2, 1.0)
+
+    def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
+        """Return the widest opening [m], and the force in the grip."""
         (box,) = episode.scene
-        episode.progress = min(float(box.widest) / 0.2, 1.0)
-        episode.force = float(np.linalg.norm(box.force))
+        return float(box.widest), float(np.linalg.norm(box.force))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,11 +168,13 @@ class Wall(Task):
         wall = sim.Wall(distance=distance, stiffness=stiffness)
         return Episode([wall], {"distance": distance, "stiffness": stiffness})
 
-    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
+    def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
         """Count the time within the force band."""
-        episode.force = float(np.linalg.norm(plant.hands[0].force))
-        if TOUCH[0] <= episode.force <= TOUCH[1]:
-            episode.progress = min(episode.progress + dt / 2.0, 1.0)
+        return _count_touch(force, before, dt / 2.0)
+
+    def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
+        """Return 0 and the force of the wall."""
+        return 0.0, float(np.linalg.norm(plant.hands[0].force))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,14 +196,13 @@ class Wipe(Task):
         surface = sim.Surface(unevenness=unevenness, below=below)
         return Episode([surface], {"unevenness": unevenness, "below": below})
 
-    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
+    def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
         """Count the distance along y within the force band."""
-        episode.force = float(np.linalg.norm(plant.hands[0].force))
-        place = float(plant.tool[1, 3])
-        last = place if episode.place is None else episode.place
-        episode.place = place
-        if TOUCH[0] <= episode.force <= TOUCH[1]:
-            episode.progress = min(episode.progress + abs(place - last) / 0.3, 1.0)
+        return _count_touch(force, before, np.abs(move) / 0.3)
+
+    def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
+        """Return the tool's position along y [m], and the force of the surface."""
+        return float(plant.tool[1, 3]), float(np.linalg.norm(plant.hands[0].force))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,8 +225,11 @@ class Plug(Task):
         hole = sim.Socket(offset=(x, y, -0.02), tilt=(roll, pitch, 0.0))
         return Episode([hole], {"x": x, "y": y, "roll": float(roll), "pitch": float(pitch)})
 
-    def update(self, episode: Episode, plant: Plant, dt: float) -> None:
-        """Count the depth, and the force of the contacts."""
+    def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
+        """Count the depth."""
+        return np.clip(place / 0.028, 0.0, 1.0)
+
+    def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
+        """Return the largest depth [m], and the force of the contacts."""
         (hole,) = episode.scene
-        episode.progress = min(max(float(hole.deepest) / 0.028, 0.0), 1.0)
-        episode.force = float(hole.force)
+        return float(hole.deepest), float(hole.force)

@@ -1,45 +1,68 @@
-"""Physics of a control period in one call of MuJoCo, for scenes whose forces MuJoCo computes."""
+"""Physics of a control period in one call of MuJoCo, for arms that hold one object."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from math import hypot
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pliant.sim._mujoco import mujoco
 
 if TYPE_CHECKING:
-    from pliant._typing import Array
+    from collections.abc import Iterable
+
     from pliant.sim.plant import Plant
 
 
-class NativeArm:
-    """Runs a `Plant` without bus, hands and per-step forces; the interpreter lock is released.
+class NativeArms:
+    """Runs `Plant` objects without bus, hands and per-step forces, one after another.
 
-    The plant must have no delays, losses, encoder steps, dead bands, hands or `Friction`. Its
-    fixtures record nothing. The arrays are views of the memory of MuJoCo and of the caller, because
-    each access through Python attributes costs a microsecond.
+    The plants have no delays, losses, encoder steps, dead bands, hands or `Friction`. The scene of
+    each is one `GraspedObject` with one joint, which records nothing.
 
     Args:
-        plant: Plant after `reset`.
-        goal: Goals of the servos (n,) [rad]; read in each period.
-        limits: Least and largest torque of each servo (n, 2) [N·m]; read in each period.
-        q: Joint positions (n,) [rad]; written in each period.
+        count: Number of arms N.
+        n: Number of joints of an arm.
+
+    Attributes:
+        goal: Goals of the servos (N, n) [rad]; read in each period.
+        limits: Least and largest torque of each servo (N, n, 2) [N·m]; read in each period.
+        q: Joint positions (N, n) [rad].
+        travel: Position of the object's joint since the reset (N,) [rad] or [m].
+        force: Norm of the force in the grip (N,) [N].
     """
 
-    def __init__(self, plant: Plant, goal: Array, limits: Array, q: Array) -> None:
+    def __init__(self, count: int, n: int) -> None:
+        self.goal, self.limits = np.zeros((count, n)), np.zeros((count, n, 2))
+        self._position, self.force = np.zeros((count, n + 1)), np.zeros(count)
+        self.q, self.travel = self._position[:, :n], self._position[:, n]
+        # What a period needs of an arm: views of the memory of MuJoCo and of the arrays above,
+        # because each access through attributes, after the physics of all other arms, is slow.
+        self._arms: list[Any] = [None] * count
+
+    def put(self, row: int, plant: Plant) -> None:
+        """Run another plant, after its `reset`, in a row."""
         model, data, n = plant.mj_model, plant.mj_data, plant.n
         dof, servo = plant._bank.addresses
         if not (np.array_equal(dof, np.arange(n)) and np.array_equal(servo, np.arange(n))):
             raise AssertionError("the joints of the chain come first in the physics model")
-        self._model, self._data, self._steps = model, data, plant.steps
-        self._goal, self._limits, self._q = goal, limits, q
-        self._range, self._ctrl = model.actuator_forcerange[:n], data.ctrl[:n]
-        self._qpos = data.qpos[:n]
+        if model.neq != 1 or data.qpos.size != n + 1:
+            raise AssertionError("a grip is the only constraint, the object has one joint")
+        self._position[row], self.force[row] = data.qpos, 0.0
+        self._arms[row] = (
+            model.actuator_forcerange[:n], self.limits[row], data.ctrl[:n], self.goal[row],
+            model, data, plant.steps, self._position[row], data.qpos,
+        )  # fmt: skip
 
-    def advance(self) -> None:
-        """Run one control period."""
-        self._range[:] = self._limits
-        self._ctrl[:] = self._goal
-        mujoco.mj_step(self._model, self._data, self._steps)
-        self._q[:] = self._qpos
+    def advance(self, rows: Iterable[int]) -> None:
+        """Run one control period of the arms `rows`."""
+        arms, force, step = self._arms, self.force, mujoco.mj_step
+        for row in rows:
+            torque, limits, servo, goal, model, data, steps, position, state = arms[row]
+            torque[:], servo[:] = limits, goal
+            step(model, data, steps)
+            position[:] = state
+            # Those of the grip come first, in base axes.
+            constraint = data.efc_force
+            force[row] = hypot(constraint[0], constraint[1], constraint[2])

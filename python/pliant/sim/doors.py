@@ -167,10 +167,6 @@ class Door(GraspedObject):
             )
             plant.mj_data.qfrc_applied[self._dof] -= pull * self.radius
 
-    def measure(self, plant: Plant) -> tuple[float, float]:
-        """Return opening angle [rad] and force in the grip [N] after a physics step, unrecorded."""
-        return float(plant.mj_data.qpos[self._qpos]), self.grip_force(plant)
-
     def after(self, plant: Plant) -> None:
         """Record the opening angle, and force and torque in the grip, after a physics step."""
         self.angle = float(plant.mj_data.qpos[self._qpos])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -97,11 +96,6 @@ class GraspedObject(Fixture):
         """Open the grip; the object stays where it is."""
         plant.mj_data.eq_active[self._grip] = 0
         self._row = None
-
-    def grip_force(self, plant: Plant) -> float:
-        """Return the norm of the force in the closed grip [N] after a physics step, unrecorded."""
-        first = self._first_row(plant.mj_data)
-        return math.hypot(*plant.mj_data.efc_force[first : first + 3].tolist())
 
     def _first_row(self, data: mujoco.MjData) -> int:
         """Return the first row of the grip among the constraint forces."""
