@@ -102,9 +102,9 @@ def test_a_run_that_was_cut_short_continues_where_it_ended(processes, tmp_path):
     assert sorted(notes.read_text().split()) == ["0", "1", "2", "3", "4", "5"]
 
 
-@pytest.mark.full
 def test_jobs_run_on_dask():
-    distributed = pytest.importorskip("distributed")
+    import distributed
+
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with (
         distributed.LocalCluster(**options) as cluster,
