@@ -131,7 +131,17 @@ impl Tare {
     };
 }
 
-/// State between readings.
+/// Last commands, in a ring buffer.
+#[derive(Debug, Clone)]
+struct History {
+    sent: [Sent; HISTORY],
+    /// Index of the newest command in `sent`.
+    newest: usize,
+    /// Number of commands in `sent`.
+    count: usize,
+}
+
+/// State between readings, without the commands, because an update copies it.
 #[derive(Debug, Clone, Copy)]
 struct State {
     filter: VelocityFilter,
@@ -151,12 +161,6 @@ struct State {
     started: bool,
     /// True if residual and uncertainty are valid.
     filters_ready: bool,
-    /// Last commands, in a ring buffer.
-    sent: [Sent; HISTORY],
-    /// Index of the newest command in `sent`.
-    newest: usize,
-    /// Number of commands in `sent`.
-    count: usize,
     touch: Events,
     stop: Events,
     estimate: WrenchEstimate,
@@ -198,6 +202,7 @@ pub struct ContactEstimator {
     constants: Option<JointVec>,
     tare: Tare,
     tared: bool,
+    history: History,
     state: State,
 }
 
@@ -240,6 +245,7 @@ impl ContactEstimator {
         let contact = Self {
             tare: Tare::NONE,
             tared: false,
+            history: History { sent: [Sent { goal: resting, limit: resting }; HISTORY], newest: 0, count: 0 },
             state: State {
                 filter: VelocityFilter::new(&resting),
                 previous_q: resting,
@@ -250,9 +256,6 @@ impl ContactEstimator {
                 uncertainty: resting,
                 started: false,
                 filters_ready: false,
-                sent: [Sent { goal: resting, limit: resting }; HISTORY],
-                newest: 0,
-                count: 0,
                 touch: Events::new(&options.touch, hysteresis, min_time, guard),
                 stop: Events::new(&options.stop, hysteresis, min_time, guard),
                 estimate: WrenchEstimate::empty(n),
@@ -292,7 +295,7 @@ impl ContactEstimator {
     /// Clears velocities, filters, stored commands, events and the estimate; keeps the tare.
     pub fn reset(&mut self) {
         let state = &mut self.state;
-        (state.started, state.filters_ready, state.count) = (false, false, 0);
+        (state.started, state.filters_ready, self.history.count) = (false, false, 0);
         state.touch.reset();
         state.stop.reset();
         state.estimate = WrenchEstimate::empty(self.joints.n);

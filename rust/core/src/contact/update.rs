@@ -2,7 +2,7 @@
 
 use super::residual::{Balance, ModelErrors, Noise};
 use super::wrench::Estimator;
-use super::{ContactEstimator, ContactInput, HISTORY, Sent, State, Tare, WrenchEstimate};
+use super::{ContactEstimator, ContactInput, HISTORY, History, Sent, State, Tare, WrenchEstimate};
 use crate::controller::{Controller, period};
 use crate::error::{Error, Result};
 use crate::kinematics::JointFrames;
@@ -72,17 +72,13 @@ impl ContactEstimator {
         let sent = sent(controller, input)?;
 
         let mut state = self.state;
-        if let Some(sent) = sent {
-            state.newest = (state.newest + 1) % HISTORY;
-            state.sent[state.newest % HISTORY] = sent;
-            state.count = (state.count + 1).min(HISTORY);
-        }
         let motion = self.motion(controller, &q, dq.as_ref(), dt, &mut state);
-        let (torque, saturated) = match (measured, state.command_at_reading(controller.delay(), dt)) {
+        let (torque, saturated) = match (measured, self.history.at_reading(sent, controller.delay(), dt)) {
             (Some(load), _) => (load, [false; MAX_JOINTS]),
             (None, Some(sent)) => self.joints.servo_torque(&sent.goal, &sent.limit, &motion.middle, &motion.velocity),
             (None, None) => {
                 state.estimate = WrenchEstimate { velocity: motion.velocity, ..WrenchEstimate::empty(self.joints.n) };
+                self.history.push(sent);
                 self.state = state;
                 return Ok(&self.state.estimate);
             }
@@ -148,6 +144,7 @@ impl ContactEstimator {
             return Err(Error::config("contact", "the estimate is not finite for this q, load and servo table"));
         }
         state.estimate = estimate;
+        self.history.push(sent);
         self.state = state;
         Ok(&self.state.estimate)
     }
@@ -386,16 +383,26 @@ impl ContactEstimator {
     }
 }
 
-impl State {
-    /// Returns the command that the servos followed when the present reading was taken; `None` if it is not stored.
-    fn command_at_reading(&self, delay: f64, dt: f64) -> Option<Sent> {
+impl History {
+    /// Returns the command that the servos followed when the present reading was taken, where `sent` is the newest one;
+    /// `None` if it is not stored.
+    fn at_reading(&self, sent: Option<Sent>, delay: f64, dt: f64) -> Option<Sent> {
         let mut ago = 0;
         let mut passed = 0.5 * dt;
         while passed < delay && ago < HISTORY {
             passed += dt;
             ago += 1;
         }
-        (ago < self.count).then(|| self.sent[(self.newest + HISTORY - ago) % HISTORY])
+        let Some(stored) = ago.checked_sub(usize::from(sent.is_some())) else { return sent };
+        (ago < HISTORY && stored < self.count).then(|| self.sent[(self.newest + HISTORY - stored) % HISTORY])
+    }
+
+    fn push(&mut self, sent: Option<Sent>) {
+        if let Some(sent) = sent {
+            self.newest = (self.newest + 1) % HISTORY;
+            self.sent[self.newest % HISTORY] = sent;
+            self.count = (self.count + 1).min(HISTORY);
+        }
     }
 }
 
