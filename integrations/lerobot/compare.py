@@ -5,6 +5,9 @@
 
 Every run has an emulated arm of its own, to which both connect over a serial port. Forces are
 those of the simulation, not estimates.
+
+Loop and emulator run in real time: start it on an idle machine, or with `nice -n -10`, because
+each wait for a processor adds to the lag.
 """
 
 from __future__ import annotations
