@@ -89,7 +89,9 @@ def is_slow(file: str) -> bool:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that `make check` leaves out."""
+    """Mark the tests that `make check` leaves out, and those that this system cannot run."""
     for item in items:
+        if not hasattr(os, "openpty") and item.get_closest_marker("pty"):
+            item.add_marker(pytest.mark.skip(reason="the emulator's ports are pseudo-terminals"))
         if is_slow(item.path.relative_to(ROOT).as_posix()):
             item.add_marker("slow")

@@ -60,6 +60,7 @@ def move(arm, name):
     return target[:3, 3], arm.model.forward_kinematics(tick.q)[:3, 3]
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
 def test_a_ready_arm_moves_over_real_bytes(name):
     read = config.load(name)
@@ -78,6 +79,7 @@ def test_a_ready_arm_moves_over_real_bytes(name):
     assert order[:3] == ["limit", "goal", "torque on"]
 
 
+@pytest.mark.pty
 def test_a_ready_arm_on_an_emulator_of_its_own():
     options = {"rate": 20.0, "comm_timeout": 20.0, "handle_signals": False}
     with pliant.connect("arm7", backend="emulator", **options) as arm:

@@ -57,6 +57,7 @@ def test_urdf_and_file_that_disagree_on_joints():
     ("text", "said"),
     [
         ("x =", "is no TOML"),
+        ('robot.urdf = "C:\\Users\\arm.urdf"', "is no TOML.*write a path with / or in single quotes"),
         (SIM + "bakend = 1", "did you mean 'backend'"),
         ("backend = 'sim'\n[robot]\n", "robot: takes one of urdf and builtin"),
         (SIM + "[loop]\nrate = -1", r"loop\.rate = -1: input should be greater than 0"),
@@ -256,7 +257,7 @@ def makers_arm(read):
             yield arm
 
 
-@pytest.mark.parametrize("backend", ["sim", "emulator"])
+@pytest.mark.parametrize("backend", ["sim", pytest.param("emulator", marks=pytest.mark.pty)])
 def test_the_file_for_the_makers_so101_runs_as_printed(backend, tmp_path):
     page = Path(__file__).parents[2] / "docs" / "robots" / "so101.md"
     (text,) = re.findall(r"^```toml\n(.*?)^```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)

@@ -45,7 +45,7 @@ def read(name, tmp_path, backend):
     if not urdf.is_file():
         pytest.skip(f"no {urdf}")
     file = tmp_path / "arm.toml"
-    file.write_text(KOCH.format(urdf=urdf, volts=7.4), "utf-8")
+    file.write_text(KOCH.format(urdf=urdf.as_posix(), volts=7.4), "utf-8")
     return config.load(file, backend=backend)
 
 
@@ -63,6 +63,7 @@ def on_bytes(own, model):
             arm.close()
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("name", [*OWN, "vx300s", "koch by its URDF"])
 def test_the_arm_assumes_the_same_servos_on_every_backend(name, tmp_path):
     own = read(name, tmp_path, "sim")
@@ -113,6 +114,7 @@ def test_the_gripper_of_the_simulator_has_the_servo_of_the_file():
     assert arm.gripper.max_limit == pytest.approx(drive.servos.max_torque[at])
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("kp", [True, False])
 def test_k_p_is_known_where_the_file_has_it_for_the_whole_chain(kp):
     ready = tomllib.loads((Path(config.__file__).parent / "arms" / "so101.toml").read_text("utf-8"))

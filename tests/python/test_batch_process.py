@@ -38,6 +38,7 @@ print(os.waitstatus_to_exitcode(os.wait()[1]))
     assert ran(code).split() == ["0"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no getrusage")
 def test_many_arms_take_no_memory_beside_their_results():
     code = """
 import resource, sys
