@@ -354,17 +354,13 @@ def _over_bytes(job: Case) -> Iterator[tuple[Arm, PeakRecorder]]:
         timing=Timing(wire=True),
         plant={"friction_scale": truth.friction, "payload": _payload(truth)},
     )
-    recorder, step = PeakRecorder(job, bus.plant), bus.world.physics.step
+    recorder = PeakRecorder(job, bus.plant)
+    bus.world.watchers.append(recorder.record)
     names = [joint for joint, servo in own.servo.items() for _ in range(1 + bool(servo.secondary))]
     scales = dict(zip(model.joint_names, truth.stiffness, strict=True))
     for servo, joint in zip(bus.world.servos, names, strict=False):
         _set_true_behaviour(servo, scales.get(joint, 1.0), truth.step)
 
-    def watched(count: int) -> None:
-        step(count)
-        recorder.record(count)
-
-    bus.world.physics.step = watched  # type: ignore[method-assign]
     with bus:
         drive = ServoBus(
             factory.servo_specs(own, bus.ports),

@@ -111,17 +111,15 @@ def _for_duration(
     def act(scene: Scene) -> Array | None:
         if scene.first:
             begin(scene.bus)
-            physics, until = scene.bus.world.physics, scene.bus.time + seconds
-            step = physics.step
+            watchers, until = scene.bus.world.watchers, scene.bus.time + seconds
 
-            def stepping(count: int) -> None:
-                step(count)
+            def watch(_: int) -> None:
                 if scene.bus.time >= until:
+                    watchers.remove(watch)
                     end(scene.bus)
-                    physics.step = step  # type: ignore[method-assign]
 
-            # The physics step ends the fault: the control loop cannot if the fault blocks it.
-            physics.step = stepping  # type: ignore[method-assign]
+            # The physics ends the fault: the control loop cannot if the fault blocks it.
+            watchers.append(watch)
         return scene.target
 
     return act
@@ -371,7 +369,7 @@ class PeakRecorder:
     """
 
     def __init__(self, bus: ArmEmulator, least: float = 0.0) -> None:
-        """Replace the emulator's physics step by `step`.
+        """Record after each physics step of the emulator.
 
         The time from `begin` to `end` counts as at least `least` [s].
         """
@@ -383,8 +381,7 @@ class PeakRecorder:
         self._tick: deque[tuple[int, Array, float]] = deque()
         self.worst = (0.0, np.inf)
         self.start = self.lowest = 0.0
-        self._step: Callable[[int], None] = bus.world.physics.step
-        bus.world.physics.step = self.step  # type: ignore[method-assign]
+        bus.world.watchers.append(self._record)
 
     def begin(self) -> None:
         """Start the record at the present time, for example the time of a fault."""
@@ -415,9 +412,8 @@ class PeakRecorder:
         sizes = [0.0, *np.linalg.norm(mean, axis=1)]
         return float(max(sizes)), float(share @ [a for _, _, a in self._tick])
 
-    def step(self, count: int) -> None:
-        """Advance the physics by `count` steps; update the recorded peaks."""
-        self._step(count)
+    def _record(self, count: int) -> None:
+        """Update the recorded peaks after `count` physics steps."""
         plant = self.bus.plant
         if plant.time <= self.begun:
             return

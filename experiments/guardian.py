@@ -34,8 +34,6 @@ from pliant.emulator.process import EmulatorProcess
 from pliant.loop import Loop
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from pliant.config import Config
     from pliant.emulator import ArmEmulator
     from pliant.emulator.log import Transaction
@@ -74,7 +72,7 @@ class Recorder:
     """Record of an emulated arm: tool, torque and goals, by the system's monotonic clock.
 
     Args:
-        bus: The emulator; its physics step is replaced.
+        bus: The emulator.
     """
 
     def __init__(self, bus: ArmEmulator) -> None:
@@ -82,14 +80,12 @@ class Recorder:
         self._rows: list[tuple[float, float, float, bool]] = []
         self._goals: list[float] = []
         self._first: list[dict[str, int]] | None = None
-        self._step: Callable[[int], None] = bus.world.physics.step
-        bus.world.physics.step = self._recorded  # type: ignore[method-assign]
+        bus.world.watchers.append(self._recorded)
         bus.log.watch = self._watched
 
-    def _recorded(self, count: int) -> None:
+    def _recorded(self, _: int) -> None:
         if self._first is None:
             self._first = self._registers()
-        self._step(count)
         plant = self._bus.plant
         speed = float(np.linalg.norm(plant.ground_truth.frame("tool").twist()[:3]))
         self._rows.append((time.monotonic(), float(plant.tool[2, 3]), speed, self.has_torque()))

@@ -146,19 +146,17 @@ def enabled_with_old_goals(family, lost=0):
         for servo in bus.servos:
             servo.put("goal_position", servo.position - 500)
         count, start, ways = 0, bus.plant.tool[:3, 3].copy(), []
-        step = bus.world.physics.step
 
         def chance():
             nonlocal count
             count += 1
             return "deaf" if count == lost else None
 
-        def watched(steps):
-            step(steps)
+        def watch(_):
             ways.append(np.linalg.norm(bus.plant.tool[:3, 3] - start))
 
         bus.lines["main"].faults.chance = chance
-        bus.world.physics.step = watched
+        bus.world.watchers.append(watch)
         arm.enable()
         arm.disable_torque()
         arm.close()
@@ -252,19 +250,17 @@ def test_lowered_in_place_of_a_program_that_never_returns():
         arm.close()
 
 
-def test_an_unknown_load_sinks_and_is_brought_back_slowly(monkeypatch):
+def test_an_unknown_load_sinks_and_is_brought_back_slowly():
     q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
     with (
         unknown(0.4),
         arm_over_bytes("sts", q, plant={"payload": (0.4, (0.0, 0.0, 0.0))}) as (bus, arm),
     ):
-        step = bus.world.physics.step
 
-        def watched(count):
-            step(count)
+        def watch(_):
             tools.append((bus.plant.tool[2, 3], bus.plant.ground_truth.frame("tool").twist()[2]))
 
-        monkeypatch.setattr(bus.world.physics, "step", watched)
+        bus.world.watchers.append(watch)
         arm.enable()
         arm.disable_torque()
     height, speed = np.array(tools).T

@@ -8,7 +8,7 @@ from pliant._core import ConfigError
 from pliant.emulator.motion import Joints
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from pliant.emulator.motion import Physics
     from pliant.emulator.servo import Servo
@@ -24,6 +24,7 @@ class Simulation:
         servos: All servos of all ports.
         physics: Physics of the servo shafts.
         time: Emulated time since the start [s], a whole number of physics steps.
+        watchers: Functions that are called with the number of physics steps just made.
     """
 
     def __init__(self, servos: Sequence[Servo], physics: Physics | None = None) -> None:
@@ -31,6 +32,7 @@ class Simulation:
         self.servos = list(servos)
         self.physics: Physics = Joints() if physics is None else physics
         self.time = 0.0
+        self.watchers: list[Callable[[int], None]] = []
         self._steps, self._remainder, self._steps_since_update = 0, 0.0, 0
         self.physics.bind(self.servos)
         for servo in self.servos:
@@ -57,6 +59,8 @@ class Simulation:
         while steps > 0:
             now = min(steps, most - self._steps_since_update)
             self.physics.step(now)
+            for watch in tuple(self.watchers):
+                watch(now)
             self._steps += now
             self._steps_since_update += now
             steps -= now
