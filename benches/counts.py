@@ -78,8 +78,8 @@ def compiler() -> str:
 
 
 def build() -> Path:
-    """Build the Rust bench `counts` in release mode, like the wheel; return its path."""
-    command = ["cargo", "build", "--release", "-p", "pliant-core", "--bench", "counts"]
+    """Build the Rust program `counts` in release mode, like the wheel; return its path."""
+    command = ["cargo", "build", "--release", "-p", "pliant-benches", "--bin", "counts"]
     command += ["--message-format=json", "--quiet", *(["--locked"] if os.environ.get("CI") else [])]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
     for line in done.stdout.splitlines():

@@ -10,7 +10,7 @@ use pliant_core::{JointFrames, JointVec, MAX_AXES, MAX_JOINTS, Model, ModelOptio
 const STATES: usize = 64;
 
 fn arm() -> Model {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../benches/arm7_bench.urdf");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("arm7_bench.urdf");
     Model::from_urdf_file(path, &ModelOptions::default()).expect("the bench arm is part of the repository")
 }
 

@@ -11,7 +11,7 @@ use pliant_core::{Model, ModelOptions, Pose, Servos, Settings};
 pub(crate) const STATES: usize = 64;
 
 pub(crate) fn arm() -> Arc<Model> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../benches/arm7_bench.urdf");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("arm7_bench.urdf");
     Arc::new(Model::from_urdf_file(path, &ModelOptions::default()).expect("the bench arm is part of the repository"))
 }
 

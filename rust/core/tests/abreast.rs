@@ -1,20 +1,13 @@
 //! Batch steps that process several arms in parallel SIMD lanes give the commands of single steps, up to rounding.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
 use pliant_core::params::{Damping, Follow, Law, NullSpace, PaperOptions, Projector, Tracking};
 use pliant_core::{BatchInput, Controller, Model, ModelOptions, OnInvalid, Settings, SimdLevel, StepInput};
 
-#[path = "oracle/cases.rs"]
-mod cases;
-#[path = "common/many.rs"]
-mod many;
-#[path = "common/seeded.rs"]
-mod seeded;
-
-use many::{ARMS, Arms, Out, single};
-use seeded::Random;
+use crate::cases;
+use crate::many::{ARMS, Arms, Out, single};
+use crate::seeded::{self, Random};
 
 /// Settings of law `paper` as printed, for which batch steps process several arms at once.
 fn printed(random: &mut Random, model: &Arc<Model>) -> Settings {

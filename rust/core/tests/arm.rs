@@ -1,12 +1,8 @@
 //! Points, descent, hand guiding, joint follower, position filter, command limiter and thermal model of an arm: tests
 //! with a quasi-static arm and with invalid inputs.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
-
-mod common;
 
 use std::sync::Arc;
 
-use common::arm7;
 use pliant_core::arm::{
     CommandLimiter, DEFAULT_SPEED, HandGuidingOptions, JointFollowerOptions, LimiterInput, LoweringPhase,
     LoweringStart, PositionFilter, SUPPORT, SwingResult, ThermalOptions, torque_margin,
@@ -14,6 +10,8 @@ use pliant_core::arm::{
 use pliant_core::kinematics::{ArmPoints, Reference};
 use pliant_core::{Command, HandGuiding, JointFollower, JointVec, Lowering, MAX_JOINTS, Model, Servos, ThermalModel};
 use proptest::prelude::*;
+
+use crate::common::arm7;
 
 const Q: [f64; 7] = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17]; // [rad]
 const DT: f64 = 0.01; // [s]

@@ -1,6 +1,5 @@
 //! A batch step gives the commands of single steps for random settings of all laws: bit for bit, or up to rounding
 //! where several arms are processed at once.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -9,15 +8,9 @@ use pliant_core::{
     BatchInput, BatchState, Controller, Error, MAX_AXES, ModelOptions, OnInvalid, Pose, Settings, StepInput, Targets,
 };
 
-#[path = "oracle/cases.rs"]
-mod cases;
-#[path = "common/many.rs"]
-mod many;
-#[path = "common/seeded.rs"]
-mod seeded;
-
-use many::{ARMS, Arms, Out, bits, single};
-use seeded::Random;
+use crate::cases;
+use crate::many::{ARMS, Arms, Out, bits, single};
+use crate::seeded::{self, Random};
 
 /// Returns controllers with random settings of all laws, for arms of seven and of five joints.
 fn controllers(random: &mut Random, each: usize) -> Vec<Controller> {

@@ -1,18 +1,13 @@
 //! Bounds on commands that hold for every input, and continuity: a small change of the reading changes the command
 //! little.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
 use pliant_core::params::{Axis, CompliantSide, Follow, Law, LimitRule, PaperOptions, Task, TorqueLimits, Tracking};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, Settings, StepInput};
 
-#[path = "oracle/cases.rs"]
-mod cases;
-#[path = "common/seeded.rs"]
-mod seeded;
-
-use seeded::Random;
+use crate::cases;
+use crate::seeded::{self, Random};
 
 fn arm(index: usize) -> Arc<Model> {
     seeded::arm(index, &ModelOptions::default())

@@ -1,14 +1,12 @@
 //! Near a position limit, the rest posture no longer acts on an arm that a push displaces: the push does not have to
 //! overcome the null-space torque there.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
 use pliant_core::params::{Axis, CompliantSide, Law, NullSpace, PaperOptions};
 use pliant_core::{Controller, Model, ModelOptions, Settings, StepInput};
 
-#[path = "common/seeded.rs"]
-mod seeded;
+use crate::seeded;
 
 /// The grasp posture [rad]; clear of all position limits.
 const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];

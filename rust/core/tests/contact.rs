@@ -1,14 +1,12 @@
 //! The contact estimate equals the true wrench if the model is exact, stays within its bound otherwise, and rejects
 //! invalid input.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
 use pliant_core::params::{Frame, Task};
 use pliant_core::{ContactEstimator, ContactInput, ContactOptions, Controller, Model, Reference, Servos, Settings};
 
-#[path = "common/mod.rs"]
-mod common;
+use crate::common;
 
 const GRASP: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
 const KP: [f64; 7] = [150.0, 150.0, 150.0, 150.0, 60.0, 60.0, 60.0];

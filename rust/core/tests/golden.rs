@@ -1,5 +1,4 @@
 //! Intermediate values of the control step against `tests/data/golden`, computed with Pinocchio and NumPy.
-#![allow(clippy::unwrap_used, reason = "tests fail by panicking")]
 
 use std::sync::Arc;
 

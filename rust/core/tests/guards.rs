@@ -1,17 +1,9 @@
 //! Every check of the URDF reader rejects its file with a message that names the element, its value and the remedy.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests fail by panicking and say what they skip"
-)]
 
-mod common;
-
-use common::data;
 use pliant_core::error::Error;
 use pliant_core::model::{Model, ModelOptions};
+
+use crate::common::data;
 
 /// Asserts that a file of `data/guards` is rejected with a message that contains all `pieces`.
 #[track_caller]

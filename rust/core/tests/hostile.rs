@@ -1,19 +1,11 @@
 //! Any text gives a model or an error, never a panic or an endless loop.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests fail by panicking and say what they skip"
-)]
-
-mod common;
 
 use std::time::Instant;
 
-use common::root;
 use pliant_core::model::{Model, ModelOptions};
 use proptest::prelude::*;
+
+use crate::common::root;
 
 /// Reads the text; if that succeeds, also computes kinematics with the model.
 fn survives(text: &str) {

@@ -1,7 +1,6 @@
 //! Any input numbers give a finite command or a typed error, and an error does not change the controller.
 //!
 //! Runs 10⁵ random inputs by default; the environment variable `PLIANT_HOSTILE` sets another number.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -11,12 +10,8 @@ use pliant_core::params::{
 };
 use pliant_core::{Controller, Error, LimitType, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
-#[path = "oracle/cases.rs"]
-mod cases;
-#[path = "common/seeded.rs"]
-mod seeded;
-
-use seeded::Random;
+use crate::cases;
+use crate::seeded::{self, Random};
 
 fn inputs() -> usize {
     std::env::var("PLIANT_HOSTILE").ok().and_then(|count| count.parse().ok()).unwrap_or(100_000)

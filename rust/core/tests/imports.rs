@@ -2,7 +2,6 @@
 //!
 //! Reads every path that begins with `crate::` in the sources, including test modules. Comments are ignored, so that
 //! documentation may link to later modules.
-#![allow(clippy::unwrap_used, reason = "a test may fail loudly, its helpers too")]
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -163,4 +162,21 @@ fn an_upward_import_is_found_in_every_form() {
     }
     assert!(upward("law", &code("/// See [`crate::controller`].\nuse crate::{pose::Pose, task};")).is_empty());
     assert_eq!(upward("contact", "use crate::analysis::report;"), ["contact imports analysis"]);
+}
+
+#[test]
+fn every_test_file_belongs_to_a_program() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let programs = ["Cargo.toml", "tests/all.rs"].map(|file| fs::read_to_string(folder.join(file)).unwrap());
+    for entry in fs::read_dir(folder.join("tests")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "rs") {
+            let name = path.file_stem().unwrap().to_str().unwrap();
+            let declared = [format!("path = \"tests/{name}.rs\""), format!("\nmod {name};")];
+            assert!(
+                programs.iter().zip(declared).any(|(text, line)| text.contains(&line)),
+                "tests/{name}.rs is never compiled: add `mod {name};` to tests/all.rs"
+            );
+        }
+    }
 }

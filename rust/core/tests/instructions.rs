@@ -1,15 +1,11 @@
 //! All instruction sets give the same commands up to rounding; one instruction set gives the same bits in every run.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
 use pliant_core::params::{Axis, CompliantSide, Law, PaperOptions, Settings, Tracking};
 use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, SimdLevel, StepInput};
 
-#[path = "common/seeded.rs"]
-mod seeded;
-
-use seeded::Random;
+use crate::seeded::{self, Random};
 
 fn arm() -> Arc<Model> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/golden/arm7.urdf");

@@ -1,24 +1,16 @@
 //! Poses, Jacobians and gravity torques against reference values and against each other.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests fail by panicking and say what they skip"
-)]
 
-mod common;
-
-use common::{
-    arm7, close, data, finite_difference, isometry, json, matrix, numbers, potential_energy, robot, root, slow_tool,
-    state,
-};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
 use pliant_core::error::Error;
 use pliant_core::kinematics::{IkOptions, IkStatus, Reference};
 use pliant_core::model::{Model, ModelOptions, Payload};
 use pliant_core::pose::Pose;
 use proptest::prelude::*;
+
+use crate::common::{
+    self, arm7, close, data, finite_difference, isometry, json, matrix, numbers, potential_energy, robot, root,
+    slow_tool, state,
+};
 
 const ROBOTS: [&str; 6] = ["planar_2r", "twisted_6r", "hobby_5dof", "fixed_pairs", "sliding", "mimics"];
 

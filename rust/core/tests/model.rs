@@ -1,20 +1,12 @@
 //! Options of a model (base, tip, locked joints, limits) and properties of the model (mimics, masses).
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests fail by panicking and say what they skip"
-)]
-
-mod common;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use common::{arm7, between, close, data, robot};
 use pliant_core::error::Error;
 use pliant_core::model::{JointKind, Model, ModelOptions, Payload};
+
+use crate::common::{self, arm7, between, close, data, robot};
 
 fn load(name: &str, options: &ModelOptions) -> Result<Model, Error> {
     Model::from_urdf_file(data("robots").join(name).with_extension("urdf"), options)

@@ -1,7 +1,6 @@
 //! Checks names of types, functions, modules and constants: no invented word where the field has a term.
 //!
 //! Reads all Rust sources of the workspace. Test functions are exempt: their names are sentences.
-#![allow(clippy::unwrap_used, reason = "a test may fail loudly, its helpers too")]
 
 use std::fs;
 use std::path::{Path, PathBuf};

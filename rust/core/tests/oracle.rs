@@ -1,5 +1,4 @@
 //! Compares the control step with the slow one of `oracle/`, over random settings, arms and sequences of ticks.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -8,15 +7,13 @@ use pliant_core::params::DampingParams;
 use pliant_core::params::Law;
 use pliant_core::{Controller, ModelOptions, Payload, StepInput};
 
-#[path = "oracle/cases.rs"]
-mod cases;
-#[path = "oracle/mod.rs"]
-mod oracle;
-#[path = "common/seeded.rs"]
-mod seeded;
+use crate::cases;
+use crate::seeded::{self, Random};
 
-use oracle::{Oracle, Tick, Vector};
-use seeded::Random;
+#[path = "oracle/mod.rs"]
+mod slow;
+
+use slow::{Oracle, Tick, Vector};
 
 /// Relative tolerance, with respect to the larger of the value and the scale of its vector.
 const TOLERANCE: f64 = 1e-9;
@@ -51,7 +48,7 @@ impl Judge<'_> {
         self.same(what, &[got], &Vector::from_element(1, want));
     }
 
-    fn matrix(&self, what: &str, got: &oracle::Matrix, want: &oracle::Matrix) {
+    fn matrix(&self, what: &str, got: &slow::Matrix, want: &slow::Matrix) {
         assert_eq!(got.shape(), want.shape(), "{}: {what}", self.case);
         for column in 0..got.ncols() {
             let (got, want) = (got.column(column).into_owned(), want.column(column).into_owned());

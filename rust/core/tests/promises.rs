@@ -1,5 +1,4 @@
 //! Defaults derived from the arm, rejected settings, and the estimate of the smallest singular value.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -10,10 +9,7 @@ use pliant_core::params::{
 };
 use pliant_core::{Controller, Error, Model, ModelOptions, Reference, Servos, Settings, StepInput};
 
-#[path = "common/seeded.rs"]
-mod seeded;
-
-use seeded::Random;
+use crate::seeded::{self, Random};
 
 fn arm(index: usize) -> (Arc<Model>, Servos) {
     (seeded::arm(index, &ModelOptions::default()), seeded::servos(index))

@@ -1,5 +1,4 @@
 //! Properties that hold for every pose and target: activation, projector, inverse, signs, gradients.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -10,11 +9,8 @@ use pliant_core::params::{
 };
 use pliant_core::{Controller, Model, ModelOptions, Pose, Settings, StepInput};
 
-mod common;
-#[path = "common/seeded.rs"]
-mod seeded;
-
-use seeded::Random;
+use crate::common;
+use crate::seeded::{self, Random};
 
 const NAMES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
 

@@ -1,5 +1,4 @@
 //! Invalid settings are rejected by an error that names them; settings that may be infinite are accepted.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -11,8 +10,7 @@ use pliant_core::{
     Payload, Servos, Settings, StepInput, Targets, damped_pseudo_inverse, joint_torque_limits, responsibility,
 };
 
-#[path = "common/mod.rs"]
-mod common;
+use crate::common;
 
 const GRASP: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
 

@@ -1,5 +1,4 @@
 //! The pose report: its forces against a search, its signs, and the proposals of a feasibility check.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
@@ -7,8 +6,7 @@ use pliant_core::analysis::{check_path, check_pose, raise_soft, report, report_a
 use pliant_core::params::{Axis, LimitRule, PaperOptions, Task};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Reference, Servos, Settings, StepInput};
 
-#[path = "common/mod.rs"]
-mod common;
+use crate::common;
 
 const GRASP: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
 

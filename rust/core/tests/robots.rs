@@ -1,19 +1,11 @@
 //! Tests with third-party robots, if their folder lies beside the repository; otherwise they pass without a check.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests fail by panicking and say what they skip"
-)]
-
-mod common;
 
 use std::path::PathBuf;
 
-use common::{close, json, matrix, numbers, root};
 use pliant_core::kinematics::Reference;
 use pliant_core::model::{Model, ModelOptions};
+
+use crate::common::{close, json, matrix, numbers, root};
 
 fn folder() -> Option<PathBuf> {
     let folder = root().join("../shared/robots");

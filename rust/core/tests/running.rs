@@ -1,15 +1,11 @@
 //! Changes while the controller runs: settings, payload, gravity, delay, captured gravity offset, integrating goal.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
 use pliant_core::params::{Axis, Compensation, CompliantSide, Frame, Law, NullSpace, Task, Tracking};
 use pliant_core::{Controller, Model, ModelOptions, Payload, Pose, Servos, Settings, StepInput};
 
-#[path = "common/seeded.rs"]
-mod seeded;
-
-use seeded::Random;
+use crate::seeded::{self, Random};
 
 /// The grasp posture [rad].
 const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];

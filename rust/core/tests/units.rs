@@ -1,14 +1,12 @@
 //! Targets in other units (millimetres, degrees) are rejected by every call on every instruction set, and do not change
 //! the controller.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test may fail loudly, its helpers too")]
 
 use std::sync::Arc;
 
 use pliant_core::analysis::check_path;
 use pliant_core::{Controller, Error, Model, Pose, Servos, Settings, SimdLevel, StepInput};
 
-#[path = "common/mod.rs"]
-mod common;
+use crate::common;
 
 const Q: [f64; 7] = [-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657];
 

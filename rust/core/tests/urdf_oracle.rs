@@ -1,19 +1,12 @@
 //! Compares links and joints with those that urdf-rs reads directly, without the checks of this crate.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests fail by panicking and say what they skip"
-)]
-
-mod common;
 
 use std::path::Path;
 
-use common::{close, json, root};
 use pliant_core::Pose;
 use pliant_core::model::{JointKind, Model, ModelOptions};
 use urdf_rs::JointType;
+
+use crate::common::{close, json, root};
 
 /// Asserts that two poses agree. Roll, pitch and yaw are rotations about fixed axes, roll first.
 fn same_pose(what: &str, pose: &Pose, other: &urdf_rs::Pose) {

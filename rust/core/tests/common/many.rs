@@ -1,5 +1,4 @@
 //! Inputs and outputs of batch steps, and the single steps to compare them with.
-#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use pliant_core::{BatchCommand, BatchInput, Controller, Model, Pose, StepInput, Targets};
 

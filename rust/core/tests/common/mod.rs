@@ -1,5 +1,4 @@
 //! Helpers of the test files: data, reference computations, finite differences, comparison.
-#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use std::path::{Path, PathBuf};
 

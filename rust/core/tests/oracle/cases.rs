@@ -1,5 +1,4 @@
 //! Random settings, servos and inputs for the control step and for the oracle.
-#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use std::sync::Arc;
 

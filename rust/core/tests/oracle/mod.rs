@@ -3,7 +3,6 @@
 //!
 //! It shares with the tested step only pose, Jacobian and gravity of the model. The estimate of σ, which may be off by
 //! a percent, is passed in. It has no tool speed limit.
-#![allow(dead_code, reason = "each test file is a crate of its own and uses a part of this")]
 
 use std::sync::Arc;
 
@@ -45,7 +44,6 @@ pub(crate) struct Tick {
     pub(crate) adapted: Vector,
     pub(crate) softness: Vector,
     pub(crate) compliance: Vector,
-    pub(crate) strength: Vector,
     pub(crate) most: Vector,
     pub(crate) dx: Vector,
     pub(crate) gradient: Vector,
@@ -339,7 +337,6 @@ impl Oracle {
             rows,
             adapted,
             softness,
-            strength,
             most,
             gradient,
             gravity,

@@ -1,0 +1,43 @@
+//! Tests of the public face, in one program: it is linked once, and shared code is compiled once.
+//!
+//! Tests that need an allocator of their own are programs of their own: `no_alloc`, `fuzz_corpus`.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may fail loudly, its helpers too, and print what it looked at"
+)]
+
+mod abreast;
+mod arm;
+mod batch;
+mod bounds;
+#[path = "oracle/cases.rs"]
+mod cases;
+mod clearance;
+mod common;
+mod contact;
+mod golden;
+mod guards;
+mod hostile;
+mod hostile_step;
+mod imports;
+mod instructions;
+mod kinematics;
+#[path = "common/many.rs"]
+mod many;
+mod model;
+mod names;
+#[path = "oracle.rs"]
+mod oracle;
+mod promises;
+mod properties;
+mod refused;
+mod report;
+mod robots;
+mod running;
+#[path = "common/seeded.rs"]
+mod seeded;
+mod units;
+mod urdf_oracle;
