@@ -42,6 +42,18 @@ SHARED = (
         "tests/demo/test_report.py::test_quick_demo_leaves_a_report_that_needs_nothing",
     ),
     ("tests/bands/test_campaign.py",),
+    tuple(
+        f"tests/cli/test_measure.py::test_{name}"
+        for name in (
+            "a_file_of_another_arm_is_not_continued",
+            "every_number_has_a_unit_and_a_line_in_the_document",
+            "every_step_says_first_what_arm_and_person_do",
+            "the_file_has_no_private_data",
+            "the_file_names_servos_latencies_and_the_ending",
+            "the_scale_shows_that_the_servos_are_stronger_than_promised",
+            "the_weight_shows_a_wrong_stiffness_and_a_hidden_load",
+        )
+    ),
     ("tests/emulator/test_process.py",),
     *((f"tests/lerobot_plugin/test_{name}.py",) for name in ("follower", "teleoperators")),
     *((f"tests/log/test_{name}.py",) for name in ("damage", "hostile", "log", "report")),
