@@ -7,19 +7,9 @@ from typing import TYPE_CHECKING
 
 from pliant._core import Controller
 from pliant.cli._console import print_line, print_summary
-from pliant.cli._flags import (
-    ArmName,
-    Axes,
-    ConfigFlags,
-    File,
-    Seconds,
-    check_duration,
-    check_log,
-    make_recorder,
-)
+from pliant.cli._control import load, make_loop
+from pliant.cli._flags import ArmName, Axes, ConfigFlags, File, Seconds
 from pliant.config import connect
-from pliant.config._soft import apply_soft
-from pliant.loop import Loop
 from pliant.ros import Bridge
 
 if TYPE_CHECKING:
@@ -56,10 +46,9 @@ class NetworkFlags:
             open_link: Function that starts the process of the network.
             ready: Text that is printed with the address of the process in place of {address}.
         """
-        config = self.override.load(self.arm)
-        check_log(self.log, self.override.inputs(self.arm, config))
-        check_duration(self.duration)
-        settings = apply_soft(config.settings(), self.soft, config.model(), option="--soft")
+        config, settings = load(
+            self.arm, self.override, self.soft, duration=self.duration, log=self.log
+        )
         # A simulated arm must keep the time of the clients.
         is_simulated = config.backend == "sim"
         connected = connect(config, real_time=True) if is_simulated else connect(config)
@@ -70,15 +59,7 @@ class NetworkFlags:
             loop = None
             try:
                 with connected as live:
-                    controller = Controller(live.model, settings, live.servos)
-                    recorder = None if self.log is None else make_recorder(self.log, config=config)
-                    loop = Loop(
-                        live,
-                        controller,
-                        rate=settings.rate,
-                        duration=self.duration,
-                        recorder=recorder,
-                    )
+                    loop = make_loop(live, settings, config, duration=self.duration, log=self.log)
                     bridge = Bridge(live, loop, link, self.state_rate)
                     for tick in loop:
                         bridge.step(tick)

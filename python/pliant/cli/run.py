@@ -14,25 +14,15 @@ from rich.table import Table
 from pliant._core import Command, Controller, Model
 from pliant._validation import AXES
 from pliant.cli._console import print_summary
-from pliant.cli._flags import (
-    ArmName,
-    Axes,
-    ConfigFlags,
-    File,
-    Seconds,
-    check_duration,
-    check_log,
-    make_recorder,
-)
+from pliant.cli._control import load, make_loop
+from pliant.cli._flags import ArmName, Axes, ConfigFlags, File, Seconds
 from pliant.cli._targets import Targets, open_targets
 from pliant.config import connect
-from pliant.config._soft import apply_soft
-from pliant.loop import Loop
 
 if TYPE_CHECKING:
     from pliant._typing import Array
     from pliant.arm import Arm
-    from pliant.loop import Tick
+    from pliant.loop import Loop, Tick
 
 #: Refresh rate of the live table [Hz].
 TABLE_RATE = 5.0
@@ -69,22 +59,14 @@ def run(
         log: MCAP file to write (needs the extra log).
         quiet: Do not show the table.
     """
-    arm_config = override.load(arm)
-    check_log(log, [*override.inputs(arm, arm_config), targets])
-    settings = arm_config.settings()
-    check_duration(duration)
-    model = arm_config.model()
-    settings = apply_soft(settings, soft, model, option="--soft")
+    arm_config, settings = load(arm, override, soft, duration=duration, log=log, source=targets)
     connected = connect(arm_config)
     # Check the settings here, so that an error is raised before torque is on.
     Controller(connected.model, settings, connected.servos)
     runs: list[tuple[Arm, Loop, list[str]]] = []
     try:
-        with open_targets(targets, model) as source, connected as live:
-            controller = Controller(live.model, settings, live.servos)
-            rate = controller.settings.rate
-            recorder = None if log is None else make_recorder(log, config=arm_config)
-            loop = Loop(live, controller, rate=rate, duration=duration, recorder=recorder)
+        with open_targets(targets, arm_config.model()) as source, connected as live:
+            loop = make_loop(live, settings, arm_config, duration=duration, log=log)
             _follow(runs, live, loop, source=source, quiet=quiet)
     finally:
         # Print only after the arm is lowered: a blocked terminal must not delay the descent.
