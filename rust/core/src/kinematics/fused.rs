@@ -24,7 +24,7 @@ pub(crate) struct KinematicState<J: JointVector> {
 /// Scratch memory of [`Chain::evaluate`]; contains no results.
 #[derive(Debug, Clone)]
 pub(crate) struct KinematicScratch {
-    simple: SimpleScratch<MAX_JOINTS>,
+    simple: SimpleScratch,
     frames: JointFrames,
     j_base: Rows,
     holding: JointVec,
@@ -33,24 +33,18 @@ pub(crate) struct KinematicScratch {
 impl KinematicScratch {
     pub(crate) fn new() -> Self {
         let zero = [0.0; MAX_JOINTS];
-        Self { simple: SimpleScratch::new(), frames: JointFrames::default(), j_base: [zero; MAX_AXES], holding: zero }
+        let simple = SimpleScratch { cells: JointAxes::new(), moments: [[0.0; 4]; MAX_JOINTS] };
+        Self { simple, frames: JointFrames::default(), j_base: [zero; MAX_AXES], holding: zero }
     }
 }
 
-/// Scratch memory of [`Chain::evaluate_simple`] for up to `N` joints; zeros in the padding.
+/// Scratch memory of [`Chain::evaluate_simple`]; zeros in the padding.
 #[derive(Debug, Clone)]
-pub(super) struct SimpleScratch<const N: usize> {
-    cells: JointAxes<N>,
+struct SimpleScratch {
+    cells: JointAxes<MAX_JOINTS>,
     /// First moment about each joint's origin [kg·m], base axes: of the joint's own group, then of everything it
     /// carries.
-    moments: [PaddedVec3; N],
-}
-
-impl<const N: usize> SimpleScratch<N> {
-    #[inline(always)]
-    pub(super) fn new() -> Self {
-        Self { cells: JointAxes::new(), moments: [[0.0; 4]; N] }
-    }
+    moments: [PaddedVec3; MAX_JOINTS],
 }
 
 /// Origin [m] and axis of each joint, base axes; zeros in the padding.
@@ -85,13 +79,13 @@ impl<T: StoreVec3, const N: usize> Visitor<T> for JointAxes<N> {
 }
 
 /// Visitor that stores the joint axes and the first moments of the groups.
-struct WithMasses<'a, const N: usize> {
-    cells: &'a mut JointAxes<N>,
-    moments: &'a mut [PaddedVec3; N],
+struct WithMasses<'a> {
+    cells: &'a mut JointAxes<MAX_JOINTS>,
+    moments: &'a mut [PaddedVec3; MAX_JOINTS],
     masses: &'a GroupMasses,
 }
 
-impl<T: StoreVec3, const N: usize> Visitor<T> for WithMasses<'_, N> {
+impl<T: StoreVec3> Visitor<T> for WithMasses<'_> {
     #[inline(always)]
     fn visit_joint(&mut self, k: usize, axes: &[T; 3], origin: T) {
         self.cells.visit_joint(k, axes, origin);
@@ -159,26 +153,27 @@ impl Chain {
         KinematicState { tool, j_base, holding: J::load(holding) }
     }
 
-    /// Computes [`Chain::evaluate`] for a simple chain of at most `N` joints, none of them beside its path.
+    /// Computes [`Chain::evaluate`] for a simple chain without joints beside its path.
     #[inline(always)]
-    pub(super) fn evaluate_simple<J: SingleArmJoints, const N: usize>(
+    fn evaluate_simple<J: SingleArmJoints>(
         &self,
         q: J,
         weight: Option<(&GroupMasses, &Vec3)>,
-        scratch: &mut SimpleScratch<N>,
+        scratch: &mut SimpleScratch,
     ) -> KinematicState<J> {
         let SimpleScratch { cells, moments } = scratch;
-        let joint_trigs = self.joint_trigs_simd::<J, N>(q);
+        let joint_trigs = self.joint_trigs_simd::<J, MAX_JOINTS>(q);
         let Some((masses, g)) = weight else {
-            let tool = self.forward_pass::<J::Vec3, N, false>(&joint_trigs, cells);
+            let tool = self.forward_pass::<J::Vec3, MAX_JOINTS, false>(&joint_trigs, cells);
             let (_, j_base) = cells.jacobian::<J>(&tool);
             return KinematicState { tool, j_base, holding: J::splat(0.0) };
         };
-        let tool = self.forward_pass::<J::Vec3, N, false>(&joint_trigs, &mut WithMasses { cells, moments, masses });
+        let tool =
+            self.forward_pass::<J::Vec3, MAX_JOINTS, false>(&joint_trigs, &mut WithMasses { cells, moments, masses });
         // First moments S − M o as in [`Chain::gravity`]. `subtree` and `mass` are S and M of the groups beyond the
         // joint's own, whose origin cancels.
         let (mut subtree, mut mass) = (J::Vec3::constant(&[0.0; 3]), 0.0);
-        for k in (0..self.path.min(N).min(MAX_JOINTS)).rev() {
+        for k in (0..self.path.min(MAX_JOINTS)).rev() {
             let (group, origin) = (J::Vec3::load(&moments[k]), J::Vec3::load(&cells.origin[k]));
             group.sub_scaled(mass, origin).add_scaled(1.0, subtree).store(&mut moments[k]);
             // Terms that do not depend on the previous joint come first, to shorten the dependency chain.
