@@ -4,8 +4,10 @@
 SHELL := /bin/sh
 .SHELLFLAGS := -eu -c
 .DEFAULT_GOAL := help
-# Cargo and pytest use every core by themselves; two of them at once would only slow each other down.
+# Cargo and pytest use every core by themselves. Only `make test` runs two parts side by side.
+ifndef SIDE_BY_SIDE
 .NOTPARALLEL:
+endif
 .DELETE_ON_ERROR:
 
 # An emptied environment has no HOME and no PATH to cargo.
@@ -45,7 +47,9 @@ PY_SOURCES := $(shell find python -type f ! -name '*.so' ! -path '*/__pycache__/
 # An editable install keeps the compiled module beside the sources: `git clean` can take it away.
 MISSING_CORE := $(if $(wildcard python/pliant/_core*.so),,FORCE)
 
-START := $(shell date +%s)
+ifndef START
+export START := $(shell date +%s)
+endif
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
@@ -94,16 +98,31 @@ check: setup lint ## Lints and unit tests, under two minutes once built
 	@cargo test $(LOCKED) --quiet -p pliant-core --lib
 	@$(BIN)/python -m pytest -m 'not slow and not full' $(ARGS)
 
-# pytest comes last: its closing line is the one that counts.
-test: setup lint test-rust counts-check deny docs wheel test-py ## Everything that CI runs
+# Linking the module, checking types and building pages leave a core idle, and cargo locks the folders of tests and of
+# releases each for itself: lints and tests of the core run beside them, each chain in its order. pytest comes last,
+# alone, because emulated buses run in real time; its closing line is the one that counts.
+test: $(BIN)/python ## Everything that CI runs
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target SIDE_BY_SIDE=1 test-rust wheel deny
+	@$(MAKE) --no-print-directory test-py
 
-test-rust: setup ## Tests of the Rust core, its doc tests and its pages
+ifdef SIDE_BY_SIDE
+test-rust: | lint-rust
+lint-py: | stubs
+counts-check: | lint-py
+docs: | counts-check
+wheel: | docs
+endif
+
+# The packages whose targets are tested: none that links Python.
+TESTED := --package pliant-core --package pliant-benches
+
+test-rust: $(BIN)/python ## Tests of the Rust core, its doc tests and its pages
 	$(call say,tests of the Rust core$(comma) benches once each)
 	@if command -v cargo-nextest >/dev/null; then \
-	  cargo nextest run $(LOCKED) $(NEXTEST_PROFILE) --all-targets; \
+	  cargo nextest run $(LOCKED) $(NEXTEST_PROFILE) $(TESTED) --all-targets; \
 	else \
 	  $(call skip,cargo-nextest is not installed: using cargo test); \
-	  cargo test $(LOCKED) --quiet --no-fail-fast --all-targets; \
+	  cargo test $(LOCKED) --quiet --no-fail-fast $(TESTED) --all-targets; \
 	fi
 	$(call say,programs of the Rust core)
 	@cargo build $(LOCKED) --quiet --profile test --examples -p pliant-core
@@ -144,7 +163,7 @@ test-lerobot: wheel ## The plugin with LeRobot itself (6 GB, Python >= 3.12); LE
 
 lint: lint-rust lint-py stubs ## Formats, clippy, ruff, import contracts, mypy, stubs against the binary
 
-lint-rust: setup
+lint-rust: $(BIN)/python
 	$(call say,rustfmt$(comma) clippy)
 	@cargo fmt --all --check
 	@cargo clippy $(LOCKED) --quiet --workspace --all-targets -- -D warnings
@@ -206,7 +225,7 @@ tick: setup ## Cost of a control cycle by stage, beside rustypot alone; ARGS='--
 	@$(BIN)/python benches/tick.py $(ARGS)
 
 bench-stages: setup ## Criterion benches per stage; ARGS='-- step' picks
-	@cargo bench $(LOCKED) $(ARGS)
+	@cargo bench $(LOCKED) --package pliant-benches $(ARGS)
 
 counts-check: setup ## Instructions of every stage against the stored ones; 5 % more is an error
 	$(call say,instruction counts)
