@@ -110,7 +110,7 @@ test-rust: | lint-rust
 lint-py: | stubs
 counts-check: | lint-py
 docs: | counts-check
-wheel: | docs
+$(WHEELS)/.built: | docs
 endif
 
 # The packages whose targets are tested: none that links Python.
@@ -242,9 +242,9 @@ peers: setup ## The same work by NumPy, Numba, Pinocchio, ... and C++ beside our
 	$(call say,peers side by side)
 	@$(BIN)/python benches/peers.py $(ARGS)
 
-wheel: setup $(WHEELS)/.built ## Build wheel and source distribution into build/wheels
+wheel: $(WHEELS)/.built ## Build wheel and source distribution into build/wheels
 
-$(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE THIRD_PARTY_LICENSES
+$(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE THIRD_PARTY_LICENSES | setup
 	$(call say,wheel)
 	@rm -rf $(WHEELS)
 	@$(BIN)/maturin build --release $(LOCKED) --quiet --interpreter $(BIN)/python --out $(WHEELS) \
