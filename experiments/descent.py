@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 ARMS = ("arm7", "so101", "koch", "vx300s")
 #: Ranges of true over assumed stiffness of a joint, and of true over assumed friction.
 STIFFNESS, FRICTION = (0.5, 2.5), (0.5, 2.0)
-#: Largest unknown load at the tool [kg], encoder steps [deg], and delays of a cycle [ticks].
-LOAD, STEPS, DELAYS = 0.5, (0.09, 0.3), (0, 1, 2, 3)
+#: Largest unknown load at the tool [kg], and encoder steps [deg].
+LOAD, STEPS = 0.5, (0.09, 0.3)
 #: Distance of the table below the lower of tool and wrist [m].
 TABLE = 0.10
 #: Largest share of the usable torque that a random pose may need for arm and load.
