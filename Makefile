@@ -53,7 +53,7 @@ endif
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench tick bench-stages browser counts counts-check aarch64 fuzz miri asan mutants peers soak wheel wheels notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench tick bench-stages browser counts counts-check aarch64 fuzz miri asan mutants peers soak wheel wheels release-check notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -255,6 +255,9 @@ $(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE THIRD_P
 
 wheels: $(BIN)/python ## Slow: build and check the wheels of all platforms; TARGETS='x86_64-pc-windows-gnu' picks
 	@tools/wheels.sh $(CURDIR)/$(BIN)/python $(TARGETS)
+
+release-check: setup ## Slow: rehearse a release without the upload; TARGETS='x86_64-pc-windows-gnu' picks
+	@$(BIN)/python tools/release_check.py $(TARGETS)
 
 notices: setup ## Write THIRD_PARTY_LICENSES for the crates of Cargo.lock
 	@$(BIN)/python tools/notices.py

@@ -1,7 +1,8 @@
 #!/bin/sh
-# Builds the wheel of every platform and the source distribution into build/wheels-all, and checks them. Slow: two
-# minutes of processor a wheel.
+# Builds the wheel of every platform, the source distribution and the bill of materials into build/wheels-all, and
+# checks them. The same commit gives the same bytes in every folder. Slow: two minutes of processor a wheel.
 # usage: wheels.sh PYTHON [TARGET...]   (the project's own Python; Rust targets, all by default)
+# WHEEL_TOOLS: environment of the tools, build/wheel-tools by default.
 # Needs rustup, and Debian's gcc-mingw-w64-x86-64 for Windows; zig, the linker of the others, comes from a Python package.
 set -eu
 python=$1
@@ -9,19 +10,24 @@ shift
 root=$(CDPATH= cd -- "$(dirname -- "$0")/.." && pwd)
 cd "$root"
 out=$root/build/wheels-all
-tools=$root/build/wheel-tools
+tools=${WHEEL_TOOLS:-$root/build/wheel-tools}
 targets=${*:-x86_64-unknown-linux-gnu aarch64-unknown-linux-gnu x86_64-unknown-linux-musl aarch64-unknown-linux-musl
     aarch64-apple-darwin x86_64-apple-darwin x86_64-pc-windows-gnu}
 
 [ -x "$tools/bin/python" ] || "$python" -m venv "$tools"
-"$tools/bin/python" -m pip install --quiet ziglang 'maturin>=1.9.4,<2' 'zopflipy>=1.14' twine abi3audit
+# Another version of these may give other bytes.
+"$tools/bin/python" -m pip install --quiet ziglang==0.17.1 maturin==1.16.0 zopflipy==1.14 twine==7.0.0 abi3audit==0.0.26 cyclonedx-python-lib[json-validation]==11.12.0
 mkdir -p "$out"
 export PATH="$tools/bin:$PATH"
 # The flags of .cargo/config.toml stay; these keep the folders of this machine out of the binary.
 export CARGO_BUILD_RUSTFLAGS="--remap-path-prefix=${CARGO_HOME:-$HOME/.cargo}/registry/src= --remap-path-prefix=$root="
+# Files in the archives have the time of the commit.
+SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}
+export SOURCE_DATE_EPOCH
 
 "$tools/bin/maturin" sdist --manifest-path rust/py/Cargo.toml --out "$out"
 twine check --strict "$out"/*.tar.gz
+python tools/sbom.py "$out"
 missing=0
 for target in $targets; do
     printf '\n== wheel for %s\n' "$target"

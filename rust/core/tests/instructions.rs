@@ -7,6 +7,9 @@ use pliant_core::{Controller, Model, ModelOptions, Pose, Servos, SimdLevel, Step
 
 use crate::seeded::{self, Random};
 
+/// Number of ticks of a comparison. Miri takes seconds for each.
+const TICKS: usize = if cfg!(miri) { 2 } else { 600 };
+
 fn arm() -> Arc<Model> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/golden/arm7.urdf");
     Arc::new(Model::from_urdf_file(path, &ModelOptions::default()).unwrap())
@@ -42,7 +45,7 @@ fn sets_differ_by_rounding_alone() {
     for law in [Law::Cap, Law::Impedance, Law::Paper] {
         for &set in &sets[1..] {
             let (mut plain, mut other) = (controller(&model, law, sets[0]), controller(&model, law, set));
-            for tick in 0..600 {
+            for tick in 0..TICKS {
                 let (q, target) = state(&model, tick);
                 let want = *plain.step(&q, &target, &StepInput::default()).unwrap();
                 let got = *other.step(&q, &target, &StepInput::default()).unwrap();
@@ -98,7 +101,7 @@ fn a_set_repeats_bit_for_bit() {
     let model = arm();
     for set in SimdLevel::available() {
         let (mut one, mut other) = (controller(&model, Law::Cap, set), controller(&model, Law::Cap, set));
-        for tick in 0..50 {
+        for tick in 0..TICKS.min(50) {
             let (q, target) = state(&model, tick);
             let want = *one.step(&q, &target, &StepInput::default()).unwrap();
             assert_eq!(*other.step(&q, &target, &StepInput::default()).unwrap(), want);

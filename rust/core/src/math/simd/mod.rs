@@ -258,10 +258,15 @@ mod tests {
         }
     }
 
+    /// Number of vectors of angles that are compared. Miri takes milliseconds for each.
+    const VECTORS: usize = if cfg!(miri) { 20 } else { 20_000 };
+    /// Number of quarter turns to either side of zero.
+    const QUARTERS: i32 = if cfg!(miri) { 8 } else { 1000 };
+
     /// Returns the largest difference from the system's functions over a dense sequence of angles within ±`largest`.
     fn worst(simd_level: SimdLevel, largest: f64) -> f64 {
         let mut off: f64 = 0.0;
-        for i in 0..20_000 {
+        for i in 0..VECTORS {
             let at =
                 |lane: usize| ((i * LANES + lane) as f64 * 0.618_033_988_749_895).fract() * 2.0 * largest - largest;
             let angles = std::array::from_fn(at);
@@ -287,7 +292,7 @@ mod tests {
     #[test]
     fn sines_at_multiples_of_a_quarter_turn() {
         for simd_level in SimdLevel::available() {
-            for i in -1000..1000_i32 {
+            for i in -QUARTERS..QUARTERS {
                 let angle = f64::from(i) * std::f64::consts::FRAC_PI_2;
                 for all in simd_level.dispatch(Sines(&[angle; LANES])) {
                     let (sine, cosine) = all[i.unsigned_abs() as usize % LANES];
