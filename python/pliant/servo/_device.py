@@ -85,6 +85,8 @@ class Device:
         drive_values: Registers that bound torque or motion, and the values that `enable` writes.
         mismatches: Number of times a register did not read back as written.
         has_mismatch: True if goal or limit did not read back as written the last time.
+        has_new_status: True if a reading has contained all status registers since `StatusPoller`
+            last took them.
     """
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
@@ -118,7 +120,7 @@ class Device:
         self.mismatches = 0
         self._writes = 0
         self._read_backs = {"goal": ReadBack(), "limit": ReadBack()}
-        self.has_mismatch = False
+        self.has_mismatch = self.has_new_status = False
         self.tripped, self.trips, self.watchdog = False, 0, 0
         self.index = 0
         self._codec: ServoCodec | None = None
@@ -238,6 +240,7 @@ class Device:
         is_accepted = found is None or self.check_reading(found, status_byte, time)
         if is_accepted and self.family.layout(block).has_status:
             self.note(reply)
+            self.has_new_status = block in self.family.read_with_status[:1]
         if is_accepted:
             self.time = time
         return is_accepted

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from pliant.drive import ServoStatus
-from pliant.servo._transactions import Reply, TransactionGuard, wire_time
+from pliant.servo._transactions import BITS_PER_BYTE, Reply, TransactionGuard, wire_time
 from pliant.servo.transport import BusError, RustypotTransport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
     from pliant.servo._device import Device
-    from pliant.servo.models import Family
     from pliant.servo.models.base import Block
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
@@ -32,8 +31,9 @@ MAX_MISSES, PROBE_CYCLES = 3, 8
 #: Time without readings after which a servo may have restarted with torque off: the longer of
 #: `RESTART` [s] and `RESTART_CYCLES` control periods.
 RESTART, RESTART_CYCLES = 0.1, 3.0
-#: Largest share of a control period that the request for the torque state of all servos may take.
-TORQUE_READ_SHARE = 0.2
+#: Largest share of a control period that status registers of all servos may take: a request for
+#: their torque state, or the longer replies of readings that contain them.
+STATUS_SHARE = 0.2
 #: Register Bus Watchdog: its unit [s], its largest value, and the number of tries to set it.
 WATCHDOG_UNIT, MAX_WATCHDOG, WATCHDOG_TRIES = 0.02, 127, 4
 
@@ -106,7 +106,7 @@ class Port:
     def can_read_all(self) -> bool:
         """Return True if one request can read a byte of all servos fast enough in each cycle.
 
-        Fast enough is the share `TORQUE_READ_SHARE` of a control period.
+        Fast enough is the share `STATUS_SHARE` of a control period.
         """
         family = self.devices[0].family
         if not family.sync_read or family.status != "p2" or self.guard.is_gone:
@@ -119,7 +119,7 @@ class Port:
             baudrate=self._baudrate,
             response_delay=self.guard.response_delay,
         )
-        return wire + (self.latency or 0.0) < TORQUE_READ_SHARE * self._cycle
+        return wire + (self.latency or 0.0) < STATUS_SHARE * self._cycle
 
     def close(self) -> None:
         """Close the port; the servos hold their last goal and limit."""
@@ -285,7 +285,7 @@ class Port:
         """
         try:
             block, answers, time = self.guard.sync_read(
-                [device.id for device in group], *group[0].family.read
+                [device.id for device in group], *self._blocks(group)
             )
         except BusError as error:
             error.raise_if_gone()
@@ -302,6 +302,20 @@ class Port:
                     self.guard.counters.stale += 1
             else:
                 self._accept(device, Reply(block, data, status, time), accepted)
+
+    def _blocks(self, group: Sequence[Device]) -> tuple[Block, ...]:
+        """Return the blocks of a reading of servos of one kind, with the status once it is due.
+
+        Status is due once `StatusPoller` has taken that of all these servos, of which the last has
+        its turn last. It saves the request for the status of one servo in each cycle.
+        """
+        family = group[0].family
+        if group[-1].has_new_status or not family.read_with_status:
+            return family.read
+        longer = len(group) * (family.read_with_status[0].size - family.read[0].size)
+        if longer * BITS_PER_BYTE / self._baudrate > STATUS_SHARE * self._cycle:
+            return family.read
+        return family.read_with_status
 
     def _read_each(
         self,
@@ -322,7 +336,7 @@ class Port:
         for device in sorted(group, key=lambda device: (device.id == last, device.time)):
             self.guard.counters.retries += not again
             try:
-                reply = self.guard.read(device.id, *device.family.read, again=again)
+                reply = self.guard.read(device.id, *self._blocks([device]), again=again)
             except BusError as error:
                 error.raise_if_gone()
                 if error.reason == "timeout":
@@ -385,30 +399,6 @@ def write_groups(devices: Iterable[Device]) -> list[list[Device]]:
     return _groups(devices, lambda device: device.family.write)
 
 
-def status_blocks(family: Family) -> tuple[Block, ...]:
-    """Return the blocks of status registers of a servo, the block that shows faults first.
-
-    One block of one servo is read per control cycle.
-    """
-    if family.status == "p2":
-        single = ("hardware_error", "torque_enable", "watchdog")
-        return (
-            *(family.block(name) for name in single),
-            *stored_command_blocks(family),
-            family.block("voltage", "temperature"),
-        )
-    # Voltage and temperature are no status blocks here: every reading contains them.
-    return (family.block("torque_enable", "limit", "goal"),)
-
-
-def stored_command_blocks(family: Family) -> tuple[Block, ...]:
-    """Return the blocks with goal and limit of a servo: one per write packet of its family."""
-    return tuple(
-        family.block(*(name for name in names if name in {"goal", "limit"}))
-        for names in family.write
-    )
-
-
 #: Topics of faults after which the status of a servo is read before that of other servos.
 URGENT_FAULTS = frozenset({"torque", "jump", "port"})
 #: Number of control cycles per request for the torque state of all servos.
@@ -418,6 +408,8 @@ TORQUE_PERIOD = 3
 class StatusPoller:
     """Reads status registers of all servos in turn, one block per cycle; servos with faults first.
 
+    A servo whose last reading contained all its status registers is not read again.
+
     Args:
         joints: Servos of each joint.
     """
@@ -426,7 +418,7 @@ class StatusPoller:
         """Store the servos, and list their status blocks in the order of reading."""
         self._joints = joints
         devices = [device for joint in joints for device in joint]
-        self._steps = [(d, block) for d in devices for block in status_blocks(d.family)]
+        self._steps = [(d, block) for d in devices for block in d.family.status_blocks]
         self._next = 0
         self._reported: set[int] = set()
         self._is_repeat = False
@@ -449,7 +441,7 @@ class StatusPoller:
             return None
         device, block = self._choose()
         guard = ports[id(device)].guard
-        if guard.is_gone:
+        if block is None or guard.is_gone:
             return self._status(device.joint)
         try:
             device.note(guard.read(device.id, block))
@@ -485,7 +477,8 @@ class StatusPoller:
         # After False the caller reads the status of a servo that lost its torque in this cycle.
         return all(d.enabled for d in enabled)
 
-    def _choose(self) -> tuple[Device, Block]:
+    def _choose(self) -> tuple[Device, Block | None]:
+        """Return the next servo and the block to read; None: its last reading contained it."""
         for joint in self._joints:
             for device in joint:
                 if not (device.conditions or device.other_faults or device.has_mismatch):
@@ -493,7 +486,7 @@ class StatusPoller:
                     continue
                 if device.has_suspect_register and not self._is_repeat:
                     self._is_repeat = True
-                    blocks = stored_command_blocks(device.family)
+                    blocks = device.family.stored_command_blocks
                     self._block_index += 1
                     return device, blocks[self._block_index % len(blocks)]
                 is_urgent = bool(device.conditions) or not URGENT_FAULTS.isdisjoint(
@@ -501,13 +494,16 @@ class StatusPoller:
                 )
                 if is_urgent and id(device) not in self._reported:
                     self._reported.add(id(device))
-                    return device, status_blocks(device.family)[0]
+                    return device, device.family.status_blocks[0]
                 if not is_urgent:
                     self._reported.discard(id(device))
         self._is_repeat = False
-        step = self._steps[self._next]
+        device, block = self._steps[self._next]
         self._next = (self._next + 1) % len(self._steps)
-        return step
+        if device.has_new_status:
+            device.has_new_status = False
+            return device, None
+        return device, block
 
     def _status(self, joint: int) -> ServoStatus:
         devices = self._joints[joint]

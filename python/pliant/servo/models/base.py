@@ -220,6 +220,36 @@ class Family:
         return found
 
     @cached_property
+    def status_blocks(self) -> tuple[Block, ...]:
+        """Blocks of status registers, the block that shows faults first."""
+        if self.status == "p2":
+            single = ("hardware_error", "torque_enable", "watchdog")
+            return (
+                *(self.block(name) for name in single),
+                *self.stored_command_blocks,
+                self.block("voltage", "temperature"),
+            )
+        # Voltage and temperature are no status blocks here: every reading contains them.
+        return (self.block("torque_enable", "limit", "goal"),)
+
+    @cached_property
+    def stored_command_blocks(self) -> tuple[Block, ...]:
+        """Blocks with goal and limit: one per write packet."""
+        return tuple(
+            self.block(*(name for name in names if name in {"goal", "limit"}))
+            for names in self.write
+        )
+
+    @cached_property
+    def read_with_status(self) -> tuple[Block, ...]:
+        """Blocks of `read`, those with all status registers first; empty if none has them all."""
+        if len(self.status_blocks) > 1:
+            return ()
+        address, size = self.status_blocks[0]
+        found = [b for b in self.read if b.address <= address and address + size <= sum(b)]
+        return (*found, *(b for b in self.read if b not in found)) if found else ()
+
+    @cached_property
     def write_blocks(self) -> tuple[Block, ...]:
         """Block of each packet in `write`."""
         return tuple(self.block(*names) for names in self.write)
