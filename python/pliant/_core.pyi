@@ -2956,6 +2956,25 @@ class ServoCodec:
             ShapeError: The bytes do not contain the position.
         """
 
+    def decode_group(
+        self,
+        servos: Sequence[int],
+        answers: Sequence[tuple[bytes, int]],
+        address: int,
+        time: float,
+        longest: float,
+    ) -> list[tuple[int, bool | None]]:
+        """Store readings of several servos, bytes and status byte of each, as `decode` does.
+
+        Returns:
+            Place in `servos`, and result of `decode`, for the servos for which it is not None; and
+            place and None for the servos whose last reading is older than `longest` [s], whose
+            reading is not stored.
+
+        Raises:
+            ShapeError: The bytes do not contain the position.
+        """
+
     def joints(self, read: Sequence[int]) -> tuple[_Array, NDArray[np.bool_]]:
         """Return position [rad], time [s], velocity [rad/s], torque [N m] and current [A] (5, n).
 
@@ -2964,15 +2983,30 @@ class ServoCodec:
         """
 
     def encode(
-        self, servo: int, goal: float, limit: float, speed: float
-    ) -> tuple[int, int, int, bytes, bytes]:
-        """Return the registers of goal, limit and speed cap of a servo, and its 2 packets.
+        self,
+        servos: Sequence[int],
+        goal: ArrayLike,
+        limit: ArrayLike,
+        velocity: ArrayLike | None,
+        max_speed: float,
+    ) -> tuple[list[tuple[int, int, int]], list[bytes], list[bytes]]:
+        """Return the registers of goal, limit and speed cap of each servo, and its 2 packets.
 
-        A goal [rad] is clamped to the range; a limit [N m] is rounded down and clamped to the
-        largest; a speed [rad/s] is rounded down, but at least 1 unit.
+        A goal is clamped to the range; a limit is rounded down and clamped to the largest; a speed
+        is rounded down, but at least 1 unit. The goal of a single-turn servo past the seam of its
+        encoder is the end at which it stands: it would move to another the long way round. The
+        range of a multi-turn servo that stands outside of it extends to its position.
+
+        Args:
+            servos: Indices of the servos.
+            goal: Goals (n,) [rad].
+            limit: Torque limits (n,) [N m], at least 0.
+            velocity: Largest speeds (n,) [rad/s], at least 0; None or inf: no limit.
+            max_speed: Upper bound of the speeds [rad/s]; 0: the joint's speed without load.
 
         Raises:
-            OutOfRangeError: A number is not finite.
+            ShapeError: A vector is not (n,).
+            OutOfRangeError: A number is negative or not finite.
         """
 
     def reading(self, servo: int) -> _Array:

@@ -1,5 +1,6 @@
 """`ServoCodec` against the conversions of `Units`, and its check of positions."""
 
+import math
 from math import floor, pi
 
 import numpy as np
@@ -18,6 +19,12 @@ def device(model="STS3215-12V", **options):
     made.units = made.units.of(made.spec)
     made.attach(ServoCodec(1, 1), 0)
     return made
+
+
+def encode(servo, goal, limit, speed, max_speed=math.inf):
+    """Return the registers of a command, and its packets."""
+    registers, *packets = servo.codec.encode([0], [goal], [limit], [speed], max_speed)
+    return list(registers[0]), [items[0] for items in packets]
 
 
 def reply(servo, time, **values):
@@ -70,15 +77,50 @@ def test_registers_are_those_of_the_units(model):
         unit = row.speed_unit * 2.0 * pi / 60.0 / 1.5
         speed_register = max(1, min(floor(speed / unit), servo.family.speed_max))
         expected = [goal_register, limit_register, speed_register]
-        assert servo.command(goal, limit, speed) == expected
+        registers, packets = encode(servo, goal, limit, speed)
+        assert registers == expected
         # A speed cap is never higher than the speed, but at least one unit: 0 means no limit.
         assert 0.0 < units.velocity(speed_register) <= max(speed, units.velocity(1)) * (1 + 1e-9)
-        packets = servo.codec.encode(0, goal, limit, speed)[3:]
         for names, packet in zip(servo.family.write, packets, strict=False):
             assert packet == servo.packet(names, *expected)
-    assert servo.command(0.0, 0.0, 0.0)[1:] == [0, 1]
+    assert encode(servo, 0.0, 0.0, 0.0)[0][1:] == [0, 1]
     for register in range(servo.ceiling):
-        assert servo.command(0.0, units.torque(register), 1.0)[1] in {register, 0}
+        assert encode(servo, 0.0, units.torque(register), 1.0)[0][1] in {register, 0}
+    no_load = encode(servo, 0.0, 0.0, units.no_load_speed)[0]
+    assert encode(servo, 0.0, 0.0, math.inf, 0.0)[0] == no_load != encode(servo, 0.0, 0.0, 0.1)[0]
+
+
+def test_readings_of_a_group_are_those_of_single_servos():
+    rng = np.random.default_rng(0)
+    codec = ServoCodec(3, 3)
+    group = [Device(ServoSpec(name="pan", model="STS3215", id=i, port="a"), i, i, 1) for i in range(3)]
+    single = [device() for _ in range(3)]
+    for i, servo in enumerate(group):
+        servo.attach(codec, i)
+    block = group[0].family.read[0]
+    results = set()
+    for turn in range(200):
+        time = 0.01 * turn + (0.5 if turn > 100 else 0.0)
+        positions = 2000 + rng.integers(5, size=3) + (rng.random(3) < 0.1) * 1000
+        rows = [reply(single[0], time, position=int(p), voltage=70 + turn // 50) for p in positions]
+        answers = [(row.data, int(rng.random() < 0.05)) for row in rows]
+        ages = [time - servo.time for servo in single]
+        expected = []
+        for i, (servo, (data, status)) in enumerate(zip(single, answers, strict=True)):
+            found = None
+            if ages[i] <= 0.1:
+                found = servo.codec.decode(0, data, status, block.address, time)
+                if found is None:
+                    continue
+            expected.append((i, found))
+        assert codec.decode_group([0, 1, 2], answers, block.address, time, 0.1) == expected
+        results.update(found for _, found in expected)
+        for i, found in expected:
+            if found is None:
+                single[i].codec.decode(0, *answers[i], block.address, time)
+                group[i].codec.decode(i, *answers[i], block.address, time)
+        assert [servo.position for servo in group] == [servo.position for servo in single]
+    assert results == {None, False, True}
 
 
 def test_implausible_positions_do_not_extend_the_accepted_change():
@@ -99,8 +141,11 @@ def test_arguments_that_do_not_fit():
     with pytest.raises(ShapeError, match="numbers"):
         servo.codec.configure(0, 0, [1.0])
     with pytest.raises(OutOfRangeError, match="servo = 1"):
-        servo.codec.encode(1, 0.0, 0.0, 0.0)
-    with pytest.raises(OutOfRangeError, match="command"):
-        servo.codec.encode(0, float("nan"), 0.0, 0.0)
+        servo.codec.encode([1], [0.0], [0.0], None, 0.0)
+    with pytest.raises(ShapeError, match="limit has shape"):
+        servo.codec.encode([0], [0.0], [0.0, 0.0], None, 0.0)
+    for wrong in ((math.nan, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.0, 0.0, math.nan)):
+        with pytest.raises(OutOfRangeError, match="command"):
+            encode(servo, *wrong)
     with pytest.raises(ShapeError, match="position"):
         servo.codec.decode(0, b"\0" * 15, 0, 200, 0.0)

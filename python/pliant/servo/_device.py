@@ -70,7 +70,6 @@ class Device:
         enabled: True if this program switched the torque on, or took over a servo with torque on.
         torque_on: True if torque was on at the last reading of Torque Enable.
         goal, limit: Goal and limit register as last written; goal is None before the first write.
-        time: Time of the request of the last reading [s].
         voltage, temperature: Supply voltage [V] and temperature [°C] as last read.
         limit_read: Limit register as last read.
         conditions: Errors in the status of the last reply.
@@ -107,7 +106,6 @@ class Device:
         self.enabled = self.torque_on = False
         self.goal: int | None = None
         self.limit = 0
-        self.time = 0.0
         self.voltage: float | None = None
         self.temperature: float | None = None
         self.limit_read: int | None = None
@@ -118,7 +116,7 @@ class Device:
         self.stored_command: tuple[int, int] | None = None
         self.drive_values: dict[str, int] = {}
         self.mismatches = 0
-        self._writes = 0
+        self._writes, self._packet = 0, b""
         self._read_backs = {"goal": ReadBack(), "limit": ReadBack()}
         self.has_mismatch = self.has_new_status = False
         self.tripped, self.trips, self.watchdog = False, 0, 0
@@ -208,21 +206,6 @@ class Device:
         """Return the joint angle [rad] at which this servo's position is `position` [counts]."""
         return self.units.angle(position)
 
-    def command(self, goal: float, limit: float, speed: float) -> list[int]:
-        """Return the values of goal, limit and speed cap register.
-
-        A single-turn servo that was pushed past the seam of its encoder, where the count jumps,
-        would move to such a goal the long way round. Its goal is the end of the encoder at which
-        it stands instead. The range of a multi-turn servo that stands outside of it extends to its
-        present position.
-
-        Args:
-            goal: Joint angle [rad], clamped to the range.
-            limit: Joint torque [N·m], at most that of `ceiling`.
-            speed: Largest joint speed [rad/s]; the register is at least 1: 0 means no limit.
-        """
-        return list(self.codec.encode(self.index, goal, limit, speed)[:3])
-
     def packet(self, names: tuple[str, ...], goal: int, limit: int, speed: int) -> bytes:
         """Return the bytes to write to the contiguous registers `names`.
 
@@ -239,11 +222,13 @@ class Device:
         found = self.codec.decode(self.index, data, status_byte, block.address, time)
         is_accepted = found is None or self.check_reading(found, status_byte, time)
         if is_accepted and self.family.layout(block).has_status:
-            self.note(reply)
-            self.has_new_status = block in self.family.read_with_status[:1]
-        if is_accepted:
-            self.time = time
+            self.note_status(reply)
         return is_accepted
+
+    @property
+    def time(self) -> float:
+        """Time of the request of the last reading [s]."""
+        return self._reading()[2]
 
     def _reading(self) -> list[float]:
         """Return the last accepted reading, see `ServoCodec.reading`; without codec 3 numbers."""
@@ -277,6 +262,23 @@ class Device:
             self._last_good_voltage = max(self._last_good_voltage, supplied)
         self._note(values, status_byte, time)
         return True
+
+    def note_status(self, reply: Reply) -> None:
+        """Store the values of status registers that a reading contains, as `note` does.
+
+        In most cycles they are those last written, which takes little time to see.
+        """
+        block, data, _, time = reply
+        self.has_new_status = block in self.family.read_with_status[:1]
+        if self.has_new_status and self.enabled and not (self.has_mismatch or self.other_faults):
+            start = self.family.write_blocks[0].address - block.address
+            is_on = data[self.family.registers["torque_enable"].address - block.address] == 1
+            if is_on and data[start : start + len(self._packet)] == self._packet != b"":
+                self.torque_on, self.limit_read = True, self.limit
+                for read_back in self._read_backs.values():
+                    read_back.wrong, read_back.matched = 0, time
+                return
+        self.note(reply)
 
     def note(self, reply: Reply) -> None:
         """Store the values of status registers that a reply contains, and the faults they show."""
@@ -363,9 +365,12 @@ class Device:
                 return True
         return False
 
-    def record_sent(self, goal: int, limit: int) -> None:
-        """Record the values of goal and limit register in a packet that was sent."""
-        self.goal, self.limit = goal, limit
+    def record_sent(self, goal: int, limit: int, packet: bytes = b"") -> None:
+        """Record the values of goal and limit register in a packet that was sent.
+
+        `packet` are its bytes from the first register on, if it is the only packet of a cycle.
+        """
+        self.goal, self.limit, self._packet = goal, limit, packet
         self._writes += 1
 
     def _compare(self, key: str, found: int, written: int, time: float) -> None:

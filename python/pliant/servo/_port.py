@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from pliant.drive import ServoStatus
 from pliant.servo._transactions import BITS_PER_BYTE, Reply, TransactionGuard, wire_time
@@ -14,16 +14,16 @@ from pliant.servo.transport import BusError, RustypotTransport
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
+    from numpy.typing import ArrayLike
+
     from pliant.servo._device import Device
     from pliant.servo.models.base import Block
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
-    #: Servos of one kind, and for each the registers of goal, limit and speed cap and its packets,
-    #: as `ServoCodec.encode` returns them.
-    Packets = tuple[Sequence[Device], Sequence[tuple[int, int, int, bytes, bytes]]]
-
-_T = TypeVar("_T")
+    #: Servos of one kind; registers of goal, limit and speed cap of each; and for each packet of
+    #: the kind the bytes of each servo.
+    Packets = tuple["Group", Sequence[tuple[int, int, int]], Sequence[Sequence[bytes]]]
 
 #: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, so that it
 #: does not cost a timeout in every cycle.
@@ -36,6 +36,22 @@ RESTART, RESTART_CYCLES = 0.1, 3.0
 STATUS_SHARE = 0.2
 #: Register Bus Watchdog: its unit [s], its largest value, and the number of tries to set it.
 WATCHDOG_UNIT, MAX_WATCHDOG, WATCHDOG_TRIES = 0.02, 127, 4
+
+
+class Group:
+    """Servos whose registers one request can read, or one packet can write.
+
+    Attributes:
+        devices: The servos.
+        family: Their family.
+        ids: Ids of the servos.
+        indices: Indices of the servos in the codec.
+    """
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self.devices, self.family = devices, devices[0].family
+        self.ids = [device.id for device in devices]
+        self.indices = [device.index for device in devices]
 
 
 class Port:
@@ -141,7 +157,7 @@ class Port:
         accepted: list[int] = []
         groups = _read_groups(self.responsive) if self._silent else self._read_groups
         for group in groups:
-            if group[0].family.sync_read:
+            if group.family.sync_read:
                 self._read_group(group, accepted)
             else:
                 self._read_each(group, accepted)
@@ -233,23 +249,21 @@ class Port:
         return [device.name for device in pending]
 
     def encode(
-        self, goal: Sequence[float], limit: Sequence[float], speed: Sequence[float]
+        self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None, max_speed: float
     ) -> list[Packets]:
-        """Return the packets that send goals [rad], torque limits [N·m] and speeds [rad/s] (n,).
+        """Return the packets for servos with torque on, one entry per kind of servo.
 
-        They are for servos with torque on; one entry per kind of servo.
+        The arguments are those of `ServoCodec.encode`, which may raise.
         """
-        enabled = [device for device in self.devices if device.enabled]
         groups = self._write_groups
+        enabled = [device for device in self.devices if device.enabled]
         if len(enabled) < len(self.devices):
             groups = write_groups(enabled)
         packets: list[Packets] = []
         for group in groups:
-            encoded = []
-            for device in group:
-                i = device.joint
-                encoded.append(device.codec.encode(device.index, goal[i], limit[i], speed[i]))
-            packets.append((group, encoded))
+            codec = group.devices[0].codec
+            registers, *data = codec.encode(group.indices, goal, limit, velocity, max_speed)
+            packets.append((group, registers, data))
         return packets
 
     def write(self, packets: Iterable[Packets]) -> None:
@@ -261,13 +275,11 @@ class Port:
         Raises:
             BusError: A packet could not be sent.
         """
-        for group, commands in packets:
-            ids = [device.id for device in group]
-            for i, block in enumerate(group[0].family.write_blocks):
-                data = [command[3:][i] for command in commands]
-                self.guard.sync_write(ids, block.address, data)
-            for device, command in zip(group, commands, strict=True):
-                device.record_sent(command[0], command[1])
+        for group, registers, data in packets:
+            for block, items in zip(group.family.write_blocks, data, strict=False):
+                self.guard.sync_write(group.ids, block.address, items)
+            for device, sent, packet in zip(group.devices, registers, data[0], strict=True):
+                device.record_sent(sent[0], sent[1], packet)
 
     def _read_block(self, device: Device, block: Block) -> bool:
         """Read a block of registers and store its values in the device; False: no reply came."""
@@ -278,48 +290,57 @@ class Port:
             return False
         return True
 
-    def _read_group(self, group: Sequence[Device], accepted: list[int]) -> None:
+    def _read_group(self, group: Group, accepted: list[int]) -> None:
         """Read several servos with one request; add the indices of plausible ones to `accepted`.
 
         If the request fails, read the servos one by one, the servo that failed last.
         """
         try:
-            block, answers, time = self.guard.sync_read(
-                [device.id for device in group], *self._blocks(group)
-            )
+            block, answers, time = self.guard.sync_read(group.ids, *self._blocks(group))
         except BusError as error:
             error.raise_if_gone()
             self._read_each(group, accepted, last=error.id, again=False)
             return
-        is_usual = not (self._misses or group[0].family.layout(block).has_status)
-        for device, (data, status) in zip(group, answers, strict=True):
-            if is_usual and time - device.time <= self._restart:
-                found = device.codec.decode(device.index, data, status, block.address, time)
-                if found is None or device.check_reading(found, status, time):
-                    device.time = time
-                    accepted.append(device.index)
-                else:
-                    self.guard.counters.stale += 1
-            else:
+        if self._misses:
+            for device, (data, status) in zip(group.devices, answers, strict=True):
                 self._accept(device, Reply(block, data, status, time), accepted)
+            return
+        has_status = group.family.layout(block).has_status
+        codec, indices = group.devices[0].codec, group.indices
+        notable = codec.decode_group(indices, answers, block.address, time, self._restart)
+        found = dict(notable) if notable else {}
+        if not (found or has_status):
+            accepted += indices
+            return
+        for i, device in enumerate(group.devices):
+            data, status = answers[i]
+            result = found.get(i, True)
+            if result is None:
+                self._accept(device, Reply(block, data, status, time), accepted)
+            elif i in found and not device.check_reading(result, status, time):
+                self.guard.counters.stale += 1
+            else:
+                accepted.append(device.index)
+                if has_status:
+                    device.note_status(Reply(block, data, status, time))
 
-    def _blocks(self, group: Sequence[Device]) -> tuple[Block, ...]:
+    def _blocks(self, group: Group) -> tuple[Block, ...]:
         """Return the blocks of a reading of servos of one kind, with the status once it is due.
 
         Status is due once `StatusPoller` has taken that of all these servos, of which the last has
         its turn last. It saves the request for the status of one servo in each cycle.
         """
-        family = group[0].family
-        if group[-1].has_new_status or not family.read_with_status:
+        family = group.family
+        if group.devices[-1].has_new_status or not family.read_with_status:
             return family.read
-        longer = len(group) * (family.read_with_status[0].size - family.read[0].size)
+        longer = len(group.ids) * (family.read_with_status[0].size - family.read[0].size)
         if longer * BITS_PER_BYTE / self._baudrate > STATUS_SHARE * self._cycle:
             return family.read
         return family.read_with_status
 
     def _read_each(
         self,
-        group: Sequence[Device],
+        group: Group,
         accepted: list[int],
         *,
         last: int | None = None,
@@ -333,10 +354,10 @@ class Port:
         """
         replies = []
         missed = []
-        for device in sorted(group, key=lambda device: (device.id == last, device.time)):
+        for device in sorted(group.devices, key=lambda device: (device.id == last, device.time)):
             self.guard.counters.retries += not again
             try:
-                reply = self.guard.read(device.id, *self._blocks([device]), again=again)
+                reply = self.guard.read(device.id, *self._blocks(Group([device])), again=again)
             except BusError as error:
                 error.raise_if_gone()
                 if error.reason == "timeout":
@@ -381,21 +402,21 @@ def latency_timer(path: str) -> float | None:
         return None
 
 
-def _groups(items: Iterable[_T], key: Callable[[_T], Hashable]) -> list[list[_T]]:
-    """Return lists of the items with equal keys, in the order in which the keys first appear."""
-    found: dict[Hashable, list[_T]] = {}
-    for item in items:
-        found.setdefault(key(item), []).append(item)
-    return list(found.values())
+def _groups(devices: Iterable[Device], key: Callable[[Device], Hashable]) -> list[Group]:
+    """Return groups of the devices with equal keys, in the order in which the keys first appear."""
+    found: dict[Hashable, list[Device]] = {}
+    for device in devices:
+        found.setdefault(key(device), []).append(device)
+    return [Group(members) for members in found.values()]
 
 
-def _read_groups(devices: Iterable[Device]) -> list[list[Device]]:
-    """Return lists of the devices that one sync read can read, or that are read one by one."""
+def _read_groups(devices: Iterable[Device]) -> list[Group]:
+    """Return groups of the devices that one sync read can read, or that are read one by one."""
     return _groups(devices, lambda device: (device.family.sync_read, device.family.read))
 
 
-def write_groups(devices: Iterable[Device]) -> list[list[Device]]:
-    """Return lists of the devices whose registers one packet can write."""
+def write_groups(devices: Iterable[Device]) -> list[Group]:
+    """Return groups of the devices whose registers one packet can write."""
     return _groups(devices, lambda device: device.family.write)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pliant._core import ConfigError, ServoCodec, ServoError, ShapeError
+from pliant._core import ConfigError, OutOfRangeError, ServoCodec, ServoError, ShapeError
 from pliant.drive import Clock, JointReadings, ServoStatus
 from pliant.servo import _enable as sequences
 from pliant.servo._device import Device
@@ -387,9 +387,15 @@ class ServoBus:
         """
         if not self._ports:
             self._check_open()
-        goals, limits = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
-        speeds = self._speed_caps(velocity)
-        packets = [(port, port.encode(goals, limits, speeds)) for port in self._ports]
+        speed = self._speed or 0.0
+        try:
+            packets = [(port, port.encode(goal, limit, velocity, speed)) for port in self._ports]
+        except (ShapeError, OutOfRangeError):
+            # Name the joint.
+            self._vector(goal, "goal")
+            self._vector(limit, "limit", unit="N·m")
+            self._vector(velocity, "velocity", unit="rad/s", unlimited=True)
+            raise
         for port, groups in packets:
             try:
                 port.write(groups)
@@ -440,8 +446,7 @@ class ServoBus:
         """
         self._check_open()
         goals, limits = self._vector(goal, "goal"), self._vector(limit, "limit", unit="N·m")
-        speeds = self._speed_caps(None)
-        sequences.enable(self._devices, self._port_of, goals, limits, speeds)
+        sequences.enable(self._devices, self._port_of, goals, limits, self._speed or 0.0)
         if self._watchdog:
             self.watchdog(self._watchdog)
 
@@ -545,15 +550,6 @@ class ServoBus:
             device.accept(port.guard.read(device.id, *device.family.read))
         align_secondaries(self._joints)
 
-    def _speed_caps(self, velocity: ArrayLike | None) -> list[float]:
-        """Return the largest speeds (n,) [rad/s]: `velocity`, bounded by that of the bus."""
-        speeds = [self._speed or joint[0].units.no_load_speed for joint in self._joints]
-        if velocity is None:
-            return speeds
-        # An infinite velocity means no limit.
-        asked = self._vector(velocity, "velocity", unit="rad/s", unlimited=True)
-        return list(map(min, asked, speeds))
-
     def _select(self, names: Sequence[str] | None) -> list[Device]:
         if names is None:
             return self._devices
@@ -563,7 +559,7 @@ class ServoBus:
         return [device for device in self._devices if device.spec.name in names]
 
     def _vector(
-        self, value: ArrayLike, name: str, *, unit: str = "", unlimited: bool = False
+        self, value: ArrayLike | None, name: str, *, unit: str = "", unlimited: bool = False
     ) -> list[float]:
         """Validate and return a vector (n,) of finite numbers; with `unlimited`, also of inf.
 

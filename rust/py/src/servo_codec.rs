@@ -7,10 +7,10 @@ use pyo3::types::PyBytes;
 
 use crate::error::{OrRaise, shape, tuple};
 use crate::ndarray::new_array;
-use crate::read::vector;
+use crate::read::{array_into, vector};
 
-/// Registers of goal, limit and speed cap, and two packets.
-type Encoded<'py> = (i64, i64, i64, Bound<'py, PyBytes>, Bound<'py, PyBytes>);
+/// Registers of goal, limit and speed cap, and two packets, of each servo.
+type Encoded<'py> = (Vec<(i64, i64, i64)>, Vec<Bound<'py, PyBytes>>, Vec<Bound<'py, PyBytes>>);
 
 /// Number of numbers that describe registers, packets and units of a servo.
 const NUMBERS: usize = 9 * 3 + 2 * 2 + 20;
@@ -22,13 +22,24 @@ pub(crate) struct ServoCodec {
     core: CoreCodec,
     joints: Vec<f64>,
     packets: [[u8; MAX_PACKET]; 2],
+    goal: Vec<f64>,
+    limit: Vec<f64>,
+    velocity: Vec<f64>,
 }
 
 #[pymethods]
 impl ServoCodec {
     #[new]
     fn new(servos: usize, joints: usize) -> Self {
-        Self { core: CoreCodec::new(servos, joints), joints: vec![0.0; 5 * joints], packets: [[0; MAX_PACKET]; 2] }
+        let zeros = || vec![0.0; joints];
+        Self {
+            core: CoreCodec::new(servos, joints),
+            joints: vec![0.0; 5 * joints],
+            packets: [[0; MAX_PACKET]; 2],
+            goal: zeros(),
+            limit: zeros(),
+            velocity: zeros(),
+        }
     }
 
     #[doc = stub!(ServoCodec.configure)]
@@ -107,6 +118,28 @@ impl ServoCodec {
         })
     }
 
+    #[doc = stub!(ServoCodec.decode_group)]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn decode_group(
+        &mut self,
+        servos: Vec<usize>,
+        answers: Vec<(Bound<'_, PyBytes>, usize)>,
+        address: usize,
+        time: f64,
+        longest: f64,
+    ) -> PyResult<Vec<(usize, Option<bool>)>> {
+        let mut notable = Vec::new();
+        for (i, (servo, (data, status))) in servos.iter().zip(&answers).enumerate() {
+            let gap = time - self.core.reading(*servo).or_raise()?.0.time;
+            if gap > longest {
+                notable.push((i, None));
+            } else if let Some(found) = self.decode(*servo, data, *status, address, time)? {
+                notable.push((i, Some(found)));
+            }
+        }
+        Ok(notable)
+    }
+
     #[doc = stub!(ServoCodec.joints)]
     #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn joints<'py>(&mut self, py: Python<'py>, read: Vec<usize>) -> (Bound<'py, PyAny>, Bound<'py, PyArray1<bool>>) {
@@ -120,18 +153,36 @@ impl ServoCodec {
     }
 
     #[doc = stub!(ServoCodec.encode)]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn encode<'py>(
         &mut self,
         py: Python<'py>,
-        servo: usize,
-        goal: f64,
-        limit: f64,
-        speed: f64,
+        servos: Vec<usize>,
+        goal: &Bound<'py, PyAny>,
+        limit: &Bound<'py, PyAny>,
+        velocity: Option<&Bound<'py, PyAny>>,
+        max_speed: f64,
     ) -> PyResult<Encoded<'py>> {
-        let ([goal, limit, speed], sizes) =
-            self.core.encode(servo, [goal, limit, speed], &mut self.packets).or_raise()?;
-        let packet = |i: usize| PyBytes::new(py, self.packets[i].get(..sizes[i]).unwrap_or_default());
-        Ok((goal, limit, speed, packet(0), packet(1)))
+        let shape = [self.goal.len()];
+        array_into("goal", goal, &shape, &mut self.goal)?;
+        array_into("limit", limit, &shape, &mut self.limit)?;
+        match velocity {
+            Some(velocity) => array_into("velocity", velocity, &shape, &mut self.velocity)?,
+            None => self.velocity.fill(f64::INFINITY),
+        }
+        let mut registers = Vec::with_capacity(servos.len());
+        let mut packets = [Vec::with_capacity(servos.len()), Vec::with_capacity(servos.len())];
+        for servo in servos {
+            let joint = self.core.joint(servo).or_raise()?;
+            let command = [self.goal[joint], self.limit[joint], self.velocity[joint]];
+            let (values, sizes) = self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()?;
+            registers.push(values.into());
+            for (i, packets) in packets.iter_mut().enumerate() {
+                packets.push(PyBytes::new(py, self.packets[i].get(..sizes[i]).unwrap_or_default()));
+            }
+        }
+        let [first, second] = packets;
+        Ok((registers, first, second))
     }
 
     #[doc = stub!(ServoCodec.reading)]

@@ -257,6 +257,14 @@ impl ServoCodec {
         Ok(())
     }
 
+    /// Returns the joint of a servo.
+    ///
+    /// # Errors
+    /// [`Error::OutOfRange`] if there is no such servo.
+    pub fn joint(&self, servo: usize) -> Result<usize> {
+        self.servo(servo).map(|servo| servo.joint)
+    }
+
     /// Returns the last accepted reading of a servo, the number of implausible positions since, and the distance of the
     /// last of these [rad].
     ///
@@ -356,20 +364,29 @@ impl ServoCodec {
     /// Returns goal, limit and speed cap registers of a servo for a goal [rad], torque limit [N·m] and largest speed
     /// [rad/s], and writes its packets to `packets`, whose lengths it returns.
     ///
+    /// The speed is bounded by `max_speed` [rad/s], or by the joint's speed without load if `max_speed` is 0.
+    ///
     /// # Errors
-    /// [`Error::OutOfRange`] if there is no such servo, or a number is not finite.
+    /// [`Error::OutOfRange`] if there is no such servo, goal or limit is not finite, the speed is NaN, or limit or
+    /// speed is negative.
     #[expect(clippy::cast_possible_truncation, reason = "registers are whole numbers within their bounds")]
     pub fn encode(
         &self,
         servo: usize,
         command: [f64; 3],
+        max_speed: f64,
         packets: &mut [[u8; MAX_PACKET]; 2],
     ) -> Result<([i64; 3], [usize; 2])> {
         let servo = self.servo(servo)?;
-        if let Some(value) = command.into_iter().find(|value| !value.is_finite()) {
-            return Err(Error::out_of_range("command", value, "the finite numbers"));
+        let [goal, limit, speed] = command;
+        let is_valid = goal.is_finite() && limit.is_finite() && limit >= 0.0 && speed >= 0.0;
+        if !is_valid {
+            let value = command.into_iter().find(|value| !value.is_finite()).unwrap_or(limit.min(speed));
+            return Err(Error::out_of_range("command", value, "finite goals, and limits and speeds of at least 0"));
         }
-        let values = servo.command(command).map(|value| value as i64);
+        let first = self.servos.iter().find(|other| other.joint == servo.joint).unwrap_or(servo);
+        let bound = if max_speed > 0.0 { max_speed } else { first.units.no_load_speed };
+        let values = servo.command([goal, limit, speed.min(bound)]).map(|value| value as i64);
         let blocks = &servo.units.packets;
         for (bytes, &[address, size]) in packets.iter_mut().zip(blocks) {
             *bytes = [0; MAX_PACKET];
