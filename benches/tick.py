@@ -12,7 +12,9 @@ emulator in another process: `so101` (Feetech STS), `koch` (Dynamixel X), `arm7`
 Protocol 1.0, one request per servo).
 
 In the same run, rustypot repeats on the same open port the requests that pliant has just made,
-without pliant; and the vendor's SDK makes one group sync read and one group sync write per tick.
+without pliant. The vendor's SDK, and LeRobot's bus class where it is installed, make one sync read
+and one sync write per tick on a port of their own. LeRobot's reads positions and writes goals in
+degrees.
 
 Times are processor times of the thread that runs the loop. Other programs influence them through
 caches only. Stages are timed in blocks of their own, because their timers cost time too.
@@ -34,6 +36,7 @@ import tracemalloc
 from collections import defaultdict
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -52,7 +55,7 @@ from pliant.loop import LatenessHistogram
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    #: Requests of a tick: methods of rustypot with their arguments.
+    #: Requests of a tick: methods of a transport with their arguments.
     Requests = list[tuple[Callable[..., Any], tuple[Any, ...]]]
 
 RATE = 100.0
@@ -76,13 +79,13 @@ STAGES = {
 }
 #: Stage of the transactions of rustypot that a stage makes.
 TRANSACTIONS = {"decode": "read bytes", "encode": "write bytes", "status": "status bytes"}
-#: Methods of rustypot that make the transactions of a tick.
-CALLS = (
-    "read_raw_data_with_error",
-    "sync_read_raw_data_with_error",
-    "sync_write_raw_data",
-    "write_raw_data_with_error",
-)
+#: Methods of a transport that make the transactions of a tick, and those of rustypot.
+CALLS = {
+    "read": "read_raw_data_with_error",
+    "sync_read": "sync_read_raw_data_with_error",
+    "sync_write": "sync_write_raw_data",
+    "write": "write_raw_data_with_error",
+}
 
 
 class NullClock:
@@ -216,15 +219,16 @@ class Rig:
         self.target = arm.model.forward_kinematics(arm.read().q)
         self.whole, self.staged, self.logged, self.bare = Sum(), Sum(), Sum(), Sum()
         self.vendor: Sum | None = None
+        self.lerobot: Sum | None = None
         self.last: Requests = []
         self.lateness = LatenessHistogram()
         self.requests = 0.0
         self.calls = self.python_calls = self.memory = 0.0
 
     @property
-    def transports(self) -> list[Any]:
-        """The transports of the servo bus; empty for a drive without ports."""
-        return [port._io for port in getattr(self.arm.drive, "_ports", [])]
+    def guards(self) -> list[Any]:
+        """The objects that use the transports of the servo bus; empty for a drive without ports."""
+        return [port.guard for port in getattr(self.arm.drive, "_ports", [])]
 
     def ticks(
         self,
@@ -302,9 +306,10 @@ class Rig:
 
         with self._instrumented(recorded):
             self.ticks(note, lambda: None, each=note)
+        converted = [[bare(call, args) for call, args in tick] for tick in ticks[:BLOCK]]
         deadline = time.perf_counter()
         started = clocks()
-        for requests in ticks[:BLOCK]:
+        for requests in converted:
             deadline += 1.0 / RATE
             time.sleep(max(deadline - time.perf_counter(), 0.0))
             for call, args in requests:
@@ -383,9 +388,9 @@ class Rig:
                 stack.enter_context(replaced(owner, name, timed(getattr(owner, name), stage)))
             step = {"step": timed(self.controller.step, "step")}
             stack.enter_context(replaced(self, "controller", Wrapped(self.controller, step)))
-            for transport in self.transports:
-                calls = {name: timed(getattr(transport._io, name), "bytes") for name in CALLS}
-                stack.enter_context(replaced(transport, "_io", Wrapped(transport._io, calls)))
+            for guard in self.guards:
+                calls = {name: timed(getattr(guard._io, name), "bytes") for name in CALLS}
+                stack.enter_context(replaced(guard, "_io", Wrapped(guard._io, calls)))
             yield
 
 
@@ -401,6 +406,17 @@ def replaced(owner: Any, name: str, value: Any) -> Iterator[None]:
             delattr(owner, name)
         else:
             setattr(owner, name, before)
+
+
+def bare(call: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+    """Return the method of rustypot and its arguments for a request of a transport."""
+    transport: Any = call.__self__  # type: ignore[attr-defined]
+    convert = {
+        "write": lambda id, address, data: (id, address, list(data)),
+        "sync_read": lambda ids, address, size: (list(ids), address, size),
+        "sync_write": lambda ids, address, data: (list(ids), address, [list(row) for row in data]),
+    }.get(call.__name__, lambda *rest: rest)
+    return getattr(transport._io, CALLS[call.__name__]), convert(*args)
 
 
 @contextmanager
@@ -461,7 +477,7 @@ def vendor(name: str, requests: Requests, rounds: int) -> Sum | None:
     module, protocol = found
     (reads, address, size), (ids, start, data) = (
         next(args for call, args in requests if call.__name__ == kind)
-        for kind in ("sync_read_raw_data_with_error", "sync_write_raw_data")
+        for kind in ("sync_read", "sync_write")
     )
     total = Sum()
     with EmulatorProcess(make_emulator, config.load(name)) as emulator:
@@ -487,6 +503,48 @@ def vendor(name: str, requests: Requests, rounds: int) -> Sum | None:
     return total
 
 
+def lerobot(name: str, specs: Sequence[Any], rounds: int) -> Sum | None:
+    """Time one `sync_read` and one `sync_write` per tick of LeRobot's bus class.
+
+    Args:
+        name: Name of the arm.
+        specs: Joints and their servos.
+        rounds: Number of blocks.
+
+    Returns:
+        Processor times; None without LeRobot, or if it has no bus class for this arm.
+    """
+    try:
+        from lerobot.motors import Motor, MotorCalibration, MotorNormMode
+        from lerobot.motors.dynamixel import DynamixelMotorsBus
+        from lerobot.motors.feetech import FeetechMotorsBus
+    except ImportError:
+        return None
+    kind = {"so101": FeetechMotorsBus, "koch": DynamixelMotorsBus}.get(name)
+    if kind is None:
+        return None
+    motors, calibration = {}, {}
+    for spec in specs:
+        model = spec.row.family.name if name == "so101" else spec.model.removesuffix("-T")
+        motors[spec.name] = Motor(spec.id, model.lower(), MotorNormMode.DEGREES)
+        calibration[spec.name] = MotorCalibration(spec.id, 0, 0, 0, 4095)
+    total = Sum()
+    with EmulatorProcess(make_emulator, config.load(name)) as emulator:
+        bus = kind(emulator.port, motors, calibration)
+        bus.connect(handshake=False)
+        goals = bus.sync_read("Present_Position", num_retry=5)
+        for _ in range(rounds):
+            deadline, started = time.perf_counter(), clocks()
+            for _ in range(BLOCK):
+                deadline += 1.0 / RATE
+                time.sleep(max(deadline - time.perf_counter(), 0.0))
+                bus.sync_read("Present_Position", num_retry=5)
+                bus.sync_write("Goal_Position", goals)
+            total.add(started, BLOCK)
+        bus.disconnect(disable_torque=False)
+    return total
+
+
 def run(names: Sequence[str], rounds: int) -> list[Rig]:
     """Measure the rigs `names` in rounds of blocks of each kind, and return them."""
     rigs = []
@@ -495,13 +553,14 @@ def run(names: Sequence[str], rounds: int) -> list[Rig]:
             for turn in range(rounds):
                 rig.measure(rig.whole)
                 rig.measure_stages()
-                if rig.transports:
+                if rig.guards:
                     rig.replay()
                 rig.renew()
                 rig.measure(rig.logged, recorder=Recorder(Path(folder) / f"{turn}.mcap"))
             rig.count()
         if rig.last:
             rig.vendor = vendor(name, rig.last, rounds)
+            rig.lerobot = lerobot(name, rig.arm.drive.specs, rounds)
         rigs.append(rig)
         print(f"   {name}: {rig.whole.per_tick(rig.whole.thread):.0f} µs", file=sys.stderr)
     return rigs
@@ -540,6 +599,11 @@ def report(rigs: Sequence[Rig]) -> str:
         row("rustypot alone, same requests [µs]", lambda rig: mean(rig.bare)),
         row("pliant / rustypot alone", ratio),
         row("vendor's SDK, sync read and write only [µs]", lambda rig: mean(rig.vendor)),
+        row(
+            "LeRobot's bus class, sync read and write only [µs]"
+            + ("" if find_spec("lerobot") else " (skipped: not installed)"),
+            lambda rig: mean(rig.lerobot),
+        ),
         *(row(f"{title} [µs]", stage(name)) for name, title in STAGES.items()),
         row("requests", lambda rig: f"{rig.requests:.2f}"),
         row("calls of functions", lambda rig: f"{rig.calls:.0f}"),

@@ -5,6 +5,8 @@ from os import PathLike
 from types import MappingProxyType
 from typing import Any, Final, Literal, Protocol, TypeAlias, TypedDict, Unpack, final, overload
 
+import sys
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -64,6 +66,7 @@ __all__ = [
     "check_path",
     "compliance",
     "damped_pseudo_inverse",
+    "exchange",
     "holding_torque",
     "joint_torque_limits",
     "null_space_projector",
@@ -2704,6 +2707,28 @@ class Lowering:
             ShapeError: `q` or `ok` does not have n entries; nothing has changed.
         """
 
+if sys.platform != "win32":
+    def exchange(
+        descriptor: int, request: bytes, ids: bytes, size: int, timeout: float
+    ) -> bytes:
+        """Send a request of Protocol 1.0 and return the replies, without the interpreter lock.
+
+        Bytes that have arrived before are discarded.
+
+        Args:
+            descriptor: File descriptor of the serial port.
+            request: Bytes to send.
+            ids: Ids of the servos that reply, in this order; may be empty.
+            size: Number of data bytes of each reply.
+            timeout: Longest silence before the replies and within them [s].
+
+        Returns:
+            The replies; fewer bytes after the timeout, or once they are not those expected.
+
+        Raises:
+            OSError: The port has vanished.
+        """
+
 #: Ratio of holding torque to gravity torque of an arm held without a controller.
 SUPPORT: Final[float]
 
@@ -2877,6 +2902,14 @@ class PositionFilter:
             ShapeError: An array does not have N entries.
         """
 
+    def select(self, joints: Sequence[int], now: float) -> tuple[_Array, _Array, float]:
+        """Return positions [rad] and their ages at time `now` [s] of joints, and the oldest time.
+
+        Args:
+            joints: Indices of the joints; the arrays have one entry for each.
+            now: Present time [s].
+        """
+
     def assume(self, position: ArrayLike, time: float) -> None:
         """Store assumed positions for the joints that have not been read yet.
 
@@ -2959,7 +2992,7 @@ class ServoCodec:
     def decode_group(
         self,
         servos: Sequence[int],
-        answers: Sequence[tuple[bytes, int]],
+        answers: list[tuple[bytes, int]],
         address: int,
         time: float,
         longest: float,
@@ -2975,10 +3008,12 @@ class ServoCodec:
             ShapeError: The bytes do not contain the position.
         """
 
-    def joints(self, read: Sequence[int]) -> tuple[_Array, NDArray[np.bool_]]:
-        """Return position [rad], time [s], velocity [rad/s], torque [N m] and current [A] (5, n).
+    def joints(
+        self, read: Sequence[int]
+    ) -> tuple[_Array, _Array, _Array, _Array, _Array, NDArray[np.bool_]]:
+        """Return position [rad], time [s], velocity [rad/s], torque [N m], current [A] and a mask.
 
-        The mask (n,) is True for joints whose servos all are among `read`. Of two servos on a joint
+        They are arrays (n,). The mask is True for joints whose servos all are among `read`. Of two servos on a joint
         the first has angle and velocity; time is the older, torque the mean, current the sum.
         """
 
@@ -2989,7 +3024,7 @@ class ServoCodec:
         limit: ArrayLike,
         velocity: ArrayLike | None,
         max_speed: float,
-    ) -> tuple[list[tuple[int, int, int]], list[bytes], list[bytes]]:
+    ) -> list[tuple[int, int, int, bytes, bytes]]:
         """Return the registers of goal, limit and speed cap of each servo, and its 2 packets.
 
         A goal is clamped to the range; a limit is rounded down and clamped to the largest; a speed

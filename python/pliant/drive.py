@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SPIN = 1e-4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class JointReadings:
     """One reading of all N joints of a drive, in the order of `Drive.names`.
 
@@ -46,6 +46,20 @@ class JointReadings:
     velocity: Array | None = None
     load: Array | None = None
     current: Array | None = None
+
+    def __init__(  # noqa: PLR0917 -- the attributes
+        self,
+        position: Array,
+        ok: Mask,
+        time: Array | float,
+        velocity: Array | None = None,
+        load: Array | None = None,
+        current: Array | None = None,
+    ) -> None:
+        # The constructor of a frozen dataclass makes a call per attribute.
+        self.__dict__.update(
+            position=position, ok=ok, time=time, velocity=velocity, load=load, current=current
+        )
 
 
 @dataclass(frozen=True)

@@ -242,7 +242,10 @@ class ArmIO:
         self._last_update: float | None = None
         # Goals [rad] and torque limits [N·m] last sent to all joints (N,), and whether that was.
         self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
-        self._voltage, self._unlimited = np.full(size, np.nan), np.full(size, np.inf)
+        self._unlimited = np.full(size, np.inf)
+        # Read-only arrays (N,), of which states hold views; replaced once a value changes.
+        self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
+        self._chain = self.joints.chain.tolist()
         self._reported: dict[str, tuple[str, ...]] = {}
         self._index = {name: i for i, name in enumerate(self.joints.names)}
         self._rows: dict[str, Array | None] = {}
@@ -285,20 +288,23 @@ class ArmIO:
 
     def state(self, ok: Mask) -> State:
         """Return the state of the arm after a `sample`, which returned the mask `ok` (n,)."""
-        positions, chain = self.positions, self.joints.select
-        time = positions.time[chain]
-        position = positions.position
+        joints = self.joints
+        extra: dict[str, float] = {}
+        if joints.extra:
+            position = self.positions.position
+            extra = {name: float(position[self._index[name]]) for name in joints.extra}
+        q, age, time = self.positions.select(self._chain, self.clock.now())
         state = object.__new__(State)
         # The constructor of a frozen dataclass makes a call per attribute.
         state.__dict__.update(
             self._rows,
-            q=position[chain],
-            time=min(time.tolist()),
+            q=q,
+            time=time,
             fresh=False not in ok.tolist(),
-            extra={name: float(position[self._index[name]]) for name in self.joints.extra},
-            age=self.clock.now() - time,
-            voltage=self._voltage[chain].copy(),
-            temperature=self.thermal.temperature[chain],
+            extra=extra,
+            age=age,
+            voltage=self._voltage[joints.select],
+            temperature=self._temperature[joints.select],
             faults=self.faults(),
         )
         return state
@@ -548,14 +554,23 @@ class ArmIO:
         if status is None:
             return
         index = self._index[status.name]
-        if status.voltage is not None:
-            self._voltage[index] = status.voltage
-        if status.temperature is not None:
+        if status.voltage is not None and status.voltage != self._voltage[index]:
+            self._voltage = _with_entry(self._voltage, index, status.voltage)
+        if status.temperature is not None and status.temperature != self._temperature[index]:
             self.thermal.set_temperature(index, status.temperature)
+            self._temperature = _with_entry(self._temperature, index, status.temperature)
         if status.faults:
             self._reported[status.name] = status.faults
         elif self._reported:
             self._reported.pop(status.name, None)
+
+
+def _with_entry(values: Array, index: int, value: float | None) -> Array:
+    """Return a read-only copy of an array with another value at `index`."""
+    changed = values.copy()
+    changed[index] = value
+    changed.flags.writeable = False
+    return changed
 
 
 def _per_joint(value: ArrayLike, size: int) -> Array:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pliant.servo._device import Device
-    from pliant.servo._port import Group, Packets, Port
+    from pliant.servo._port import Port
 
     Ports = Mapping[int, Port]
 
@@ -65,8 +65,8 @@ def enable(
         before[id(device)] = _check_state(device, ports, goal)
     switched = [d for d in devices if not before[id(d)]["torque_enable"]]
     indices = [device.index for device in devices]
-    registers, *_ = devices[0].codec.encode(indices, goal, limit, None, max_speed)
-    commands = {id(d): FirstCommand(*row) for d, row in zip(devices, registers, strict=True)}
+    rows = devices[0].codec.encode(indices, goal, limit, None, max_speed)
+    commands = {id(d): FirstCommand(*row[:3]) for d, row in zip(devices, rows, strict=True)}
     is_sent = False
     try:
         for device in devices:
@@ -82,7 +82,10 @@ def enable(
         is_sent = True
         for port in dict.fromkeys(ports[id(device)] for device in devices):
             served = [device for device in devices if ports[id(device)] is port]
-            port.write(_packets(group, commands) for group in write_groups(served))
+            port.write(
+                (group, [_encoded(device, commands[id(device)]) for device in group.devices])
+                for group in write_groups(served)
+            )
         for device in devices:
             start[id(device)] = _send_first_command(
                 device, ports, commands[id(device)], start[id(device)]
@@ -164,14 +167,10 @@ class FirstCommand(NamedTuple):
     speed: int
 
 
-def _packets(group: Group, commands: Mapping[int, FirstCommand]) -> Packets:
-    """Return the packets of a group of servos for `Port.write`; commands by `id` of the device."""
-    rows = [commands[id(device)] for device in group.devices]
-    data = [
-        [device.packet(names, *row) for device, row in zip(group.devices, rows, strict=True)]
-        for names in group.family.write
-    ]
-    return group, rows, data
+def _encoded(device: Device, command: FirstCommand) -> tuple[int, int, int, bytes, bytes]:
+    """Return registers and packets of a command, as `ServoCodec.encode` does for each servo."""
+    packets = [device.packet(names, *command) for names in device.family.write]
+    return (*command, packets[0], packets[-1])
 
 
 def _write_limits(device: Device, ports: Ports, limit: int) -> None:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
-    #: Servos of one kind; registers of goal, limit and speed cap of each; and for each packet of
-    #: the kind the bytes of each servo.
-    Packets = tuple["Group", Sequence[tuple[int, int, int]], Sequence[Sequence[bytes]]]
+    #: Servos of one kind, and for each the registers of goal, limit and speed cap and its packets,
+    #: as `ServoCodec.encode` returns them.
+    Packets = tuple["Group", Sequence[tuple[int, int, int, bytes, bytes]]]
 
 #: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, so that it
 #: does not cost a timeout in every cycle.
@@ -262,8 +262,7 @@ class Port:
         packets: list[Packets] = []
         for group in groups:
             codec = group.devices[0].codec
-            registers, *data = codec.encode(group.indices, goal, limit, velocity, max_speed)
-            packets.append((group, registers, data))
+            packets.append((group, codec.encode(group.indices, goal, limit, velocity, max_speed)))
         return packets
 
     def write(self, packets: Iterable[Packets]) -> None:
@@ -275,11 +274,14 @@ class Port:
         Raises:
             BusError: A packet could not be sent.
         """
-        for group, registers, data in packets:
+        for group, commands in packets:
+            goals, limits, _, *data = zip(*commands, strict=True)
             for block, items in zip(group.family.write_blocks, data, strict=False):
                 self.guard.sync_write(group.ids, block.address, items)
-            for device, sent, packet in zip(group.devices, registers, data[0], strict=True):
-                device.record_sent(sent[0], sent[1], packet)
+            for device, goal, limit, packet in zip(
+                group.devices, goals, limits, data[0], strict=True
+            ):
+                device.record_sent(goal, limit, packet)
 
     def _read_block(self, device: Device, block: Block) -> bool:
         """Read a block of registers and store its values in the device; False: no reply came."""

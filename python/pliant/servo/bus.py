@@ -177,6 +177,7 @@ class ServoBus:
             speed=self._speed,
         )
         copy._joints, copy._devices = self._joints, self._devices
+        copy._doubled = self._doubled
         copy._poller, copy.found = self._poller, self.found
         copy._timing = {
             port.path: (port.guard.response_delay, port.guard.latency) for port in self._ports
@@ -364,10 +365,9 @@ class ServoBus:
         else:
             accepted = [i for found in self._pool.map(self._read_port, self._ports) for i in found]
         self._report_lost_ports()
-        (position, times, velocity, load, current), ok = self._codec.joints(accepted)
-        for joint in self._joints:
-            if len(joint) > 1:
-                check_agreement(joint)
+        position, times, velocity, load, current, ok = self._codec.joints(accepted)
+        for joint in self._doubled:
+            check_agreement(joint)
         return JointReadings(position, ok, times, velocity, load, current)
 
     def write(self, goal: ArrayLike, limit: ArrayLike, velocity: ArrayLike | None = None) -> None:
@@ -516,6 +516,7 @@ class ServoBus:
             for i, spec in enumerate(self.specs)
         ]
         self._devices = [device for joint in self._joints for device in joint]
+        self._doubled = [joint for joint in self._joints if len(joint) > 1]
         self._poller = StatusPoller(self._joints)
         self._counters: list[Counters] = []
         self._attach()

@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from pliant._core import ServoError
 
+if sys.platform != "win32":
+    from pliant._core import exchange
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -79,6 +82,11 @@ class Transport(Protocol):
         """Close the serial port."""
 
 
+#: Instructions of Protocol 1.0, id of requests to all servos, and number of bytes of a reply without
+#: data.
+READ, SYNC_READ, SYNC_WRITE, BROADCAST, OVERHEAD = 0x02, 0x82, 0x83, 0xFE, 6
+
+
 class RustypotTransport:
     """Transport that uses rustypot: one port, one protocol.
 
@@ -105,14 +113,22 @@ class RustypotTransport:
 
             raise ImportError(missing("driving servos", "servo")) from error
         self.port, self.baudrate = port, baudrate
+        self._timeout = timeout
+        before = _descriptors(port)
         kind = rustypot.MxPyController if protocol == "p1" else rustypot.Xl430PyController
         try:
             self._io: Any = kind(port, baudrate, timeout)
         except (OSError, RuntimeError) as error:
             raise ServoError(_cannot_open(port, str(error))) from error
+        # Packets of Protocol 1.0 go through the descriptor of the port, where that is known.
+        opened = _descriptors(port) - before if protocol == "p1" else set()
+        self._descriptor = opened.pop() if len(opened) == 1 else None
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
         """Read `size` bytes of one servo from `address` on; return them and the status byte."""
+        if self._descriptor is not None:
+            request = _packet(id, READ, bytes((address, size)))
+            return self._exchange(request, (id,), size)[0]
         try:
             values, status = self._io.read_raw_data_with_error(id, address, size)
         except RuntimeError as error:
@@ -131,6 +147,9 @@ class RustypotTransport:
 
         If one reply is missing, the whole request fails.
         """
+        if self._descriptor is not None:
+            request = _packet(BROADCAST, SYNC_READ, bytes((address, size, *ids)))
+            return self._exchange(request, ids, size)
         try:
             answers = self._io.sync_read_raw_data_with_error(list(ids), address, size)
         except RuntimeError as error:
@@ -139,6 +158,11 @@ class RustypotTransport:
 
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write `data[i]` to servo `ids[i]` from `address` on, in one packet without reply."""
+        if self._descriptor is not None:
+            rows = [bytes((id,)) + row for id, row in zip(ids, data, strict=True)]
+            head = bytes((address, len(data[0])))
+            self._exchange(_packet(BROADCAST, SYNC_WRITE, head + b"".join(rows)), (), 0)
+            return
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
         except RuntimeError as error:
@@ -160,11 +184,52 @@ class RustypotTransport:
 
     def set_timeout(self, seconds: float) -> None:
         """Set the reply timeout of the next calls [s]."""
+        self._timeout = seconds
         self._io.set_timeout(seconds)
 
     def close(self) -> None:
         """Close the serial port."""
+        self._descriptor = None
         self._io.close()
+
+    def _exchange(
+        self, request: bytes, ids: Sequence[int], size: int
+    ) -> list[tuple[bytes, int]]:
+        """Send a request of Protocol 1.0; return data and status byte of the reply of each servo.
+
+        The first reply with another number of data bytes is the last that is returned.
+
+        Raises:
+            BusError: A reply is missing or corrupt, or the port is gone.
+        """
+        assert self._descriptor is not None
+        try:
+            found = exchange(self._descriptor, request, bytes(ids), size, self._timeout)
+        except OSError as error:
+            raise self._gone(str(error)) from error
+        answers, start = [], 0
+        for id in ids:
+            packet = found[start:]
+            if not bytes((255, 255, id)).startswith(packet[:3]):
+                raise BusError(f"{self.port}, id {id}: broken answer (header or id)", "corrupt", id)
+            if len(packet) > OVERHEAD and packet[3] > size + 2:
+                answers.append((packet[5 : OVERHEAD + size].ljust(size + 1), packet[4]))
+                break
+            if len(packet) < 4 or len(packet) < 4 + packet[3]:
+                raise BusError(f"{self.port}, id {id}: no answer", "timeout", id)
+            packet = packet[: 4 + packet[3]]
+            if len(packet) < OVERHEAD or sum(packet[2:]) & 0xFF != 0xFF:
+                raise BusError(f"{self.port}, id {id}: broken answer (checksum)", "corrupt", id)
+            answers.append((packet[5:-1], packet[4]))
+            if len(packet) != OVERHEAD + size:
+                break
+            start += len(packet)
+        return answers
+
+    def _gone(self, text: str) -> BusError:
+        return BusError(
+            f"{self.port} is gone ({text}): is the adapter still plugged in and powered?", "gone"
+        )
 
     def _failed(self, error: RuntimeError, id: int | None) -> BusError:
         """Return the `BusError` for an error of rustypot, classified by its text."""
@@ -178,14 +243,18 @@ class RustypotTransport:
             return BusError(f"{who}: no answer", "timeout", id)
         if any(word in lower for word in _BROKEN):
             return BusError(f"{who}: broken answer ({text})", "corrupt", id)
-        return BusError(
-            f"{self.port} is gone ({text}): is the adapter still plugged in and powered?", "gone"
-        )
+        return self._gone(text)
 
 
 #: Parts of rustypot's error texts for a missing reply, and for a corrupt reply.
 _SILENT = ("timed out", "timeout")
 _BROKEN = ("checksum", "parsing", "incorrect id")
+
+
+def _packet(id: int, instruction: int, parameters: bytes) -> bytes:
+    """Return a request of Protocol 1.0."""
+    body = bytes((id, len(parameters) + 2, instruction)) + parameters
+    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
 def _cannot_open(port: str, text: str) -> str:
@@ -212,21 +281,29 @@ def _cannot_open(port: str, text: str) -> str:
     return f"cannot open {port}: {text}"
 
 
+def _descriptors(path: str) -> set[int]:
+    """Return the descriptors of this process that are the serial port `path`; none on Windows."""
+    found = set()
+    with suppress(OSError):
+        device = os.stat(path).st_rdev
+        for name in os.listdir("/dev/fd") if device else ():
+            with suppress(OSError):
+                if os.fstat(int(name)).st_rdev == device:
+                    found.add(int(name))
+    return found
+
+
 def drop_port(path: str) -> None:
     """Replace descriptors of the serial port `path` by the null device, in a forked process.
 
     A forked process shares the lock of the port, which would otherwise stay locked until the end of
     both processes. Closing through the driver could wait for a thread that the fork does not have.
     """
-    with suppress(OSError):
-        device = os.stat(path).st_rdev
-        for name in os.listdir("/dev/fd"):
-            with suppress(OSError):
-                number = int(name)
-                if device and os.fstat(number).st_rdev == device:
-                    null = os.open(os.devnull, os.O_RDWR)
-                    os.dup2(null, number, inheritable=False)
-                    os.close(null)
+    for number in _descriptors(path):
+        with suppress(OSError):
+            null = os.open(os.devnull, os.O_RDWR)
+            os.dup2(null, number, inheritable=False)
+            os.close(null)
 
 
 def serial_ports() -> tuple[str, ...]:

@@ -31,6 +31,8 @@ mod pose;
 mod position_filter;
 mod read;
 mod report;
+#[cfg(unix)]
+mod serial;
 mod servo_codec;
 mod servos;
 mod settings;
@@ -85,6 +87,9 @@ mod _core {
     use crate::position_filter::PositionFilter;
     #[pymodule_export]
     use crate::report::{AxisReport, FeasibilityReport, Issue, JointStop, PoseReport, check_path};
+    #[cfg(unix)]
+    #[pymodule_export]
+    use crate::serial::exchange;
     #[pymodule_export]
     use crate::servo_codec::ServoCodec;
     #[pymodule_export]

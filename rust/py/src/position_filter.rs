@@ -66,6 +66,23 @@ impl PositionFilter {
         Ok(PyArray1::from_slice(position.py(), accepted))
     }
 
+    #[doc = stub!(PositionFilter.select)]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn select<'py>(
+        &self,
+        py: Python<'py>,
+        joints: Vec<usize>,
+        now: f64,
+    ) -> (Bound<'py, PyAny>, Bound<'py, PyAny>, f64) {
+        let (all, times) = (self.core.position(), self.core.time());
+        let chosen = |values: &[f64], scale: f64, offset: f64| -> Vec<f64> {
+            joints.iter().map(|&joint| offset + scale * values.get(joint).copied().unwrap_or(f64::NAN)).collect()
+        };
+        let (position, age) = (chosen(all, 1.0, 0.0), chosen(times, -1.0, now));
+        let oldest = joints.iter().filter_map(|&joint| times.get(joint)).copied().fold(f64::INFINITY, f64::min);
+        (new_array(py, &[joints.len()], &position), new_array(py, &[joints.len()], &age), oldest)
+    }
+
     #[doc = stub!(PositionFilter.assume)]
     fn assume(&mut self, position: &Bound<'_, PyAny>, time: f64) -> PyResult<()> {
         array_into("position", position, &[self.ok.len()], &mut self.position)?;

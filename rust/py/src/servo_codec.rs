@@ -3,14 +3,11 @@
 use numpy::PyArray1;
 use pliant_core::arm::{Decoded, MAX_PACKET, Register, ServoCodec as CoreCodec, ServoUnits};
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyList, PyTuple};
 
 use crate::error::{OrRaise, shape, tuple};
 use crate::ndarray::new_array;
 use crate::read::{array_into, vector};
-
-/// Registers of goal, limit and speed cap, and two packets, of each servo.
-type Encoded<'py> = (Vec<(i64, i64, i64)>, Vec<Bound<'py, PyBytes>>, Vec<Bound<'py, PyBytes>>);
 
 /// Number of numbers that describe registers, packets and units of a servo.
 const NUMBERS: usize = 9 * 3 + 2 * 2 + 20;
@@ -120,21 +117,23 @@ impl ServoCodec {
 
     #[doc = stub!(ServoCodec.decode_group)]
     #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
-    fn decode_group(
+    fn decode_group<'py>(
         &mut self,
+        py: Python<'py>,
         servos: Vec<usize>,
-        answers: Vec<(Bound<'_, PyBytes>, usize)>,
+        answers: &Bound<'py, PyList>,
         address: usize,
         time: f64,
         longest: f64,
-    ) -> PyResult<Vec<(usize, Option<bool>)>> {
-        let mut notable = Vec::new();
-        for (i, (servo, (data, status))) in servos.iter().zip(&answers).enumerate() {
-            let gap = time - self.core.reading(*servo).or_raise()?.0.time;
+    ) -> PyResult<Bound<'py, PyList>> {
+        let notable = PyList::empty(py);
+        for (i, (servo, answer)) in servos.into_iter().zip(answers).enumerate() {
+            let gap = time - self.core.reading(servo).or_raise()?.0.time;
+            let (data, status) = answer.extract::<(Bound<'py, PyBytes>, usize)>()?;
             if gap > longest {
-                notable.push((i, None));
-            } else if let Some(found) = self.decode(*servo, data, *status, address, time)? {
-                notable.push((i, Some(found)));
+                notable.append((i, None::<bool>))?;
+            } else if let found @ Some(_) = self.decode(servo, &data, status, address, time)? {
+                notable.append((i, found))?;
             }
         }
         Ok(notable)
@@ -142,14 +141,18 @@ impl ServoCodec {
 
     #[doc = stub!(ServoCodec.joints)]
     #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
-    fn joints<'py>(&mut self, py: Python<'py>, read: Vec<usize>) -> (Bound<'py, PyAny>, Bound<'py, PyArray1<bool>>) {
+    fn joints<'py>(&mut self, py: Python<'py>, read: Vec<usize>) -> PyResult<Bound<'py, PyTuple>> {
         let (joints, ok) = self.core.joints(&read);
+        let n = joints.len();
         for (i, values) in joints.iter().enumerate() {
             for (k, value) in values.iter().enumerate() {
-                self.joints[k * joints.len() + i] = *value;
+                self.joints[k * n + i] = *value;
             }
         }
-        (new_array(py, &[5, joints.len()], &self.joints), PyArray1::from_slice(py, ok))
+        let columns = self.joints.chunks(n.max(1)).map(|column| new_array(py, &[n], column));
+        let mut found: Vec<_> = columns.collect();
+        found.push(PyArray1::from_slice(py, ok).into_any());
+        PyTuple::new(py, found)
     }
 
     #[doc = stub!(ServoCodec.encode)]
@@ -162,7 +165,7 @@ impl ServoCodec {
         limit: &Bound<'py, PyAny>,
         velocity: Option<&Bound<'py, PyAny>>,
         max_speed: f64,
-    ) -> PyResult<Encoded<'py>> {
+    ) -> PyResult<Bound<'py, PyList>> {
         let shape = [self.goal.len()];
         array_into("goal", goal, &shape, &mut self.goal)?;
         array_into("limit", limit, &shape, &mut self.limit)?;
@@ -170,19 +173,16 @@ impl ServoCodec {
             Some(velocity) => array_into("velocity", velocity, &shape, &mut self.velocity)?,
             None => self.velocity.fill(f64::INFINITY),
         }
-        let mut registers = Vec::with_capacity(servos.len());
-        let mut packets = [Vec::with_capacity(servos.len()), Vec::with_capacity(servos.len())];
+        let rows = PyList::empty(py);
         for servo in servos {
             let joint = self.core.joint(servo).or_raise()?;
             let command = [self.goal[joint], self.limit[joint], self.velocity[joint]];
-            let (values, sizes) = self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()?;
-            registers.push(values.into());
-            for (i, packets) in packets.iter_mut().enumerate() {
-                packets.push(PyBytes::new(py, self.packets[i].get(..sizes[i]).unwrap_or_default()));
-            }
+            let ([goal, limit, speed], sizes) =
+                self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()?;
+            let packet = |i: usize| PyBytes::new(py, self.packets[i].get(..sizes[i]).unwrap_or_default());
+            rows.append((goal, limit, speed, packet(0), packet(1)))?;
         }
-        let [first, second] = packets;
-        Ok((registers, first, second))
+        Ok(rows)
     }
 
     #[doc = stub!(ServoCodec.reading)]

@@ -1,0 +1,99 @@
+//! Requests of Protocol 1.0 to the servos on a serial port, without the interpreter lock.
+#![expect(unsafe_code, reason = "a descriptor that Python owns is borrowed for one call")]
+
+use std::os::fd::BorrowedFd;
+use std::time::Duration;
+
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::{Errno, read, write};
+
+/// Number of bytes that one read discards.
+const CHUNK: usize = 256;
+/// Number of bytes of a reply of Protocol 1.0 without data: two of the header, id, length, status and checksum.
+const OVERHEAD: usize = 6;
+
+#[doc = stub!(exchange)]
+#[pyfunction]
+pub(crate) fn exchange<'py>(
+    py: Python<'py>,
+    descriptor: i32,
+    request: &Bound<'py, PyBytes>,
+    ids: &Bound<'py, PyBytes>,
+    size: usize,
+    timeout: f64,
+) -> PyResult<Bound<'py, PyBytes>> {
+    let (request, ids) = (request.as_bytes(), ids.as_bytes());
+    let timeout = Timespec::try_from(Duration::try_from_secs_f64(timeout).unwrap_or_default()).unwrap_or_default();
+    let mut reply = vec![0; ids.len() * (OVERHEAD + size)];
+    let result = py.detach(|| {
+        if descriptor < 0 {
+            return Err(Errno::BADF);
+        }
+        // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes meanwhile
+        // makes the calls fail, or reach another file of the program, but breaks no memory.
+        let port = unsafe { BorrowedFd::borrow_raw(descriptor) };
+        transfer(port, request, ids, &mut reply, &timeout)
+    });
+    let received = result.map_err(std::io::Error::from)?;
+    Ok(PyBytes::new(py, reply.get(..received).unwrap_or_default()))
+}
+
+/// Discards what has arrived, sends the request and reads the reply; returns the number of bytes of the reply.
+///
+/// Stops reading once a byte shows that the reply is not one packet of this size from each of the servos `ids`.
+fn transfer(
+    port: BorrowedFd<'_>,
+    request: &[u8],
+    ids: &[u8],
+    reply: &mut [u8],
+    timeout: &Timespec,
+) -> Result<usize, Errno> {
+    let mut old = [0; CHUNK];
+    while wait(port, PollFlags::IN, &Timespec::default())? {
+        input(port, &mut old)?;
+    }
+    let mut rest = request;
+    while !rest.is_empty() {
+        let sent = match write(port, rest) {
+            Err(Errno::AGAIN) if wait(port, PollFlags::OUT, timeout)? => 0,
+            Err(Errno::INTR) => 0,
+            result => result?,
+        };
+        rest = rest.get(sent..).unwrap_or_default();
+    }
+    let mut received = 0;
+    while received < reply.len() && wait(port, PollFlags::IN, timeout)? {
+        received += input(port, &mut reply[received..])?;
+        let packets = reply[..received].chunks_exact(reply.len() / ids.len());
+        let is_short = matches!(packets.remainder(), [_, _, _, size, rest @ ..] if rest.len() >= usize::from(*size));
+        let is_wrong = |(packet, id): (&[u8], &u8)| {
+            let sum = packet[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte));
+            packet[2] != *id || usize::from(packet[3]) + 4 != packet.len() || sum != u8::MAX
+        };
+        if is_short || packets.zip(ids).any(is_wrong) {
+            break;
+        }
+    }
+    Ok(received)
+}
+
+/// Waits until the port can be read or written, or has failed; returns false after the timeout.
+fn wait(port: BorrowedFd<'_>, flags: PollFlags, timeout: &Timespec) -> Result<bool, Errno> {
+    loop {
+        match poll(&mut [PollFd::from_borrowed_fd(port, flags)], Some(timeout)) {
+            Err(Errno::INTR) => {}
+            result => return Ok(result? > 0),
+        }
+    }
+}
+
+/// Reads what has arrived; an error at the end of the input: the port has vanished.
+fn input(port: BorrowedFd<'_>, bytes: &mut [u8]) -> Result<usize, Errno> {
+    match read(port, bytes) {
+        Ok(0) => Err(Errno::IO),
+        Err(Errno::INTR | Errno::AGAIN) => Ok(0),
+        result => result,
+    }
+}
