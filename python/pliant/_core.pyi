@@ -1,11 +1,10 @@
 """Compiled part of `pliant`. Shapes: n joints, k axes of the task, N configurations."""
 
+import sys
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from types import MappingProxyType
 from typing import Any, Final, Literal, Protocol, TypeAlias, TypedDict, Unpack, final, overload
-
-import sys
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -2710,7 +2709,7 @@ class Lowering:
 if sys.platform != "win32":
     def exchange(
         descriptor: int, request: bytes, ids: bytes, size: int, timeout: float
-    ) -> bytes:
+    ) -> tuple[bytes, bool]:
         """Send a request of Protocol 1.0 and return the replies, without the interpreter lock.
 
         Bytes that have arrived before are discarded.
@@ -2723,7 +2722,8 @@ if sys.platform != "win32":
             timeout: Longest silence before the replies and within them [s].
 
         Returns:
-            The replies; fewer bytes after the timeout, or once they are not those expected.
+            The replies, and True if each servo has sent a valid packet with `size` data bytes.
+            Otherwise the replies end with the bytes that show it, or before the timeout.
 
         Raises:
             OSError: The port has vanished.
@@ -2969,27 +2969,6 @@ class ServoCodec:
         """
 
     def decode(
-        self, servo: int, data: bytes, status: int, address: int, time: float
-    ) -> bool | None:
-        """Store a reading of a servo, requested at `time` [s].
-
-        Args:
-            servo: Index of the servo.
-            data: Bytes from `address` on.
-            status: Status byte.
-            address: Address of the first byte.
-            time: Time of the request [s].
-
-        Returns:
-            None: nothing but position, speed and load has changed. False: the position is
-            implausible, and the reading was not stored. True: status or turns are not 0, voltage
-            or temperature have changed or are unusual, or any position was accepted.
-
-        Raises:
-            ShapeError: The bytes do not contain the position.
-        """
-
-    def decode_group(
         self,
         servos: Sequence[int],
         answers: list[tuple[bytes, int]],
@@ -2997,12 +2976,20 @@ class ServoCodec:
         time: float,
         longest: float,
     ) -> list[tuple[int, bool | None]]:
-        """Store readings of several servos, bytes and status byte of each, as `decode` does.
+        """Store readings of servos, and return those that need attention.
+
+        Args:
+            servos: Indices of the servos.
+            answers: Bytes from `address` on, and status byte, of each servo.
+            address: Address of the first byte.
+            time: Time of the request [s].
+            longest: Age of the last reading above which the reading is not stored [s].
 
         Returns:
-            Place in `servos`, and result of `decode`, for the servos for which it is not None; and
-            place and None for the servos whose last reading is older than `longest` [s], whose
-            reading is not stored.
+            Place in `servos` and True, if status or turns are not 0, voltage or temperature have
+            changed or are unusual, or any position was accepted; place and False, if the position
+            is implausible, and the reading was not stored; place and None, if the last reading is
+            too old. Servos of which only position, speed and load have changed are left out.
 
         Raises:
             ShapeError: The bytes do not contain the position.
@@ -3013,8 +3000,9 @@ class ServoCodec:
     ) -> tuple[_Array, _Array, _Array, _Array, _Array, NDArray[np.bool_]]:
         """Return position [rad], time [s], velocity [rad/s], torque [N m], current [A] and a mask.
 
-        They are arrays (n,). The mask is True for joints whose servos all are among `read`. Of two servos on a joint
-        the first has angle and velocity; time is the older, torque the mean, current the sum.
+        They are arrays (n,). The mask is True for joints whose servos all are among `read`. Of two
+        servos on a joint the first has angle and velocity; time is the older, torque the mean,
+        current the sum.
         """
 
     def encode(

@@ -62,7 +62,7 @@ class JointReadings:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class ServoStatus:
     """Status of one servo, read less often than positions: voltage, temperature, faults, limit.
 
@@ -79,6 +79,19 @@ class ServoStatus:
     temperature: float | None = None
     faults: tuple[str, ...] = ()
     limit: float | None = None
+
+    def __init__(
+        self,
+        name: str,
+        voltage: float | None = None,
+        temperature: float | None = None,
+        faults: tuple[str, ...] = (),
+        limit: float | None = None,
+    ) -> None:
+        # See `JointReadings`.
+        self.__dict__.update(
+            name=name, voltage=voltage, temperature=temperature, faults=faults, limit=limit
+        )
 
 
 class Clock(Protocol):

@@ -55,13 +55,12 @@ class LatenessHistogram:
     def __init__(self) -> None:
         """Start with empty bins."""
         self.counts = np.zeros(BINS + 2, dtype=np.int64)
-        self._cells = memoryview(self.counts)
+        self._cells = self.counts.data
         self.largest = 0.0
 
     def add(self, late: float) -> None:
         """Count a tick that began `late` [s] after its deadline."""
-        if late > self.largest:
-            self.largest = late
+        self.largest = max(self.largest, late)
         place = 0
         if late >= FIRST:
             place = min(1 + int(PER_DECADE * math.log10(late / FIRST)), BINS + 1)

@@ -93,7 +93,9 @@ def test_registers_are_those_of_the_units(model):
 def test_readings_of_a_group_are_those_of_single_servos():
     rng = np.random.default_rng(0)
     codec = ServoCodec(3, 3)
-    group = [Device(ServoSpec(name="pan", model="STS3215", id=i, port="a"), i, i, 1) for i in range(3)]
+    group = [
+        Device(ServoSpec(name="pan", model="STS3215", id=i, port="a"), i, i, 1) for i in range(3)
+    ]
     single = [device() for _ in range(3)]
     for i, servo in enumerate(group):
         servo.attach(codec, i)
@@ -109,16 +111,17 @@ def test_readings_of_a_group_are_those_of_single_servos():
         for i, (servo, (data, status)) in enumerate(zip(single, answers, strict=True)):
             found = None
             if ages[i] <= 0.1:
-                found = servo.codec.decode(0, data, status, block.address, time)
-                if found is None:
+                rows = servo.codec.decode([0], [(data, status)], block.address, time, math.inf)
+                if not rows:
                     continue
+                found = rows[0][1]
             expected.append((i, found))
-        assert codec.decode_group([0, 1, 2], answers, block.address, time, 0.1) == expected
+        assert codec.decode([0, 1, 2], answers, block.address, time, 0.1) == expected
         results.update(found for _, found in expected)
         for i, found in expected:
             if found is None:
-                single[i].codec.decode(0, *answers[i], block.address, time)
-                group[i].codec.decode(i, *answers[i], block.address, time)
+                for servo in (single[i], group[i]):
+                    servo.accept(Reply(block, *answers[i], time))
         assert [servo.position for servo in group] == [servo.position for servo in single]
     assert results == {None, False, True}
 
@@ -148,4 +151,4 @@ def test_arguments_that_do_not_fit():
         with pytest.raises(OutOfRangeError, match="command"):
             encode(servo, *wrong)
     with pytest.raises(ShapeError, match="position"):
-        servo.codec.decode(0, b"\0" * 15, 0, 200, 0.0)
+        servo.codec.decode([0], [(b"\0" * 15, 0)], 200, 0.0, math.inf)

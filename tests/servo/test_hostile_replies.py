@@ -50,10 +50,13 @@ class Replies:
         self._pty.hang_up()
 
 
-@pytest.fixture(scope="module", params=["p1", "p2"])
+@pytest.fixture(scope="module", params=["p1", "p1 by rustypot", "p2"])
 def port(request):
-    replies = Replies(request.param)
-    yield replies, packet_1 if request.param == "p1" else status_2
+    protocol, *others = request.param.split()
+    replies = Replies(protocol)
+    if others:
+        replies.transport._descriptor = None
+    yield replies, packet_1 if protocol == "p1" else status_2
     replies.close()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import isnan, nan
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING, Any
 
 from pliant._core import ServoError
@@ -219,8 +219,8 @@ class Device:
     def accept(self, reply: Reply) -> bool:
         """Store the values of a reading and return True, unless its position is implausible."""
         block, data, status_byte, time = reply
-        found = self.codec.decode(self.index, data, status_byte, block.address, time)
-        is_accepted = found is None or self.check_reading(found, status_byte, time)
+        notable = self.codec.decode([self.index], [(data, status_byte)], block.address, time, inf)
+        is_accepted = not notable or self.check_reading(bool(notable[0][1]), status_byte, time)
         if is_accepted and self.family.layout(block).has_status:
             self.note_status(reply)
         return is_accepted

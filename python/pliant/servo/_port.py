@@ -46,12 +46,24 @@ class Group:
         family: Their family.
         ids: Ids of the servos.
         indices: Indices of the servos in the codec.
+        read_with_status: Blocks of a reading that contains the status; empty: status is read apart.
     """
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.devices, self.family = devices, devices[0].family
         self.ids = [device.id for device in devices]
         self.indices = [device.index for device in devices]
+        self.read_with_status = self.family.read_with_status
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Blocks of the next reading, with the status once it is due.
+
+        Status is due once `StatusPoller` has taken that of all these servos, of which the last has
+        its turn last. It saves the request for the status of one servo in each cycle.
+        """
+        is_due = self.read_with_status and not self.devices[-1].has_new_status
+        return self.read_with_status if is_due else self.family.read
 
 
 class Port:
@@ -111,7 +123,7 @@ class Port:
         self._is_armed = False
         self._misses: dict[int, int] = {}
         self._silent: dict[int, int] = {}
-        self._read_groups = _read_groups(self.devices)
+        self._read_groups = self._grouped(self.devices)
         self._write_groups = write_groups(self.devices)
 
     @property
@@ -155,7 +167,7 @@ class Port:
         """
         self.guard.start_cycle(budget)
         accepted: list[int] = []
-        groups = _read_groups(self.responsive) if self._silent else self._read_groups
+        groups = self._grouped(self.responsive) if self._silent else self._read_groups
         for group in groups:
             if group.family.sync_read:
                 self._read_group(group, accepted)
@@ -164,6 +176,16 @@ class Port:
         if self._silent:
             self._probe(accepted)
         return accepted
+
+    def _grouped(self, devices: Iterable[Device]) -> list[Group]:
+        """Return groups of the devices that one sync read can read, or that are read one by one."""
+        groups = _groups(devices, lambda device: (device.family.sync_read, device.family.read))
+        for group in groups:
+            read, with_status = group.family.read, group.read_with_status
+            longer = len(group.ids) * (with_status[0].size - read[0].size) if with_status else 0
+            if longer * BITS_PER_BYTE / self._baudrate > STATUS_SHARE * self._cycle:
+                group.read_with_status = ()
+        return groups
 
     def _accept(self, device: Device, reply: Reply, accepted: list[int]) -> None:
         """Pass a reading to its servo; add the servo's index to `accepted` if it is plausible."""
@@ -298,7 +320,7 @@ class Port:
         If the request fails, read the servos one by one, the servo that failed last.
         """
         try:
-            block, answers, time = self.guard.sync_read(group.ids, *self._blocks(group))
+            block, answers, time = self.guard.sync_read(group.ids, *group.blocks)
         except BusError as error:
             error.raise_if_gone()
             self._read_each(group, accepted, last=error.id, again=False)
@@ -309,7 +331,7 @@ class Port:
             return
         has_status = group.family.layout(block).has_status
         codec, indices = group.devices[0].codec, group.indices
-        notable = codec.decode_group(indices, answers, block.address, time, self._restart)
+        notable = codec.decode(indices, answers, block.address, time, self._restart)
         found = dict(notable) if notable else {}
         if not (found or has_status):
             accepted += indices
@@ -325,20 +347,6 @@ class Port:
                 accepted.append(device.index)
                 if has_status:
                     device.note_status(Reply(block, data, status, time))
-
-    def _blocks(self, group: Group) -> tuple[Block, ...]:
-        """Return the blocks of a reading of servos of one kind, with the status once it is due.
-
-        Status is due once `StatusPoller` has taken that of all these servos, of which the last has
-        its turn last. It saves the request for the status of one servo in each cycle.
-        """
-        family = group.family
-        if group.devices[-1].has_new_status or not family.read_with_status:
-            return family.read
-        longer = len(group.ids) * (family.read_with_status[0].size - family.read[0].size)
-        if longer * BITS_PER_BYTE / self._baudrate > STATUS_SHARE * self._cycle:
-            return family.read
-        return family.read_with_status
 
     def _read_each(
         self,
@@ -359,7 +367,10 @@ class Port:
         for device in sorted(group.devices, key=lambda device: (device.id == last, device.time)):
             self.guard.counters.retries += not again
             try:
-                reply = self.guard.read(device.id, *self._blocks(Group([device])), again=again)
+                family = device.family
+                is_due = not device.has_new_status
+                blocks = (is_due and family.read_with_status) or family.read
+                reply = self.guard.read(device.id, *blocks, again=again)
             except BusError as error:
                 error.raise_if_gone()
                 if error.reason == "timeout":
@@ -412,11 +423,6 @@ def _groups(devices: Iterable[Device], key: Callable[[Device], Hashable]) -> lis
     return [Group(members) for members in found.values()]
 
 
-def _read_groups(devices: Iterable[Device]) -> list[Group]:
-    """Return groups of the devices that one sync read can read, or that are read one by one."""
-    return _groups(devices, lambda device: (device.family.sync_read, device.family.read))
-
-
 def write_groups(devices: Iterable[Device]) -> list[Group]:
     """Return groups of the devices whose registers one packet can write."""
     return _groups(devices, lambda device: device.family.write)
@@ -440,8 +446,8 @@ class StatusPoller:
     def __init__(self, joints: Sequence[Sequence[Device]]) -> None:
         """Store the servos, and list their status blocks in the order of reading."""
         self._joints = joints
-        devices = [device for joint in joints for device in joint]
-        self._steps = [(d, block) for d in devices for block in d.family.status_blocks]
+        self._devices = [device for joint in joints for device in joint]
+        self._steps = [(d, block) for d in self._devices for block in d.family.status_blocks]
         self._next = 0
         self._reported: set[int] = set()
         self._is_repeat = False
@@ -502,24 +508,24 @@ class StatusPoller:
 
     def _choose(self) -> tuple[Device, Block | None]:
         """Return the next servo and the block to read; None: its last reading contained it."""
-        for joint in self._joints:
-            for device in joint:
-                if not (device.conditions or device.other_faults or device.has_mismatch):
-                    self._reported.discard(id(device))
-                    continue
-                if device.has_suspect_register and not self._is_repeat:
-                    self._is_repeat = True
-                    blocks = device.family.stored_command_blocks
-                    self._block_index += 1
-                    return device, blocks[self._block_index % len(blocks)]
-                is_urgent = bool(device.conditions) or not URGENT_FAULTS.isdisjoint(
-                    device.other_faults
-                )
-                if is_urgent and id(device) not in self._reported:
-                    self._reported.add(id(device))
-                    return device, device.family.status_blocks[0]
-                if not is_urgent:
-                    self._reported.discard(id(device))
+        doubtful = [
+            device
+            for device in self._devices
+            if device.conditions or device.other_faults or device.has_mismatch
+        ]
+        self._reported.intersection_update(map(id, doubtful))
+        for device in doubtful:
+            if device.has_suspect_register and not self._is_repeat:
+                self._is_repeat = True
+                blocks = device.family.stored_command_blocks
+                self._block_index += 1
+                return device, blocks[self._block_index % len(blocks)]
+            is_urgent = bool(device.conditions) or not URGENT_FAULTS.isdisjoint(device.other_faults)
+            if is_urgent and id(device) not in self._reported:
+                self._reported.add(id(device))
+                return device, device.family.status_blocks[0]
+            if not is_urgent:
+                self._reported.discard(id(device))
         self._is_repeat = False
         device, block = self._steps[self._next]
         self._next = (self._next + 1) % len(self._steps)

@@ -268,20 +268,6 @@ class Reply(NamedTuple):
     time: float
 
 
-class GroupReply(NamedTuple):
-    """Replies of several servos to one request.
-
-    Attributes:
-        block: Block of registers that was read.
-        answers: Bytes of the block, and error byte, of each servo.
-        time: Time of the request [s].
-    """
-
-    block: Block
-    answers: list[tuple[bytes, int]]
-    time: float
-
-
 class TransactionGuard:
     """Requests on one port, with timeouts, retries, counters and rejection of late replies.
 
@@ -361,12 +347,18 @@ class TransactionGuard:
             return self._with_retries(self._read, id, blocks)
         return self._read(id, blocks)
 
-    def sync_read(self, ids: Sequence[int], *blocks: Block) -> GroupReply:
+    def sync_read(
+        self, ids: Sequence[int], *blocks: Block
+    ) -> tuple[Block, list[tuple[bytes, int]], float]:
         """Read a block of registers of several servos with one request, without a retry.
 
         Args:
             ids: Ids of the servos.
             *blocks: Alternative blocks of different lengths, see `read`.
+
+        Returns:
+            Block that was read; its bytes and the error byte of each servo; time of the request
+            [s].
 
         Raises:
             BusError: At least one reply is missing or corrupt.
@@ -391,7 +383,7 @@ class TransactionGuard:
             raise
         if not is_clear:
             self._pending.mark_superseded(ids)
-        return GroupReply(block, answers, start)
+        return block, answers, start
 
     def write(self, id: int, address: int, data: bytes) -> int:
         """Write bytes to one servo, with retries; return the error byte of the reply."""

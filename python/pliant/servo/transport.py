@@ -82,8 +82,7 @@ class Transport(Protocol):
         """Close the serial port."""
 
 
-#: Instructions of Protocol 1.0, id of requests to all servos, and number of bytes of a reply without
-#: data.
+#: Instructions of Protocol 1.0, id of requests to all servos, and bytes of a reply without data.
 READ, SYNC_READ, SYNC_WRITE, BROADCAST, OVERHEAD = 0x02, 0x82, 0x83, 0xFE, 6
 
 
@@ -192,9 +191,7 @@ class RustypotTransport:
         self._descriptor = None
         self._io.close()
 
-    def _exchange(
-        self, request: bytes, ids: Sequence[int], size: int
-    ) -> list[tuple[bytes, int]]:
+    def _exchange(self, request: bytes, ids: Sequence[int], size: int) -> list[tuple[bytes, int]]:
         """Send a request of Protocol 1.0; return data and status byte of the reply of each servo.
 
         The first reply with another number of data bytes is the last that is returned.
@@ -204,10 +201,13 @@ class RustypotTransport:
         """
         assert self._descriptor is not None
         try:
-            found = exchange(self._descriptor, request, bytes(ids), size, self._timeout)
+            found, is_whole = exchange(self._descriptor, request, bytes(ids), size, self._timeout)
         except OSError as error:
             raise self._gone(str(error)) from error
-        answers, start = [], 0
+        start, step = 0, OVERHEAD + size
+        if is_whole:
+            return [(found[i + 5 : i + step - 1], found[i + 4]) for i in range(0, len(found), step)]
+        answers = []
         for id in ids:
             packet = found[start:]
             if not bytes((255, 255, id)).startswith(packet[:3]):

@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use crate::arguments;
 use crate::error::OrRaise;
 use crate::ndarray::new_array;
-use crate::read::joints;
+use crate::read::compact::joints;
 
 #[doc = stub!(ArmPoints)]
 #[pyclass(module = "pliant._core", frozen)]

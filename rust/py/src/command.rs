@@ -5,7 +5,8 @@ use pyo3::prelude::*;
 
 use crate::error::wrong_type;
 use crate::ndarray::{new_array, only_reference, overwrite, writable, write};
-use crate::read::{array_into, vector};
+use crate::read::compact::array_into;
+use crate::read::vector;
 
 #[doc = stub!(Command)]
 #[pyclass(module = "pliant", frozen, get_all)]

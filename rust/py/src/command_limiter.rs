@@ -7,7 +7,8 @@ use pyo3::prelude::*;
 use crate::arguments;
 use crate::error::OrRaise;
 use crate::ndarray::new_array;
-use crate::read::{array_into, joints, vector};
+use crate::read::compact::{array_into, joints};
+use crate::read::vector;
 use crate::thermal::ThermalModel;
 
 /// Goals and torque limits of all joints, arrays (N,).

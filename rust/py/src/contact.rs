@@ -13,7 +13,8 @@ use crate::error::{OrRaise, config, wrong_type};
 use crate::extras::SECONDS;
 use crate::kinds::{Flag, Kind};
 use crate::ndarray::new_array;
-use crate::read::{joints, number, real, set_if_some, vector};
+use crate::read::compact::joints;
+use crate::read::{number, real, set_if_some, vector};
 use crate::{arguments, in_use};
 
 #[doc = stub!(WrenchEstimate)]

@@ -10,7 +10,8 @@ use crate::error::{OrRaise, config, shape, shown, wrong_type};
 use crate::kinds::Kind;
 use crate::ndarray::new_array;
 use crate::pose::matrix as pose_matrix;
-use crate::read::{matrix, number, pose, real, vector};
+use crate::read::compact::pose;
+use crate::read::{matrix, number, real, vector};
 use crate::words::Word;
 
 #[doc = stub!(damped_pseudo_inverse)]

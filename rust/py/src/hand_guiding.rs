@@ -10,7 +10,7 @@ use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::error::OrRaise;
 use crate::ndarray::new_array;
-use crate::read::joints;
+use crate::read::compact::joints;
 
 #[doc = stub!(HandGuidingLaw)]
 #[pyclass(module = "pliant._core")]

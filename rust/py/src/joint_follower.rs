@@ -10,7 +10,8 @@ use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::error::{OrRaise, config, shape};
 use crate::ndarray::new_array;
-use crate::read::{joints, numbers};
+use crate::read::compact::joints;
+use crate::read::numbers;
 
 #[doc = stub!(JointFollower)]
 #[pyclass(module = "pliant._core")]

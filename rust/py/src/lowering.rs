@@ -11,7 +11,7 @@ use crate::arguments;
 use crate::command::{Command, Pool};
 use crate::error::{OrRaise, shape};
 use crate::ndarray::new_array;
-use crate::read::{array_into, joints};
+use crate::read::compact::{array_into, joints};
 
 #[doc = stub!(Lowering)]
 #[pyclass(module = "pliant.arm")]

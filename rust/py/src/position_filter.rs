@@ -7,7 +7,8 @@ use pyo3::types::PyFloat;
 
 use crate::error::{OrRaise, shape};
 use crate::ndarray::new_array;
-use crate::read::{array_into, vector};
+use crate::read::compact::array_into;
+use crate::read::vector;
 
 #[doc = stub!(PositionFilter)]
 #[pyclass(module = "pliant._core")]

@@ -77,6 +77,34 @@ pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult
     Ok(out)
 }
 
+/// Readers that are not inlined, for all functions but the quickest: each copy of a reader is half a kilobyte of code.
+pub(crate) mod compact {
+    use super::{Bound, CorePose, JointVec, PyAny, PyResult};
+
+    /// See [`super::array_into`].
+    #[inline(never)]
+    pub(crate) fn array_into(
+        name: &str,
+        value: &Bound<'_, PyAny>,
+        expected: &[usize],
+        out: &mut [f64],
+    ) -> PyResult<()> {
+        super::array_into(name, value, expected, out)
+    }
+
+    /// See [`super::joints`].
+    #[inline(never)]
+    pub(crate) fn joints(name: &str, value: &Bound<'_, PyAny>, n: usize) -> PyResult<JointVec> {
+        super::joints(name, value, n)
+    }
+
+    /// See [`super::pose`].
+    #[inline(never)]
+    pub(crate) fn pose(name: &str, value: &Bound<'_, PyAny>, position_only: bool) -> PyResult<CorePose> {
+        super::pose(name, value, position_only)
+    }
+}
+
 /// Reads a vector (3,).
 pub(crate) fn vector3(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
     let mut out = [0.0; 3];

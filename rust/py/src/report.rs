@@ -14,7 +14,8 @@ use crate::controller::Controller;
 use crate::error::{OrRaise, shape};
 use crate::model::Model;
 use crate::ndarray::new_array;
-use crate::read::{joints, numbers, pose_of_object};
+use crate::read::compact::joints;
+use crate::read::{numbers, pose_of_object};
 use crate::servos::Servos;
 use crate::settings::Settings;
 

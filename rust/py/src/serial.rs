@@ -2,8 +2,8 @@
 #![expect(unsafe_code, reason = "a descriptor that Python owns is borrowed for one call")]
 
 use std::os::fd::BorrowedFd;
-use std::time::Duration;
 
+use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -11,11 +11,14 @@ use rustix::io::{Errno, read, write};
 
 /// Number of bytes that one read discards.
 const CHUNK: usize = 256;
+/// Longest timeout [s].
+const LONGEST: f64 = 60.0;
 /// Number of bytes of a reply of Protocol 1.0 without data: two of the header, id, length, status and checksum.
 const OVERHEAD: usize = 6;
 
 #[doc = stub!(exchange)]
 #[pyfunction]
+#[expect(clippy::cast_possible_truncation, reason = "seconds and nanoseconds within their bounds")]
 pub(crate) fn exchange<'py>(
     py: Python<'py>,
     descriptor: i32,
@@ -23,9 +26,10 @@ pub(crate) fn exchange<'py>(
     ids: &Bound<'py, PyBytes>,
     size: usize,
     timeout: f64,
-) -> PyResult<Bound<'py, PyBytes>> {
+) -> PyResult<(Bound<'py, PyBytes>, bool)> {
     let (request, ids) = (request.as_bytes(), ids.as_bytes());
-    let timeout = Timespec::try_from(Duration::try_from_secs_f64(timeout).unwrap_or_default()).unwrap_or_default();
+    let timeout = timeout.clamp(0.0, LONGEST);
+    let timeout = Timespec { tv_sec: timeout as _, tv_nsec: (1e9 * timeout.fract()) as _ };
     let mut reply = vec![0; ids.len() * (OVERHEAD + size)];
     let result = py.detach(|| {
         if descriptor < 0 {
@@ -36,20 +40,20 @@ pub(crate) fn exchange<'py>(
         let port = unsafe { BorrowedFd::borrow_raw(descriptor) };
         transfer(port, request, ids, &mut reply, &timeout)
     });
-    let received = result.map_err(std::io::Error::from)?;
-    Ok(PyBytes::new(py, reply.get(..received).unwrap_or_default()))
+    let (received, is_wrong) = result.map_err(|errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
+    let is_whole = received == reply.len() && !is_wrong;
+    Ok((PyBytes::new(py, reply.get(..received).unwrap_or_default()), is_whole))
 }
 
-/// Discards what has arrived, sends the request and reads the reply; returns the number of bytes of the reply.
-///
-/// Stops reading once a byte shows that the reply is not one packet of this size from each of the servos `ids`.
+/// Discards what has arrived, sends the request and reads the reply; returns the number of bytes of the reply, and true
+/// if a byte shows that the reply is not one packet of this size from each of the servos `ids`, which ends it.
 fn transfer(
     port: BorrowedFd<'_>,
     request: &[u8],
     ids: &[u8],
     reply: &mut [u8],
     timeout: &Timespec,
-) -> Result<usize, Errno> {
+) -> Result<(usize, bool), Errno> {
     let mut old = [0; CHUNK];
     while wait(port, PollFlags::IN, &Timespec::default())? {
         input(port, &mut old)?;
@@ -70,13 +74,13 @@ fn transfer(
         let is_short = matches!(packets.remainder(), [_, _, _, size, rest @ ..] if rest.len() >= usize::from(*size));
         let is_wrong = |(packet, id): (&[u8], &u8)| {
             let sum = packet[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte));
-            packet[2] != *id || usize::from(packet[3]) + 4 != packet.len() || sum != u8::MAX
+            packet[..3] != [0xff, 0xff, *id] || usize::from(packet[3]) + 4 != packet.len() || sum != u8::MAX
         };
         if is_short || packets.zip(ids).any(is_wrong) {
-            break;
+            return Ok((received, true));
         }
     }
-    Ok(received)
+    Ok((received, false))
 }
 
 /// Waits until the port can be read or written, or has failed; returns false after the timeout.

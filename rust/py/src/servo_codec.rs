@@ -7,7 +7,8 @@ use pyo3::types::{PyBytes, PyList, PyTuple};
 
 use crate::error::{OrRaise, shape, tuple};
 use crate::ndarray::new_array;
-use crate::read::{array_into, vector};
+use crate::read::compact::array_into;
+use crate::read::vector;
 
 /// Number of numbers that describe registers, packets and units of a servo.
 const NUMBERS: usize = 9 * 3 + 2 * 2 + 20;
@@ -19,23 +20,18 @@ pub(crate) struct ServoCodec {
     core: CoreCodec,
     joints: Vec<f64>,
     packets: [[u8; MAX_PACKET]; 2],
-    goal: Vec<f64>,
-    limit: Vec<f64>,
-    velocity: Vec<f64>,
+    command: [Vec<f64>; 3],
 }
 
 #[pymethods]
 impl ServoCodec {
     #[new]
     fn new(servos: usize, joints: usize) -> Self {
-        let zeros = || vec![0.0; joints];
         Self {
             core: CoreCodec::new(servos, joints),
             joints: vec![0.0; 5 * joints],
             packets: [[0; MAX_PACKET]; 2],
-            goal: zeros(),
-            limit: zeros(),
-            velocity: zeros(),
+            command: [(); 3].map(|()| vec![0.0; joints]),
         }
     }
 
@@ -101,23 +97,8 @@ impl ServoCodec {
     }
 
     #[doc = stub!(ServoCodec.decode)]
-    fn decode(
-        &mut self,
-        servo: usize,
-        data: &Bound<'_, PyBytes>,
-        status: usize,
-        address: usize,
-        time: f64,
-    ) -> PyResult<Option<bool>> {
-        Ok(match self.core.decode(servo, data.as_bytes(), address, status != 0, time).or_raise()? {
-            Decoded::Usual => None,
-            decoded => Some(decoded == Decoded::Notable),
-        })
-    }
-
-    #[doc = stub!(ServoCodec.decode_group)]
     #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
-    fn decode_group<'py>(
+    fn decode<'py>(
         &mut self,
         py: Python<'py>,
         servos: Vec<usize>,
@@ -128,13 +109,16 @@ impl ServoCodec {
     ) -> PyResult<Bound<'py, PyList>> {
         let notable = PyList::empty(py);
         for (i, (servo, answer)) in servos.into_iter().zip(answers).enumerate() {
-            let gap = time - self.core.reading(servo).or_raise()?.0.time;
             let (data, status) = answer.extract::<(Bound<'py, PyBytes>, usize)>()?;
-            if gap > longest {
-                notable.append((i, None::<bool>))?;
-            } else if let found @ Some(_) = self.decode(servo, &data, status, address, time)? {
-                notable.append((i, found))?;
-            }
+            let found = if time - self.core.reading(servo).or_raise()?.0.time > longest {
+                None
+            } else {
+                match self.core.decode(servo, data.as_bytes(), address, status != 0, time).or_raise()? {
+                    Decoded::Usual => continue,
+                    decoded => Some(decoded == Decoded::Notable),
+                }
+            };
+            notable.append((i, found))?;
         }
         Ok(notable)
     }
@@ -166,17 +150,17 @@ impl ServoCodec {
         velocity: Option<&Bound<'py, PyAny>>,
         max_speed: f64,
     ) -> PyResult<Bound<'py, PyList>> {
-        let shape = [self.goal.len()];
-        array_into("goal", goal, &shape, &mut self.goal)?;
-        array_into("limit", limit, &shape, &mut self.limit)?;
-        match velocity {
-            Some(velocity) => array_into("velocity", velocity, &shape, &mut self.velocity)?,
-            None => self.velocity.fill(f64::INFINITY),
+        let given = [("goal", Some(goal)), ("limit", Some(limit)), ("velocity", velocity)];
+        for ((name, value), row) in given.into_iter().zip(&mut self.command) {
+            match value {
+                Some(value) => array_into(name, value, &[row.len()], row)?,
+                None => row.fill(f64::INFINITY),
+            }
         }
         let rows = PyList::empty(py);
         for servo in servos {
             let joint = self.core.joint(servo).or_raise()?;
-            let command = [self.goal[joint], self.limit[joint], self.velocity[joint]];
+            let command = [0, 1, 2].map(|i: usize| self.command[i][joint]);
             let ([goal, limit, speed], sizes) =
                 self.core.encode(servo, command, max_speed, &mut self.packets).or_raise()?;
             let packet = |i: usize| PyBytes::new(py, self.packets[i].get(..sizes[i]).unwrap_or_default());

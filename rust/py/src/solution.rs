@@ -7,7 +7,7 @@ use crate::error::OrRaise;
 use crate::kinds::{AxisKey, Kind};
 use crate::model::Model;
 use crate::ndarray::Array;
-use crate::read::{joints, pose};
+use crate::read::compact::{joints, pose};
 
 #[doc = stub!(IkResult)]
 #[pyclass(module = "pliant.model", frozen, get_all)]

@@ -13,7 +13,8 @@ use crate::error::{OrRaise, shape, wrong_type};
 use crate::in_use::{exclusive, shared};
 use crate::kinds::Kind;
 use crate::ndarray::{Lent, lend, new_array, rows};
-use crate::read::{numbers, pose};
+use crate::read::compact::pose;
+use crate::read::numbers;
 use crate::words::{Word, Words};
 
 impl Words for OnInvalid {

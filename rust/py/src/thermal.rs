@@ -5,7 +5,7 @@ use pyo3::prelude::*;
 
 use crate::error::OrRaise;
 use crate::ndarray::new_array;
-use crate::read::array_into;
+use crate::read::compact::array_into;
 
 #[doc = stub!(ThermalModel)]
 #[pyclass(module = "pliant._core")]

@@ -1,0 +1,156 @@
+"""Requests of Protocol 1.0 through the descriptor of the port, and readings that contain status."""
+
+import os
+import select
+import threading
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
+
+from pliant.emulator.pty import Pty
+from pliant.servo import BusError, RustypotTransport, transport
+
+SIZE = 4
+
+
+def packet(id, data=b"\1\2\3\4", status=0):
+    body = bytes((id, len(data) + 2, status)) + data
+    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+
+
+class Answering:
+    """Port whose other end answers each request with the same bytes, and stores the requests."""
+
+    def __init__(self, *, with_descriptor=True, monkeypatch=None):
+        self.pty, self.reply, self.requests = Pty("answering"), b"", []
+        if not with_descriptor:
+            monkeypatch.setattr(transport, "_descriptors", lambda path: set())
+        self.io = RustypotTransport(self.pty.path, 1_000_000, "p1", 0.05)
+        assert (self.io._descriptor is not None) == with_descriptor
+        self._open = True
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self):
+        while self._open:
+            if select.select([self.pty.master], [], [], 0.02)[0]:
+                self.requests.append(os.read(self.pty.master, 4096))
+                os.write(self.pty.master, self.reply)
+
+    def stop(self):
+        self._open = False
+        self._thread.join()
+
+    def close(self):
+        self.stop()
+        self.io.close()
+        self.pty.close()
+
+
+@pytest.fixture(params=[True, False], ids=["descriptor", "rustypot"])
+def port(request, monkeypatch):
+    made = Answering(with_descriptor=request.param, monkeypatch=monkeypatch)
+    yield made
+    made.close()
+
+
+def test_requests_and_valid_replies_are_those_of_rustypot(port):
+    port.reply = packet(3, status=32)
+    assert port.io.read(3, 56, SIZE) == (b"\1\2\3\4", 32)
+    port.reply = packet(3) + packet(5, b"\5\6\7\xff", 1)
+    assert port.io.sync_read([3, 5], 56, SIZE) == [(b"\1\2\3\4", 0), (b"\5\6\7\xff", 1)]
+    port.reply = b""
+    port.io.sync_write([3, 5], 42, [b"\1\2", b"\3\4"])
+    while len(port.requests) < 3:
+        time.sleep(0.001)
+    # Bytes from before are no part of the next reply.
+    os.write(port.pty.master, packet(9))
+    time.sleep(0.05)
+    port.reply = packet(3)
+    assert port.io.read(3, 56, SIZE)[0] == b"\1\2\3\4"
+    assert [request[:-1] for request in port.requests] == [
+        bytes((255, 255, 3, 4, 2, 56, SIZE)),
+        bytes((255, 255, 254, 6, 130, 56, SIZE, 3, 5)),
+        bytes((255, 255, 254, 10, 131, 42, 2, 3, 1, 2, 5, 3, 4)),
+        bytes((255, 255, 3, 4, 2, 56, SIZE)),
+    ]
+    assert all(sum(request[2:]) % 256 == 255 for request in port.requests)
+
+
+@pytest.mark.parametrize(
+    ("reply", "reason", "id"),
+    [
+        (b"", "timeout", 3),
+        (packet(3), "timeout", 5),
+        (packet(3) + packet(5)[:-1], "timeout", 5),
+        (packet(5), "corrupt", 3),
+        (packet(3) + packet(4), "corrupt", 5),
+        (packet(3)[:-1] + b"\0" + packet(5), "corrupt", 3),
+        (b"\0" + packet(3) + packet(5), "corrupt", 3),
+    ],
+)
+def test_wrong_replies(port, reply, reason, id):
+    port.reply = reply
+    with pytest.raises(BusError) as error:
+        port.io.sync_read([3, 5], 56, SIZE)
+    assert error.value.reason == reason
+    if port.io._descriptor is not None:
+        assert error.value.id == id
+
+
+@pytest.mark.parametrize("data", [b"", b"\1\2\3", b"\1\2\3\4\5", b"\1" * 20])
+def test_a_reply_of_another_length_is_no_reply_to_this_request(port, data):
+    port.reply = packet(3, data)
+    assert len(port.io.read(3, 56, SIZE)[0]) != SIZE
+    port.reply = packet(3, data) + packet(5)
+    assert len(port.io.sync_read([3, 5], 56, SIZE)[0][0]) != SIZE
+
+
+def test_a_port_that_vanishes():
+    made = Answering()
+    made.stop()
+    made.pty.hang_up()
+    with pytest.raises(BusError, match="gone") as error:
+        made.io.sync_read([3, 5], 56, SIZE)
+    assert error.value.reason == "gone"
+    made.close()
+
+
+@pytest.mark.parametrize(("kind", "requests"), [("sts", 2), ("mx", 4), ("xm", 3)])
+def test_status_comes_with_readings_where_it_is_near(emulated, enabled, kind, requests):
+    n = 3
+    with emulated(kind, n, clock="steps") as (bus, chain):
+        limit = enabled(chain)
+        seen, cycles = {}, 4 * n
+        for cycle in range(cycles):
+            if cycle == n:
+                before = chain.counters["transactions"]
+                limit = 0.5 * limit
+            chain.read()
+            chain.write(np.zeros(n), limit)
+            status = chain.poll_status()
+            bus.advance(0.01)
+            if status is not None:
+                seen[status.name] = status
+        made = chain.counters["transactions"] - before
+        # Protocol 2.0 has the registers far apart: a request for the status in each cycle.
+        assert made == pytest.approx(
+            requests * (cycles - n), abs=0.4 * cycles if kind == "xm" else 0
+        )
+        if kind != "xm":
+            assert list(seen) == list(chain.names)
+            limits = [status.limit for status in seen.values()]
+            assert limits == pytest.approx(limit, rel=0.05)
+        assert chain.counters["mismatches"] == 0
+        bus.servo(2).put("torque_enable", 0)
+        faults = ()
+        for _ in range(2 * n):
+            chain.read()
+            chain.write(np.zeros(n), limit)
+            faults += getattr(chain.poll_status(), "faults", ())
+            bus.advance(0.01)
+        # Dynamixel servos switch torque on again with the next goal.
+        assert "torque went off by itself" in " ".join(faults) or kind != "sts"
