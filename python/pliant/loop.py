@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from bisect import bisect_right
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -42,6 +43,8 @@ AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 #: Logarithmic bins of the lateness histogram: lower end of the first bin [s], number of bins per
 #: decade, number of bins.
 FIRST, PER_DECADE, BINS = 1e-6, 20, 140
+#: Lower ends of the bins, and upper end of the last one [s].
+EDGES = [FIRST * 10.0 ** (i / PER_DECADE) for i in range(BINS + 1)]
 
 
 class LatenessHistogram:
@@ -61,11 +64,8 @@ class LatenessHistogram:
     def add(self, late: float) -> None:
         """Count a tick that began `late` [s] after its deadline."""
         self.largest = max(self.largest, late)
-        place = 0
-        if late >= FIRST:
-            place = min(1 + int(PER_DECADE * math.log10(late / FIRST)), BINS + 1)
         # Numbers of a memory view are quicker than those of an array.
-        self._cells[place] += 1
+        self._cells[bisect_right(EDGES, late)] += 1
 
     def __len__(self) -> int:
         """Return the number of counted ticks."""

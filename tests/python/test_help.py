@@ -22,7 +22,9 @@ def documented(node: ast.Module | ast.ClassDef, inside: str = "") -> dict[str, s
     The docstrings of overloads are joined.
     """
     found: dict[str, list[str]] = {}
-    for item in node.body:
+    # Functions that some systems lack are below an `if`.
+    items = [i for item in node.body for i in (item.body if isinstance(item, ast.If) else [item])]
+    for item in items:
         if not isinstance(item, ast.ClassDef | ast.FunctionDef):
             continue
         if item.name.startswith("_"):
