@@ -31,6 +31,7 @@ import platform
 import pstats
 import subprocess
 import sys
+import threading
 import time
 import tracemalloc
 from collections import defaultdict
@@ -632,20 +633,57 @@ def _scheduled(policy: int, priority: int) -> Callable[[], None]:
     return lambda: os.sched_setscheduler(0, policy, os.sched_param(priority))
 
 
+class Policy:
+    """Thread that computes like a policy at 30 Hz: 15 ms of Python and NumPy at a time."""
+
+    def __init__(self) -> None:
+        self._stop = threading.Event()
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Stop the thread."""
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        matrix = np.ones((128, 128))
+        while not self._stop.wait(1.0 / 30.0 - 0.015):
+            end = time.perf_counter() + 0.015
+            while time.perf_counter() < end:
+                sum(range(1000))
+                matrix @ matrix
+
+
 def lateness(seconds: float, *, load: int) -> str:
     """Return a table of the lateness of ticks at 200 Hz, for scheduling options of the process.
 
-    The rig is `null` in real time. The options take turns, in blocks of 2 s.
+    The rig is `null` in real time. The options take turns, in blocks of 2 s, also with a recorder
+    and with a thread that computes.
 
     Args:
         seconds: Time per option [s].
         load: Number of busy processes beside the loop.
     """
+    policy = Policy()
     options: dict[str, tuple[Callable[[], object], Callable[[], object]]] = {
         "as started": (lambda: None, lambda: None),
+        "recorder and policy thread": (policy.start, policy.end),
         "garbage collector off": (gc.disable, gc.enable),
         "nice -10": (lambda: os.nice(-10), lambda: os.nice(10)),
         "SCHED_FIFO": (_scheduled(os.SCHED_FIFO, 10), _scheduled(os.SCHED_OTHER, 0)),
+        "SCHED_FIFO, recorder": (
+            _scheduled(os.SCHED_FIFO, 10),
+            _scheduled(os.SCHED_OTHER, 0),
+        ),
+        "SCHED_FIFO, recorder and policy thread": (
+            lambda: (policy.start(), _scheduled(os.SCHED_FIFO, 10)()),
+            lambda: (_scheduled(os.SCHED_OTHER, 0)(), policy.end()),
+        ),
         "SCHED_FIFO, memory locked, collector off": (
             lambda: (_scheduled(os.SCHED_FIFO, 10)(), _lock_memory(), gc.disable()),
             lambda: (_scheduled(os.SCHED_OTHER, 0)(), gc.enable(), ctypes.CDLL(None).munlockall()),
@@ -654,11 +692,17 @@ def lateness(seconds: float, *, load: int) -> str:
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(load)]
     found = {name: LatenessHistogram() for name in options}
     try:
-        with opened("null", real_time=True) as rig:
+        with opened("null", real_time=True) as rig, TemporaryDirectory() as folder:
             turns = product(range(round(seconds / 2.0)), options.items())
-            for _, (name, (start, end)) in turns:
+            for turn, (name, (start, end)) in turns:
+                recorder = None
+                if "recorder" in name:
+                    rig.renew()
+                    recorder = Recorder(Path(folder) / f"{name} {turn}.mcap")
                 start()
-                loop = pliant.Loop(rig.arm, rig.controller, rate=200.0, duration=2.0)
+                loop = pliant.Loop(
+                    rig.arm, rig.controller, rate=200.0, duration=2.0, recorder=recorder
+                )
                 for tick in loop:
                     tick.step(rig.target)
                 end()
