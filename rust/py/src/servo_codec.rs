@@ -97,7 +97,6 @@ impl ServoCodec {
     }
 
     #[doc = stub!(ServoCodec.decode)]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn decode<'py>(
         &mut self,
         py: Python<'py>,
@@ -140,7 +139,6 @@ impl ServoCodec {
     }
 
     #[doc = stub!(ServoCodec.encode)]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
     fn encode<'py>(
         &mut self,
         py: Python<'py>,
