@@ -1,31 +1,42 @@
-"""Start of child processes that share sockets with the program, on POSIX and on Windows."""
+"""Start of child processes that share a socket with the program, on POSIX and on Windows."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import subprocess
 import sys
 from typing import Any
 
 
-def child_options(*sockets: int) -> dict[str, Any]:
-    """Return arguments of `subprocess.Popen` for a process that Ctrl-C does not reach.
+def child_options() -> dict[str, Any]:
+    """Return arguments of `subprocess.Popen` for a process that Ctrl-C does not reach."""
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    return {"start_new_session": True}
 
-    Args:
-        sockets: Sockets that the process inherits under the same numbers: file descriptors, on
-            Windows handles.
+
+def start_module(module: str, shared: socket.socket, *arguments: str) -> subprocess.Popen[bytes]:
+    """Start ``python -m MODULE NUMBER ARGUMENTS``; `take_socket` opens the socket by its number.
+
+    Ctrl-C does not reach the process; its standard output is discarded.
     """
-    if sys.platform == "win32":
-        for handle in sockets:
-            os.set_handle_inheritable(handle, True)
-        start = subprocess.STARTUPINFO(lpAttributeList={"handle_list": list(sockets)})
-        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP, "startupinfo": start}
-    return {"pass_fds": sockets, "start_new_session": True}
+    number = shared.fileno()
+    command = [sys.executable, "-m", module, str(number), *arguments]
+    options = child_options() | {"stdout": subprocess.DEVNULL}
+    if sys.platform != "win32":
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(number,), **options)
+    # Windows does not promise that a process can use an inherited socket.
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, **options)
+    with contextlib.suppress(OSError), process.stdin:
+        process.stdin.write(shared.share(process.pid))
+    return process
 
 
-def keep_private(socket: int) -> None:
-    """Exclude an inherited socket from the child processes of this process."""
+def take_socket(number: int) -> int:
+    """Return, in a process of `start_module`, the handle of the socket, private to this process."""
     if sys.platform == "win32":
-        os.set_handle_inheritable(socket, False)
-    else:
-        os.set_inheritable(socket, False)
+        return socket.fromshare(sys.stdin.buffer.read()).detach()
+    os.set_inheritable(number, False)
+    return number

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import subprocess
-import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Self
 
-from pliant._child import child_options, keep_private
+from pliant._child import start_module, take_socket
 from pliant._core import PliantError
 from pliant.view.messages import Edit, Message, Queue
 
@@ -82,13 +81,8 @@ class ProcessLink:
         """Start the other process, and wait until it is ready."""
         self._name, self._period = name, 1.0 / rate
         ours, theirs = socket.socketpair()
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", module, str(theirs.fileno()), *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            # Protect it from Ctrl-C, which is for the loop; it ends when its pipe closes.
-            **child_options(theirs.fileno()),
-        )
+        # Ctrl-C is for the loop; the process ends when its pipe closes.
+        self._process = start_module(module, theirs, *arguments)
         theirs.close()
         self._pipe = Connection(ours.detach())
         self._acknowledged, self._due = True, 0.0
@@ -211,8 +205,7 @@ class PageEndpoint:
 
     def __init__(self, descriptor: int) -> None:
         """Open the pipe's inherited file descriptor; start a thread to receive and one to send."""
-        keep_private(descriptor)
-        self._pipe, self._lock = Connection(descriptor), threading.Lock()
+        self._pipe, self._lock = Connection(take_socket(descriptor)), threading.Lock()
         self._pending, self._changed, self._acknowledged = Queue(), threading.Condition(), True
         self._inbox: SimpleQueue[Any] = SimpleQueue()
         for work in (self._sort_incoming, self._forward):
