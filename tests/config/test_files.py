@@ -57,7 +57,10 @@ def test_urdf_and_file_that_disagree_on_joints():
     ("text", "said"),
     [
         ("x =", "is no TOML"),
-        ('robot.urdf = "C:\\Users\\arm.urdf"', "is no TOML.*write a path with / or in single quotes"),
+        (
+            'robot.urdf = "C:\\Users\\arm.urdf"',
+            "is no TOML.*a path with / or in single quotes",
+        ),
         (SIM + "bakend = 1", "did you mean 'backend'"),
         ("backend = 'sim'\n[robot]\n", "robot: takes one of urdf and builtin"),
         (SIM + "[loop]\nrate = -1", r"loop\.rate = -1: input should be greater than 0"),

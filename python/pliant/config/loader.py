@@ -148,10 +148,10 @@ def parse(
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        wrong = str(error)
-        if "Unescaped" in wrong or "hex value" in wrong:  # "C:\Users\..."
-            wrong += "; write a path with / or in single quotes"
-        raise ConfigError(f"{source} is no TOML: {wrong}") from error
+        cause = str(error)
+        if "Unescaped" in cause or "hex value" in cause:  # "C:\Users\..."
+            cause += "; write a path with / or in single quotes"
+        raise ConfigError(f"{source} is no TOML: {cause}") from error
     except RecursionError as error:
         raise ConfigError(f"{source} is no TOML: it is nested too deeply") from error
     _override(table, source, **overrides)
