@@ -53,7 +53,7 @@ endif
 say = @printf '\n== %s  (%s s)\n' '$(1)' "$$(($$(date +%s) - $(START)))"
 skip = printf '\n!! SKIPPED: %s\n' '$(1)'
 
-.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench tick bench-stages browser counts counts-check aarch64 fuzz miri asan mutants peers soak wheel wheels release-check notices fmt clean FORCE
+.PHONY: help setup setup-demo demo campaign check test test-full test-rust test-py test-lerobot lint lint-rust lint-py stubs deny docs gallery bench tick bench-stages browser counts counts-check aarch64 fuzz miri asan mutants peers soak wheel wheels release-check windows pythons notices fmt clean FORCE
 
 help: ## Say what there is
 	@grep -E '^[a-z0-9-]+:.*## ' Makefile | sed -E 's/:[^#]*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -252,6 +252,14 @@ $(WHEELS)/.built: $(RUST) $(PY_SOURCES) pyproject.toml README.md LICENSE THIRD_P
 	@$(BIN)/python tools/recompress_wheel.py $(WHEELS)/*.whl
 	@$(BIN)/maturin sdist --out $(WHEELS)
 	@touch $@
+
+windows: $(BIN)/python ## Slow: tests of core, configuration and simulator on the Windows wheel under wine; ARGS=tests/sim
+	$(call say,Windows)
+	@tools/windows.sh $(CURDIR)/$(BIN)/python $(ARGS)
+
+pythons: wheel ## Unit tests on the wheel with every CPython from 3.11 to 3.14 on this machine
+	$(call say,CPython 3.11 to 3.14)
+	@tools/pythons.sh $(ARGS)
 
 wheels: $(BIN)/python ## Slow: build and check the wheels of all platforms; TARGETS='x86_64-pc-windows-gnu' picks
 	@tools/wheels.sh $(CURDIR)/$(BIN)/python $(TARGETS)

@@ -1,0 +1,23 @@
+"""Module of tests/test_child.py: says what it inherits, then waits for an answer.
+
+It sends whether another process would inherit its socket, and whether it has the other end too. Exit
+code 0: the answer was "."; 7: the socket ended.
+"""
+
+import os
+import socket
+import sys
+
+from pliant._child import take_socket
+
+number, other = map(int, sys.argv[1:])
+handle = take_socket(number)
+inherits = os.get_inheritable if os.name == "posix" else os.get_handle_inheritable
+pipe = socket.socket(fileno=handle)
+pipe.sendall(b"1" if inherits(handle) else b"0")
+try:
+    socket.socket(fileno=other).detach()
+    pipe.sendall(b"1")
+except OSError:
+    pipe.sendall(b"0")
+sys.exit({b".": 0, b"": 7}[pipe.recv(1)])

