@@ -1,7 +1,7 @@
 """Module of tests/test_child.py: says what it inherits, then waits for an answer.
 
-It sends whether another process would inherit its socket, and whether it has the other end too. Exit
-code 0: the answer was "."; 7: the socket ended.
+It sends whether another process would inherit its socket, and whether it has the other end too.
+Exit code 0: the answer was "."; 7: the socket ended.
 """
 
 import os
