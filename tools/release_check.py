@@ -68,20 +68,20 @@ def second_folder() -> Iterator[Path]:
         yield Path(folder) / "elsewhere" / "pliant"
 
 
-def export(folder: Path, umask: int) -> None:
-    """Write the files of the last commit into a new folder."""
+def export(commit: str, folder: Path, umask: int) -> None:
+    """Write the files of a commit into a new folder."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     archive = folder / "commit.tar"
-    run("git", "archive", "--output", archive, "HEAD")
+    run("git", "archive", "--output", archive, commit)
     run("tar", "--no-same-permissions", "-xf", archive, "-C", folder, umask=umask)
     archive.unlink()
 
 
-def build(folder: Path, targets: list[str], zone: str, umask: int) -> dict[str, Path]:
-    """Export the commit, build archives and bill of materials there; return them by name."""
-    export(folder, umask)
-    epoch = run("git", "log", "-1", "--format=%ct").strip()
+def build(commit: str, folder: Path, targets: list[str], zone: str, umask: int) -> dict[str, Path]:
+    """Export a commit, build archives and bill of materials there; return them by name."""
+    export(commit, folder, umask)
+    epoch = run("git", "log", "-1", "--format=%ct", commit).strip()
     env = {"SOURCE_DATE_EPOCH": epoch, "WHEEL_TOOLS": str(TOOLS), "TZ": zone}
     run("sh", "tools/wheels.sh", sys.executable, *targets, cwd=folder, env=env, umask=umask)
     out = folder / "build" / "wheels-all"
@@ -255,6 +255,8 @@ def main(targets: list[str]) -> int:
         print(told, flush=True)
         results.append(f"{name}: {told.splitlines()[0]}")
 
+    commit = run("git", "rev-parse", "HEAD").strip()
+    print(f"rehearses {commit}")
     if changed := run("git", "status", "--porcelain"):
         print(f"!! not committed, and so not rehearsed:\n{changed}")
     check("version", versions)
@@ -263,9 +265,9 @@ def main(targets: list[str]) -> int:
     made: list[dict[str, Path]] = []
 
     def twice() -> str:
-        made.append(build(WORK / "first", targets, "UTC", 0o022))
+        made.append(build(commit, WORK / "first", targets, "UTC", 0o022))
         with second_folder() as second:
-            other = build(second, targets, "Asia/Kolkata", 0o077)
+            other = build(commit, second, targets, "Asia/Kolkata", 0o077)
             hashes = {name: [digest(path), digest(other[name])] for name, path in made[0].items()}
         for name, (one, two) in hashes.items():
             print(f"{one}  {name}\n{two}  {'same' if one == two else 'DIFFERENT'}")
