@@ -73,12 +73,12 @@ impl ContactEstimator {
 
         let mut state = self.state;
         let motion = self.motion(controller, &q, dq.as_ref(), dt, &mut state);
-        let (torque, saturated) = match (measured, self.history.at_reading(sent, controller.delay(), dt)) {
+        let (torque, saturated) = match (measured, self.history.at_reading(sent.as_ref(), controller.delay(), dt)) {
             (Some(load), _) => (load, [false; MAX_JOINTS]),
             (None, Some(sent)) => self.joints.servo_torque(&sent.goal, &sent.limit, &motion.middle, &motion.velocity),
             (None, None) => {
                 state.estimate = WrenchEstimate { velocity: motion.velocity, ..WrenchEstimate::empty(self.joints.n) };
-                self.history.push(sent);
+                self.history.push(sent.as_ref());
                 self.state = state;
                 return Ok(&self.state.estimate);
             }
@@ -144,7 +144,7 @@ impl ContactEstimator {
             return Err(Error::config("contact", "the estimate is not finite for this q, load and servo table"));
         }
         state.estimate = estimate;
-        self.history.push(sent);
+        self.history.push(sent.as_ref());
         self.state = state;
         Ok(&self.state.estimate)
     }
@@ -386,19 +386,19 @@ impl ContactEstimator {
 impl History {
     /// Returns the command that the servos followed when the present reading was taken, where `sent` is the newest one;
     /// `None` if it is not stored.
-    fn at_reading(&self, sent: Option<Sent>, delay: f64, dt: f64) -> Option<Sent> {
+    fn at_reading(&self, sent: Option<&Sent>, delay: f64, dt: f64) -> Option<Sent> {
         let mut ago = 0;
         let mut passed = 0.5 * dt;
         while passed < delay && ago < HISTORY {
             passed += dt;
             ago += 1;
         }
-        let Some(stored) = ago.checked_sub(usize::from(sent.is_some())) else { return sent };
+        let Some(stored) = ago.checked_sub(usize::from(sent.is_some())) else { return sent.copied() };
         (ago < HISTORY && stored < self.count).then(|| self.sent[(self.newest + HISTORY - stored) % HISTORY])
     }
 
-    fn push(&mut self, sent: Option<Sent>) {
-        if let Some(sent) = sent {
+    fn push(&mut self, sent: Option<&Sent>) {
+        if let Some(&sent) = sent {
             self.newest = (self.newest + 1) % HISTORY;
             self.sent[self.newest % HISTORY] = sent;
             self.count = (self.count + 1).min(HISTORY);
