@@ -253,8 +253,8 @@ def test_lowered_in_place_of_a_program_that_never_returns():
 def test_an_unknown_load_sinks_and_is_brought_back_slowly():
     q, tools = [0.0, 0.5, 0.2, 0.2, 0.0], []
     with (
-        unknown(0.4),
-        arm_over_bytes("sts", q, plant={"payload": (0.4, (0.0, 0.0, 0.0))}) as (bus, arm),
+        unknown(0.3),
+        arm_over_bytes("sts", q, plant={"payload": (0.3, (0.0, 0.0, 0.0))}) as (bus, arm),
     ):
 
         def watch(_):
@@ -265,7 +265,7 @@ def test_an_unknown_load_sinks_and_is_brought_back_slowly():
         arm.disable_torque()
     height, speed = np.array(tools).T
     # Leads and limits of the model's weight alone let the tool sink by more than 10 mm with
-    # half this load.
+    # 0.2 kg.
     assert 0.005 < height[0] - height.min() < 0.010
     assert speed.max() < 0.08
     assert height[-1] == pytest.approx(height[0], abs=0.003)

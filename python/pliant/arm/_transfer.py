@@ -25,9 +25,12 @@ if TYPE_CHECKING:
 FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 #: Smallest rate of the loop of the transfer [Hz].
 LOOP_RATE = 250.0
-#: Load at the tool that the inertia matrix of the balance includes [kg]. The inertia of a small arm
-#: is up to four times larger or smaller with 0.5 kg or none.
-ASSUMED_LOAD = 0.15
+#: Distances that the tool must sink or rise before the balance begins [m], beyond half an encoder
+#: step of the joint that moves the tool most.
+SINK, RISE = 0.001, 0.005
+#: Least and largest load at the tool that the inertia matrix includes [kg], time constant of the
+#: estimated load [s], and smallest weight of 1 kg at the joints from which it is estimated [N·m].
+LEAST_LOAD, LARGEST_LOAD, LOAD_TIME, MIN_WEIGHT = 0.1, 0.5, 0.02, 0.1
 #: Pole of the observer [1/s]: its product with the delay of the loop, and its largest value.
 POLE_DELAY, MAX_POLE = 1.0, 45.0
 #: Assumed disturbance over the error of a position, before the first reading [1/s²]. More makes an
@@ -192,8 +195,10 @@ class _WeightTransfer:
         self._least_change = np.full(start_q.size, np.inf)
         self._weight = io.gravity()
         tool = np.asarray(io.model.jacobian(start_q))[:3]
-        self._inertia = points.inertia(start_q) + ASSUMED_LOAD * tool.T @ tool
-        self._inverse = np.linalg.inv(self._inertia)
+        self._bare_inertia, self._tool = points.inertia(start_q), tool
+        # Torques that carry 1 kg at the tool (n,) [N·m].
+        self._load_weight = -tool.T @ np.asarray(io.model.gravity_vector)
+        self._set_load(LEAST_LOAD)
         self._first = io.limit
         self._heard = self._tick = io.clock.now()
         self._observer = _DisturbanceObserver(
@@ -240,9 +245,28 @@ class _WeightTransfer:
         pole = min(POLE_DELAY / (age + self._period), MAX_POLE)
         observer.update(now - age, io.q - self._start, pole)
         self._x, self._v = observer.predict(now)
+        # The load whose weight is nearest to the torque that answers d.
+        weight = self._load_weight
+        load = float(-weight @ self._inertia @ observer.d) / max(
+            float(weight @ weight), MIN_WEIGHT**2
+        )
+        change = min(max(load, LEAST_LOAD), LARGEST_LOAD) - self._load
+        self._set_load(self._load + min(self._period / LOAD_TIME, 1.0) * change)
         omega = CONTROL_SHARE * pole
         back = observer.d + 2.0 * omega * self._v + omega**2 * self._x
         return np.clip(self._weight - self._inertia @ back, -self._usable, self._usable)
+
+    def _set_load(self, load: float) -> None:
+        """Compute the inertia matrix with a load at the tool [kg]."""
+        self._load = load
+        self._inertia = self._bare_inertia + load * self._tool.T @ self._tool
+        self._inverse = np.linalg.inv(self._inertia)
+
+    def _is_moving(self) -> bool:
+        """Return True if the tool has sunk or risen further than encoder steps can pretend."""
+        lever = self._load_weight / max(float(np.linalg.norm(self._io.model.gravity_vector)), 1e-9)
+        height, step = lever @ self._x, 0.5 * np.abs(lever * self._observer.step).max()
+        return not -SINK - step <= height <= RISE + step
 
     def _apply(self, goal: Array, torque: Array, limit: Array) -> None:
         """Send goals and limits (n,), except to joints that are taken over, and store the torques.
@@ -262,7 +286,7 @@ class _WeightTransfer:
     def _balance(self) -> Array:
         """Balance the joints by their torque limits until they stand; return their torques (n,)."""
         torque, passed, still = self._weight, 0.0, 0.0
-        mean = torque.copy()
+        mean, moves = torque.copy(), False
         # Less than friction: keeps a joint in place, and does not lift it.
         spare = 0.5 * self._friction
         while passed < MIN_BALANCE or (still < STILL_TIME and passed < MAX_BALANCE):
@@ -271,6 +295,9 @@ class _WeightTransfer:
             dt = self._step()
             passed += dt
             torque = self._control()
+            # An arm that rests on an object does not sink: the balance would make it bounce.
+            moves = moves or self._is_moving()
+            torque = torque if moves else self._weight
             mean += min(dt / TORQUE_TIME, 1.0) * (torque - mean)
             calm = np.abs(self._v).max() < STILL_SPEED and np.abs(self._x).max() < STILL_AWAY
             still = still + dt if calm else 0.0
