@@ -248,10 +248,10 @@ class Bench:
         self._captured: tuple[bytes, Array, Array] | None = None
 
     def promises(self, pose: int, q: Array) -> list[Promise]:
-        """Return the results in pose q (n,) [rad] for every axis, direction and cap.
+        """Push the arm in pose q (n,) [rad] and compare its forces with the promised ones.
 
-        Each push is made twice: with the other axes free, and with the other axes guided by
-        springs. `pose` is the index of the pose.
+        It is pushed along every axis, in both directions and with every force cap, with the other
+        axes free and with the other axes guided by springs. `pose` is the index of the pose.
         """
         return [
             self.keep(pose, q, axis, sign, cap, guided=guided)

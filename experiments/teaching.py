@@ -47,7 +47,7 @@ def teaching(name: str, kp_scale: float) -> Motion:
 
     Args:
         name: Name of the arm.
-        kp_scale: True over assumed servo stiffness.
+        kp_scale: Ratio of the true to the assumed servo stiffness [1].
     """
     q, sideways, up, _ = ARMS[name]
     course = ForceProfile(
@@ -98,7 +98,7 @@ def replay(name: str, kp_scale: float, soft: bool, speed: float, *held: bool) ->
 
     Args:
         name: Name of the arm.
-        kp_scale: True over assumed servo stiffness.
+        kp_scale: Ratio of the true to the assumed servo stiffness [1].
         soft: True if the y axis is soft during the replay.
         speed: Ratio of the replay's speed to that of teaching.
         *held: No value: no hand holds the tool. One value: a hand holds the tool during

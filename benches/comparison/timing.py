@@ -24,7 +24,8 @@ TOLERANCE = 1e-9
 #: Prefixes of the environment variables ``..._NUM_THREADS``, which are set to 1: the comparison of
 #: batches is per core.
 ONE_THREAD = ("OMP", "OPENBLAS", "MKL", "NUMBA", "RAYON")
-#: Time for which a task is timed in a round [s]: calls timed in blocks, and calls timed singly.
+#: Time for which a task is timed in a round [s]: `whole` for calls timed in blocks, `single` for
+#: calls timed one by one.
 TASK_TIME = {"whole": 0.01, "single": 0.04}
 
 

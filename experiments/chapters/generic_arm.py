@@ -880,7 +880,7 @@ def _drag_table(numbers: Numbers) -> Table:
     )
 
 
-# --- Any arm as the robot of a demonstration ---
+# --- Subject of an experiment from any robot model ---
 
 
 def subject(source: Source) -> Subject:

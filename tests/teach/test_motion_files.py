@@ -62,6 +62,22 @@ def test_times_that_are_no_seconds_are_refused(saved, factor):
         Motion.load(path)
 
 
+def test_samples_that_are_microseconds_apart_come_back(tmp_path):
+    # Times that were rounded like positions collapsed, and the file was refused.
+    time = 2e-6 * np.arange(20)
+    Motion(("a",), time, np.linspace(0.0, 1.0, 20)[:, None]).save(tmp_path / "m.json")
+    assert np.array_equal(Motion.load(tmp_path / "m.json").time, time)
+
+
+def test_another_format_is_named_once(saved):
+    path, data = saved
+    path.write_text(json.dumps({**data, "format": "pliant motion 9"}))
+    with pytest.raises(pliant.ConfigError) as caught:
+        Motion.load(path)
+    message = str(caught.value)
+    assert message == f"{path}: format is 'pliant motion 9', this pliant reads 'pliant motion 1'"
+
+
 def test_a_motion_as_long_as_floats_is_refused():
     with pytest.raises(pliant.ConfigError, match="its times are in seconds"):
         Motion(("a",), [-1.7e308, 1.7e308], [[0.0], [1.0]])

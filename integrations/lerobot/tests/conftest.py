@@ -60,7 +60,7 @@ class Program:
             time.sleep(0.05)
 
     def interrupt(self) -> None:
-        """Send Ctrl-C to the whole group."""
+        """Send SIGINT to the whole process group, as Ctrl-C in a terminal does."""
         os.killpg(self._process.pid, signal.SIGINT)
 
     @property

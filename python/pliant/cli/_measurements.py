@@ -199,7 +199,7 @@ KEYS = ("kp", "load_friction", "damping", "kv")
 
 
 def per_joint(names: Iterable[str], columns: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return one dict per joint from columns (n,), or scalars for all joints."""
+    """Return one dict per joint; a column has one entry per joint (n,), or is a scalar for all."""
     joints = tuple(names)
     full = {key: np.broadcast_to(value, len(joints)) for key, value in columns.items()}
     return [

@@ -16,7 +16,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 @dataclass(slots=True)
 class InjectedFault:
-    """Fault of the next requests or replies that `Faults.inject` has set.
+    """Fault that `Faults.inject` has set for the next requests or replies.
 
     Attributes:
         kind: Kind of fault.

@@ -21,9 +21,14 @@ if TYPE_CHECKING:
 
 
 #: Unknowns of each joint, in the order of their columns, with the symbols of module `_segments`:
-#: stiffness k_p [N·m/rad], dry friction f [N·m], its growth l and m with load and motor torque [1],
-#: resistance D in normal motion ("total") and in motion driven by the torque limit ("outer")
-#: [N·m·s/rad], inertia M [kg·m²], dead band b [rad], and true over commanded torque limit minus 1.
+#: `kp`: stiffness k_p [N·m/rad];
+#: `friction`: dry friction f [N·m];
+#: `load`, `motor`: increase of friction per load torque (l) and per motor torque (m) [1];
+#: `total`: viscous resistance D while the servo follows its goal [N·m·s/rad];
+#: `outer`: viscous resistance D while the torque limit is reached [N·m·s/rad];
+#: `inertia`: M [kg·m²];
+#: `deadband`: dead band b [rad];
+#: `scale`: relative error of the torque limit, true over commanded minus 1 [1].
 NAMES = ("kp", "friction", "load", "motor", "total", "outer", "inertia", "deadband", "scale")
 #: Standard deviation of the prior of the servo's dead band [rad]; its mean is 0.
 DEADBAND_SIGMA = 1e-3

@@ -173,7 +173,7 @@ class Motion:
         return replace(self, start=(x, y, z))
 
     def trimmed(self, still: float = REST_TOLERANCE, keep: float = REST_TIME) -> Motion:
-        """Return a copy without the rest before and after the motion.
+        """Return a copy without the rest before and after the motion, and without `start`.
 
         Args:
             still: Distance from the first or last position within which a joint counts as at rest
@@ -251,7 +251,10 @@ class Motion:
             **({} if self.start is None else {"start": [round(x, DIGITS) for x in self.start]}),
             "columns": "time [s], joints [rad], extra [rad]",
         }
-        samples = ",\n  ".join(json.dumps([round(x, DIGITS) for x in row]) for row in rows.tolist())
+        # Times are not rounded: samples may be `MIN_SAMPLE_TIME` apart.
+        samples = ",\n  ".join(
+            json.dumps([time, *(round(x, DIGITS) for x in row)]) for time, *row in rows.tolist()
+        )
         text = json.dumps(head, indent=1, ensure_ascii=False)[:-2]
         with replacing(path) as new_file:
             new_file.write_text(f'{text},\n "samples": [\n  {samples}\n ]\n}}\n', encoding="utf-8")
@@ -282,10 +285,11 @@ class Motion:
             from pliant.log import read
 
             return cls.from_log(read(path))
+        text = read_text(path, LARGE)
         try:
-            data: Any = json.loads(read_text(path, LARGE))
+            data: Any = json.loads(text)
             if data["format"] != FORMAT:
-                raise ConfigError(f"{path} is {data['format']!r}, this pliant reads {FORMAT!r}")
+                raise ConfigError(f"format is {data['format']!r}, this pliant reads {FORMAT!r}")
             rows = np.array(data["samples"], dtype=np.float64)
             joints, names = tuple(data["joints"]), list(data["extra"])
             n = len(joints)
@@ -297,14 +301,14 @@ class Motion:
                 x, y, z = map(float, start)
                 start = x, y, z
             return cls(joints, rows[:, 0], rows[:, 1 : 1 + n], extra, note, start)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
         except KeyError as error:
             raise ConfigError(f"{path} is no motion file: it has no {error}") from error
         except RecursionError as error:
             raise ConfigError(f"{path} is no motion file: it is nested too deeply") from error
         except (ValueError, TypeError, OverflowError) as error:
             raise ConfigError(f"{path} is no motion file: {error}") from error
-        except ConfigError as error:
-            raise ConfigError(f"{path}: {error}") from error
 
 
 def _format_point(point: Any) -> str:

@@ -25,7 +25,7 @@ fn main() -> Result<()> {
         let time = 0.01 * f64::from(tick); // [s]
         // A hand that leans on the tool from 1 s to 2 s.
         let hand = 20.0 * (5.0 * (time - 1.0).min(2.0 - time)).clamp(0.0, 1.0); // [N]
-        // Before the step, so that the servos still follow its last command.
+        // Update the estimate before the step, while the servos still follow the previous command.
         let felt = *contact.update(&controller, &q, &ContactInput::default())?;
         if felt.touch[Z] != touched {
             touched = felt.touch[Z];

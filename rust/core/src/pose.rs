@@ -130,7 +130,7 @@ impl Pose {
     /// Checks the pose as [`Pose::validate`]; error messages call the argument `name`.
     #[inline]
     pub(crate) fn check(&self, name: &str) -> Result<()> {
-        if self.orthogonality_residual::<BaselineF64>(&TargetRegion::ANY) <= FAST_TOLERANCE {
+        if self.validity_residual::<BaselineF64>(&TargetRegion::ANY) <= FAST_TOLERANCE {
             Ok(())
         } else {
             self.diagnose(name)
@@ -140,7 +140,7 @@ impl Pose {
     /// Returns true if [`Pose::check`] rejects the pose or if it is outside `region`; does the fast check first.
     #[inline(always)]
     pub(crate) fn is_invalid<A: RealOps<Real = f64>>(&self, region: &TargetRegion) -> bool {
-        !(self.orthogonality_residual::<A>(region) <= FAST_TOLERANCE) && self.is_invalid_slow(region)
+        !(self.validity_residual::<A>(region) <= FAST_TOLERANCE) && self.is_invalid_slow(region)
     }
 
     /// Returns the result of [`Pose::is_invalid`] without the fast check.
@@ -296,13 +296,11 @@ impl Pose {
 }
 
 impl<R: Copy> Pose<R> {
-    /// Returns the sum of the residuals of the rotation and of the position relative to `region`. If it is at most
-    /// [`FAST_TOLERANCE`], the pose is valid: one comparison instead of many.
-    ///
-    /// The residuals are those of a rotation matrix whose first two rows are orthonormal and whose third row is their
-    /// cross product.
+    /// Returns a sum of residuals that is 0 for a valid pose: how far the first two rows of the rotation are from
+    /// orthonormal and the third from their cross product, and how far the position is outside `region`. A pose with a
+    /// sum of at most [`FAST_TOLERANCE`] is valid, so that one comparison replaces many.
     #[inline(always)]
-    fn orthogonality_residual<A: RealOps<Real = R>>(&self, region: &TargetRegion) -> R
+    fn validity_residual<A: RealOps<Real = R>>(&self, region: &TargetRegion) -> R
     where
         R: Number,
     {

@@ -256,11 +256,12 @@ fn check_lent(inputs: &[Lent<'_, '_>], outs: &[(&str, &Bound<'_, PyAny>, &[usize
     Ok(())
 }
 
-/// Returns the numbers of a plain, writable array of this shape for writing; `None` for any other object.
+/// Returns the elements of a writable, C-contiguous float64 array of this shape as a mutable slice; `None` for any other
+/// object.
 ///
 /// # Safety
-/// While the slice is in use, the array must keep its memory, no Python code runs in this thread, and no other slice
-/// refers to this memory.
+/// While the slice is in use, the memory of the array must not be freed or reallocated, no Python code may run in this
+/// thread, and no other slice may refer to this memory.
 #[expect(clippy::mut_from_ref, reason = "the memory is the array's, not the reference's")]
 unsafe fn read_mut<'a>(array: &'a Bound<'_, PyAny>, shape: &[usize]) -> Option<&'a mut [f64]> {
     let fields = structure(array, shape, WRITABLE)?;

@@ -20,8 +20,8 @@ const STEPS: u8 = 15;
 /// near singular poses.
 const DAMPING: f64 = 1e-7;
 
-/// Ratio of the largest friction on the path to that at its start above which the steps next to the largest are
-/// subdivided, because a singular pose may lie between two samples.
+/// If the largest friction on the path is more than this factor times the friction at its start, the steps on both sides
+/// of the largest friction are subdivided: a singular pose may lie between two samples.
 const REFINE_RATIO: f64 = 1.5;
 
 /// Number of parts into which such a step is subdivided.

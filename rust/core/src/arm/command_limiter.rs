@@ -52,7 +52,7 @@ pub struct CommandLimiter {
     upper: Vec<f64>,
     /// Friction of the joints of the chain (n) [N·m].
     friction: Vec<f64>,
-    /// Usable torques of the chain in its servo table (n) [N·m], from which the margin follows.
+    /// `max_torque` of the servo table for the chain (n) [N·m], without later reductions; determines the torque margin.
     rated_torque: Vec<f64>,
     kp: Vec<f64>,
     max_torque: Vec<f64>,

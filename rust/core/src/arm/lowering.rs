@@ -625,7 +625,8 @@ impl Lowering {
         }
     }
 
-    /// Enters the next phase if this one is over; `fastest` is the measured speed of the points [m/s].
+    /// Enters the next phase if this one is over; `fastest` is the largest measured speed of a point of the arm
+    /// [m/s].
     fn change_phase(
         &mut self,
         dt: f64,

@@ -102,13 +102,13 @@ pub struct ServoReading {
     pub turns: f64,
     /// Time of the request [s].
     pub time: f64,
-    /// Register of the speed.
+    /// Value of the register of the speed.
     pub speed: i64,
-    /// Register of the load.
+    /// Value of the register of the load.
     pub load: i64,
-    /// Register of the current; `None` without such a register.
+    /// Value of the register of the current; `None` without such a register.
     pub current: Option<i64>,
-    /// Registers of voltage and temperature; `None` if the block does not contain them.
+    /// Values of the registers of voltage and temperature; each `None` if the block does not contain it.
     pub supply: [Option<i64>; 2],
     /// Time of the last reading with a voltage of at least [`ServoUnits::min_voltage`] [s].
     pub supplied: f64,

@@ -24,7 +24,7 @@ pub(crate) struct Activation<J: JointVector> {
     magnitudes: [J; MAX_AXES],
     /// 1 / sum of each row of `magnitudes`.
     per_sum: J::Axes,
-    /// Shares in the null-space motion.
+    /// Share of each joint in the null-space motion, 0 to 1.
     null: J,
 }
 

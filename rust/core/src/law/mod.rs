@@ -120,8 +120,8 @@ pub(crate) trait ControlLaw {
     /// `None`.
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>);
 
-    /// Returns the force [N, N·m] that opposes a push on an arm at rest, before the strength bounds it; ∞ for a law
-    /// that is not defined by forces.
+    /// Returns the force [N, N·m] with which an arm at rest opposes a push, before the strength (largest force) of the
+    /// axis limits it; ∞ for a law that is not defined by forces.
     fn force_at(push: &AxisPush<'_>) -> f64;
 
     /// Returns the factor ≤ 1 on the gain of the stiff axes; `last` is the factor of the last step.

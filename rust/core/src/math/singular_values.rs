@@ -70,9 +70,9 @@ impl SingularValues {
     }
 }
 
-/// Computes the Rayleigh–Ritz values of M in the plane of `a = M⁻¹ w` and `b = M⁻¹ z`: unit vectors, that of the
-/// smaller value first, and the square root of that value. `None` if a and b are too large, or too nearly parallel for
-/// a single orthogonalization.
+/// Applies the Rayleigh–Ritz method to M in the span of `a = M⁻¹ w` and `b = M⁻¹ z`. Returns the unit Ritz vectors, that
+/// of the smaller Ritz value first, and the square root of this value; `None` if products of a and b could overflow, or
+/// if a and b are too nearly parallel for a single orthogonalization.
 ///
 /// The value is computed from dot products only, because the step waits for it; the vectors are needed by the next step
 /// only.

@@ -67,7 +67,7 @@ impl Svd {
 fn orthogonalise(b: &mut DMatrix<f64>, v: &mut DMatrix<f64>, p: usize, q: usize) -> bool {
     let (alpha, beta) = (b.column(p).norm_squared(), b.column(q).norm_squared());
     let gamma = b.column(p).dot(&b.column(q));
-    // Skip columns that are already orthogonal, or only rounding error, which has no direction.
+    // Skip a pair that is already orthogonal, or in which one column is nearly zero and so has no direction.
     if gamma.abs() <= 1e-15 * (alpha * beta).sqrt() || alpha.min(beta) < 1e-300 {
         return false;
     }

@@ -11,11 +11,11 @@ use crate::error::{Error, Result};
 use crate::pose::Pose;
 use crate::{JointVec, MAX_JOINTS};
 
-/// One kinematic chain with all bodies that it carries, in the layout of the control step.
+/// One kinematic chain with all bodies that it carries, in the form that the control step uses.
 ///
-/// Moving joints are numbered base → tip; after them come joints beside the path that follow one of its coordinates.
-/// When the robot is read, every frame is rotated so that its joint moves about or along z, and the rotation from one
-/// joint to the next is a tilt about x followed by the joint's own angle.
+/// The moving joints of the chain are numbered from base to tip. After them come mimic joints outside the chain, each
+/// coupled to one of its coordinates. When the robot is read, every frame is rotated so that its joint moves about or
+/// along z; the rotation between successive joints is then a constant twist about x followed by the joint angle about z.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
     /// Number of independent coordinates.

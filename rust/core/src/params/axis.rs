@@ -24,7 +24,8 @@ pub enum Frame {
 }
 
 impl Frame {
-    /// Returns the task axes as columns, in the base, for this rotation of the tool.
+    /// Returns the rotation matrix from task to base coordinates: its columns are the task axes in the base frame. `tool`
+    /// is the rotation of the tool in the base frame.
     pub(crate) fn base_from_task(&self, tool: &Mat3) -> Mat3 {
         match self {
             Self::Base => Pose::IDENTITY.rotation,

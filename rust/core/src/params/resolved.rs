@@ -30,8 +30,8 @@ const MIN_REDISTRIBUTION_DAMPING: f64 = 0.05;
 /// Largest `K_x h T_e` or `ρ T_e` [s] at which the stiff axes do not oscillate; T_e is the delay plus half a period.
 pub(super) const GAIN_DELAY_BOUND: f64 = 0.03;
 
-/// Damping of the inverse kinematics, in the units of the scaled rows: `λ² = λ₀² + (1 − (σ/σ₀)²) λ_max²` for a smallest
-/// singular value σ < σ₀, else λ₀².
+/// Damping λ of the damped least-squares inverse kinematics, in the units of the scaled Jacobian:
+/// `λ² = λ₀² + (1 − (σ/σ₀)²) λ_max²` for a smallest singular value σ < σ₀, else λ₀².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DampingParams {
     /// λ₀: λ away from singular poses.

@@ -46,7 +46,7 @@ impl Shares<'_> {
         }
     }
 
-    /// Returns the responsibility (6), (7): `|J⁺ diag(Δx)|` and `|α N∇g|`.
+    /// Returns the responsibility matrix of equations (6) and (7): the columns `|J⁺ diag(Δx)|`, then the column `|α N∇g|`.
     pub(super) fn responsibility(&self, dx: &Vector, gradient: &Vector) -> Matrix {
         let settings = &self.oracle.settings;
         let alpha = settings.null_space.gain.unwrap_or_else(|| largest(settings));

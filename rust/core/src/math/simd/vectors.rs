@@ -4,10 +4,10 @@
 use super::{Broadcast, F64x8, JointVec16, LANES, Number, PaddedVec3, RealOps, StoreVec3};
 use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
-/// Scalar type of the joint vector `L`: one value for all joints, per configuration.
+/// Scalar type of the joint vector `L`: one value that holds for all joints, per configuration.
 pub(crate) type Scalar<L> = <<L as JointVector>::Elem as RealOps>::Real;
 
-/// Scalar type of the task vector `W`: one value for all axes, per configuration.
+/// Scalar type of the task vector `W`: the value of one axis, per configuration.
 pub(crate) type AxisScalar<W> = <<W as TaskVector>::Elem as RealOps>::Real;
 
 /// A vector of one number per joint of an arm, padding included; arithmetic is elementwise.
