@@ -227,9 +227,10 @@ class HandJob(Case):
 
 
 class HandDrive(SimDrive):
-    """Simulated drive that reports torque off until `enable`; its servos are the hand until then.
+    """Simulated drive that reports torque off until `enable`.
 
-    They hold the arm exactly, so that the arm is released when the first goals arrive.
+    Until then its servos play the part of a hand: they hold the arm in its position, and release it
+    when the first goals arrive.
     """
 
     _is_released = False
@@ -478,7 +479,10 @@ def descents(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) ->
 
 
 def in_hand(name: str, count: int, *, seed: int = 0, on_bytes: bool = False) -> list[HandJob]:
-    """Return the runs of torque on in a hand, with poses and parameters of `descents`."""
+    """Return runs in which torque comes on while a person's hand holds the arm.
+
+    The poses and parameters are those of `descents`.
+    """
     return [
         HandJob(
             arm=job.arm,

@@ -25,8 +25,8 @@ LOG = logging.getLogger(__name__)
 
 #: Axes of the base along which forces are bounded and observed.
 AXES = ("x", "y", "z")
-#: An arm approaches its target slowly at the start, and after a pause between actions of this
-#: length [s]: the leader may have moved meanwhile.
+#: Pause between actions [s] after which the arm approaches its target slowly, as at the start: the
+#: leader may have moved meanwhile.
 PAUSE = 1.0
 #: LeRobot's rollout passes on only numbers whose names end in `.pos` or `.vel`, and sends `.pos`
 #: back to the arm at its end; forces, deviations and caps are therefore called `.vel`.

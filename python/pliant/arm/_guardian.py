@@ -81,11 +81,14 @@ class Guardian:
         return self in _running
 
     def watch(self, drive: Drive, arguments: Mapping[str, Any]) -> None:
-        """Let the process watch the program, before torque comes on; wait until it does.
+        """Let the guardian process watch this program; return once it does.
+
+        Call this before torque is switched on.
 
         Args:
             drive: The drive of the arm, open.
-            arguments: Arguments of the arm: a copy of it with them lowers itself in the process.
+            arguments: Constructor arguments of the arm. The guardian process builds its own copy of
+                the arm from them, and lowers it if this program ends.
 
         Raises:
             ServoError: The process has ended, or could not build the arm.

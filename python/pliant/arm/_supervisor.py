@@ -153,7 +153,7 @@ class Supervisor:
         self._end(self._done)
 
     def _end(self, done: threading.Event) -> None:
-        """Stop the watchdog thread with the event `done`, unless a later one replaced it."""
+        """Stop the watchdog thread that waits for `done`; keep a thread that replaced it."""
         done.set()
         if done is self._done:
             self.heartbeat[1] = 0.0

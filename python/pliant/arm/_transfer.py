@@ -25,12 +25,15 @@ if TYPE_CHECKING:
 FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
 #: Smallest rate of the loop of the transfer [Hz].
 LOOP_RATE = 250.0
-#: Distances that the tool must sink or rise before the balance begins [m], beyond half an encoder
-#: step of the joint that moves the tool most.
+#: Distances by which the tool must sink or rise before the balance begins [m], in addition to half
+#: an encoder step of the joint that moves the tool most.
 SINK, RISE = 0.001, 0.005
-#: Least and largest load at the tool that the inertia matrix includes [kg], time constant of the
-#: estimated load [s], and smallest weight of 1 kg at the joints from which it is estimated [N·m].
-LEAST_LOAD, LARGEST_LOAD, LOAD_TIME, MIN_WEIGHT = 0.1, 0.5, 0.02, 0.1
+#: Smallest and largest load at the tool that the inertia matrix includes [kg], and time constant of
+#: the estimated load [s].
+LEAST_LOAD, LARGEST_LOAD, LOAD_TIME = 0.1, 0.5, 0.02
+#: Smallest norm of the joint torques that carry 1 kg at the tool for which a load is estimated
+#: [N·m].
+MIN_WEIGHT = 0.1
 #: Pole of the observer [1/s]: its product with the delay of the loop, and its largest value.
 POLE_DELAY, MAX_POLE = 1.0, 45.0
 #: Assumed disturbance over the error of a position, before the first reading [1/s²]. More makes an
@@ -55,8 +58,8 @@ MIN_CHANGE, MAX_COUNT = 1e-6, 0.006
 #: Displacement below which a joint counts as sinking [rad] (at least two encoder steps).
 SINKING = 0.002
 #: Torque beyond that of the balance at which a sinking joint counts as carried by its lead: shares
-#: of friction and of the torque of the balance.
-FOUND_FRICTION, FOUND_SHARE = 2.5, 0.1
+#: of friction and of the torque of the balance; and share of the usable torque that suffices.
+FOUND_FRICTION, FOUND_SHARE, USABLE_SHARE = 2.5, 0.1, 0.98
 #: Time for which the lead of a sinking joint waits for this torque [s], and speed at which it
 #: shrinks afterwards [rad/s].
 MAX_WAIT, SLOW_SHRINK_SPEED = 0.3, 0.02
@@ -75,9 +78,9 @@ RETURN_GAIN, RETURN_SPEED, RETURNING = 8.0, 0.1, 0.03
 #: Time constant of the mean position that is drawn back [s]: drawing back an arm that swings on its
 #: servos would swing it further.
 MEAN_TIME = 0.3
-#: Displacement below which a joint has returned [rad] (at least 0.6 counts), and time after which
-#: the transfer does not wait for joints to return [s].
-RETURNED, MAX_TIME = 1.5e-4, 5.0
+#: Displacement below which a joint has returned [rad] (at least 0.6 counts), time after which leads
+#: no longer shrink, and further time for joints to return [s].
+RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
 #: Time without a position of a joint after which the weight transfer ends with an error [s].
 MAX_SILENCE = 0.5
 
@@ -200,6 +203,8 @@ class _WeightTransfer:
         self._load_weight = -tool.T @ np.asarray(io.model.gravity_vector)
         self._set_load(LEAST_LOAD)
         self._first = io.limit
+        # Joints that are taken over hold positions: they do not exert the torque of the balance.
+        self._follows = ~taken
         self._heard = self._tick = io.clock.now()
         self._observer = _DisturbanceObserver(
             self._heard - io.delay(self._heard), self._assumed_step
@@ -254,6 +259,7 @@ class _WeightTransfer:
         self._set_load(self._load + min(self._period / LOAD_TIME, 1.0) * change)
         omega = CONTROL_SHARE * pole
         back = observer.d + 2.0 * omega * self._v + omega**2 * self._x
+        back = np.where(self._follows, back, 0.0)
         return np.clip(self._weight - self._inertia @ back, -self._usable, self._usable)
 
     def _set_load(self, load: float) -> None:
@@ -274,8 +280,13 @@ class _WeightTransfer:
         `torque` are the torques that the observer takes as exerted (n,) [N·m].
         """
         io, taken = self._io, self._taken
-        self._observer.send(self._heard, self._inverse @ (torque - self._weight))
+        self._observe(torque)
         io.send(np.where(taken, io.goal, goal), np.where(taken, io.limit, limit))
+
+    def _observe(self, torque: Array) -> None:
+        """Tell the observer the torques (n,) [N·m] of the joints that follow; the others stand."""
+        u = self._inverse @ (torque - self._weight)
+        self._observer.send(self._heard, np.where(self._follows, u, -self._observer.d))
 
     def _full_lead(self, torque: Array) -> Array:
         """Return the leads (n,) [rad] with which servos exert limits of |torque| (n,) [N·m]."""
@@ -311,7 +322,8 @@ class _WeightTransfer:
         io, servos, kp, usable = self._io, self._io.servos, self._kp, self._usable
         taken, start_q = self._taken, self._start
         up = np.sign(weight)
-        enough = FOUND_FRICTION * self._friction + FOUND_SHARE * np.abs(weight)
+        enough = FOUND_FRICTION * self._friction + (1.0 + FOUND_SHARE) * np.abs(weight)
+        enough = np.minimum(enough, USABLE_SHARE * usable)
         margin = torque_margin(servos, weight)
         lead = np.where(taken, io.goal - start_q, self._full_lead(weight))
         found = np.where(taken, lead, np.nan)
@@ -321,7 +333,7 @@ class _WeightTransfer:
         if servos.stiffness_known:
             lead = np.where(taken, lead, weight / kp)
             found = lead
-        carrying = lead
+        carrying, late = lead, np.zeros(start_q.size, dtype=bool)
         more, pull, waited = np.zeros((3, start_q.size))
         before, mean, passed = io.q, io.q, 0.0
         while True:
@@ -334,8 +346,9 @@ class _WeightTransfer:
             sunk = (start_q - q) * up
             shrinking = np.isnan(found) & (lead != 0.0)
             # The servo may exert much more than carried the joint before, but the joint sinks.
-            carried = (sunk > sinking) & (torque * up > np.abs(weight) + enough)
-            held = shrinking & (carried | (passed > MAX_TIME))
+            carried = (sunk > sinking) & (torque * up > enough)
+            late = late | (shrinking & ~carried & (passed > MAX_TIME))
+            held = shrinking & (carried | late)
             # Return to the lead before the joint began to sink.
             back = np.minimum(np.abs(carrying - lead), MAX_BACK)
             lead = np.where(held, lead + up * back, lead)
@@ -374,16 +387,14 @@ class _WeightTransfer:
             largest = np.maximum(LEAD_FACTOR * limit / kp, np.abs(lead))
             goal = np.clip(goal, q - largest, q + largest)
             pull = goal - start_q - lead
-            self._observer.send(
-                self._heard, self._inverse @ (up * np.minimum(torque * up, limit) - self._weight)
-            )
+            self._observe(up * np.minimum(torque * up, limit))
             io.send(goal, limit)
             before = q
-            arrived = not returning.any() or passed > MAX_TIME
+            arrived = not returning.any() or passed > MAX_TIME + RETURN_TIME
             if passed >= RAMP_TIME and bool(known.all()) and arrived:
                 break
         io.ramp_limits(limit)
-        return np.where(np.isfinite(found), io.goal - io.q, np.nan)
+        return np.where(np.isfinite(found) & ~late, io.goal - io.q, np.nan)
 
 
 def _joint_names(io: ArmIO, joints: Mask) -> str:

@@ -49,7 +49,7 @@ class NetworkFlags:
         config, settings = load(
             self.arm, self.override, self.soft, duration=self.duration, log=self.log
         )
-        # A simulated arm must keep the time of the clients.
+        # A simulated arm must run in real time, as its clients do.
         is_simulated = config.backend == "sim"
         connected = connect(config, real_time=True) if is_simulated else connect(config)
         # Check the settings here, so that an error is raised before torque is on.

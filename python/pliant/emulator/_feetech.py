@@ -67,7 +67,10 @@ class StsServo(Servo):
         return 0
 
     def resolve(self, address: int, length: int) -> list[int]:
-        """Return the table address of each byte; beyond the table, of its unused last byte."""
+        """Return the table address of each of `length` bytes from `address` on.
+
+        An address beyond the table gives the last byte of the table, which is unused.
+        """
         last = self.table.size - 1
         return [min(byte, last) for byte in range(address, address + length)]
 

@@ -68,7 +68,7 @@ class SoftAction:
         return moved + len(self.axes(task))
 
     def scales(self, task: tuple[str, ...]) -> Array:
-        """Return the velocity of each task axis at 1 (k,) [m/s, rad/s]."""
+        """Return the velocity of each task axis for an action of 1 (k,) [m/s, rad/s]."""
         linear, angular = self.max_speed
         return np.array([linear if name in "xyz" else angular for name in task])
 

@@ -369,7 +369,7 @@ class Port:
             try:
                 family = device.family
                 is_due = not device.has_new_status
-                blocks = (is_due and family.read_with_status) or family.read
+                blocks = (is_due and group.read_with_status) or family.read
                 reply = self.guard.read(device.id, *blocks, again=again)
             except BusError as error:
                 error.raise_if_gone()

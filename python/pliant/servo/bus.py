@@ -394,7 +394,8 @@ class ServoBus:
             # Name the joint.
             self._vector(goal, "goal")
             self._vector(limit, "limit", unit="N·m")
-            self._vector(velocity, "velocity", unit="rad/s", unlimited=True)
+            if velocity is not None:
+                self._vector(velocity, "velocity", unit="rad/s", unlimited=True)
             raise
         for port, groups in packets:
             try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -122,6 +123,8 @@ class RustypotTransport:
         # Packets of Protocol 1.0 go through the descriptor of the port, where that is known.
         opened = _descriptors(port) - before if protocol == "p1" else set()
         self._descriptor = opened.pop() if len(opened) == 1 else None
+        # A closed descriptor may become that of another file while a thread still uses it.
+        self._lock = threading.Lock()
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
         """Read `size` bytes of one servo from `address` on; return them and the status byte."""
@@ -188,8 +191,9 @@ class RustypotTransport:
 
     def close(self) -> None:
         """Close the serial port."""
-        self._descriptor = None
-        self._io.close()
+        with self._lock:
+            self._descriptor = None
+            self._io.close()
 
     def _exchange(self, request: bytes, ids: Sequence[int], size: int) -> list[tuple[bytes, int]]:
         """Send a request of Protocol 1.0; return data and status byte of the reply of each servo.
@@ -199,9 +203,15 @@ class RustypotTransport:
         Raises:
             BusError: A reply is missing or corrupt, or the port is gone.
         """
-        assert self._descriptor is not None
         try:
-            found, is_whole = exchange(self._descriptor, request, bytes(ids), size, self._timeout)
+            with self._lock:
+                if self._descriptor is None:
+                    raise self._gone("closed by another thread")
+                found, is_whole = exchange(
+                    self._descriptor, request, bytes(ids), size, self._timeout
+                )
+        except TimeoutError as error:
+            raise BusError(f"{self.port}: the request cannot be sent", "timeout") from error
         except OSError as error:
             raise self._gone(str(error)) from error
         start, step = 0, OVERHEAD + size

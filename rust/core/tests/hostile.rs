@@ -119,7 +119,7 @@ proptest! {
     }
 }
 
-/// The time limits are far above the measured second, so that they detect a hang but not a slow machine.
+/// The time limits are far above the measured time, one second, so that they detect a hang but not a slow machine.
 #[test]
 fn large_texts_end_soon() {
     let slots = |count: usize, one: &dyn Fn(usize) -> String| (0..count).map(one).collect::<String>();

@@ -112,8 +112,8 @@ impl<J: JointVector> JointTargets<J> {
     }
 }
 
-/// Returns the largest lead of the goals under law `paper` [rad]: that of the settings; otherwise slightly more than
-/// the torque limit can use; without known k_p [`DEFAULT_OFFSET_LIMIT`].
+/// Returns the largest lead of the goals under law `paper` [rad]: the one in the settings if given; otherwise slightly
+/// more than the lead at which a servo reaches its torque limit, or [`DEFAULT_OFFSET_LIMIT`] if k_p is not known.
 #[inline(always)]
 fn lead_limit<J: JointVector>(params: &Params, settings: &Settings, limit: J) -> J {
     match settings.paper_options.lead_limit {

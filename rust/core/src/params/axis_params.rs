@@ -37,15 +37,15 @@ pub struct AxisImpedance {
 pub(crate) struct AxisParams {
     /// Index of the axis among x, y, z, roll, pitch, yaw.
     pub(crate) axis: usize,
-    /// Strength of a yielding side at a small deviation [N, N·m; N·m under law `paper`].
+    /// Largest force or torque of a direction that yields, at a small deviation [N, N·m; N·m under law `paper`].
     pub(crate) soft: [f64; 2],
-    /// Strength of a yielding side at a large deviation [N, N·m; N·m under law `paper`].
+    /// Largest force or torque of a direction that yields, at a large deviation [N, N·m; N·m under law `paper`].
     pub(crate) firm: [f64; 2],
-    /// Strength of a side that does not yield [N, N·m; N·m under law `paper`].
+    /// Largest force or torque of a direction that does not yield [N, N·m; N·m under law `paper`].
     pub(crate) hold: f64,
-    /// Default of `hold` if a larger `firm` raised it, else `None`.
+    /// Default of `hold` before a larger `firm` raised it; `None` if it was not raised.
     pub(crate) default_hold: Option<f64>,
-    /// 1 for a side that yields, else 0.
+    /// 1 for a direction that yields, else 0.
     pub(crate) yields: [f64; 2],
     /// Stiffness [N/m, N·m/rad]; 0 except under law `impedance`.
     pub(crate) stiffness: [f64; 2],
