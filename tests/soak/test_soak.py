@@ -35,8 +35,10 @@ def test_faults_break_no_rule(family, seconds):
     absent = {"lose"} if (family, seconds) == ("sts", 7.0) else set()
     assert set(run.struck) >= set(soak.KINDS) - absent
     assert run.bus["retries"] > 0
-    # A register differs from the written value only after an injected loss of a packet.
-    assert run.bus["mismatches"] <= run.struck["deaf"]
+    # A register differs from the written value only after an injected loss of a packet, which is
+    # for all servos. Feetech servos are all read back in the same cycle, the others one per cycle.
+    registers = len(FAMILIES[family].models) if family == "sts" else 1
+    assert run.bus["mismatches"] <= registers * run.struck["deaf"]
     assert run.telling > 0.3
 
 
