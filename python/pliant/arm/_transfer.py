@@ -177,11 +177,11 @@ class _WeightTransfer:
     ``τ = w - M (d + 2 ω v + ω² x)``
 
     with the model's weight w and inertia M, the displacement x from the first position, its speed v
-    and the disturbance d of a `_DisturbanceObserver`. Once the arm stands, τ carries it, an unknown
-    load included. Then the leads shrink. A servo whose lead no longer suffices for τ lets its joint
-    sink, whatever its limit: this lead carries the joint. A joint that does not sink rests on an
-    object. In the end limits have the margin of `torque_margin`, and joints that sank return
-    slowly.
+    and the disturbance d of a `_DisturbanceObserver`; until the tool moves, τ is w. Once the arm
+    stands, τ carries it, an unknown load included. Then the leads shrink. A servo whose lead no
+    longer suffices for τ lets its joint sink, whatever its limit: this lead carries the joint. A
+    joint that does not sink rests on an object. In the end limits have the margin of
+    `torque_margin`, and joints that sank return slowly.
     """
 
     def __init__(
