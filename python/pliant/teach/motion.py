@@ -285,9 +285,8 @@ class Motion:
             from pliant.log import read
 
             return cls.from_log(read(path))
-        text = read_text(path, LARGE)
         try:
-            data: Any = json.loads(text)
+            data: Any = json.loads(read_text(path, LARGE))
             if data["format"] != FORMAT:
                 raise ConfigError(f"format is {data['format']!r}, this pliant reads {FORMAT!r}")
             rows = np.array(data["samples"], dtype=np.float64)
