@@ -31,8 +31,8 @@ def grip(axis, distance, start, rise, end):
     )
 
 
-# Teach: hand guiding; from 9 s on a hand moves the tool to the side and up, and lets go.
-hands = [grip("y", 0.08, 9.0, 3.0, 12.5), grip("z", 0.03, 9.0, 3.0, 12.5)]
+# Teach: hand guiding; from 14 s on a hand moves the tool to the side and up, and lets go.
+hands = [grip("y", 0.08, 14.0, 3.0, 17.5), grip("z", 0.03, 14.0, 3.0, 17.5)]
 with pliant.connect("so101", backend="sim", q=START, scene=hands) as arm:
     motion = pliant.teach.record(arm, on_status=print)
 motion.save(folder / "wave.json")
@@ -40,7 +40,7 @@ motion.save(folder / "wave.json")
 # Replay: y gives way to 2 N; a hand holds the tool from the start, then lets go.
 motion = pliant.teach.Motion.load(folder / "wave.json")
 settings = pliant.Settings(task="xyz", axes={"y": pliant.Axis(soft=2.0, profile="constant")})
-wall = grip("y", 0.0, 0.0, 0.0, 2.0 + HELD)
+wall = grip("y", 0.0, 0.0, 0.0, 7.0 + HELD)
 
 with contextlib.ExitStack() as stack:
     arm = stack.enter_context(pliant.connect("so101", backend="sim", q=START, scene=[wall]))
