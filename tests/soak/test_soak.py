@@ -36,8 +36,9 @@ def test_faults_break_no_rule(family, seconds):
     assert set(run.struck) >= set(soak.KINDS) - absent
     assert run.bus["retries"] > 0
     # A register differs from the written value only after an injected loss of a packet, which is
-    # for all servos. Feetech servos are all read back in the same cycle, the others one per cycle.
-    registers = len(FAMILIES[family].models) if family == "sts" else 1
+    # for all servos. Feetech and Protocol 1.0 servos are all read back in the same cycle, those of
+    # Protocol 2.0 one per cycle.
+    registers = 1 if family == "x" else len(FAMILIES[family].models)
     assert run.bus["mismatches"] <= registers * run.struck["deaf"]
     assert run.telling > 0.3
 
