@@ -1,6 +1,7 @@
 """Tiers of tests, and their distribution; CONTRIBUTING.md says which command runs which."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,12 @@ PROGRAMS = {"tests/test_house.py"}
 #: Number of workers in addition to the number of cores, because many tests wait for an emulated bus
 #: or another process. More workers would delay replies of emulated buses too much.
 WAITING = 1
+
+
+def pytest_configure() -> None:
+    """Let programs that tests start be ended by SIGINT, which a run in the background ignores."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)
