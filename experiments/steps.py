@@ -3,7 +3,9 @@
 ``python -m experiments.steps --robot so101`` steps the target of an arm with stiff axes by 10 cm,
 from random poses in several directions, with every law and two limits of the tool speed. It prints
 the largest tool speed (averaged over 50 ms), the largest overshoot along the step and the distance
-to the target after 4 s. With `--disturbed`, the true servos differ from the assumed ones.
+to the target after 4 s. With `--disturbed`, the true servos differ from the assumed ones. With
+`--soft` some axes are soft, and with `--singular` poses may be near a singular one: the table then
+is about the speed only.
 """
 
 from __future__ import annotations
@@ -112,13 +114,17 @@ class StepResult:
         return self.fastest <= FACTOR * speed + MORE and self.overshoot <= OVERSHOOT
 
 
-def steps(name: str, count: int, seed: int = 1) -> list[Step]:
-    """Return `count` random steps of the target of an arm, all poses of which are `_passable`."""
+def steps(name: str, count: int, seed: int = 1, *, singular: bool = False) -> list[Step]:
+    """Return `count` random steps of the target of an arm, all poses of which are `_passable`.
+
+    With `singular` they may be near a singular one.
+    """
     it = arm(name)
     model, chance = it.model, np.random.default_rng(seed)
     found: list[Step] = []
     low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
-    least = SIGMA * float(np.median([_sigma(it, q) for q in it.drawn]))
+    median = float(np.median([_sigma(it, q) for q in it.drawn]))
+    least = 0.0 if singular else SIGMA * median
     while len(found) < count:
         q = chance.uniform(low, high)
         way = chance.normal(size=3) if len(found) % 3 == 2 else np.zeros(3)
@@ -169,9 +175,14 @@ def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
     return True
 
 
-def settings(name: str, law: Law, speed: float) -> pliant.Settings:
-    """Return settings of a law for an arm, with all axes stiff and a tool speed limit [m/s]."""
-    return pliant.Settings.firm(task=" ".join(arm(name).axes), law=law, max_tool_speed=speed)
+def settings(name: str, law: Law, speed: float, soft: str = "") -> pliant.Settings:
+    """Return settings of a law for an arm, with soft axes and a tool speed limit [m/s]."""
+    options: dict[str, Any] = {
+        "task": " ".join(arm(name).axes),
+        "law": law,
+        "max_tool_speed": speed,
+    }
+    return pliant.Settings.soft(soft, **options) if soft else pliant.Settings.firm(**options)
 
 
 def run(
@@ -214,9 +225,16 @@ def run(
 
 @dataclass(frozen=True)
 class Job:
-    """All steps of one row of the table: arm, law, speed limit [m/s], number of steps, and case.
+    """All steps of one row of the table.
 
-    The case is one of `DISTURBED`, or the nominal one.
+    Attributes:
+        robot: Name of the arm.
+        law: Law of the controller.
+        speed: Speed limit [m/s].
+        count: Number of steps.
+        case: One of `DISTURBED`, or the nominal one.
+        soft: Names of the soft axes.
+        singular: True if poses may be near a singular one.
     """
 
     robot: str
@@ -224,19 +242,29 @@ class Job:
     speed: float
     count: int
     case: tuple[str, float, float, int] = ("as assumed", 1.0, 1.0, 0)
+    soft: str = ""
+    singular: bool = False
 
     def run(self) -> list[StepResult]:
         """Run all steps and return their results."""
         _, stiffness, friction, ticks = self.case
         plant = {"kp_scale": stiffness, "friction_scale": friction, "delay": (ticks, ticks)}
-        of = settings(self.robot, self.law, self.speed)
-        return [run(self.robot, step, of, plant) for step in steps(self.robot, self.count)]
+        of = settings(self.robot, self.law, self.speed, self.soft)
+        some = steps(self.robot, self.count, singular=self.singular)
+        return [run(self.robot, step, of, plant) for step in some]
 
 
-def rows(robot: str, count: int, *, disturbed: bool = False) -> list[Job]:
+def rows(
+    robot: str, count: int, *, disturbed: bool = False, soft: str = "", singular: bool = False
+) -> list[Job]:
     """Return the jobs of a robot, one for each row of the table."""
     cases = DISTURBED if disturbed else (("as assumed", 1.0, 1.0, 0),)
-    return [Job(robot, law, v, count, case) for case in cases for law in LAWS for v in SPEEDS]
+    return [
+        Job(robot, law, v, count, case, soft, singular)
+        for case in cases
+        for law in LAWS
+        for v in SPEEDS
+    ]
 
 
 def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[StepResult]]) -> str:
@@ -262,16 +290,26 @@ def table(jobs: Sequence[Job], outcomes: Sequence[Sequence[StepResult]]) -> str:
     return program.markdown((*columns, "left [mm]", "within 10 mm after [s]", "kept"), rows)
 
 
-def main(robot: str = "so101", poses: int = 12, disturbed: bool = False, jobs: int = 1) -> None:
+def main(
+    *,
+    robot: str = "so101",
+    poses: int = 12,
+    disturbed: bool = False,
+    soft: str = "",
+    singular: bool = False,
+    jobs: int = 1,
+) -> None:
     """Print speed and overshoot of target steps.
 
     Args:
         robot: A built-in arm, or vx300s if its URDF is available.
         poses: Number of steps per row.
         disturbed: True uses servos that differ from the assumed ones.
+        soft: Names of the soft axes, such as "x y"; default: none.
+        singular: True allows poses near a singular one.
         jobs: Number of processes.
     """
-    todo = rows(robot, poses, disturbed=disturbed)
+    todo = rows(robot, poses, disturbed=disturbed, soft=soft, singular=singular)
     print(table(todo, list(run_jobs(todo, jobs, "steps"))))
 
 
