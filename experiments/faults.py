@@ -301,7 +301,7 @@ FALL = 1.5
 #: Allowance for damping and inertia of the moving arm, added to the static bound on the force after
 #: a host loss [N].
 MOTION_ALLOWANCE = 3.0
-#: Averaging time of forces, as in docs/lifecycle.md [s].
+#: Averaging time of forces, as in docs/descents.md [s].
 TICK = 0.01
 #: Allowed excess of a force over the cap, as a share of the cap.
 BAND = 0.15

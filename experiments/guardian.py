@@ -2,7 +2,7 @@
 
 Emulated servos run in a process of their own, in real time. Another process enables the arm, and
 is ended at a random instant of a phase. Its guardian lowers the arm. The program prints the tables
-of docs/lifecycle.md: for each ending the time from it to the guardian's first goal, and what the
+of docs/descents.md: for each ending the time from it to the guardian's first goal, and what the
 arm did; then what the guardian costs.
 """
 
