@@ -25,8 +25,8 @@ DRAWN, LEAST_SIGMA = 512, 0.65
 #: Force caps of the campaign as shares of the arm's median static capacity (`Arm.capacity`): for
 #: translations, and for rotations.
 SHARES = ((0.15, 0.30, 0.60), (0.07, 0.14))
-#: Reach [m] of an arm for which singular values weigh a rotation of 1 rad like a translation of
-#: 1 m. For another arm, 1 rad weighs like (its reach / `REACH_OF_ONE`) m.
+#: Scale of rotations in singular values: 1 rad counts as much as (reach / `REACH_OF_ONE`) m, with
+#: the reach of the arm and this constant in m.
 REACH_OF_ONE = 0.71
 
 

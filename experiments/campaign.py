@@ -199,10 +199,7 @@ class Promise:
 
     @property
     def kept_as_said(self) -> bool:
-        """True if the measured force is in the band after `rubs` has replaced `friction` in it.
-
-        `rubs` replaces `friction` only if it is larger.
-        """
+        """True if the measured force is in a band with the larger one of `rubs` and `friction`."""
         return abs(self.felt - self.promise) <= self.band + max(self.rubs - self.friction, 0.0)
 
     @property

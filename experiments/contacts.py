@@ -383,9 +383,9 @@ def events(beyond: NDArray[np.bool_]) -> list[int]:
 
 
 def first(felt: NDArray[np.bool_]) -> int | None:
-    """Return the index of the reading at which a column of a mask (N, k) detects the contact.
+    """Return the index of the first reading at which a column of a mask (N, k) detects a contact.
 
-    The first detection counts. None means that no column detects the contact.
+    None means that no column detects one.
     """
     found = [e for column in felt[FIRST:].T for e in events(column)]
     return FIRST + min(found) if found else None

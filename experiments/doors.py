@@ -115,10 +115,10 @@ LONGEST = 8.0
 
 
 class ByResistance:
-    """Controller that opens and closes a door, each until resistance is detected.
+    """Controller that opens a door until it resists, rests, and closes the door until it resists.
 
-    It moves its target along -x until then, rests, and moves it back along +x. Resistance is a
-    force that is estimated from joint positions.
+    The target moves along -x to open and along +x to close the door. Resistance is detected by the
+    force that `pliant.ContactEstimator` estimates from joint positions.
 
     Attributes:
         ends: Times at which resistance was detected [s].

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 #: Encoder step [rad].
 COUNT = float(np.deg2rad(0.088))
-#: Of each arm: start pose [rad], distance by which the hand guides the tool in y and in z [m], and
+#: By arm: start pose [rad], distance by which the hand guides the tool in y and in z [m], and
 #: cap of a soft axis during the replay [N].
 ARMS = {
     "arm7": ([-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657], 0.15, 0.06, 5.0),

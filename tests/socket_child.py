@@ -1,7 +1,7 @@
-"""Module of tests/test_child.py: says what it inherits, then waits for an answer.
+"""Child process of tests/test_child.py: reports its sockets, then waits for an answer.
 
-It sends whether another process would inherit its socket, and whether it has the other end too.
-Exit code 0: the answer was "."; 7: the socket ended.
+It sends two characters, each "1" for yes: its own children would inherit the socket; it has also
+inherited the other end. Exit code 0: the answer was "."; 7: the socket was closed.
 """
 
 import os

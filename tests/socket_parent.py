@@ -1,4 +1,4 @@
-"""Module of tests/test_child.py: starts `socket_child` and waits for Ctrl-C."""
+"""Program of tests/test_child.py: starts `socket_child` and waits for Ctrl-C."""
 
 import socket
 import sys

@@ -16,7 +16,10 @@ NEW = "__new__"
 
 
 def signatures():
-    """Arguments and results in the stub by dotted name; of the first overload."""
+    """Return the arguments of all classes and functions in the stub, by dotted name.
+
+    Of several overloads, the first counts.
+    """
     found = {}
     for item in ast.parse(STUB.read_text(encoding="utf-8")).body:
         inside = item.body if isinstance(item, ast.ClassDef) else [item]
@@ -29,7 +32,7 @@ def signatures():
 
 
 def parts(function):
-    """`(arguments)` without self, and the result."""
+    """Return the arguments of a function as text in brackets, without `self` and annotations."""
     arguments = function.args
     for listed in (arguments.posonlyargs, arguments.args):
         if listed and listed[0].arg in {"self", "cls"}:
@@ -103,7 +106,7 @@ def chapter(heading, module, names):
 
 
 def public(module):
-    """Return the public items of a module."""
+    """Return the names of the public items of a module."""
     own = getattr(module, "__all__", None) or [
         name
         for name, thing in vars(module).items()
@@ -118,7 +121,7 @@ def known(thing, listed):
 
 
 def write(app):
-    """Write the changed pages."""
+    """Write the pages that have changed; fail if a public item has no page."""
     texts, listed = {}, []  # objects, since two modules may export the same one
     for key, (heading, names) in CORE.items():
         listed += [getattr(pliant, name) for name in names.split()]
@@ -148,7 +151,7 @@ def write(app):
 
 
 def signature(app, what, name, thing, options, given, result):
-    """Replace the docstring of a compiled item by that of the stub."""
+    """Return the signature of a compiled item from the stub; None for other items."""
     short = name.removeprefix("pliant.")
     called = what in {"class", "method", "function"} and short in KNOWN
     return (KNOWN[short], "") if called else None
@@ -169,13 +172,13 @@ COLON = "\ue000"
 
 
 def hide(app, what, name, thing, options, lines):
-    """Before napoleon."""
+    """Hide colons in attributes' docstrings; Sphinx calls it before napoleon."""
     if what in {"attribute", "property", "data"}:
         lines[:] = [line.replace(":", COLON) for line in lines]
 
 
 def reveal(app, what, name, thing, options, lines):
-    """After it."""
+    """Restore the hidden colons; Sphinx calls it after napoleon."""
     lines[:] = [line.replace(COLON, ":") for line in lines]
 
 
@@ -184,6 +187,6 @@ def setup(app):
     app.connect("builder-inited", write)
     app.connect("autodoc-process-signature", signature)
     app.connect("autodoc-process-docstring", plain, priority=400)
-    app.connect("autodoc-process-docstring", hide, priority=401)  # napoleon has 500
+    app.connect("autodoc-process-docstring", hide, priority=401)  # napoleon's priority is 500
     app.connect("autodoc-process-docstring", reveal, priority=600)
     return {"parallel_read_safe": True}

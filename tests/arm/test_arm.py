@@ -191,7 +191,7 @@ def test_a_joint_measured_outside_its_limits_gets_no_torque(make, grasp, way, st
 
     arm.drive.read = misplaced
     assert arm.drive.read().position[3] != pytest.approx(arm.drive.plant.q[3], abs=abs(way) / 2)
-    if starts:  # one that lies on its stop
+    if starts:  # a joint on its stop
         arm.enable()
         assert arm.read().q[3] == (high if way > 0.0 else low) + way
         arm.disable_torque()

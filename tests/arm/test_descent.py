@@ -9,7 +9,7 @@ from experiments import descent
 
 #: By arm: numbers of the runs of `descent.descents` that are always tested. Even runs are in free
 #: air, odd ones over a table. Run 7 of `so101` tests the bound of the force on the table: without
-#: this bound the arm pressed with 11.4 N, although only 5 N of its weight rest on the table.
+#: this bound the arm presses with 11.4 N, although only 5 N of its weight rest on the table.
 RUNS = {"arm7": (0, 1), "so101": (0, 1, 7), "koch": (0, 3)}
 #: Largest force of an arm on the table [N].
 FORCE = {"so101": 10.0, "koch": 10.0}
@@ -17,7 +17,7 @@ LARGE = 15.0
 
 
 def check(job, run):
-    # Fails if the drive passes the true stiffness to the arm, which must assume another one.
+    # The drive must not pass the true stiffness to the arm, which assumes another one.
     assert run.apart == pytest.approx(max(max(s, 1.0 / s) for s in job.truth.stiffness))
     assert run.moved < 0.020
     assert run.jerk < 0.10
@@ -60,7 +60,7 @@ def test_down_from_the_ready_pose_within_fifteen_seconds(arm, number):
 
 
 def test_an_arm_that_swings_is_taken_over_without_being_swung_further():
-    # The tool swings at 0.08 m/s: the torque of one encoder count exceeds the friction.
+    # One encoder count is more torque than the friction, so the tool swings at 0.08 m/s.
     job = job_of("arm7", 11, False)
     run = job.run()
     assert run.apart > 2.0
@@ -68,14 +68,14 @@ def test_an_arm_that_swings_is_taken_over_without_being_swung_further():
     assert run.moved < 0.020
 
 
-#: Runs of `descent.in_hand`, with the speed [m/s] and the displacement [mm] of the tool where
-#: limits of the model's weight and leads of twice its `g/k_p` carried the arm.
+#: Runs of `descent.in_hand`: arm, number, True with emulated servos. In brackets: speed and
+#: displacement of the tool without the balance, with constant limits for the model's weight.
 IN_HAND = [
-    ("so101", 2, False),  # an unknown load of 0.33 kg: 0.91, 660
-    ("arm7", 16, False),  # 0.38 kg, no delay: 0.14, 31
-    ("arm7", 18, False),  # 0.28 kg: 0.19, 24
-    ("arm7", -1, True),  # the ready pose over bytes, no load: 0.11, 4
-    pytest.param("so101", 2, True, marks=pytest.mark.full),  # 0.33 kg over bytes: 1.4, 666
+    ("so101", 2, False),  # unknown load of 0.33 kg (0.91 m/s, 660 mm)
+    ("arm7", 16, False),  # 0.38 kg, no delay (0.14 m/s, 31 mm)
+    ("arm7", 18, False),  # 0.28 kg (0.19 m/s, 24 mm)
+    ("arm7", -1, True),  # ready pose, no load (0.11 m/s, 4 mm)
+    pytest.param("so101", 2, True, marks=pytest.mark.full),  # 0.33 kg (1.4 m/s, 666 mm)
 ]
 
 
@@ -89,7 +89,7 @@ def test_an_arm_let_go_at_torque_on_does_not_drop(arm, number, on_bytes):
     load = Mismatch(
         plant=Parameters(kp=job.truth.stiffness, payload=job.truth.load),
         assumed=Parameters(),
-        # Emulated servos differ in what they exert, which `apart` checks; their plant does not.
+        # The stiffness of emulated servos is not in their plant; `apart` checks it below.
         compared=("payload",) if on_bytes else ("kp", "payload"),
     )
     with load:
@@ -104,9 +104,9 @@ def test_an_arm_let_go_at_torque_on_does_not_drop(arm, number, on_bytes):
 @pytest.mark.parametrize(
     ("arm", "number", "over_table"),
     [
-        # The inertia of 0.15 kg, which the arm does not carry, shook it at 1.4 m/s.
+        # A balance for a load of 0.15 kg, which is not there, would shake the arm at 1.4 m/s.
         ("koch", 30, False),
-        # The balance took the table for a load and made the arm bounce at 0.9 m/s.
+        # A balance that takes the table for a load would make the arm bounce at 0.9 m/s.
         pytest.param(
             "vx300s",
             14,
@@ -133,8 +133,7 @@ def test_an_arm_at_rest_is_not_shaken_by_the_balance(arm, number, over_table):
 def test_an_arm_let_go_is_balanced_by_servos_that_are_weaker_or_stronger(
     arm, number, strength, monkeypatch
 ):
-    # The balance is a loop over torque limits: it must not swing where these are wrong. With the
-    # sign of the last torque of the balance, arm7 fell by 0.9 m in run 9.
+    # The balance is a feedback loop over torque limits; wrong limits must not make it oscillate.
     writes = []
     for method in ("enable", "write"):
         exact = getattr(descent.HandDrive, method)
@@ -153,7 +152,7 @@ def test_an_arm_let_go_is_balanced_by_servos_that_are_weaker_or_stronger(
 
 @pytest.mark.skipif(not descent.is_here("vx300s"), reason="no description beside the project")
 def test_torque_off_only_where_the_arm_stands_without_it():
-    # The shoulder falls backward while the tool lies on the table.
+    # Without torque the shoulder would fall backward, although the tool lies on the table.
     run = job_of("vx300s", 35, True).run()
     assert run.apart > 1.4
     assert run.after < 0.10

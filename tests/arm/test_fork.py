@@ -64,7 +64,7 @@ def test_a_child_that_ends_sends_nothing_and_the_arm_goes_on(action, code):
     done = run(action)
     said = done.stdout.splitlines()
     assert done.returncode == 0, done.stderr
-    if code != -signal.SIGTERM:  # without a message
+    if code != -signal.SIGTERM:  # which ends the child before it can print
         assert said.pop(0) == "child 0", done.stderr
     assert said[:2] == [f"{code} True", "False False"], done.stderr
     assert said[2].startswith("parent ")

@@ -179,8 +179,8 @@ def test_a_program_started_again_waits_for_the_guardian_of_the_killed_one(bus, b
     assert program.communicate()[1].count("torque OFF") == 1
 
 
-#: Children that live on: by `os.fork`, as of `multiprocessing`; and by C code, without Python's
-#: hooks, which keeps the line to the guardian open.
+#: Ways to make a child that outlives the program: `os.fork`, as `multiprocessing` does; and a fork
+#: in C, which skips Python's hooks and so keeps the socket to the guardian open.
 CHILDREN = {
     "fork": "os.fork()",
     "C": "ctypes.CDLL(None).fork()",
@@ -311,8 +311,8 @@ def test_a_tick_makes_no_more_calls_and_requests_with_a_guardian():
                 requests[has_guardian].append(arm.counters["transactions"] - before)
             arm.disable_torque()
             arm.close()
-    # The smallest cycle and the first quartile: cycles differ in what they ask the servos, and on a
-    # busy machine some have retries.
+    # Compare minimum and first quartile: cycles make different requests, and have retries on a
+    # busy machine.
     for counted in (calls, requests):
         assert min(counted[True]) == min(counted[False])
         quartiles = {has_guardian: sorted(counted[has_guardian])[15] for has_guardian in counted}
@@ -320,7 +320,7 @@ def test_a_tick_makes_no_more_calls_and_requests_with_a_guardian():
 
 
 def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports():
-    """A closed copy drives the servos of both ports, without a servo that no longer answers."""
+    """A closed copy drives the servos of both ports, although one servo no longer answers."""
     model = pliant.robots.load("so101")
     mounts = [
         pliant.emulator.Mount(joint=name, model="STS3215", id=k, port="ab"[k % 2])
@@ -392,7 +392,7 @@ def test_the_guardian_of_a_half_enabled_arm_switches_no_torque_on(powered):
 
 
 class Beats:
-    """A heartbeat, time and state of a program."""
+    """Simulated program for the guardian's checks: heartbeat, time, and True if it is stopped."""
 
     def __init__(self, monkeypatch):
         self.heartbeat, self.now, self.is_stopped = [0.0, 0.0], 0.0, False
@@ -401,7 +401,7 @@ class Beats:
         self.program = _guardian_process.Program(os.getppid(), self.heartbeat)
 
     def checks(self, seconds, period=0.1):
-        """Return the first problem within some time, and the time until it."""
+        """Check every `period` [s]; return the first problem and its time [s], None if none."""
         for index in range(round(seconds / period)):
             self.now += period
             if problem := self.program.problem(0.5):
@@ -418,7 +418,7 @@ def test_only_a_program_under_supervision_counts_as_silent(monkeypatch):
     assert after == pytest.approx(0.6 + _guardian_process.MARGIN, abs=0.15)
     beats.heartbeat[0] += 1.0
     assert beats.checks(1.0) is None
-    # A long silence under a long limit does not count under a shorter one.
+    # A silence that a long limit allowed does not count when the limit becomes shorter.
     beats.heartbeat[:] = [2.0, 10.0]
     assert beats.checks(8.0) is None
     beats.heartbeat[1] = 0.5
@@ -440,6 +440,6 @@ def test_a_stopped_program_has_the_time_of_its_bus(monkeypatch):
 def test_time_in_which_the_guardian_did_not_run_does_not_count(monkeypatch):
     beats = Beats(monkeypatch)
     beats.heartbeat[1] = 0.6
-    # Five checks with 10 s between them, on a machine that slept: 0.2 s count for each.
+    # Five checks with 10 s between them, as on a machine that slept: 0.2 s count for each.
     assert beats.checks(50.0, period=10.0) is None
     assert beats.checks(50.0, period=10.0) is not None

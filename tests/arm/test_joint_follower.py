@@ -68,11 +68,15 @@ def test_a_wrong_stiffness_costs_lag_and_sag_only(kp):
     right, _, _ = follow("so101", 1, math.radians(25.0))
     assert (lag > right) == (kp < 1.0)
     assert 0.85 < gain < 1.15
-    assert others < math.radians(6.0)  # sag, as the true stiffness differs from the assumed one
+    assert others < math.radians(6.0)  # the wrong stiffness makes the arm sag
 
 
 def pushed(axis, force, max_force):
-    """Push the tool for 1.5 s; return largest and last displacement [m] and speed after [m/s]."""
+    """Push the tool for 1.5 s; return its motion.
+
+    Returns:
+        Largest and last displacement [m], and largest speed after the push [m/s].
+    """
     with connect("so101", table=False) as arm:
         model, plant = arm.model, arm.drive.plant
         push = np.zeros(3)
@@ -93,7 +97,7 @@ def pushed(axis, force, max_force):
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", range(3))
 def test_a_push_above_the_force_and_friction_moves_the_arm(axis):
-    """A push of `max_force` moves the arm little; it yields to a larger one and returns slowly."""
+    """The arm resists a push below `max_force`, yields to a larger one, and returns slowly."""
     force = 2.0
     stiff, _, _ = pushed(axis, 0.8 * force, math.inf)
     resisted, _, _ = pushed(axis, 0.8 * force, force)
@@ -107,7 +111,7 @@ def test_a_push_above_the_force_and_friction_moves_the_arm(axis):
 
 @pytest.mark.slow
 def test_a_target_inside_the_table_is_pressed_with_the_force():
-    """The reference is a follower without force limit, with the same joint targets."""
+    """Compare a follower with `max_force` and one without a limit, with equal joint targets."""
     held = {}
     for max_force in (2.0, math.inf):
         with connect("so101", table=0.0) as arm:
@@ -125,7 +129,7 @@ def test_a_target_inside_the_table_is_pressed_with_the_force():
                 tick.step(start + (inside - start) * min(1.0, tick.time / 1.5))
                 forces.append(arm.drive.plant.fixtures[0].force)
             held[max_force] = np.median(forces[-100:])
-    assert 1.0 < held[2.0] < 2.0 + 1.5  # its gears add friction
+    assert 1.0 < held[2.0] < 2.0 + 1.5  # gear friction adds to the limit
     assert held[math.inf] > 1.5 * held[2.0]
 
 

@@ -64,7 +64,7 @@ class Clock(ManualClock):
 
 
 class RecordingBus(ServoBus):
-    """Servo bus that records the torque limits that it is asked for [N·m]."""
+    """Servo bus that stores the torque limits of the last command in `asked` [N·m]."""
 
     asked = None
 
@@ -78,7 +78,7 @@ class RecordingBus(ServoBus):
 
 
 class Life(RuleBasedStateMachine):
-    """A program that may do anything but drop the arm, on a bus that may lose anything."""
+    """Random program on a bus with random faults; it fails if the arm drops."""
 
     poses = ("low",)
 
@@ -151,7 +151,7 @@ class Life(RuleBasedStateMachine):
             signal.signal(number, handler)
         self.patch.undo()
 
-    # What is observed.
+    # --- Checks ---
 
     def powered(self):
         return np.array([self.bus.servo(k).get("torque_enable") == 1 for k in range(1, self.n + 1)])
@@ -179,7 +179,7 @@ class Life(RuleBasedStateMachine):
     was_on = np.zeros(1, dtype=bool)
 
     def compare(self, limits):
-        """Check that no joint's torque limit rises beyond the limit that it was last asked for."""
+        """Check that no torque limit in a servo rises beyond the limit of the last command."""
         asked = self.arm.drive.asked
         bound = self.in_force if asked is None else np.maximum(self.in_force, asked[: self.n])
         if np.any(limits > 1.01 * bound + 1e-6):
@@ -190,7 +190,7 @@ class Life(RuleBasedStateMachine):
     def nothing_is_wrong(self):
         assert not self.wrong, self.wrong[:5]
 
-    # The program.
+    # --- Steps of the program ---
 
     def connect(self):
         specs = [
@@ -203,7 +203,7 @@ class Life(RuleBasedStateMachine):
         self.arm = Arm(self.model, drive, guardian=False)
 
     def ending(self, action):
-        """Run an action; after an exception end the arm, as the end of `with` does."""
+        """Run an action; after an exception close the arm, as the end of a `with` block does."""
         try:
             action()
         except (pliant.ServoError, KeyboardInterrupt, SystemExit) as error:
@@ -216,7 +216,7 @@ class Life(RuleBasedStateMachine):
                 self.is_left = True
 
     def excuse(self, error):
-        """Note that torque may stay on: on a line that is dead, or where the error says so."""
+        """Allow torque to stay on if the line is dead or the error says that it may be on."""
         if self.line.dead or "torque may still be on" in str(error):
             self.is_left = True
 
@@ -259,13 +259,13 @@ class Life(RuleBasedStateMachine):
 
     @rule(start=st.sampled_from([0.0, 0.07, 0.4]), seconds=st.sampled_from([0.03, 0.3, 0.7]))
     def silence(self, start, seconds):
-        """Short-circuit the line later, for a time."""
+        """Short-circuit the line in `start` [s], for `seconds`."""
         self.clock.after(start, lambda: setattr(self.line, "dead", True))
         self.clock.after(start + seconds, lambda: setattr(self.line, "dead", False))
 
     @rule(start=st.sampled_from([0.0, 0.05, 0.5]), number=st.sampled_from(NUMBERS))
     def signal(self, start, number):
-        """Send a signal to the program later, in whatever it does then."""
+        """Send a signal to the program in `start` [s], whatever it does at that time."""
         self.clock.after(start, lambda: self.raise_signal(number))
 
     @rule(kind=st.sampled_from(["deaf", "lose", "corrupt", "wrong_id"]), count=st.integers(1, 8))
@@ -275,7 +275,7 @@ class Life(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([0.3, 1.5]))
     def stall(self, seconds):
-        """Let time pass in which the program does nothing."""
+        """Do nothing for `seconds`."""
         self.ending(lambda: self.clock.wait_until(self.clock.now() + seconds))
 
     @rule()
@@ -294,7 +294,7 @@ class Life(RuleBasedStateMachine):
 
 
 class HighLife(Life):
-    """The same, also from poses with a long way down."""
+    """Random program that may also start high above the table, with a long descent."""
 
     poses = ("low", "high")
 

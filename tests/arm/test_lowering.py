@@ -43,7 +43,7 @@ def test_servos_stiffer_than_assumed(grasp, known):
     assert [arm.servos.stiffness_known for arm in gap.consumers] == [known]
     assert run.speed < 0.18
     assert run.rise < 0.015
-    # If goal offsets were computed from the assumed stiffness, the descent would take a minute.
+    # Goals from the assumed stiffness would make the descent take a minute.
     assert run.seconds < 15.0  # measured 14.0
 
 
@@ -168,7 +168,7 @@ def test_an_arm_that_stands_on_something_is_left_soon_though_its_encoders_flicke
     )
     assert lowering.phase == "done"
     assert len(orders) < 800
-    # When torque is switched off, the servos' torque is below the friction of the gears.
+    # At torque off, the friction of the gears holds what the servos still exert.
     left = np.asarray(model.servos.kp) * (orders[-1][1] - q - count / 2)
     assert np.all(np.abs(left) < np.asarray(model.servos.friction))
 
@@ -206,11 +206,11 @@ def test_a_leaning_arm_keeps_its_torque_until_it_has_come_down():
             break
         goal, limit = order.goal, order.torque_limit
         weight = np.asarray(model.gravity(q))
-        # Model without inertia: only the damping of the gears limits the speed.
+        # Simulate the arm without inertia: the damping of the gears alone limits the speed.
         torque = np.clip(kp * (goal - q), -limit, limit) - weight
         new = q + 0.01 * torque / (np.asarray(model.servos.damping) + 0.1 * kp)
         moved = np.linalg.norm(points.position(new) - points.position(q), axis=1).max()
-        # Ignore the first 50 ticks, in which the arm sags by the compliance of its servos.
+        # In the first 50 ticks the arm sags by the compliance of its servos.
         most = max(most, moved if tick > 50 else 0.0)
         q = new
     assert order is None
@@ -228,7 +228,7 @@ def test_a_stall_of_the_lowering_itself_moves_the_goal_no_further_than_a_tick(mo
 
 def test_goals_of_a_blind_descent_are_caught_up_with_no_faster_than_it_goes(model, grasp):
     lowering = Lowering(model, model.servos, grasp)
-    for _ in range(10):  # It would count as resting later: it does not move.
+    for _ in range(10):  # few ticks: an arm that stands still for longer counts as at rest
         command = lowering.step(grasp, dt=0.01)
         before = command.goal
         assert np.all(np.isinf(command.speed_limit))

@@ -52,7 +52,7 @@ def switches(bus, id):
 
 
 def unknown(load):
-    """Return a `Mismatch` with a load [kg] that the model lacks, on emulated servos."""
+    """Return the `Mismatch` of an arm whose model lacks a load [kg]."""
     return Mismatch(plant=Parameters(payload=load), assumed=Parameters(), compared=("payload",))
 
 
@@ -84,7 +84,7 @@ def test_enabled_in_order_controlled_and_held(family):
         for tick in loop:
             command = controller.step(tick.q, start, dt=tick.dt)
             tick.write(command)
-        # The speed registers hold the speed limits of the command, rounded down.
+        # Speed registers have the speed limits of the command, rounded down.
         bus.sync()
         register, unit = {"sts": ("goal_velocity", STEP), "x": ("profile_velocity", RPM)}[family]
         speeds = unit * np.array([bus.servo(k).get(register) for k in range(1, 6)])
@@ -172,7 +172,7 @@ def enabled_with_old_goals(family, lost=0):
 def test_a_lost_packet_of_goals_does_not_let_an_old_goal_move_the_arm(family):
     way, goals = enabled_with_old_goals(family)
     assert way < 0.005
-    # Without the check the tool moved 40 mm (sts), 10 mm (x), 2 mm (mx), 33 mm (xm).
+    # If `enable` did not read goals back, the tool would move by up to 40 mm.
     lost, _ = enabled_with_old_goals(family, goals[0])
     assert lost < min(way + 0.0005, 0.005)
 
@@ -264,8 +264,7 @@ def test_an_unknown_load_sinks_and_is_brought_back_slowly():
         arm.enable()
         arm.disable_torque()
     height, speed = np.array(tools).T
-    # Leads and limits of the model's weight alone let the tool sink by more than 10 mm with
-    # 0.2 kg.
+    # Without the balance the tool would sink by more than 10 mm even with 0.2 kg.
     assert 0.005 < height[0] - height.min() < 0.010
     assert speed.max() < 0.08
     assert height[-1] == pytest.approx(height[0], abs=0.003)
@@ -275,7 +274,7 @@ def test_an_unknown_load_sinks_and_is_brought_back_slowly():
     ("family", "pose"), [("sts", 2), pytest.param("x", 5, marks=pytest.mark.full)]
 )
 def test_what_is_in_the_way_of_a_descent_feels_no_more_than_15_newtons(family, pose):
-    # Without the limit of kinetic energy, these arms pressed with 17.8 and 19.2 N.
+    # Without the bound on the speed of heavy points, these arms would press with 17.8 and 19.2 N.
     q = bus_lower.poses(family, 6)[pose]
     with unknown(LOAD):
         run = bus_lower.lower(family, q, load=LOAD, over_table=True)

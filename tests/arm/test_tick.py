@@ -58,13 +58,13 @@ def test_limits_equal_their_formula(supply, lead):
         goals, limits = limiter.limit(
             goal, limit, gravity, position, other, ramp=ramp, ramp_start=ramp_start, lead=lead
         )
-        # Goals: position limits and lead.
+        # Goals are bounded by position limits and lead.
         need, most = gravity / kp[chain], usable[chain] / kp[chain]
         below, above = (most, most) if lead else (np.maximum(-need, 0.0), np.maximum(need, 0.0))
         clipped = np.clip(goal, model.lower - below, model.upper + above)
         assert goals[chain] == pytest.approx(clipped, abs=1e-12)
         assert (goals[4], limits[4]) == (other[0, 0], min(other[0, 1], thermal.torque_ceiling()[4]))
-        # Limits: ramp, heat, supply.
+        # Torque limits are bounded by the ramp after torque on, heat and supply current.
         support, top = SUPPORT * np.abs(gravity), usable[chain]
         holding = np.minimum(np.maximum(support + torque_margin(servos, gravity), ramp_start), top)
         bound = holding + np.clip(ramp, 0.0, 1.0) * (top - holding)
@@ -79,7 +79,7 @@ def test_limits_equal_their_formula(supply, lead):
         expected = thermal.limit_current(pull, floor, before)
         assert limits[chain] == pytest.approx(expected[chain], abs=1e-12)
         reduced += bool((expected < before).any())
-        # Heat: measured loads, otherwise the estimate.
+        # Heat follows from the measured load, or from the estimated torque where it is missing.
         load = rng.normal(0.0, 2.0, size)
         load[rng.random(size) < 0.5] = np.nan
         torque = np.minimum(np.abs(pull), limits)

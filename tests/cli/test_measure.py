@@ -56,7 +56,7 @@ class Person:
         self.began, self.acting = self.bus.time, False
 
     def discard(self):
-        """Nothing is typed too early."""
+        """Do nothing: this person types no answer before the question."""
 
     def line(self):
         question, plant, time = self.asked[-1], self.bus.plant, self.bus.time - self.began
@@ -174,7 +174,7 @@ def test_the_weight_shows_a_wrong_stiffness_and_a_hidden_load(session):
 def test_the_scale_shows_that_the_servos_are_stronger_than_promised(session):
     pushes = session[0]["steps"]["push"]
     assert [(p["axis"], p["toward"]) for p in pushes] == [("y", "+"), ("y", "+"), ("x", "-")]
-    # The difference of two pushes along one axis does not contain the friction.
+    # Friction cancels in the difference of two pushes along one axis.
     slope = (pushes[1]["measured"] - pushes[0]["measured"]) / (
         pushes[1]["promised"] - pushes[0]["promised"]
     )

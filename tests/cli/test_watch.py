@@ -85,7 +85,7 @@ def test_a_moved_joint_is_named_with_the_way_of_the_tool(arm, capsys):
     assert "elbow_flex grew" not in out
     assert not bus.log.writes("torque_enable")
     assert not bus.log.eeprom_writes()
-    # By the file with the wrong sign, the tool should have risen; it sank.
+    # With the wrong sign in the file, the program says "up" although the tool sank.
     out = watch_while_lifted(bus, mirrored, capsys)
     first, second = (
         line for line in out.splitlines() if "shoulder_lift" in line and " by " in line

@@ -58,7 +58,7 @@ def test_a_rest_pose_lies_within_limits_above_the_table_and_presses_on_nothing(n
     for _ in range(300):
         plant.write(plant.q, np.zeros(plant.n), off)
         plant.advance()
-    # Without torque it sinks onto the table or its stops, the tool never into it.
+    # Without torque the arm sinks onto table or stops; the tool does not enter the table.
     assert table.clearance() > -1e-3
     assert plant.tool[2, 3] > read.robot.table
     assert np.abs(plant.dq).max() < 0.05
@@ -106,7 +106,7 @@ def test_a_way_through_the_table_is_found():
     assert said == f"the way to the rest pose leads the tool {-min(way):.3f} m into the table"
     for free, table in ((np.zeros(5), 0.0), (np.array(BARRED), None), (np.array(BARRED), -0.1)):
         assert path_obstacle(model, points, free, rest, table) is None
-    # If a point starts below the table, it may move up, but not farther down.
+    # A point that starts below the table may move up, but not farther down.
     inside, out = np.array([0.0, 1.3, 0.9, 0.0, 0.0]), np.array([0.0, 1.3, 1.7, 0.0, 0.0])
     assert points.position(inside)[:, 2].min() < -0.09
     assert path_obstacle(model, points, inside, out, 0.0) is None

@@ -120,7 +120,7 @@ def test_a_machine_that_cannot_draw_gets_a_report_without_pictures(demo_command,
     assert "data:image/" not in text
 
 
-# One arm is enough by default: both have five joints and run the same experiments.
+# By default one of the two arms is tested: both have five joints and run the same experiments.
 @pytest.mark.parametrize("robot", ["so101", pytest.param("koch", marks=pytest.mark.full)])
 def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
     done = demo_command("--quick", "--robot", robot, "--out", "here")
@@ -129,7 +129,7 @@ def test_quick_demo_of_a_small_arm(demo_command, tmp_path, robot):
     assert content["experiments"]["2"]["numbers"]["soft_axis"] == "y"
 
 
-#: One arm of five, six and seven joints each; the others are marked `full`.
+#: One arm with five, one with six and one with seven joints; the others are marked `full`.
 ALWAYS = {"so101", "ur5e", "panda"}
 
 

@@ -40,7 +40,7 @@ def make(plugin):
 
 
 def test_a_bus_that_fails_lowers_the_arm_once_it_is_back(make, errors, monkeypatch):
-    """The control loop lowers the arm by itself, while the program makes no call."""
+    """The control loop lowers the arm without a call by the program."""
     robot = make(rest_q=REST)
     robot.connect()
     arm = arm_of(robot)
@@ -115,7 +115,7 @@ def interruptible():
 
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_reaches_the_program_and_disconnect_lowers(make):
-    """As in LeRobot's programs, the exception ends the loop, and `disconnect` is called then."""
+    """The exception ends the loop; then `disconnect` is called, as in LeRobot's programs."""
     robot = make(rest_q=REST)
     robot.connect()
     arm = arm_of(robot)

@@ -30,7 +30,7 @@ def test_without_damping_it_is_numpys_pinv_at_every_rank(size, rank):
 
 
 @given(sizes, st.floats(1e-8, 10.0))
-@example((3, 1, 1), 1e-4)  # was wrong by 3 % when it was computed from J Jᵀ + λ²I
+@example((3, 1, 1), 1e-4)  # a computation from J Jᵀ + λ²I would be wrong by 3 %
 def test_damped_inverse_is_the_filtered_svd(size, damping):
     j = jacobian(size)
     u, sigma, vt = np.linalg.svd(j, full_matrices=False)

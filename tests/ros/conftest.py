@@ -21,7 +21,7 @@ from pliant.ros import Bridge
 
 #: Longest time that a test waits for an event [s]; a loaded machine needs seconds for some.
 DEADLINE = 60.0
-#: Pause after every tick [s]: it lets the other processes work.
+#: Pause after every tick [s], in which the other processes can run.
 PAUSE = 0.002
 
 
@@ -60,13 +60,13 @@ class Running:
         self.ticks.close()
 
     def said(self):
-        """Return what the process of the network has printed on stderr so far."""
+        """Return the text on stderr of the process that runs the network."""
         return self._stderr.read_text()
 
 
 @contextlib.contextmanager
 def stderr_to(path):
-    """Let processes that start meanwhile print their errors into a file."""
+    """Return a context in which processes that start write their stderr into a file."""
     ours = os.dup(2)
     with path.open("wb") as file:
         os.dup2(file.fileno(), 2)
@@ -88,7 +88,7 @@ class Foxglove:
         self._topics = {}
 
     def poll(self):
-        """Take what has arrived."""
+        """Store all messages that have arrived, without waiting."""
         while True:
             try:
                 message = self.socket.recv(timeout=0)
@@ -114,7 +114,7 @@ class Foxglove:
         self.send(op="subscribe", subscriptions=[wanted])
 
     def decode(self, topic):
-        """Decode the last message with the definition that the server has announced."""
+        """Decode the last message of a topic with the definition that the server announced."""
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         channel = self.channels[topic]
@@ -197,11 +197,11 @@ SERVICES = {
 
 
 class Client:
-    """The independent client zenoh-ros2-sdk, with the messages that it has received by topic."""
+    """Client zenoh-ros2-sdk; `got` has the messages that it has received, by topic."""
 
     def __init__(self, sdk, port, folder):
         self.sdk, self.port = sdk, port
-        # The client looks for definitions in this folder before it would download them.
+        # Definitions in this folder save the client a download.
         for name, text in MESSAGES.items():
             self._write(folder / f"{name}.msg", text)
         for name, text in SERVICES.items():
@@ -209,7 +209,7 @@ class Client:
         self.session = sdk.ZenohSession.get_instance("127.0.0.1", port)
         self.registry = sdk.get_registry()
         self.registry.messages_dir = folder
-        # The registry outlives the session of an earlier client, whose types are gone.
+        # The registry is global: forget types that belong to the session of an earlier client.
         self.registry._loaded_types.clear()
         self.got: dict[str, list] = {}
         self._publishers: dict[str, object] = {}
@@ -246,7 +246,7 @@ class Client:
 
 
 def answer(running, call):
-    """Return the result of a call that waits for the node, while the loop runs."""
+    """Run the loop until a service call has returned, and return its result."""
     with ThreadPoolExecutor(1) as pool:
         out = pool.submit(call)
         running.until(out.done, "the answer of the service")
@@ -261,7 +261,7 @@ def six(client, values):
 
 
 def send_until(running, client, topic, fields, *, condition, what):
-    """Publish until the loop shows the effect: subscribers learn of each other in their time."""
+    """Publish every 0.3 s until `condition()` holds: the subscriber is discovered after a while."""
     from pliant.ros.interface import SUBSCRIBED
 
     kind, last = SUBSCRIBED[topic.replace("/pliant", "~")], [0.0]

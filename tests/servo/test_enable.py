@@ -230,7 +230,7 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
     with Emulator(devices(kind, 3), clock="steps") as bus, chain_on(bus, kind, 3, 0.01) as chain:
         enabled(chain)
         getattr(bus, trouble)()
-        # Ignore an error, which reports that torque-off is unconfirmed; an echo may confirm it.
+        # The error says that torque off is not confirmed; with an echo there may be none.
         with suppress(ServoError):
             chain.disable()
         bus.sync()
@@ -258,13 +258,13 @@ def test_a_line_that_is_never_silent_is_reported_at_open(kind, trouble):
         ("xm", 1, [True, False]),
         ("xm", 2, [True, True]),
         ("xm", 3, [True, True]),
-        ("sts", 1, [True, True]),  # its goal has switched the second on
+        ("sts", 1, [True, True]),  # the goal has switched on the second servo
     ],
 )
 def test_a_signal_while_torque_comes_on_does_not_drop_an_arm_that_hangs_on_it(
     kind, number, stays, monkeypatch
 ):
-    """The signal comes as torque of a joint is switched on, or, 3, as the motion is checked."""
+    """The signal comes after joint `number` got torque; number 3: while motion is checked."""
     original, count = _enable._set, 0
 
     def interrupted(device, ports, name, value):

@@ -86,7 +86,7 @@ def damage(draw):
     return apply
 
 
-#: Data, id and error byte of a reply whose checksum is right; a list so that it can be of any size.
+#: Data, id and error byte of a reply with a valid checksum.
 LIES = st.tuples(st.binary(max_size=20), st.integers(0, 253), st.integers(0, 255))
 
 
@@ -94,13 +94,13 @@ LIES = st.tuples(st.binary(max_size=20), st.integers(0, 253), st.integers(0, 255
 @settings(
     max_examples=12,
     deadline=None,
-    derandomize=True,  # an eight-bit checksum accepts one damaged packet in 256
+    derandomize=True,  # one damaged packet in 256 has a valid eight-bit checksum
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(spoil=damage(), lie=st.one_of(st.none(), LIES))
 def test_a_damaged_reply(port, call, spoil, lie):
     replies, packet = port
-    # A guard of its own per input: one that waits for late replies would refuse the next request.
+    # Use a new guard for each input: after a failure a guard first waits for late replies.
     guard = TransactionGuard(
         replies.transport, replies.protocol, baudrate=1_000_000, unused_id=200, clock=monotonic
     )

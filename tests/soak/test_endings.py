@@ -64,7 +64,7 @@ def test_the_arm_is_lowered(ending, code):
             os.killpg(program.pid, getattr(signal, ending))
         _, said = program.communicate(timeout=120)
         assert program.returncode in code, said
-        # A fall would reach 1 m/s; a descent on a busy machine may be somewhat faster than usual.
+        # A fall would reach 1 m/s; a busy machine makes a descent faster than usual.
         assert not bus.call("on")
         assert bus.call("plant.tool.tolist")[2][3] < high - 0.02
         assert bus.call("recorder.speeds")[False] < 0.25
@@ -82,6 +82,6 @@ def test_killed_it_is_lowered_by_its_guardian_and_keeps_its_last_order_without(g
             assert not bus.call("on")
             assert bus.call("plant.tool.tolist")[2][3] < height - 0.02
         else:
-            time.sleep(1.0)  # the emulator's time is the machine's
+            time.sleep(1.0)  # the emulator runs in real time
             assert bus.call("on")
             assert bus.call("plant.tool.tolist")[2][3] == pytest.approx(height, abs=0.01)

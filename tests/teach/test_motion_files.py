@@ -63,7 +63,7 @@ def test_times_that_are_no_seconds_are_refused(saved, factor):
 
 
 def test_samples_that_are_microseconds_apart_come_back(tmp_path):
-    # Times that were rounded like positions collapsed, and the file was refused.
+    # Rounded to 1e-5 s like positions, these times would be equal.
     time = 2e-6 * np.arange(20)
     Motion(("a",), time, np.linspace(0.0, 1.0, 20)[:, None]).save(tmp_path / "m.json")
     assert np.array_equal(Motion.load(tmp_path / "m.json").time, time)

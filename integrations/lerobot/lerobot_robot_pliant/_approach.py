@@ -9,14 +9,14 @@ ARRIVED = 0.05
 
 
 class Approach:
-    """Joint targets that move slowly until they have reached their target, and then equal it.
+    """Joint targets that move slowly to a given target, and equal it once they have reached it.
 
     Args:
-        q: Joint positions to start from (n,) [rad].
-        speed: Speed of the joint with the longest way [rad/s].
+        q: Initial joint positions (n,) [rad].
+        speed: Speed of the joint that has to move farthest [rad/s].
 
     Attributes:
-        is_slow: Whether the target is still approached; set it to start another approach.
+        is_slow: True until the target is reached; set it to start another slow approach.
     """
 
     def __init__(self, q: np.ndarray, speed: float) -> None:
@@ -25,7 +25,7 @@ class Approach:
         self.is_slow = True
 
     def step(self, target: np.ndarray, dt: float) -> np.ndarray:
-        """Return joint targets (n,) [rad] after a further time `dt` [s]."""
+        """Return the joint targets (n,) [rad] `dt` [s] after the last call."""
         gap = target - self._q
         largest = float(np.abs(gap).max())
         self.is_slow = self.is_slow and largest > ARRIVED

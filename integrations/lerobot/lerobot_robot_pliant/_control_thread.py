@@ -24,7 +24,7 @@ MAX_STALL = 3.0
 
 
 class Behavior(Protocol):
-    """What an arm does in each tick."""
+    """Interface of the code that commands an arm in each tick."""
 
     def step(self, tick: pliant.Tick, controller: Any) -> Mapping[str, float]:
         """Send a command in this tick; return further values for the snapshot."""
@@ -33,7 +33,7 @@ class Behavior(Protocol):
 def send(
     tick: pliant.Tick, command: pliant.Command, extra: Mapping[str, tuple[float, float]]
 ) -> None:
-    """Write a command, unless a stall has made it old: the servos then hold until the next tick."""
+    """Write a command; skip the tick if a stall has made the command too old."""
     if not tick.write(command, extra):
         tick.skip()
 
@@ -44,7 +44,7 @@ class Snapshot:
 
     Attributes:
         positions: Joint positions by name, joints off the chain included [rad].
-        extra: Further values by name, as the behavior returned them.
+        extra: Further values by name, which `Behavior.step` returned.
     """
 
     positions: Mapping[str, float]

@@ -23,7 +23,7 @@ class BiPliantFollowerConfig(RobotConfig):
     """Options of the two arms; their ids in LeRobot are `ID_left` and `ID_right`.
 
     Attributes:
-        left_arm_config, right_arm_config: As of `pliant_follower`.
+        left_arm_config, right_arm_config: Options of each arm, those of `pliant_follower`.
     """
 
     left_arm_config: PliantFollowerOptions = field(default_factory=PliantFollowerOptions)
@@ -58,26 +58,26 @@ class BiPliantFollower(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, type | tuple]:
-        """Those of both arms."""
+        """Observations of both arms, with the prefix of the side."""
         return self._prefixed({s: arm.observation_features for s, arm in self._arms.items()})
 
     @cached_property
     def action_features(self) -> dict[str, type]:
-        """Those of both arms."""
+        """Entries of an action for both arms, with the prefix of the side."""
         return self._prefixed({s: arm.action_features for s, arm in self._arms.items()})
 
     @property
     def is_connected(self) -> bool:
-        """Whether `disconnect` has something to do."""
+        """True if an arm is connected, so that `disconnect` must be called."""
         return any(arm.is_connected for arm in self._arms.values())
 
     @property
     def is_calibrated(self) -> bool:
-        """True; see `PliantFollower`."""
+        """True: an arm without a calibration is rejected when this object is created."""
         return True
 
     def calibrate(self) -> None:
-        """Say how to calibrate each arm."""
+        """Print how to calibrate each arm."""
         for arm in self._arms.values():
             arm.calibrate()
 
@@ -112,7 +112,7 @@ class BiPliantFollower(Robot):
 
         Raises:
             DeviceNotConnectedError: Not connected.
-            ServoError: An arm could not be lowered; the other was nevertheless.
+            ServoError: One arm could not be lowered; the other one was lowered.
         """
         if not self.is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected")

@@ -183,7 +183,7 @@ class PliantFollower(Robot):
 
     @property
     def is_connected(self) -> bool:
-        """Whether `disconnect` has something to do: also if the control loop or a camera failed."""
+        """True until `disconnect`, also after a failure of the control loop or of a camera."""
         return self._session is not None
 
     @property
@@ -192,7 +192,7 @@ class PliantFollower(Robot):
         return True
 
     def calibrate(self) -> None:
-        """Say how to calibrate; pliant uses LeRobot's calibration of the stock follower."""
+        """Print how to calibrate; pliant uses LeRobot's calibration of the stock follower."""
         LOG.info(
             "%s uses LeRobot's calibration: lerobot-calibrate --robot.type=so101_follower (or "
             "koch_follower) --robot.id=%s",
@@ -214,7 +214,7 @@ class PliantFollower(Robot):
             raise DeviceAlreadyConnectedError(f"{self} is already connected")
         arm = pliant.connect(self._file, **self._arm_options())
         try:
-            # Cameras come first: what fails here would otherwise lower an arm that is up.
+            # Open the cameras first: a camera that fails later would make the arm descend.
             for camera in self.cameras.values():
                 camera.connect()
             arm.enable()
@@ -337,7 +337,7 @@ class PliantFollower(Robot):
         return sent
 
     def _takes(self, key: str) -> bool:
-        """Return whether an entry of an action is for this arm."""
+        """Return True if an entry of an action is for this arm."""
         if key in self.action_features:
             return True
         if key.endswith(".pos"):
@@ -493,17 +493,17 @@ class _Session:
     last_action: float | None = None
 
     def has_paused(self) -> bool:
-        """Return whether this action comes after a pause, and store its time."""
+        """Return True if this action comes after a pause; store its time."""
         now, before = self.arm.clock.now(), self.last_action
         self.last_action = now
         return before is None or now - before > PAUSE
 
 
 def has_color(camera: Any) -> bool:
-    """Return whether a camera gives colour pictures; older cameras have nothing else."""
+    """Return True if a camera gives colour pictures; older classes of cameras always do."""
     return getattr(camera, "use_rgb", True)
 
 
 def has_depth(camera: Any) -> bool:
-    """Return whether a camera gives depth pictures."""
+    """Return True if a camera gives depth pictures."""
     return getattr(camera, "use_depth", False)

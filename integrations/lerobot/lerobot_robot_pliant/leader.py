@@ -27,7 +27,8 @@ LOG = logging.getLogger(__name__)
 APPROACH_SPEED = 0.5
 #: Longest first swing [s].
 SWING_TIMEOUT = 30.0
-#: Speed and time at rest with which hand guiding is told of a motion that a policy made [rad/s, s].
+#: Speed [rad/s], and time at rest after it [s], of the motion by which hand guiding learns the
+#: position to which a policy has moved the arm.
 CATCH_UP_SPEED, CATCH_UP_REST = 1.0, 0.3
 
 
@@ -92,12 +93,12 @@ class PliantLeader(Teleoperator):
 
     @property
     def feedback_features(self) -> dict[str, type]:
-        """As `action_features`: targets while torque is enabled."""
+        """Targets of all motors, which the arm follows while torque is enabled."""
         return self.action_features
 
     @property
     def is_connected(self) -> bool:
-        """Whether `disconnect` has something to do: also if the control loop failed."""
+        """True until `disconnect`, also after a failure of the control loop."""
         return self._session is not None
 
     @property
@@ -106,7 +107,7 @@ class PliantLeader(Teleoperator):
         return True
 
     def calibrate(self) -> None:
-        """Say how to calibrate; pliant uses LeRobot's calibration of the stock leader."""
+        """Print how to calibrate; pliant uses LeRobot's calibration of the stock leader."""
         LOG.info(
             "%s uses LeRobot's calibration: lerobot-calibrate --teleop.type=so101_leader (or "
             "koch_leader) --teleop.id=%s",
@@ -148,7 +149,7 @@ class PliantLeader(Teleoperator):
         control = ControlThread(arm, guiding, behavior, on_exit=self.config.on_exit)
         try:
             control.start()
-            # A follower would copy the swing, so nobody gets positions before its end.
+            # Return no positions during the swing: a follower would copy it.
             end = time.monotonic() + SWING_TIMEOUT
             while not guiding.ready:
                 control.snapshot()
@@ -256,9 +257,9 @@ class _LeaderBehavior:
 
 
 class _Guiding:
-    """Hand guiding that swings only once: later resets keep what it has learnt.
+    """Hand guiding that swings only at its first start; later resets keep what it has learnt.
 
-    A second swing would come when a hand is on the arm.
+    A second swing would move the arm while a hand is on it.
     """
 
     def __init__(self, guiding: pliant.HandGuiding) -> None:
@@ -267,7 +268,7 @@ class _Guiding:
 
     @property
     def ready(self) -> bool:
-        """Whether the swing is over."""
+        """True once the swing is over."""
         return self._guiding.ready
 
     def reset(self, q: np.ndarray) -> None:
@@ -275,7 +276,7 @@ class _Guiding:
         if self._q is None or not self._guiding.ready:
             self._guiding.reset(q)
             return
-        # To the law, a hand has moved the arm straight from there to here, and holds it now.
+        # Tell the law of a hand that has moved the arm from its last position to q and holds it.
         period = 1.0 / RATE
         steps = math.ceil(float(np.abs(q - self._q).max()) / (CATCH_UP_SPEED * period))
         for share in np.linspace(0.0, 1.0, steps + 1):

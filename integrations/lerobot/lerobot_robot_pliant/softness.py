@@ -28,7 +28,7 @@ class PliantSoftnessConfig(TeleoperatorConfig):
             strength of an SO-101.
         key: Key that switches between soft and firm, by its name in pynput (`space`, `f1`) or as a
             character. Foot pedals for computers send such a key.
-        starts_soft: Whether the axes are soft at the start.
+        starts_soft: True if the axes are soft at the start.
     """
 
     inner: dict[str, Any] = field(default_factory=dict)
@@ -38,8 +38,8 @@ class PliantSoftnessConfig(TeleoperatorConfig):
     starts_soft: bool = True
 
 
-#: Force of an axis that is firm and has none of its own [N]. A policy learns this number: it must
-#: not dwarf those of soft axes.
+#: Force of a firm axis without an entry in `firm` [N]. Policies learn this number, so it must not
+#: be many times the forces of soft axes.
 FIRM = 10.0
 
 
@@ -72,23 +72,23 @@ class PliantSoftness(Teleoperator):
 
     @cached_property
     def action_features(self) -> dict[str, type]:
-        """Those of the other teleoperator, and one force per axis."""
+        """Entries of the other teleoperator's action, and one force per axis."""
         caps = {f"{CAP}{axis}{SUFFIX}": float for axis in self.config.soft}
         return {**self.inner.action_features, **caps}
 
     @property
     def feedback_features(self) -> dict[str, type]:
-        """Those of the other teleoperator."""
+        """Feedback that the other teleoperator takes."""
         return dict(self.inner.feedback_features)
 
     @property
     def is_connected(self) -> bool:
-        """Whether the other teleoperator is connected."""
+        """True if the other teleoperator is connected."""
         return bool(self.inner.is_connected)
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether the other teleoperator is calibrated."""
+        """True if the other teleoperator is calibrated."""
         return bool(self.inner.is_calibrated)
 
     def calibrate(self) -> None:
@@ -138,7 +138,7 @@ class PliantSoftness(Teleoperator):
         self.inner.send_feedback(dict(feedback))
 
     def __getattr__(self, name: str) -> Any:
-        """Return `enable_torque` and `disable_torque` of an other teleoperator that has them.
+        """Return `enable_torque` or `disable_torque` of the other teleoperator, if it has them.
 
         LeRobot drives a leader that has both to the follower's pose before it hands over.
         """

@@ -65,7 +65,7 @@ class Program:
 
     @property
     def ended(self) -> bool:
-        """Whether it has ended."""
+        """True if the program has ended."""
         return self._process.poll() is not None
 
     def end(self, seconds: float = 120.0) -> int:

@@ -18,9 +18,9 @@ class WaveConfig(TeleoperatorConfig):
     """Options of the sines.
 
     Attributes:
-        amplitude: Of each joint [°].
-        period: Of each joint [s].
-        prefixes: One arm for each.
+        amplitude: Amplitude of each joint [°].
+        period: Period of each joint [s].
+        prefixes: Prefix of the joint names of each arm.
     """
 
     amplitude: float = 10.0
