@@ -13,6 +13,7 @@ import numpy as np
 import pliant
 from pliant import robots
 from pliant.sim._parameters import tabulate
+from pliant.sim.postures import task_axes
 
 if TYPE_CHECKING:
     from experiments.poses import Array
@@ -80,9 +81,8 @@ class Arm:
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """Names of the task axes: x, y, z for a five-joint arm; x, z, pitch for four; else all."""
-        few = {5: AXES[:3], 4: ("x", "z", "pitch")}
-        return few.get(self.model.n, AXES)
+        """Names of the task axes, as many as the joints can control."""
+        return task_axes(self.model.n)
 
     @cached_property
     def rows(self) -> list[int]:
@@ -91,18 +91,25 @@ class Arm:
 
     @cached_property
     def drawn(self) -> Array:
-        """Random poses (512, n) [rad] within the joint limits, ±π for a joint without limits."""
-        low, high = np.asarray(self.model.lower), np.asarray(self.model.upper)
-        endless = ~(np.isfinite(low) & np.isfinite(high))
-        low, high = np.where(endless, -np.pi, low), np.where(endless, np.pi, high)
+        """Random poses (512, n) [rad] within the joint `ranges`."""
+        low, high = ranges(self.model)
         return np.random.default_rng(0).uniform(low, high, (DRAWN, self.model.n))
+
+    def sigma(self, q: Array) -> Array:
+        """Return the smallest singular value of the task rows of the Jacobian (..., 6, n) at q.
+
+        Translations are divided by reach / `REACH_OF_ONE`. `q` is a pose (n,), or poses (N, n)
+        [rad].
+        """
+        jacobian = self.model.jacobian if q.ndim == 1 else self.model.jacobian_batch
+        length = self.model.reach / REACH_OF_ONE
+        weight = np.array([1.0 / length if row < 3 else 1.0 for row in self.rows])
+        rows = weight[:, None] * np.asarray(jacobian(q))[..., self.rows, :]
+        return np.asarray(np.linalg.svd(rows, compute_uv=False)[..., -1])
 
     def poses(self, count: int) -> Array:
         """Return the first `count` of `drawn` that are not near a singularity (count, n) [rad]."""
-        jacobians = self.model.jacobian_batch(self.drawn)[:, self.rows, :]
-        length = self.model.reach / REACH_OF_ONE
-        weight = np.array([1.0 / length if row < 3 else 1.0 for row in self.rows])
-        sigma = np.linalg.svd(weight[:, None] * jacobians, compute_uv=False)[:, -1]
+        sigma = self.sigma(self.drawn)
         good: Array = self.drawn[sigma > LEAST_SIGMA * np.median(sigma)]
         return good[:count]
 
@@ -132,6 +139,13 @@ class Arm:
         """
         kind = row // 3
         return tuple(float(f"{s * self.median_capacity[kind]:.0e}") for s in SHARES[kind])
+
+
+def ranges(model: pliant.Model) -> tuple[Array, Array]:
+    """Return lower and upper joint limits (n,) [rad]; ±π for joints without limits."""
+    lower, upper = np.asarray(model.lower), np.asarray(model.upper)
+    endless = ~(np.isfinite(lower) & np.isfinite(upper))
+    return np.where(endless, -np.pi, lower), np.where(endless, np.pi, upper)
 
 
 def capacity(

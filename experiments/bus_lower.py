@@ -17,7 +17,7 @@ import tyro
 from experiments import program
 from experiments.emulated_arm import FAMILIES, configuration, stepped
 from experiments.faults import RATE, PeakRecorder
-from experiments.lifecycle import AFTER, LOAD, TABLE, pose_table, postures
+from experiments.lifecycle import AFTER, LOAD, TABLE, postures
 from pliant.sim import table
 from pliant.sim.postures import VERTICAL
 
@@ -144,7 +144,11 @@ def main(
             program.worst((one.seconds for one in seen), 0),
         )
         print(program.row((name, *cells)), flush=True)
-    print(f"\n{pose_table(seen)}")
+    rows = [
+        ("force", *(f"{one.force:.1f}" for one in seen)),
+        ("rests", *(f"{one.resting:.1f}" for one in seen)),
+    ]
+    print("\n" + program.markdown(("pose", *(str(k) for k in range(len(seen)))), rows))
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from experiments.runner import run_jobs
 from experiments.simulation import NOMINAL, Conditions, closed_loop
 from experiments.spring_hand import OF_CAPACITY, Grip
 from pliant._report.style import BLUE, CARD, MUTED, SKY, WIDE, canvas, save
-from pliant.sim import Plant
+from pliant.sim import DRAG_15N, DRAG_80N, Plant
 from pliant.sim._mujoco import mujoco
 from pliant.sim.friction import MX64, MX106, STS3215, Friction
 
@@ -748,8 +748,8 @@ def gears_text() -> str:
         Markdown table with forces in N, drift in mm, and the door's opening in deg.
     """
     measures = {
-        "15 N hand": goals.light(controllers.cap()),
-        "strong hand": goals.strong(controllers.cap()),
+        "15 N hand": goals.dragged(controllers.cap(), DRAG_15N),
+        "strong hand": goals.dragged(controllers.cap(), DRAG_80N),
         "door, rigid grip": goals.door("door"),
     }
     gears = REAL_GEARS["arm7"]

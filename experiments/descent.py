@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 from experiments import program
-from experiments.arms import BESIDE, ROBOTS, load
+from experiments.arms import BESIDE, ROBOTS, load, ranges
 from experiments.runner import run_jobs
 from experiments.sheet import POSES
 from pliant import config
@@ -428,8 +428,7 @@ def random_parameters(
     """
     assert model.servos is not None
     n, usable = model.n, np.asarray(model.servos.max_torque)
-    low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
-    high = np.where(np.isfinite(model.upper), model.upper, np.pi)
+    low, high = ranges(model)
     rng = np.random.default_rng(seed)
     corners = [
         np.full(n, STIFFNESS[1]),

@@ -25,6 +25,8 @@ from pliant.sim import DRAG_15N, DRAG_80N, TWIST_3NM
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pliant.sim import Drag
+
 
 Figures = Mapping[str, float]
 Measure = Callable[[Conditions], Figures]
@@ -36,27 +38,14 @@ def hold(conditions: Conditions) -> Figures:
     return {"error [mm]": 1e3 * disturbances.idle(law, conditions=conditions).error}
 
 
-def strong(law: disturbances.Law) -> Measure:
-    """Return a function that measures a hand of at most 80 N, which drags the tool along soft y.
+def dragged(law: disturbances.Law, hand: Drag) -> Measure:
+    """Return a function that measures a hand which drags the arm along soft y.
 
     It returns the largest force of the hand and the drift of the other positions.
     """
 
     def measure(conditions: Conditions) -> Figures:
-        seen = disturbances.drag(law, DRAG_80N, conditions=conditions)
-        return {"force [N]": seen.force, "drift [mm]": 1e3 * seen.drift}
-
-    return measure
-
-
-def light(law: disturbances.Law) -> Measure:
-    """Return a function that measures a hand of at most 15 N, which drags the wrist along soft y.
-
-    It returns the largest force of the hand and the drift of the other positions.
-    """
-
-    def measure(conditions: Conditions) -> Figures:
-        seen = disturbances.drag(law, DRAG_15N, conditions=conditions)
+        seen = disturbances.drag(law, hand, conditions=conditions)
         return {"force [N]": seen.force, "drift [mm]": 1e3 * seen.drift}
 
     return measure
@@ -293,25 +282,25 @@ _ENTRIES = (
     _Entry(
         scenario="strong hand, η 0.999",
         preset="cap()",
-        measure=strong(controllers.cap()),
+        measure=dragged(controllers.cap(), DRAG_80N),
         goals={"force [N]": _most(4.5, 5.5), "drift [mm]": _most(2.5, 3.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset="cap(tracking.gain=6.0)",
-        measure=strong(controllers.cap(tracking=Tracking(gain=6.0))),
+        measure=dragged(controllers.cap(tracking=Tracking(gain=6.0)), DRAG_80N),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="strong hand, η 0.999",
         preset='cap(follow="hold")',
-        measure=strong(controllers.cap(paper_options=PaperOptions(follow="hold"))),
+        measure=dragged(controllers.cap(paper_options=PaperOptions(follow="hold")), DRAG_80N),
         goals={"drift [mm]": _most(2.0)},
     ),
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap()",
-        measure=light(controllers.cap()),
+        measure=dragged(controllers.cap(), DRAG_15N),
         goals={"force [N]": _most(5.6, 7.5), "drift [mm]": (Goal(high=2.3), _FREE)},
     ),
     # A gain K_x of 4.8/s (default: 4/s) serves the goals with delay and errors. With overestimated
@@ -321,7 +310,7 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand, η 0.999",
         preset="cap(tracking.gain=4.8)",
-        measure=light(controllers.cap(tracking=Tracking(gain=4.8))),
+        measure=dragged(controllers.cap(tracking=Tracking(gain=4.8)), DRAG_15N),
         goals={
             "force [N]": (_FREE, Goal(high=7.5)),
             "drift [mm]": (_FREE, Goal(high=4.0)),
@@ -330,7 +319,7 @@ _ENTRIES = (
     _Entry(
         scenario="15 N hand",
         preset="impedance()",
-        measure=light(controllers.impedance()),
+        measure=dragged(controllers.impedance(), DRAG_15N),
         goals={"force [N]": (Goal(high=5.6), _FREE), "drift [mm]": (_FREE, _FREE)},
     ),
     _Entry(
@@ -467,7 +456,7 @@ def text(rows: list[Row]) -> str:
 #: true friction and damping.
 RATES, TICKS, BELIEVED = (100.0, 200.0), (0, 1), (0.7, 1.0, 1.3)
 RATE_SCENES = {
-    "15 N hand, η 0.999": light(controllers.cap()),
+    "15 N hand, η 0.999": dragged(controllers.cap(), DRAG_15N),
     "door, rigid grip, `cap`": door("door"),
     "door, rigid grip, `impedance`": door("door", controllers.impedance),
 }

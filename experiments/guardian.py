@@ -51,7 +51,7 @@ IN_FLIGHT = 0.02
 PATIENCE, AFTER = 90.0, 1.0
 #: Largest speed of the tool during the descent, and after torque off [m/s].
 MAX_SPEED, MAX_FALL = 0.2, 0.1
-#: Registers that change by themselves, or that no program restores.
+#: Registers whose values may differ after a run: servos change them, or no program restores them.
 CHANGING = (
     *("present", "moving", "status", "goal_position", "torque_enable", "realtime_tick"),
     *("position_trajectory", "velocity_trajectory"),
@@ -339,7 +339,7 @@ def main(instants: int = 50, few: int = 5, jobs: int = 2, starts: int = 10) -> N
 
 
 def enabling_time(robot: str, *, guardian: bool) -> float:
-    """Return the time until `Arm.enable` begins to switch torque on, with open ports [s]."""
+    """Return the time from the call of `Arm.enable` to the first torque on, with open ports [s]."""
     with emulator(robot, start(Case(robot, "running", "SIGKILL", 0))[0]) as bus:
         call = f"victim({robot!r}, {bus.port!r}, 'start', guardian={guardian})"
         done = subprocess.run(
@@ -366,7 +366,7 @@ COLUMNS = (
 
 
 def violations(found: dict[str, Any]) -> list[str]:
-    """Return what a run did not meet of: torque off, arm at rest, its bounds, servos as found."""
+    """Return the requirements that a run did not meet, as texts with its values."""
     wrong = {
         "the guardian still runs": not found["guarded"],
         "torque is on": found["has_torque"],

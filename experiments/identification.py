@@ -17,7 +17,7 @@ from experiments import controllers, goals, program
 from experiments.runner import Job, run_by_key
 from experiments.simulation import Conditions
 from pliant import identify, robots
-from pliant.sim import MX64, MX106, STS3215, Friction, Plant
+from pliant.sim import DRAG_15N, DRAG_80N, MX64, MX106, STS3215, Friction, Plant
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
@@ -224,8 +224,8 @@ def rows(span: float = 0.4) -> list[tuple[str, dict[str, float]]]:
         "known exactly": (true, sum(delay) / 100.0),
     }
     measures = {
-        "15 N hand": goals.light(controllers.cap()),
-        "strong hand": goals.strong(controllers.cap()),
+        "15 N hand": goals.dragged(controllers.cap(), DRAG_15N),
+        "strong hand": goals.dragged(controllers.cap(), DRAG_80N),
         "door": goals.door("door"),
     }
     out = []

@@ -1,20 +1,20 @@
-"""Descents and reactions to faults of the simulated arm: the tables of docs/lifecycle.md.
+"""Reactions of the simulated arm to faults of bus, servos and program, and simulated descents.
 
-``python -m experiments.lifecycle [poses]`` prints both tables.
+``python -m experiments.lifecycle`` prints the table of docs/lifecycle.md. `experiments.descent`
+measures descents with wrong assumptions about the arm.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
 
 import pliant
 from experiments import program
+from experiments.arms import ranges
 from experiments.poses import arm, displaced, tool
-from experiments.program import worst
 from pliant import robots
 from pliant.arm.arm import Arm
 from pliant.drive import JointReadings
@@ -24,7 +24,7 @@ from pliant.sim.hand import ForceProfile
 from pliant.sim.postures import VERTICAL
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from experiments.poses import Array
     from pliant import Servos
@@ -299,7 +299,6 @@ def lower(
     load: float = 0.0,
     over_table: bool = False,
     ticks: int = 0,
-    rest: Array | None = None,
     robot: str = "arm7",
     kp_scale: float = 1.0,
     stiffness_known: bool = True,
@@ -312,7 +311,6 @@ def lower(
         load: Unknown mass at the tool [kg].
         over_table: True adds a table 0.10 m below the tool or the wrist, whichever is lower.
         ticks: Delay of readings, equal to that of writes [control periods of 10 ms].
-        rest: Rest pose (n,) [rad] into which the arm is lowered; None: no rest pose is set.
         robot: Name of a built-in arm.
         kp_scale: True over assumed stiffness of the servos.
         stiffness_known: True if the arm assumes that its k_p is known within 10 %.
@@ -330,7 +328,7 @@ def lower(
         scene: Sequence[Hand] = table(min(plant.tool[2, 3], plant.wrist[2]) - TABLE)
         plant.set_hands(scene)
     drive = FaultyDrive(plant, plant.table.replace(stiffness_known=stiffness_known))
-    arm = Arm(model, drive, rest_q=rest, handle_signals=False)
+    arm = Arm(model, drive, handle_signals=False)
     speeds: list[float] = []
     heights: list[float] = []
     forces: list[float] = [0.0]
@@ -373,8 +371,7 @@ def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LO
     model, heavy = robots.load(robot), robots.load(robot, payload=(load, (0.0, 0.0, 0.0)))
     assert model.servos is not None
     usable = np.asarray(model.servos.max_torque)
-    low = np.where(np.isfinite(model.lower), model.lower, -np.pi)
-    high = np.where(np.isfinite(model.upper), model.upper, np.pi)
+    low, high = ranges(model)
     rng = np.random.default_rng(seed)
     found: list[Array] = []
     while len(found) < count:
@@ -382,75 +379,6 @@ def postures(count: int, *, seed: int = 0, robot: str = "arm7", load: float = LO
         if np.all(np.abs(heavy.gravity(q)) < MAX_LOAD_SHARE * usable):
             found.append(q)
     return found
-
-
-#: Rows of the table of descents: name of the case, and arguments of `lower`.
-CASES: tuple[tuple[str, dict[str, object]], ...] = (
-    ("no obstacle", {}),
-    ("unknown load of 0.3 kg", {"load": LOAD}),
-    ("over a table", {"over_table": True}),
-    ("load, table, a tick each way", {"load": LOAD, "over_table": True, "ticks": 1}),
-    ("table, servos 25 % stiffer than assumed", {"over_table": True, "kp_scale": 1.25}),
-    ("table, servos 20 % softer than assumed", {"over_table": True, "kp_scale": 0.8}),
-    ("no more positions", {"blind": True, "ticks": 1}),
-    ("no positions, unknown load", {"blind": True, "load": LOAD, "ticks": 1}),
-    ("no positions, table", {"blind": True, "over_table": True, "ticks": 1}),
-    ("to a rest pose", {"rest": np.array((-0.4, -0.1, 0.0, -0.8, 0.0, 0.0, 0.0))}),
-)
-
-
-class Pressed(Protocol):
-    """Interface of the result of a descent of the arm onto a table."""
-
-    @property
-    def force(self) -> float:
-        """Largest force on one point of the table, averaged over 10 ms [N]."""
-
-    @property
-    def resting(self) -> float:
-        """Sum of the forces on all points of the table, 1 s after torque off [N]."""
-
-
-def lower_table(poses: Iterable[Array]) -> str:
-    """Lower the arm in every case of `CASES` and every pose (n,) [rad]; return a Markdown table.
-
-    Its cells have the worst value and the median over the poses. A second table has the forces on
-    the table in each pose.
-    """
-    poses, rows, pose_by_pose = list(poses), [], ""
-    for name, options in CASES:
-        runs = [lower(q, **options) for q in poses]  # type: ignore[arg-type]
-        pressed = bool(options.get("over_table"))
-        rows.append(
-            (
-                name,
-                worst((run.speed for run in runs), 2),
-                worst((run.after for run in runs), 2),
-                worst((run.force for run in runs), 1) if pressed else "",
-                worst((run.resting for run in runs), 1) if pressed else "",
-                worst((run.seconds for run in runs), 0),
-            )
-        )
-        if options == {"over_table": True}:
-            pose_by_pose = f"\n\n{pose_table(runs)}"
-    columns = (
-        "`lower`",
-        "tool [m/s]",
-        "after torque off [m/s]",
-        "force on the table [N]",
-        "of which rests [N]",
-        "takes [s]",
-    )
-    return program.markdown(columns, rows) + pose_by_pose
-
-
-def pose_table(runs: Sequence[Pressed]) -> str:
-    """Return a Markdown table of the forces on the table, with a column for each pose."""
-    rows = [
-        ("force", *(f"{run.force:.1f}" for run in runs)),
-        ("rests", *(f"{run.resting:.1f}" for run in runs)),
-    ]
-    return program.markdown(("pose", *(str(k) for k in range(len(runs)))), rows)
 
 
 def fault_table() -> str:
@@ -471,14 +399,8 @@ def fault_table() -> str:
     return program.markdown(columns, rows)
 
 
-def main(poses: tyro.conf.Positional[int] = 10) -> None:
-    """Print the tables of descents and of faults.
-
-    Args:
-        poses: Number of random poses, besides the grasp pose.
-    """
-    print(lower_table([VERTICAL, *postures(poses)]), flush=True)
-    print()
+def main() -> None:
+    """Print the table of faults."""
     print(fault_table())
 
 

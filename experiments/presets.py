@@ -6,7 +6,6 @@ also draws the force against the deviation of a soft axis, for each `Axis.profil
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,19 +35,6 @@ UNDER: dict[str, Conditions] = {
     "assumed × 0.7": Conditions(delay=(1, 1), believed=0.7),
     "assumed × 1.3": Conditions(delay=(1, 1), believed=1.3),
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Line:
-    """Row of the table: the results of one preset, or of all axes stiff, in a task.
-
-    Attributes:
-        name: Name of the preset, or "all axes stiff".
-        figures: Results as text with units.
-    """
-
-    name: str
-    figures: str
 
 
 def _drawer(law: Law, conditions: Conditions) -> str:
@@ -104,15 +90,6 @@ SCENES: dict[str, tuple[Settings, Callable[[Law, Conditions], str]]] = {
 }
 
 
-def table(conditions: Conditions = NOMINAL) -> list[Line]:
-    """Simulate every task, with its preset and with all axes stiff; return two rows per task."""
-    lines = []
-    for name, (settings, scene) in SCENES.items():
-        lines.append(Line(name=name, figures=scene(settings, conditions)))
-        lines.append(Line(name="all axes stiff", figures=scene(Settings.firm(), conditions)))
-    return lines
-
-
 def draw(path: Path) -> None:
     """Draw measured and expected force against deviation of y for each profile into a file.
 
@@ -151,8 +128,9 @@ def main(picture: tyro.conf.Positional[Path | None] = None) -> None:
     """
     for name, conditions in UNDER.items():
         print(f"\n{name}")
-        for line in table(conditions):
-            print(f"  {line.name:<18} {line.figures}")
+        for preset, (settings, scene) in SCENES.items():
+            print(f"  {preset:<18} {scene(settings, conditions)}")
+            print(f"  {'all axes stiff':<18} {scene(Settings.firm(), conditions)}")
     if picture is not None:
         draw(picture)
 

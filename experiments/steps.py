@@ -18,7 +18,7 @@ import numpy as np
 
 import pliant
 from experiments import program
-from experiments.arms import BESIDE, REACH_OF_ONE, ROBOTS, Arm
+from experiments.arms import BESIDE, ROBOTS, Arm
 from experiments.runner import run_jobs
 from experiments.simulation import closed_loop
 from pliant import robots
@@ -123,7 +123,7 @@ def steps(name: str, count: int, seed: int = 1, *, singular: bool = False) -> li
     model, chance = it.model, np.random.default_rng(seed)
     found: list[Step] = []
     low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
-    median = float(np.median([_sigma(it, q) for q in it.drawn]))
+    median = float(np.median(it.sigma(it.drawn)))
     least = 0.0 if singular else SIGMA * median
     while len(found) < count:
         q = chance.uniform(low, high)
@@ -135,13 +135,6 @@ def steps(name: str, count: int, seed: int = 1, *, singular: bool = False) -> li
             x, y, z = way
             found.append(Step(tuple(q), (x, y, z)))
     return found
-
-
-def _sigma(it: Arm, q: Array) -> float:
-    length = it.model.reach / REACH_OF_ONE
-    weight = np.array([1.0 / length if row < 3 else 1.0 for row in it.rows])
-    rows = weight[:, None] * it.model.jacobian(q)[it.rows]
-    return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
 
 def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
@@ -170,7 +163,7 @@ def _passable(it: Arm, q: Array, way: Array, least: float) -> bool:
         reached = np.abs(error).max() < 1e-3
         inside = np.all((q > np.asarray(model.lower) + ROOM) & (q < np.asarray(model.upper) - ROOM))
         held = np.all(np.abs(model.gravity(q)) < LOAD * usable)
-        if not (reached and inside and held and _sigma(it, q) > least and pose[2, 3] > HEIGHT):
+        if not (reached and inside and held and it.sigma(q) > least and pose[2, 3] > HEIGHT):
             return False
     return True
 

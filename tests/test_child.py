@@ -14,7 +14,7 @@ POSIX = os.name == "posix"
 
 @pytest.fixture
 def ends(monkeypatch):
-    """Return both ends of a socket; the modules of this folder can be started."""
+    """Return both ends of a socket; set the working folder to this one, so that children start."""
     monkeypatch.chdir(Path(__file__).parent)
     ours, theirs = socket.socketpair()
     ours.settimeout(60.0)

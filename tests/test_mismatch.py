@@ -84,19 +84,20 @@ def stress_gap(conditions):
 
 def cases():
     """Return name, mismatch and function to run of each case."""
-    for title, options in lifecycle.CASES:
-        differs = {
-            name: options[key]
-            for key, name in (("kp_scale", "kp"), ("load", "payload"))
-            if key in options
-        }
-        if differs:
-            differs["delay"] = 0.02 * options.get("ticks", 0)
-            yield (
-                f"lower: {title}",
-                plant(**differs),
-                lambda o=options: lifecycle.lower(VERTICAL, **o),
-            )
+    for options in (
+        {"load": lifecycle.LOAD},
+        {"load": lifecycle.LOAD, "over_table": True, "ticks": 1},
+        {"load": lifecycle.LOAD, "blind": True, "ticks": 1},
+        {"kp_scale": 1.25, "over_table": True},
+        {"kp_scale": 0.8, "over_table": True},
+    ):
+        gap = plant(
+            kp=options.get("kp_scale", 1.0),
+            payload=options.get("load", 0.0),
+            delay=0.02 * options.get("ticks", 0),
+        )
+        name = ", ".join(f"{key} {value:g}" for key, value in options.items())
+        yield f"lower: {name}", gap, lambda o=options: lifecycle.lower(VERTICAL, **o)
     for job in descent.descents("arm7", 6):
         known = job.truth
         gap = plant(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 NUMBER = 1
-TITLE = "Which joint does what"
+TITLE = "Share of each joint in each axis"
 JOINTS = (
     "shoulder pitch",
     "shoulder roll",

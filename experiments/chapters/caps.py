@@ -72,8 +72,8 @@ def chapter(numbers: Numbers) -> Chapter:
         tests=(at_least("in band, clear of stops", 100.0 * arm7["kept_clear"], 97.0, "%"),),
     )
     limits = band(
-        claim="What is missed elsewhere is taken by position limits: counted with the stop's own "
-        "force and the friction of the joints that are left, it is in band.",
+        claim="Forces outside the band come from position limits: with the force of the stop and "
+        "the friction of the other joints they are in band.",
         outcome=f"{100.0 * arm7['kept']:.1f} % of all cases on arm7 are in band, "
         f"{100.0 * arm7['stopped']:.1f} % provably stopped by a position limit.",
         tests=(
@@ -82,7 +82,7 @@ def chapter(numbers: Numbers) -> Chapter:
     )
     figure = Figure(
         file="6-caps",
-        title="Promised and felt",
+        title="Promised and measured forces",
         done="In random poses, no axis near singular, a hand moves the tool along one axis, with "
         "the other axes free and with springs that hold them. The axis yields with a cap; what "
         "the hand feels at rest is compared with the cap, or with what the axis' own spring gives "
@@ -104,8 +104,8 @@ def chapter(numbers: Numbers) -> Chapter:
     return Chapter(
         number=NUMBER,
         title=TITLE,
-        lead="A cap says how hard an axis may push back at most. Here it is held against what a "
-        "hand feels, pose by pose.",
+        lead="A cap is the largest force with which an axis may push back. This chapter compares "
+        "caps with the force on a hand in random poses.",
         figures=(figure,),
         tables=(Table(caption="Per arm", columns=(*columns, "median", "95 %"), rows=rows),),
         numbers=numbers,

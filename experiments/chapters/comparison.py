@@ -191,17 +191,17 @@ def chapter(numbers: Numbers) -> Chapter:
         "others send goals and torque limits to the same position servos at 100 Hz; “delayed” has "
         "a tick of delay each way.",
         paper="The paper compares with no other method.",
-        caption="Left: the worse of both directions, logarithmic; the lower left corner is where "
-        "one wants to be. Right: y over time for one of each family, pushed toward +.",
+        caption="Left: the worse of both directions, logarithmic; the lower left corner is best. "
+        "Right: y over time for one method of each family, pushed toward +.",
         statements=(*_statements(numbers), *stress_statements(numbers)),
     )
     ours, stiff = numbers["cap 0.999"], numbers["stiff"]
     return Chapter(
         number=NUMBER,
         title=TITLE,
-        lead="What does the effort buy? The same hand meets a stiff arm, an arm with all its "
-        "limits turned down, the paper's law, the default law, springs on the same servos, an arm "
-        "that can command torques, and one that reads forces from its motors' currents.",
+        lead="The same hand moves a stiff arm, an arm with low limits on all joints, the paper's "
+        "law, the default law, springs on the same servos, an arm that can command torques, and "
+        "one that estimates forces from its motors' currents.",
         figures=(figure,),
         tables=(
             _table(numbers),
@@ -414,8 +414,9 @@ def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
     ours, current, stiff, torque = (numbers[key] for key in needed)
     return (
         band(
-            claim="When the host stalls for a second the limits of the last tick still protect; "
-            "what is soft by its goals alone is stiff then, and is thrown when the host returns.",
+            claim="While the host stalls for a second, the limits of the last tick still bound the "
+            "force; a method that is soft by goals alone is stiff then, and its arm jumps when the "
+            "host returns.",
             outcome=f"Largest force and joint speed: cap {ours['stall_force']:.1f} N, "
             f"{ours['stall_speed']:.1f} rad/s; admittance {current['stall_force']:.1f} N, "
             f"{current['stall_speed']:.1f} rad/s; stiff {stiff['stall_force']:.1f} N; torque "
@@ -426,8 +427,8 @@ def stress_statements(numbers: Numbers) -> tuple[Statement, ...]:
             ),
         ),
         band(
-            claim="Gears that resist more than the table says cost force, here as elsewhere; the "
-            "stiff axes stay where they are.",
+            claim="Gears with more friction than assumed increase the force of every method; the "
+            "stiff axes stay in place.",
             outcome=f"Tight gears: cap {ours['tight_force']:.1f} N, {mm(ours['tight_drift'])}; "
             f"admittance {current['tight_force']:.1f} N, {mm(current['tight_drift'])}; torque "
             f"impedance {torque['tight_force']:.1f} N, {mm(torque['tight_drift'])}.",

@@ -13,12 +13,10 @@ import numpy as np
 from matplotlib.ticker import MultipleLocator
 
 import pliant
-from experiments import controllers, metrics, poses, simulation
-from experiments.arms import capacity
-from experiments.cap_accuracy import END, CapResult, evaluate
+from experiments import arms, controllers, metrics, poses, simulation
+from experiments.campaign import Bench
 from experiments.chapters.activation import heat, posture, show
 from experiments.chapters.common import LAW_COLOURS, shade
-from experiments.controllers import NO_RATE_LIMITS
 from experiments.demonstration import Subject
 from experiments.poses import AXES
 from experiments.report import (
@@ -49,13 +47,13 @@ from pliant._report.style import (
 )
 from pliant.sim import Plant
 from pliant.sim._parameters import ARMATURE_SHARE, DAMPING_SHARE, FRICTION_SHARE, FULL_EFFORT_ERROR
-from pliant.sim.hand import Drag, ForceProfile, Twist
-from pliant.sim.postures import task_axes
+from pliant.sim.hand import Drag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from experiments.campaign import Promise
     from experiments.chapters.common import Options
     from experiments.poses import Array
     from experiments.simulation import Trace
@@ -88,39 +86,28 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Arm:
-    """Arm with the servo parameters, pose and axes of its experiments.
+class Arm(arms.Arm):
+    """Arm with the pose and the soft axis of its experiments.
 
     Attributes:
-        model: The arm.
-        servos: Servo parameters, of the built-in arm or estimated from the URDF.
-        axes: Names of the task axes, as many as the joints can control.
         soft: Name of the soft axis.
         pose: Start pose of the experiments (n,) [rad].
         way: Distance by which the tool can move from `pose` along the soft axis, both ways [m].
         notes: Assumptions, as texts for the report.
     """
 
-    model: pliant.Model
-    servos: pliant.Servos
-    axes: tuple[str, ...]
     soft: str
     pose: Array
     way: float
     notes: tuple[str, ...]
 
     @property
-    def rows(self) -> list[int]:
-        """Indices of the task axes among x, y, z, roll, pitch, yaw."""
-        return [AXES.index(name) for name in self.axes]
-
-    @property
     def where(self) -> str:
         """Start pose and its choice as text for the report."""
         angles = ", ".join(f"{angle:.2f}" for angle in self.pose)
         return (
-            f"pose ({angles}) rad, the best conditioned of {SEARCHED} random ones that hold "
-            "themselves easily and let the soft axis move"
+            f"pose ({angles}) rad, the best conditioned of {SEARCHED} random ones in which gravity "
+            "needs little torque and the soft axis can move"
         )
 
     def law(self, *, soft: str | None = None, eta: float = 0.0, **more: Any) -> pliant.Settings:
@@ -145,25 +132,21 @@ def load(source: Source) -> Arm:
     Raises:
         PliantError: The URDF is rejected, or no pose lets the soft axis move.
     """
-    model, servos, notes = _built_in(source.name) if source.name else _from_urdf(source)
-    if model.n < 2:
-        raise ConfigError(f"the chain has {model.n} joint; the experiments need at least 2")
-    axes = task_axes(model.n)
-    soft = "y" if "y" in axes else "x"
-    way = float(np.clip(WAY_SHARE * _reach(model), *WAY_RANGE))
-    pose, way = _find_pose(model, servos, axes, soft, way)
-    return Arm(model, servos, axes, soft, pose, way, tuple(notes))
+    bare = arms.Arm(source.name, robots.load(source.name)) if source.name else None
+    notes: tuple[str, ...] = ()
+    if bare is None:
+        model, notes = _from_urdf(source)
+        bare = arms.Arm(model.name, model)
+    if bare.model.n < 2:
+        raise ConfigError(f"the chain has {bare.model.n} joint; the experiments need at least 2")
+    soft = "y" if "y" in bare.axes else "x"
+    way = float(np.clip(WAY_SHARE * bare.model.reach, *WAY_RANGE))
+    pose, way = _find_pose(bare, soft, way)
+    return Arm(bare.name, bare.model, soft, pose, way, notes)
 
 
-def _built_in(name: str) -> tuple[pliant.Model, pliant.Servos, list[str]]:
-    model = robots.load(name)
-    if model.servos is None:
-        raise ConfigError(f"the built-in arm {name!r} has no servos")
-    return model, model.servos, []
-
-
-def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
-    """Return for a URDF: model, servo parameters estimated from effort limits, notes on them."""
+def _from_urdf(source: Source) -> tuple[pliant.Model, tuple[str, ...]]:
+    """Return the model of a URDF with servos estimated from effort limits, and notes on them."""
     model = pliant.Model.from_urdf(source.urdf, base=source.base, tip=source.tip)
     effort = np.array(model.effort_limit, dtype=np.float64)
     unknown = ~(effort > 0.0)
@@ -174,7 +157,8 @@ def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
         "what the law does with such servos, not what this arm does."
     ]
     if unknown.any():
-        effort[unknown] = np.maximum(STRONG_ENOUGH * _holding(model)[unknown], LEAST_EFFORT)
+        holding = np.abs([model.gravity(q) for q in sample(model)]).max(axis=0)
+        effort[unknown] = np.maximum(STRONG_ENOUGH * holding[unknown], LEAST_EFFORT)
         names = ", ".join(name for name, odd in zip(model.joint_names, unknown, strict=True) if odd)
         notes.append(
             f"No effort limit either for {names}: {STRONG_ENOUGH:g} times the largest torque that "
@@ -189,71 +173,33 @@ def _from_urdf(source: Source) -> tuple[pliant.Model, pliant.Servos, list[str]]:
         armature=ARMATURE_SHARE * kp,
         stiffness_known=True,
     )
-    return model, servos, notes
+    return model.with_servos(servos), tuple(notes)
 
 
-def ranges(model: pliant.Model) -> tuple[Array, Array]:
-    """Return lower and upper joint limits (n,) [rad]; ±π for joints without limits."""
-    lower, upper = np.asarray(model.lower), np.asarray(model.upper)
-    return np.where(np.isfinite(lower), lower, -np.pi), np.where(np.isfinite(upper), upper, np.pi)
-
-
-def sample(
-    model: pliant.Model, count: int = SEARCHED, *, inner: float = 1.0, seed: int = 0
-) -> Array:
-    """Return random poses (count, n) [rad] from the central share `inner` of the joint ranges."""
-    lower, upper = ranges(model)
+def sample(model: pliant.Model, inner: float = 1.0) -> Array:
+    """Return random poses (512, n) [rad] from the central share `inner` of the joint ranges."""
+    lower, upper = arms.ranges(model)
     middle, half = (lower + upper) / 2, inner * (upper - lower) / 2
-    return np.random.default_rng(seed).uniform(middle - half, middle + half, (count, model.n))
+    return np.random.default_rng(0).uniform(middle - half, middle + half, (SEARCHED, model.n))
 
 
-def _holding(model: pliant.Model) -> Array:
-    torques: Array = np.abs([model.gravity(q) for q in sample(model)]).max(axis=0)
-    return torques
-
-
-def _reach(model: pliant.Model) -> float:
-    """Return half the widest extent along x, y or z of the tool's positions in random poses [m]."""
-    places = [model.forward_kinematics(q)[:3, 3] for q in sample(model, 128)]
-    return float(np.ptp(np.array(places), axis=0).max() / 2)
-
-
-def sigma(model: pliant.Model, q: Array, axes: tuple[str, ...]) -> float:
-    """Return the smallest singular value of the Jacobian of the task axes at q (n,) [rad].
-
-    The rows of translations are divided by `_reach`, so that the value has no unit.
-    """
-    rows = np.asarray(model.jacobian(q))[[AXES.index(name) for name in axes]].copy()
-    rows[[AXES.index(name) < 3 for name in axes]] /= _cached_reach(model)
-    return float(np.linalg.svd(rows, compute_uv=False).min())
-
-
-_REACH: dict[int, float] = {}
-
-
-def _cached_reach(model: pliant.Model) -> float:
-    return _REACH.setdefault(id(model), _reach(model))
-
-
-def _find_pose(
-    model: pliant.Model, servos: pliant.Servos, axes: tuple[str, ...], soft: str, way: float
-) -> tuple[Array, float]:
+def _find_pose(arm: arms.Arm, soft: str, way: float) -> tuple[Array, float]:
     """Return the start pose (n,) [rad] of the experiments, and the motion that it allows [m].
 
-    The pose has the largest `sigma` of the random poses in which gravity needs at most
+    The pose has the largest `Arm.sigma` of the random poses in which gravity needs at most
     `GRAVITY_SHARE` of the torque, and from which the tool can move along the axis `soft` by `way`
     [m] in both directions. If there is no such pose, 60 % and then 35 % of `way` suffice.
     """
-    usable = np.asarray(servos.max_torque)
+    usable = np.asarray(arm.servos.max_torque)
     light = [
         q
-        for q in sample(model, inner=INNER)
-        if np.all(np.abs(model.gravity(q)) <= GRAVITY_SHARE * usable)
+        for q in sample(arm.model, INNER)
+        if np.all(np.abs(arm.model.gravity(q)) <= GRAVITY_SHARE * usable)
     ]
-    ranked = sorted(light, key=lambda q: -sigma(model, q, axes))
+    ranked = sorted(light, key=lambda q: -arm.sigma(q))
     for share in (1.0, 0.6, 0.35):
         for q in ranked[:100]:
-            if all(_can_move(model, q, axes, soft, side * share * way) for side in (1.0, -1.0)):
+            if all(_can_move(arm, q, soft, side * share * way) for side in (1.0, -1.0)):
                 return q, share * way
     raise ConfigError(
         f"among {SEARCHED} poses none lets {soft} move by {0.35 * way:.3f} m within the joint "
@@ -261,26 +207,22 @@ def _find_pose(
     )
 
 
-def _can_move(model: pliant.Model, q: Array, axes: tuple[str, ...], soft: str, way: float) -> bool:
+def _can_move(arm: arms.Arm, q: Array, soft: str, way: float) -> bool:
     """Return True if the tool can move from q (n,) [rad] along the axis `soft` by `way` [m].
 
-    On the way, every joint stays within its position limits and `sigma` above 40 % of its value at
-    q.
+    On the way, every joint stays within its position limits and `Arm.sigma` above 40 % of its
+    value at q.
     """
-    lower, upper = ranges(model)
-    rows = [AXES.index(name) for name in axes]
-    least = 0.4 * sigma(model, q, axes)
-    motion = np.zeros(len(rows))
-    motion[axes.index(soft)] = way / STEPS
+    lower, upper = arms.ranges(arm.model)
+    least = 0.4 * arm.sigma(q)
+    motion = np.zeros(len(arm.rows))
+    motion[arm.axes.index(soft)] = way / STEPS
     margin = 0.02 * (upper - lower)
     at = q.copy()
     for _ in range(STEPS):
-        at = at + np.linalg.pinv(np.asarray(model.jacobian(at))[rows]) @ motion
-        if (
-            np.any(at < lower + margin)
-            or np.any(at > upper - margin)
-            or sigma(model, at, axes) < least
-        ):
+        at = at + np.linalg.pinv(np.asarray(arm.model.jacobian(at))[arm.rows]) @ motion
+        inside = np.all((at >= lower + margin) & (at <= upper - margin))
+        if not inside or arm.sigma(at) < least:
             return False
     return True
 
@@ -291,13 +233,6 @@ RATE = 100.0
 #: Stiffness [N/m] and damping [N·s/m] of a hand that acts on an axis with the cap `USUAL` [N]; for
 #: another cap, both scale with it.
 SPRING, DAMPER, USUAL = 2000.0, 30.0, 15.0
-#: Angle by which the hand turns the tool in tests of the caps of rotations [rad].
-TURN = 0.3
-#: Smallest `sigma` of a pose for tests of caps, as a share of the median over random poses.
-LEAST_SIGMA = 0.65
-#: Tested caps as shares of the arm's median static capacity (`experiments.arms.capacity`):
-#: translations, rotations.
-CAP_SHARE = (0.30, 0.14)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -405,83 +340,20 @@ def swing(source: Source) -> Trace:
     return _loop(arm, arm.law(), target, 17.0, q=arm.pose)
 
 
-def regular_poses(source: Source, count: int) -> list[Array]:
-    """Return up to `count` random poses (n,) [rad] that are not near a singularity."""
-    arm = load(source)
-    sampled = sample(arm.model, inner=0.8, seed=1)
-    sigmas = np.array([sigma(arm.model, q, arm.axes) for q in sampled])
-    good = sampled[sigmas > LEAST_SIGMA * np.median(sigmas)]
-    return list(good[:count])
+def promises(source: Source, pose: int) -> list[Promise]:
+    """Return the results of pushes in one random pose, as `experiments.campaign` defines them.
 
-
-def caps(source: Source) -> tuple[float, float]:
-    """Return the tested caps of translations [N] and rotations [N·m]."""
-    arm = load(source)
-    found = []
-    for group, share in enumerate(CAP_SHARE):
-        rows = [row for row in arm.rows if row // 3 == group]
-        values = [
-            capacity(arm.model, arm.servos, q, row, sign)
-            for q in sample(arm.model, 128)
-            for row in rows
-            for sign in (1.0, -1.0)
-        ]
-        finite = [v for v in values if np.isfinite(v) and v > 0.0]
-        found.append(share * float(np.median(finite)) if finite else 0.0)
-    return found[0], found[1]
-
-
-def promises(source: Source, pose: int, count: int) -> list[CapResult]:
-    """Return expected and measured forces of all pushes in one of `count` random poses.
-
-    The pushes are along every task axis in both directions, as far as the servos can exert the cap
-    in the pose. The list is empty if there is no pose of index `pose`.
+    The pushes are along every task axis in both directions, with the cap that is 30 % of the
+    arm's median static capacity (rotations 14 %), and the other axes free.
     """
     arm = load(source)
-    chosen = regular_poses(source, count)
-    if pose >= len(chosen):
-        return []
-    q = chosen[pose]
-    limits = caps(source)
+    bench = Bench(arm)
     return [
-        _promise(arm, q, row, sign, limits[row // 3])
+        bench.keep(pose, q, AXES[row], sign, arm.caps(row)[1], guided=False)
+        for q in arm.poses(pose + 1)[pose:]
         for row in arm.rows
         for sign in (1.0, -1.0)
-        if capacity(arm.model, arm.servos, q, row, sign) >= limits[row // 3]
     ]
-
-
-def _promise(arm: Arm, q: Array, row: int, sign: float, cap: float) -> CapResult:
-    name = AXES[row]
-    course = ForceProfile(start=0.5, rise=1.0, end=np.inf)
-    if row < 3:
-        scale = max(cap / USUAL, 0.05)
-        felt_by: Hand = Drag(
-            axis=name,
-            distance=sign * min(arm.way, 0.08),
-            stiffness=SPRING * scale,
-            damping=DAMPER * scale,
-            limit=8.0 * cap,
-            at="tool",
-            course=course,
-        )
-    else:
-        felt_by = Twist(
-            axis=name,
-            angle=sign * TURN,
-            stiffness=60.0 * cap,
-            damping=cap,
-            limit=8.0 * cap,
-            course=course,
-        )
-    settings = pliant.Settings(
-        task=pliant.Task(axes=" ".join(arm.axes)),
-        axes={name: pliant.Axis(soft=cap, firm=cap)},
-        **NO_RATE_LIMITS,
-    )
-    target = np.asarray(arm.model.forward_kinematics(q))
-    trace = _loop(arm, settings, target, END, felt_by, q=q)
-    return evaluate(trace, arm.model, arm.servos, rows=arm.rows, row=row, sign=sign, cap=cap)
 
 
 # --- Chapters: activation matrix, tracking, accuracy of caps ---
@@ -496,7 +368,7 @@ class ActivationChapter:
 
     source: Source
     NUMBER: ClassVar[int] = 1
-    TITLE: ClassVar[str] = "Which joint does what"
+    TITLE: ClassVar[str] = "Share of each joint in each axis"
 
     def jobs(self, options: Options) -> list[Job]:
         """Return one job, which computes the activation matrix."""
@@ -596,7 +468,7 @@ class TrackingChapter:
         return Chapter(
             number=self.NUMBER,
             title=self.TITLE,
-            lead="Being soft must not mean being late.",
+            lead="A soft axis must follow its target without a large lag.",
             figures=(figure,),
             numbers=numbers,
             headline=(("rms error / amplitude", f"{numbers['share']:.3f}"),),
@@ -613,17 +485,16 @@ class CapChapter:
 
     source: Source
     NUMBER: ClassVar[int] = 4
-    TITLE: ClassVar[str] = "Promised and felt"
+    TITLE: ClassVar[str] = "Promised and measured forces"
 
     def jobs(self, options: Options) -> list[Job]:
         """Return one job per pose, with pushes along every axis in both directions."""
-        count = POSES[options.quick]
-        return [Job(f"pose {k}", promises, (self.source, k, count)) for k in range(count)]
+        return [Job(f"pose {k}", promises, (self.source, k)) for k in range(POSES[options.quick])]
 
-    def measure(self, outcomes: Mapping[str, Sequence[CapResult]]) -> Numbers:
+    def measure(self, outcomes: Mapping[str, Sequence[Promise]]) -> Numbers:
         """Return the forces of all pushes, their median error, and the number of kept caps."""
-        pushes = [one for several in outcomes.values() for one in several]
-        errors = [abs(one.measured - one.promise) / one.cap for one in pushes]
+        pushes = _tried(outcomes)
+        errors = [abs(one.error) for one in pushes]
         return {
             "pushes": len(pushes),
             "kept": sum(one.kept for one in pushes),
@@ -634,7 +505,7 @@ class CapChapter:
                     "sign": p.sign,
                     "cap": p.cap,
                     "promise": p.promise,
-                    "measured": p.measured,
+                    "measured": p.felt,
                 }
                 for p in pushes
             ],
@@ -648,10 +519,10 @@ class CapChapter:
             title="Promised cap against measured push-back",
             done="At well conditioned random poses each task axis in turn is made soft with one "
             "cap, 30 % of this arm's median static capacity (rotations 14 %), the tool is dragged "
-            "away, and the force is read when it is still. Poses where the servos cannot give the "
-            "cap are left out.",
-            caption="On the diagonal the promise is kept exactly; the band is ± 15 % of the cap. "
-            "Friction of the joints is allowed for on top in the count.",
+            "away, and the force is read when it is still. Pushes are left out where the servos "
+            "cannot give the cap, or where the report says that a joint meets its stop.",
+            caption="Diagonal: measured equals expected force; band: ± 15 % of the cap. A cap "
+            "counts as kept if the rest of the difference is below the friction of the joints.",
             statements=(
                 band(
                     claim="At least 92 % of the promises are kept within 15 % of the cap and the "
@@ -668,15 +539,21 @@ class CapChapter:
         return Chapter(
             number=self.NUMBER,
             title=self.TITLE,
-            lead="Law cap is set in newtons. This is the check that newtons come out.",
+            lead="The settings of law cap are forces; this chapter measures them with a hand.",
             figures=(figure,),
             numbers=numbers,
             headline=(("promises kept", f"{numbers['kept']} of {numbers['pushes']}"),),
         )
 
-    def draw(self, outcomes: Mapping[str, Sequence[CapResult]], options: Options) -> None:
+    def draw(self, outcomes: Mapping[str, Sequence[Promise]], options: Options) -> None:
         """Draw measured against expected force of all pushes."""
-        draw_promises([one for several in outcomes.values() for one in several], options.figures)
+        draw_promises(_tried(outcomes), options.figures)
+
+
+def _tried(outcomes: Mapping[str, Sequence[Promise]]) -> list[Promise]:
+    """Return the pushes that were run and for which no stop was announced."""
+    pushes = [one for several in outcomes.values() for one in several]
+    return [one for one in pushes if not one.refused and not one.announced]
 
 
 def experiments(source: Source) -> dict[int, Any]:
@@ -704,7 +581,7 @@ class DragChapter:
 
     source: Source
     NUMBER: ClassVar[int] = 2
-    TITLE: ClassVar[str] = "Held, dragged, let go"
+    TITLE: ClassVar[str] = "Dragged by a hand and released"
 
     def jobs(self, options: Options) -> list[Job]:
         """Return the runs of `DRAGS`, and a job that reads the arm's default caps.
@@ -782,14 +659,14 @@ class DragChapter:
             caption="Solid: pulled toward +, dashed: toward −.",
             statements=(
                 band(
-                    claim="At rest it stays where it shall, within 5 mm and less.",
+                    claim="At rest the tool stays within 5 mm of its target.",
                     outcome=f"All stiff: {mm(stiff['before'])} off; soft, η = 0.999: "
                     f"{mm(follow['before'])}.",
                     tests=(at_most("off", max(stiff["before"], follow["before"]), 0.005, "m"),),
-                    because="dry friction of the gears hides that much of a small error.",
+                    because="dry friction of the gears holds the arm against a small error.",
                 ),
                 band(
-                    claim="Soft, it follows a hand for less than half the force a stiff arm needs.",
+                    claim="A soft axis follows a hand for less than half the force of a stiff one.",
                     outcome=f"{follow['force']:.2f} N instead of {stiff['force']:.2f} N for "
                     f"{mm(follow['moved'])}.",
                     tests=(at_most("share", follow["force"] / stiff["force"], 0.5),),
@@ -797,7 +674,7 @@ class DragChapter:
                     "what the hand feels.",
                 ),
                 band(
-                    claim="The stiff positions drift less than 15 % of the way meanwhile, and less "
+                    claim="The stiff positions drift by less than 15 % of the distance, and less "
                     "than on a stiff arm.",
                     outcome=f"{mm(follow['drift'])} of {mm(numbers['way'])}; {mm(stiff['drift'])} "
                     "when all is stiff.",
@@ -811,10 +688,10 @@ class DragChapter:
                     "no law makes servos stiffer than they are.",
                 ),
                 band(
-                    claim="η = 0: held away, it pulls back with the force that was set for that "
-                    "deviation, up to 15 % and friction, and returns.",
+                    claim="η = 0: a held arm pulls back with the force that is set for this "
+                    "deviation, within 15 % and friction, and returns.",
                     outcome=f"{firm['held']:.2f} N of {firm['promised']:.2f} N; {mm(firm['left'])} "
-                    "are left 4 s after.",
+                    "from the target 4 s after the release.",
                     tests=(
                         near(
                             "held",
@@ -828,8 +705,8 @@ class DragChapter:
                     ),
                 ),
                 band(
-                    claim="η = 0.999: let go, it stays.",
-                    outcome=f"It moves by {mm(follow['crept'])} in the 4 s after.",
+                    claim="η = 0.999: the released arm stays where it is.",
+                    outcome=f"It moves by {mm(follow['crept'])} in the next 4 s.",
                     tests=(at_most("moves", follow["crept"], 0.015, "m"),),
                 ),
             ),
@@ -837,8 +714,8 @@ class DragChapter:
         return Chapter(
             number=self.NUMBER,
             title=self.TITLE,
-            lead="One axis yields, the others hold. What does a hand need to move the arm, what do "
-            "the other axes do, does it come back?",
+            lead="One axis yields, the others hold. The force of a hand that moves the arm, the "
+            "motion of the other axes, and the return of the arm.",
             figures=(figure,),
             tables=(_drag_table(numbers),),
             numbers=numbers,
@@ -984,7 +861,7 @@ def draw_swing(arm: Arm, trace: Trace, folder: Path) -> None:
         save(figure, folder, "3-swing")
 
 
-def draw_promises(pushes: Sequence[CapResult], folder: Path) -> None:
+def draw_promises(pushes: Sequence[Promise], folder: Path) -> None:
     """Draw `4-promise`: measured against expected force of each push, both divided by the cap."""
     with canvas(1, 1, size=(WIDE * 0.55, 4.8)) as (figure, axes):
         ax = axes[0, 0]
@@ -997,7 +874,7 @@ def draw_promises(pushes: Sequence[CapResult], folder: Path) -> None:
                 turning = AXES.index(name) > 2
                 ax.plot(
                     [p.promise / p.cap for p in mine],
-                    [p.measured / p.cap for p in mine],
+                    [p.felt / p.cap for p in mine],
                     "^" if turning else "o",
                     markersize=5,
                     markerfacecolor="none" if turning else AXIS_COLOURS[name],

@@ -49,7 +49,10 @@ Robot = Callable[[str, Path], Any]
 
 
 def emulator(file: Config, wall: Wall | None, jaw_stop: float | None) -> Any:
-    """Return an emulated arm with a wall, or with an object in its gripper; runs in its process."""
+    """Return an emulated arm with a wall, or with an object in its gripper.
+
+    The emulator calls this function in its own process.
+    """
     made = make_emulator(file, q=START, plant={"scene": [] if wall is None else [wall]})
     plant, model = made.plant, made.plant.mj_model
     made.force = lambda: float(np.linalg.norm(plant.hands[0].force))
@@ -108,7 +111,7 @@ class Bench:
         folder = Path(self._folder.name)
         table = {
             name: {"id": i, "drive_mode": 0, "homing_offset": 0}
-            # Wide for the arm, which falls when the supply is switched off, narrow for the jaw.
+            # The joints need a wide range, because the arm falls when the supply is switched off.
             | ({"range_min": 347, "range_max": 3748} if name in JOINTS else JAW_RANGE)
             for i, name in enumerate((*JOINTS, "gripper"), 1)
         }

@@ -59,7 +59,7 @@ def test_limits_of_an_arm_come_down_with_its_heat_but_carry_its_weight(make):
     with arm:
         torque, q = np.asarray(arm.servos.max_torque), arm.read().q
         for heat, share in ((0.5, 1.0), (0.9, 0.7), (1.1, 0.4)):
-            arm.clock.wait_until(arm.clock.now() + 0.6)  # the limits ramp up after torque on
+            arm.clock.wait_until(arm.clock.now() + 0.6)  # until the ramp after torque on has ended
             arm.read()
             # A joint with this constant torque settles at the thermal load `heat`.
             constant = np.sqrt(heat) * Budget().continuous * arm._io._usable

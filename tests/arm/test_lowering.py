@@ -79,7 +79,7 @@ def model():
 
 
 def descend(model, grasp, reading, ticks=400, dt=0.01):
-    """Return the commands for an arm at rest, with the reading at each tick."""
+    """Return the lowering and its commands; `reading` returns the positions at each tick."""
     lowering = Lowering(model, model.servos, grasp)
     orders = []
     for tick in range(ticks):

@@ -7,13 +7,14 @@ from mismatch import under
 from experiments import controllers, disturbances, goals
 from experiments.campaign import REAL_GEARS
 from experiments.simulation import Conditions
+from pliant.sim import DRAG_15N
 
 UNKNOWN = Conditions(gears=REAL_GEARS["arm7"])
 KNOWN = Conditions(gears=REAL_GEARS["arm7"], gears_known=True)
 
 
 def test_a_known_load_is_fed_forward():
-    drag = goals.light(controllers.cap())
+    drag = goals.dragged(controllers.cap(), DRAG_15N)
     with under(UNKNOWN):
         assert drag(UNKNOWN)["force [N]"] > 14.0  # measured 15.0: the hand's largest force
     assert drag(KNOWN)["force [N]"] < 8.5  # measured 7.6

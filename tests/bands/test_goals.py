@@ -7,6 +7,7 @@ from mismatch import under
 
 import pliant
 from experiments import controllers, goals
+from pliant.sim import DRAG_15N
 
 #: The preset under test.
 GAIN = {"tracking": pliant.Tracking(gain=4.8)}
@@ -32,7 +33,7 @@ def test_a_stiffer_hold_keeps_the_drift_with_overestimated_friction():
     (too_high,) = (one for one in goals.UNCERTAIN if one.believed > 1.0)
     with under(too_high):
         stiffer, default = (
-            goals.light(controllers.cap(**options))(too_high)["drift [mm]"]
+            goals.dragged(controllers.cap(**options), DRAG_15N)(too_high)["drift [mm]"]
             for options in (GAIN, {})
         )
     assert stiffer == rows[1].reached_uncertain

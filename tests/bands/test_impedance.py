@@ -1,4 +1,4 @@
-"""Law `impedance`: stiff axes are springs, soft axes are free, by goals without force sensors."""
+"""Law `impedance` on position servos: stiff axes act as springs, and soft axes have no spring."""
 
 import re
 from functools import partial

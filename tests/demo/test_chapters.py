@@ -83,7 +83,7 @@ FLIPS = [
     (5, "A position-controlled", ("cap 0.999", "force"), 30.0),
     (5, "Law cap keeps", ("cap 0", "held"), 30.0),
     (6, "With no joint near", ("arm7", "kept_clear"), 0.9),
-    (6, "What is missed", ("arm7", "kept"), 0.5),
+    (6, "Forces outside", ("arm7", "kept"), 0.5),
 ]
 
 

@@ -158,7 +158,7 @@ def test_another_transport_can_be_passed_in(fake_bus):
 
     class Patient(fake_bus):
         def ping(self, id):
-            # A servo that is absent costs a timeout in real time.
+            # For a missing servo the driver waits for a timeout in real time.
             time.sleep(0.0 if id in self.memory else self.timeout)
             return super().ping(id)
 

@@ -80,7 +80,7 @@ def test_a_slide_touches_and_clearance_is_the_lowest_link():
         plant.write([0.2], [0.0])
         plant.advance()
     assert table.touching == ("arm",)
-    # The weight, less the gears' friction.
+    # Gear friction carries a part of the weight.
     assert 9.81 - 1.1 < table.force < 9.81 + 1.1
 
 

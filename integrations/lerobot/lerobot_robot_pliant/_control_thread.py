@@ -136,7 +136,7 @@ class ControlThread:
             self._leave_arm()
 
     def _leave_arm(self) -> None:
-        """Lower the arm or leave it enabled; the arm itself reports an error of that."""
+        """Lower the arm or leave it enabled; the arm's own messages report an error."""
         with contextlib.suppress(pliant.ServoError):
             if self._on_exit == "lower":
                 self._arm.lower()

@@ -31,7 +31,7 @@ PAUSE = 1.0
 #: LeRobot's rollout passes on only numbers whose names end in `.pos` or `.vel`, and sends `.pos`
 #: back to the arm at its end; forces, deviations and caps are therefore called `.vel`.
 SUFFIX = ".vel"
-#: Start of the name of an axis' force in an action.
+#: Prefix of the entries of an action that have the force of an axis.
 CAP = "cap_"
 
 
@@ -131,7 +131,7 @@ class PliantFollower(Robot):
         self._session: _Session | None = None
 
     def _check_options(self) -> None:
-        """Check options that would else fail in the control loop.
+        """Check options that would otherwise fail in the control loop.
 
         Raises:
             ConfigError: One is wrong.

@@ -1,4 +1,4 @@
-"""LeRobot's own arms on the same emulated servos, before, beside and after ours."""
+"""LeRobot's own arms drive emulated servos before, beside and after the arms of the plugin."""
 
 import json
 import subprocess
@@ -67,7 +67,7 @@ def course(robot):
 
 
 def setup(name, port, folder, *undo):
-    """Run `pliant servos setup`: LeRobot gives a Koch's small servos a mode without a limit."""
+    """Run `pliant servos setup`; LeRobot has set small servos of a Koch to a mode without limit."""
     run = subprocess.run(
         [
             *(sys.executable, "-m", "pliant.cli", "servos", "setup", name, "--yes"),

@@ -20,7 +20,7 @@ BODY = {True: MotorNormMode.DEGREES, False: MotorNormMode.RANGE_M100_100}
 @pytest.mark.parametrize("use_degrees", [True, False])
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_units_are_those_of_lerobots_bus(name, use_degrees, tmp_path):
-    """Both ways, inside and outside the ranges, with and without inverted motors."""
+    """Compare both directions, inside and outside the ranges, with and without inverted motors."""
     rng = np.random.default_rng(3)
     bus_class, models = MODELS[name]
     file = pliant.config.load(name, backend="sim")

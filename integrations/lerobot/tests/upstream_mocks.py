@@ -9,7 +9,7 @@ from lerobot_teleoperator_wave import WaveConfig
 
 
 def replace(name: str, **entries: object) -> None:
-    """Put a module of these entries in the place of a mock."""
+    """Replace a mock by a module with these entries."""
     module = ModuleType(name)
     vars(module).update(entries)
     sys.modules[name] = module
