@@ -114,3 +114,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.skip(reason="the emulator's ports are pseudo-terminals"))
         if is_slow(item.path.relative_to(ROOT).as_posix()):
             item.add_marker("slow")
+
+
+@pytest.fixture
+def grasp():
+    """Return the vertical grasp pose of `arm7` (7,) [rad]."""
+    from pliant.sim.postures import VERTICAL
+
+    return VERTICAL.copy()

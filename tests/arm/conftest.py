@@ -56,11 +56,6 @@ class Scribe(SimDrive):
 
 
 @pytest.fixture
-def grasp():
-    return GRASP.copy()
-
-
-@pytest.fixture
 def make():
     """Make an arm in a posture, with options of the plant and of the arm."""
 

@@ -5,26 +5,14 @@ import math
 
 import numpy as np
 import pytest
+from calibrations import JOINTS, lerobot_calibration
 
 import pliant
 from pliant import config
 
-JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-
 
 def calibrated(folder, name="so101", **changes):
-    table = {
-        joint: {
-            "id": i,
-            "drive_mode": 0,
-            "homing_offset": 100 * i - 300,
-            "range_min": 700 + 10 * i,
-            "range_max": 3300 + 7 * i,
-        }
-        for i, joint in enumerate(JOINTS, 1)
-    }
-    for joint, entry in changes.items():
-        table[joint] |= entry
+    table = lerobot_calibration(7, **changes)
     (folder / "arm.json").write_text(json.dumps(table), "utf-8")
     return config.load(name, calibration=folder / "arm.json"), table
 

@@ -119,7 +119,7 @@ def test_reasons_follow_the_numbers(measured):
 
 
 def test_an_experiment_that_does_not_exist_is_named_with_those_that_do():
-    with pytest.raises(ConfigError, match=r"no experiment 9; choose from 1 \(Which joint"):
+    with pytest.raises(ConfigError, match=r"no experiment 9; choose from 1 \(Share of each joint"):
         demonstration.choose(demonstration.EXPERIMENTS, (1, 9))
     assert list(demonstration.choose(demonstration.EXPERIMENTS, (5, 2))) == [2, 5]
     assert list(demonstration.choose(demonstration.EXPERIMENTS, ())) == [1, 2, 3, 4, 5, 6]

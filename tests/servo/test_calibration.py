@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibrations import JOINTS, lerobot_calibration
 
 import pliant
 from pliant import config
@@ -14,23 +15,10 @@ from pliant.config.factory import make_emulator, make_mounts
 from pliant.emulator import ManualClock, emulate
 from pliant.servo import ServoBus
 
-JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-
 
 def lerobot_file(folder, **changes):
     """Return a calibration file as lerobot-calibrate writes it; `changes`: entries by joint."""
-    table = {
-        joint: {
-            "id": i,
-            "drive_mode": 0,
-            "homing_offset": 100 * i - 300,
-            "range_min": 700 + 10 * i,
-            "range_max": 3300 + 10 * i,
-        }
-        for i, joint in enumerate(JOINTS, 1)
-    }
-    for joint, entry in changes.items():
-        table[joint] |= entry
+    table = lerobot_calibration(10, **changes)
     file = folder / f"{len(list(folder.iterdir()))}.json"
     file.write_text(json.dumps(table), "utf-8")
     return file

@@ -6,17 +6,11 @@ import pytest
 pytest.importorskip("mujoco", reason="the simulator's tests need the extra sim")
 
 import pliant.robots
-from pliant.sim.postures import VERTICAL as GRASP
 
 
 @pytest.fixture(scope="session")
 def arm():
     return pliant.robots.arm7()
-
-
-@pytest.fixture
-def grasp():
-    return GRASP.copy()
 
 
 @pytest.fixture
