@@ -17,11 +17,10 @@ from pliant.sim import SpringConstraint
 from pliant.sim.hand import Drag, ForceProfile, Twist
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from experiments.poses import Array
-    from experiments.simulation import Conditions, Trace
-    from pliant import Model, Servos
+    from experiments.simulation import Conditions
     from pliant.sim import Hand
 
 
@@ -61,7 +60,6 @@ class CapResult:
     """Expected and measured force of a push on one axis in one pose.
 
     Attributes:
-        axis, sign: Axis and direction of the push.
         cap: Cap F of the axis [N or N·m].
         promise: Expected force min(F, |e| / C_jj) at the measured deviation e of the axis j, with
             the compliance C_jj of the servos' position loops along the axis [N or N·m].
@@ -70,8 +68,6 @@ class CapResult:
             the pseudo-inverse J⁺ of the Jacobian [N or N·m].
     """
 
-    axis: str
-    sign: float
     cap: float
     promise: float
     measured: float
@@ -81,42 +77,6 @@ class CapResult:
     def kept(self) -> bool:
         """True if measured and expected force differ by at most 15 % of the cap + `friction`."""
         return abs(self.measured - self.promise) <= 0.15 * self.cap + self.friction
-
-
-def evaluate(
-    trace: Trace,
-    model: Model,
-    table: Servos,
-    *,
-    rows: Sequence[int],
-    row: int,
-    sign: float,
-    cap: float,
-) -> CapResult:
-    """Return expected and measured force of a recorded push, without target adaptation.
-
-    Args:
-        trace: Record of the push, whose hand rests from `SETTLED` to `END`.
-        model: The arm.
-        table: Servo parameters of the arm.
-        rows: Jacobian rows of the task axes.
-        row: Jacobian row of the pushed axis.
-        sign: Direction of the push, 1 or -1.
-        cap: Cap of the axis [N or N·m].
-    """
-    still = trace.between(SETTLED, END)
-    felt = (trace.force if row < 3 else trace.moment)[still, row % 3]
-    jacobian = np.asarray(model.jacobian(trace.q[-1]))
-    compliance = float(jacobian[row] ** 2 @ (1.0 / np.asarray(table.kp)))
-    inverse = np.linalg.pinv(jacobian[list(rows)])[:, rows.index(row)]
-    return CapResult(
-        axis=AXES[row],
-        sign=sign,
-        cap=cap,
-        promise=min(cap, abs(float(trace.error[-1, row])) / compliance),
-        measured=sign * float(felt.mean()),
-        friction=float(np.abs(inverse) @ np.asarray(table.friction)),
-    )
 
 
 def _sigma(q: Array) -> float:
@@ -196,4 +156,13 @@ def keep(case: Case, *, guided: bool = False, conditions: Conditions = NOMINAL) 
     settings = Settings(axes={case.axis: soft}, **NO_RATE_LIMITS)
     target = arm().forward_kinematics(case.q)
     trace = run(conditions.build(*scene), conditions.controller(settings), target, END, q=case.q)
-    return evaluate(trace, arm(), servos(), rows=range(6), row=index, sign=case.sign, cap=case.cap)
+    last, still = trace.q[-1], trace.between(SETTLED, END)
+    felt = (trace.force if index < 3 else trace.moment)[still, index % 3]
+    inverse = np.linalg.pinv(arm().jacobian(last))[:, index]
+    deviation = abs(float(trace.error[-1, index]))
+    return CapResult(
+        cap=case.cap,
+        promise=min(case.cap, deviation / _compliance(last, index)),
+        measured=case.sign * float(felt.mean()),
+        friction=float(np.abs(inverse) @ np.asarray(servos().friction)),
+    )
