@@ -62,8 +62,6 @@ UNITS = {"m", "mm", "ms", "kg", "rad", "s", "bold", "dim", "green", "red", "yell
 BESIDE_SECTION = {"a", "and", "in", "of", "the"}
 #: Values that replace the placeholders of a command.
 STAND_INS = {"ARM": "so101", "OLD:NEW": "1:2"}
-#: Commands of the operating system that error texts name.
-SYSTEM = {"lsusb", "sudo", "usermod"}
 
 
 def python_texts(path: Path) -> list[str]:
