@@ -1,5 +1,7 @@
 """Torque on and descent of arms whose servos, load, gears and encoders differ from the model."""
 
+import random
+
 import pytest
 from mismatch import Mismatch, Parameters
 
@@ -168,3 +170,34 @@ def test_fifty_poses_of_every_arm(arm, number, over):
         pytest.skip(f"no description of {arm} beside the project")
     job = job_of(arm, number, over)
     check(job, job.run())
+
+
+@pytest.mark.parametrize("arm", ["so101", "koch"])
+def test_torque_on_survives_a_computer_that_stalls(arm, monkeypatch):
+    # The assumptions are true here: what disturbs is the time. Poles for the mean period, without
+    # bounds on the torque, shook these arms at 0.8 to 3.1 m/s.
+    emulated, chance = descent.make_emulator, random.Random(1)
+
+    def stalling(*args, **kwargs):
+        bus = emulated(*args, **kwargs)
+        advance = bus.advance
+
+        def later(seconds):
+            is_on = all(servo.enabled for servo in bus.world.servos)
+            stalls = is_on and chance.random() < 0.1
+            advance(seconds + 0.06 * stalls)
+
+        bus.advance = later
+        return bus
+
+    monkeypatch.setattr(descent, "make_emulator", stalling)
+    model = descent.robot(arm)
+    truth = descent.TrueParameters(
+        stiffness=(1.0,) * model.n, friction=1.0, load=0.0, step=0.0015, delay=(0, 0)
+    )
+    job = descent.HandJob(
+        arm=arm, number=0, over_table=False, on_bytes=True, q=(0.0,) * model.n, truth=truth
+    )
+    run = job.run()
+    assert run.moved < 0.03
+    assert run.jerk < 0.5

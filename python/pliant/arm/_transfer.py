@@ -5,12 +5,14 @@ The lead of a joint is goal minus position [rad]; a servo turns it into torque.
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pliant._core import ServoTimeoutError, torque_margin
+from pliant._core import SUPPORT, ServoError, ServoTimeoutError, torque_margin
 from pliant.arm._io import RAMP_TIME
 from pliant.arm._startup import LEAD_FACTOR
 
@@ -41,6 +43,12 @@ POLE_DELAY, MAX_POLE = 1.0, 45.0
 FIRST_DISTURBANCE = 3e3
 #: Weight of the last period in the mean period of the loop, and longest period [s].
 PERIOD_SHARE, MAX_PERIOD = 0.2, 0.1
+#: Time constant with which a long period and delay of the past is forgotten [s]: poles for a mean
+#: period are unstable where some periods are much longer.
+FORGET_TIME = 0.5
+#: Bounds on the torque of the balance beyond the weight: largest load at the tool [kg], share of
+#: the weight, and ratio to friction. A period that lasts too long does not throw the arm.
+BOUND_LOAD, BOUND_SHARE, BOUND_FRICTION = 0.6, 0.6, 2.0
 #: Ratio of the poles of the position control to that of the observer.
 CONTROL_SHARE = 0.4
 #: Shortest and longest duration of the balance [s]; it ends when all joints have been slower than
@@ -81,8 +89,9 @@ MEAN_TIME = 0.3
 #: Displacement below which a joint has returned [rad] (at least 0.6 counts), time after which leads
 #: no longer shrink, and further time for joints to return [s].
 RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
-#: Time without a position of a joint after which the weight transfer ends with an error [s].
-MAX_SILENCE = 0.5
+#: Time without a position of a joint after which the arm is sent what holds it at rest, and after
+#: which the weight transfer ends with an error [s].
+STALE, MAX_SILENCE = 0.03, 0.5
 
 
 def transfer_weight(
@@ -104,7 +113,7 @@ def transfer_weight(
         Leads that carry the joints (n,) [rad]; NaN for joints that rest on an object.
 
     Raises:
-        ServoTimeoutError: A joint was silent for 0.5 s; goals and limits stayed unchanged
+        ServoTimeoutError: A joint was silent for 0.5 s; the arm was sent what holds it at rest
             meanwhile.
     """
     return _WeightTransfer(io, points, start_q, taken, rate).run()
@@ -190,7 +199,7 @@ class _WeightTransfer:
         """Prepare the transfer; send nothing. The arguments are those of `transfer_weight`."""
         self._io, self._start, self._taken = io, start_q, taken
         self._rate = max(rate, LOOP_RATE)
-        self._period = 1.0 / self._rate
+        self._period = self._slowest = 1.0 / self._rate
         servos = io.servos
         self._kp, self._usable = np.asarray(servos.kp), np.asarray(servos.max_torque)
         self._friction = np.asarray(servos.friction)
@@ -201,6 +210,12 @@ class _WeightTransfer:
         self._bare_inertia, self._tool = points.inertia(start_q), tool
         # Torques that carry 1 kg at the tool (n,) [N·m].
         self._load_weight = -tool.T @ np.asarray(io.model.gravity_vector)
+        extra = BOUND_LOAD * self._load_weight
+        beyond = BOUND_SHARE * np.abs(self._weight) + BOUND_FRICTION * self._friction
+        self._bounds = (
+            np.maximum(self._weight + np.minimum(extra, 0.0) - beyond, -self._usable),
+            np.minimum(self._weight + np.maximum(extra, 0.0) + beyond, self._usable),
+        )
         self._set_load(LEAST_LOAD)
         self._first = io.limit
         # Joints that are taken over hold positions: they do not exert the torque of the balance.
@@ -210,11 +225,31 @@ class _WeightTransfer:
             self._heard - io.delay(self._heard), self._assumed_step
         )
         self._x, self._v = np.zeros(start_q.size), np.zeros(start_q.size)
+        # Leads that were found to carry the joints.
+        self._found = self._weight / self._kp if servos.stiffness_known else self._x * np.nan
 
     def run(self) -> Array:
         """Carry out the transfer, see `transfer_weight`."""
         carried = self._taken.all() or self._io.servos.stiffness_known
-        return self._shrink(self._weight if carried else self._balance())
+        try:
+            return self._shrink(self._weight if carried else self._balance())
+        except BaseException:
+            # A descent follows, and starts from the goals last sent.
+            with suppress(ServoError):
+                self._hold()
+            raise
+
+    def _hold(self) -> None:
+        """Send goals and limits that hold the joints near their last positions for a while.
+
+        The torque limits of the balance would accelerate an arm that is not watched; a lead that
+        is not larger than needed holds it by the stiffness of its servos.
+        """
+        io, taken = self._io, self._taken
+        torque = np.clip(self._weight - self._inertia @ self._observer.d, *self._bounds)
+        lead = np.where(np.isfinite(self._found), self._found, torque / self._kp)
+        limit = np.minimum(SUPPORT * np.abs(torque) + 2.0 * self._friction, self._usable)
+        io.send(np.where(taken, io.goal, io.q + lead), np.where(taken, io.limit, limit))
 
     def _step(self) -> float:
         """Wait for the next period and read all joints; return the time since the last reading."""
@@ -230,7 +265,10 @@ class _WeightTransfer:
                     f"no position of {_joint_names(io, ~ok)} for {MAX_SILENCE:g} s while torque "
                     "came on: check their power, cable and id"
                 )
-            io.send(io.goal, io.limit)
+            if clock.now() - self._heard > STALE:
+                self._hold()
+            else:
+                io.send(io.goal, io.limit)
         # Encoder steps may be coarser than assumed.
         change = np.abs(io.q - before)
         change = np.where(change > MIN_CHANGE, change, np.inf)
@@ -239,6 +277,7 @@ class _WeightTransfer:
         self._observer.step = np.maximum(self._assumed_step, np.minimum(seen, MAX_COUNT))
         now = clock.now()
         dt, self._heard = now - self._heard, now
+        self._slowest = max(io.delay(now) + dt, self._slowest * math.exp(-dt / FORGET_TIME))
         # A slow bus has a longer period; a silence is no period.
         self._period += PERIOD_SHARE * (min(dt, MAX_PERIOD) - self._period)
         return dt
@@ -247,7 +286,7 @@ class _WeightTransfer:
         """Return the torques (n,) [N·m] that bring the joints to rest at their first positions."""
         io, observer, now = self._io, self._observer, self._heard
         age = io.delay(now)
-        pole = min(POLE_DELAY / (age + self._period), MAX_POLE)
+        pole = min(POLE_DELAY / max(age + self._period, self._slowest), MAX_POLE)
         observer.update(now - age, io.q - self._start, pole)
         self._x, self._v = observer.predict(now)
         # The load whose weight is nearest to the torque that answers d.
@@ -260,7 +299,7 @@ class _WeightTransfer:
         omega = CONTROL_SHARE * pole
         back = observer.d + 2.0 * omega * self._v + omega**2 * self._x
         back = np.where(self._follows, back, 0.0)
-        return np.clip(self._weight - self._inertia @ back, -self._usable, self._usable)
+        return np.clip(self._weight - self._inertia @ back, *self._bounds)
 
     def _set_load(self, load: float) -> None:
         """Compute the inertia matrix with a load at the tool [kg]."""
@@ -280,8 +319,8 @@ class _WeightTransfer:
         `torque` are the torques that the observer takes as exerted (n,) [N·m].
         """
         io, taken = self._io, self._taken
-        self._observe(torque)
         io.send(np.where(taken, io.goal, goal), np.where(taken, io.limit, limit))
+        self._observe(torque)
 
     def _observe(self, torque: Array) -> None:
         """Tell the observer the torques (n,) [N·m] of the joints that follow; the others stand."""
@@ -387,8 +426,9 @@ class _WeightTransfer:
             largest = np.maximum(LEAD_FACTOR * limit / kp, np.abs(lead))
             goal = np.clip(goal, q - largest, q + largest)
             pull = goal - start_q - lead
-            self._observe(up * np.minimum(torque * up, limit))
+            self._found = found
             io.send(goal, limit)
+            self._observe(up * np.minimum(torque * up, limit))
             before = q
             arrived = not returning.any() or passed > MAX_TIME + RETURN_TIME
             if passed >= RAMP_TIME and bool(known.all()) and arrived:
