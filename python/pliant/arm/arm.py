@@ -250,7 +250,7 @@ class Arm:
             self._descend(self.rest_q)
             return
         target = posture(self.model, pose, "pose")
-        check_rest(self.model, self._points, target, self.table)
+        check_rest(self.model, self._points, target, self.table, name="pose")
         self._descend(target)
 
     def leave_enabled(self) -> None:
