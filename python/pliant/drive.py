@@ -117,14 +117,17 @@ class Drive(Protocol):
     - `latency`: time from the end of `write` until the servos use the new goals [s];
     - `overload` (N,): share of the usable torque above which a servo's overload protection acts;
     - `stall_current` (N,) [A]: current at stall, needed to keep the supply current below its limit;
-    - `enabled` (N,): joints whose torque is on, also if another program switched it on;
+    - `enabled` (N,): joints whose torque is on, also if another program switched it on, or unknown;
+    - `torque_unknown` (N,): joints whose torque is unknown;
+    - `unrestored` (N,): joints that keep torque limits and speeds of this program after `disable`;
     - `orders`: goals (N,) [rad] and torque limits (N,) [N·m] in the servos, NaN if unknown;
     - `refusing` (N,): joints that are known not to accept goals;
     - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint;
     - `outlives_program`: True if the servos keep their torque after the end of the program, and
       another process can then drive them. Such a drive also has `closed_copy()`, which returns a
       closed drive of the same servos for `pickle`, `reopen()` of that copy, which opens it and
-      returns `orders`, and `drop_ports()`, with which a forked process gives up the ports.
+      returns `orders`, and `drop_ports()`, with which a forked process gives up the ports. A
+      second call of `reopen()` asks the servos that did not answer.
     """
 
     @property

@@ -319,8 +319,9 @@ def test_a_tick_makes_no_more_calls_and_requests_with_a_guardian():
         assert quartiles[True] == quartiles[False]
 
 
-def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports():
+def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports(monkeypatch):
     """A closed copy drives the servos of both ports, although one servo no longer answers."""
+    monkeypatch.setattr("pliant.servo._enable.RESUME_TIME", 1.0)
     model = pliant.robots.load("so101")
     mounts = [
         pliant.emulator.Mount(joint=name, model="STS3215", id=k, port="ab"[k % 2])
@@ -350,6 +351,8 @@ def test_registers_and_zeros_are_those_of_the_ended_program_on_two_ports():
         emulated.unplug(3)
         goals, limits = copy.reopen()
         assert np.flatnonzero(np.isnan(goals)).tolist() == [2]
+        assert copy.enabled.all()
+        assert np.flatnonzero(copy.torque_unknown).tolist() == [2]
         others = [0, 1, 3, 4]
         found = [emulated.servo(joint + 1).get("goal_position") for joint in others]
         rows = copy._codec.encode(others, np.nan_to_num(goals), [0.5] * 5, None, 0.0)

@@ -1,5 +1,6 @@
 """Life cycle of an arm over serial bytes: emulated servos that drive a simulated arm."""
 
+import pickle
 from contextlib import contextmanager
 
 import numpy as np
@@ -13,6 +14,7 @@ import pliant
 from experiments import bus_lower
 from experiments.lifecycle import LOAD
 from pliant.arm import Arm
+from pliant.arm._messages import MESSAGES
 from pliant.emulator import ManualClock, Mount, emulate
 from pliant.servo import ServoBus, ServoSpec
 
@@ -280,3 +282,45 @@ def test_what_is_in_the_way_of_a_descent_feels_no_more_than_15_newtons(family, p
         run = bus_lower.lower(family, q, load=LOAD, over_table=True)
     assert run.force < 15.0
     assert run.speed < 0.18
+
+
+@pytest.mark.parametrize("answers", [True, pytest.param(False, marks=pytest.mark.full)])
+def test_an_arm_taken_over_keeps_its_torque_while_servos_are_silent(answers, monkeypatch, caplog):
+    """Servos with torque are silent; they may answer after the descent has begun."""
+    monkeypatch.setattr("pliant.servo._enable.RESUME_TIME", 0.05)
+    monkeypatch.setattr("pliant.arm._shutdown.UNKNOWN_TIME", 0.5)
+    with arm_over_bytes("sts", HIGH, patience=0.03) as (bus, program):
+        program.enable()
+        copy = pickle.loads(pickle.dumps(program.drive.closed_copy()))
+        program.leave_enabled()
+        program.close()
+        start = bus.plant.tool[2, 3]
+        copy.clock = clock = ManualClock(bus)
+        arm = Arm(program.model, copy, guardian=False, handle_signals=False)
+        for k in range(1, 6) if answers else [2]:
+            bus.faults.inject("lose", id=k, count=10**6)
+        begin, wait = clock.now(), clock.wait_until
+
+        def watch(deadline):
+            wait(deadline)
+            if answers and clock.now() > begin + 1.0:
+                bus.faults.clear()
+            if bus.plant.tool[2, 3] > 0.05:
+                assert all(servo.enabled for servo in bus.servos)
+
+        monkeypatch.setattr(clock, "wait_until", watch)
+        with caplog.at_level("INFO", logger="pliant.arm"):
+            if answers:
+                arm._resume("the program has ended")
+            else:
+                with pytest.raises(pliant.ServoFaultError, match=r"shoulder_lift, .* hold the arm"):
+                    arm._resume("the program has ended")
+            MESSAGES.flush(5.0)
+        assert any(servo.enabled for servo in bus.servos) is not answers
+        if answers:
+            assert bus.plant.tool[2, 3] < start - 0.25
+            assert "was lowered: torque OFF" in caplog.text
+        else:
+            assert "and torque is not known in shoulder_lift." in caplog.text
+            assert "was lowered" not in caplog.text
+        copy.close()

@@ -1,11 +1,14 @@
 """Torque on while the positions of some joints do not arrive."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bare_arm import bare_arm
 
 import pliant
+from pliant.arm._startup import stiffness_mismatch
 
 START = [0.0, -0.3, 0.3, 0.9, 0.0]  # [rad]
 
@@ -65,3 +68,17 @@ def test_a_short_silence_only_delays():
     assert hidden.highest - hidden.start < 0.005  # [m]
     assert hidden.fastest < 0.1  # [m/s]
     hidden.arm.disable_torque()
+
+
+@pytest.mark.parametrize("ratios", [(-0.094, 1.0), (-0.094, 0.42), (1.0, 0.42)])
+def test_a_joint_that_pushes_opposite_to_its_weight_is_not_called_soft(ratios):
+    """The leads of two joints are those of servos with these ratios of true to assumed k_p."""
+    arm = bare_arm("so101")
+    weight, kp = np.array([0.0, 1.0, 1.0, 0.0, 0.0]), np.asarray(arm.servos.kp)
+    leads = np.zeros(5)
+    leads[1:3] = weight[1:3] / kp[1:3] / np.array(ratios)
+    io = SimpleNamespace(servos=arm.servos, model=arm.model, gravity=lambda: weight)
+    text = stiffness_mismatch(io, leads)
+    assert ("shoulder_lift pushes opposite to what its weight needs" in text) is (ratios[0] < 0.0)
+    assert ("elbow_flex 0.42 x the assumed k_p" in text) is (ratios[1] < 1.0)
+    assert "-0.0" not in text

@@ -1,7 +1,5 @@
 """Torque on with one lost packet, registers that bound the torque, and their restoration."""
 
-from contextlib import suppress
-
 import numpy as np
 import pytest
 
@@ -95,6 +93,27 @@ def test_torque_that_could_not_be_taken_back_is_said(kind):
             chain.enable(goal, 0.5 * chain.servos.max_torque)
         assert bus.servos[0].enabled
         assert "joint0 did not confirm torque_enable = 0" in str(told.value)
+
+
+@pytest.mark.parametrize("kind", ["sts", "xm"])
+def test_a_failure_while_torque_comes_on_says_that_the_arm_falls(kind, monkeypatch):
+    """The line fails once the first servo has torque, until torque is switched off again."""
+    with Emulator(devices(kind, 2), clock="steps") as bus, chain_on(bus, kind, 2) as chain:
+        goal, faults = chain.read().position, bus.lines["main"].faults
+        faults.chance = lambda: "deaf" if any(servo.enabled for servo in bus.servos) else None
+        switch_off = _enable._try_off
+
+        def mended(device, ports):
+            faults.chance = lambda: None
+            return switch_off(device, ports)
+
+        monkeypatch.setattr(_enable, "_try_off", mended)
+        with pytest.raises(ServoError, match=r"\ntorque is OFF again in all joints.*falls"):
+            chain.enable(goal, 0.5 * chain.servos.max_torque)
+        bus.sync()
+        assert len(bus.log.writes("torque_enable")) >= 2
+        assert not any(servo.enabled for servo in bus.servos)
+        assert not (chain.enabled | chain.torque_unknown | chain.unrestored).any()
 
 
 def registers(servo):
@@ -223,7 +242,6 @@ def test_a_pwm_limit_bounds_the_torque_that_is_reported():
         assert ceiling == pytest.approx(chain.servos.max_torque[0], rel=0.01)
 
 
-@pytest.mark.filterwarnings("ignore:torque is off, but")
 @pytest.mark.parametrize("trouble", ["hum", "echo"])
 @pytest.mark.parametrize("kind", ["sts", "xm", "mx"])
 def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
@@ -231,10 +249,20 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
         enabled(chain)
         getattr(bus, trouble)()
         # The error says that torque off is not confirmed; with an echo there may be none.
-        with suppress(ServoError):
+        failed = False
+        try:
             chain.disable()
+        except ServoError:
+            failed = True
         bus.sync()
         assert not any(servo.enabled for servo in bus.servos)
+        # What is not confirmed is unknown, and unknown counts as on.
+        assert chain.torque_unknown.any() is np.bool_(failed)
+        assert np.array_equal(chain.enabled, chain.torque_unknown)
+        assert (chain.unrestored | ~chain.torque_unknown).all()
+        getattr(bus, trouble)(False)
+        chain.disable()
+        assert not (chain.enabled | chain.torque_unknown | chain.unrestored).any()
 
 
 @pytest.mark.parametrize("trouble", ["hum", "echo"])

@@ -107,10 +107,13 @@ STEPS = 60
 TOLERANCE = 0.005
 
 
-def check_rest(model: Model, points: ArmPoints, rest: Array, table: float | None) -> None:
+def check_rest(
+    model: Model, points: ArmPoints, rest: Array, table: float | None, *, name: str = "rest_q"
+) -> None:
     """Check that no point of the arm is inside the table in the rest pose `rest` (n,) [rad].
 
-    `table` is the height of the table in base axes [m]; None: nothing is checked.
+    `table` is the height of the table in base axes [m]; None: nothing is checked. `name` is the
+    name of the argument that has the pose.
 
     Raises:
         OutOfRangeError: A point of the arm is inside the table.
@@ -121,7 +124,7 @@ def check_rest(model: Model, points: ArmPoints, rest: Array, table: float | None
     lowest = int(height.argmin())
     if height[lowest] < table - TOLERANCE:
         raise OutOfRangeError(
-            f"rest_q: {_point_name(model, lowest)} would be {table - height[lowest]:.3f} m inside "
+            f"{name}: {_point_name(model, lowest)} would be {table - height[lowest]:.3f} m inside "
             f"the table at z = {table:g} m; `pliant servos doctor ARM --watch` prints the pose in "
             "which you lay the arm down"
         )

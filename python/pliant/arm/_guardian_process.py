@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pliant._core import ServoError
+from pliant._core import ServoError, ServoFaultError
 from pliant.arm._guardian import SIZE
 from pliant.arm._messages import MESSAGES
 from pliant.arm._shutdown import RECOVER, brief
@@ -183,7 +183,13 @@ def take_over(arm: Arm, reason: str, program: Program) -> None:
     while True:
         try:
             arm._resume(reason)
+        except ServoFaultError:
+            # The message of the descent names the joints and the remedy.
+            return
         except ServoError as error:
+            # The next try opens the ports again.
+            with suppress(ServoError):
+                arm.drive.close()
             # The port of a program that runs, or does not end, is locked.
             if time.monotonic() > deadline:
                 MESSAGES.post(

@@ -252,6 +252,10 @@ class ArmIO:
         self._watchdog = 0.0
         # Times of the last bus access and of the last position received [s].
         self._last_access = self._last_position = self.clock.now()
+        #: Joints that had an answer in the last `sample` (N,).
+        self._read: Mask = np.zeros(size, dtype=bool)
+        #: Joints (N,) of an ended program that may have torque, and have not answered so far.
+        self.torque_unknown: Mask = np.zeros(size, dtype=bool)
 
     # Methods that read from the drive.
 
@@ -269,7 +273,7 @@ class ArmIO:
             return np.zeros(self.model.n, dtype=bool)
         finally:
             self._last_access = self.clock.now()
-        read = np.asarray(sample.ok, dtype=bool)
+        self._read = read = np.asarray(sample.ok, dtype=bool)
         if True in read.tolist():
             now = self.clock.now()
             gap, self._last_position = now - self._last_position, now
@@ -399,8 +403,9 @@ class ArmIO:
     def resume(self, rate: float) -> bool:
         """Take over the joints with torque of a program that has ended; send nothing.
 
-        Goals and limits are those in the servos. A joint that does not answer has the position that
-        the program knew before torque on, until it answers.
+        Goals and limits are those in the servos. A joint that does not answer counts as having
+        torque, see `resume_silent`. Until it answers, it has the position that the program knew
+        before torque on.
 
         Args:
             rate: Rate of the reads [Hz].
@@ -411,7 +416,7 @@ class ArmIO:
         Raises:
             ServoError: A port cannot be opened.
         """
-        goals, limits = self.drive.reopen()  # type: ignore[attr-defined]
+        goals, limits = self._reopen()
         has_torque = np.isfinite(goals)
         for _ in range(RESUME_READS):
             if self.sample().all():
@@ -426,7 +431,41 @@ class ArmIO:
             name: (float(goals[i]), float(limits[i]))
             for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True)
         }
-        return bool(has_torque.any())
+        return bool((has_torque | self.torque_unknown).any())
+
+    def resume_silent(self) -> bool:
+        """Take over joints that did not answer in `resume`, and have answered in the last `sample`.
+
+        Returns:
+            True if the torque of such a joint is known now. Its goal and limit are those in the
+            servo.
+
+        Raises:
+            ServoError: The connection to the drive is lost.
+        """
+        before = self.torque_unknown
+        if not (before & self._read).any():
+            return False
+        goals, limits = self._reopen()
+        found = before & ~self.torque_unknown
+        has_torque = found & np.isfinite(goals)
+        self._goals = np.where(has_torque, goals, self._goals)
+        self._limits = np.where(has_torque, limits, self._limits)
+        for name, i in zip(self.joints.extra, self.joints.off_chain, strict=True):
+            if has_torque[i]:
+                self.orders[name] = (float(goals[i]), float(limits[i]))
+        return bool(found.any())
+
+    def unknown_joints(self) -> list[str]:
+        """Return the names of the joints in `torque_unknown`."""
+        return [self.joints.names[i] for i in np.flatnonzero(self.torque_unknown)]
+
+    def _reopen(self) -> tuple[Array, Array]:
+        """Return goals and limits (N,) of `Drive.reopen`, and set `torque_unknown`."""
+        goals, limits = self.drive.reopen()  # type: ignore[attr-defined]
+        on = np.broadcast_to(getattr(self.drive, "enabled", False), len(goals))
+        self.torque_unknown = on & np.isnan(goals)
+        return goals, limits
 
     def ramp_limits(self, limit: Array | float = 0.0) -> None:
         """Bound torque limits during `RAMP_TIME` by a ramp from holding torque to usable torque.

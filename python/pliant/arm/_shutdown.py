@@ -14,7 +14,7 @@ from pliant.arm._messages import MESSAGES
 from pliant.arm._signals import name_of, signal_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from pliant._typing import Array
     from pliant.arm._io import ArmIO
@@ -112,12 +112,21 @@ class ExitMessages:
             logging.WARNING if stopped else self._level,
         )
 
-    def failed(self, error: BaseException, on: list[str] | None) -> str:
+    def failed(
+        self,
+        error: BaseException,
+        on: list[str] | None,
+        unknown: Sequence[str] = (),
+        *,
+        down: bool = False,
+    ) -> str:
         """Send the message that a descent failed, with error and torque state; return its text.
 
         Args:
             error: Error that ended the descent.
             on: Joints whose torque is on; None if unknown, because the servos do not answer.
+            unknown: Joints whose torque is unknown, and which may be among those in `on`.
+            down: True if the arm rests, and torque off failed.
         """
         if on is None:
             return self._post(
@@ -126,9 +135,20 @@ class ExitMessages:
                 "the arm over; or support the arm and cut the supply",
                 logging.WARNING,
             )
-        state = f"torque is ON in {', '.join(on)}. {RECOVER}" if on else "torque is OFF"
-        return self._post(
-            f"{self._name} was not lowered ({brief(error)}): {state}", logging.WARNING
+        on = [name for name in on if name not in unknown]
+        states = [f"torque is ON in {', '.join(on)}"] if on else []
+        states += [f"torque is not known in {', '.join(unknown)}"] if unknown else []
+        state = f"{' and '.join(states)}. {RECOVER}" if states else "torque is OFF"
+        what = "rests, but torque off failed" if down else "was not lowered"
+        return self._post(f"{self._name} {what} ({brief(error)}): {state}", logging.WARNING)
+
+    def unrestored(self, names: Sequence[str]) -> None:
+        """Send the message that servos keep limits and speeds of this program."""
+        self._post(
+            f"{self._name}: the line did not let {', '.join(names)} have their earlier torque "
+            "limits and speeds back: switch the supply off and on before another program drives "
+            "them",
+            logging.WARNING,
         )
 
     def _post(self, text: str, level: int) -> str:
@@ -199,6 +219,8 @@ STIFFER, SOFTER = 2.5, 2.0
 MAX_SILENCE = 2.0
 #: Largest number of times that a descent is restarted because servos rejected its goals.
 MAX_RESTARTS = 2
+#: Time for which an arm that could give up its weight waits for joints whose torque is unknown [s].
+UNKNOWN_TIME = 20.0
 
 
 def descend(
@@ -213,6 +235,7 @@ def descend(
 
     Joints off the chain keep goal and limit until the arm rests. Single bus errors do not end the
     descent, but a silence of `MAX_SILENCE` does; the servos then keep their last goal and limit.
+    Joints give up the weight only when the torque of all joints is known.
 
     Args:
         io: Read and write access to the arm.
@@ -226,13 +249,20 @@ def descend(
 
     Raises:
         ServoError: The bus is gone; torque stays on.
-        ServoFaultError: Servos reject goals; torque stays on.
+        ServoFaultError: Servos reject goals, or the torque of a joint stays unknown; torque stays
+            on.
     """
     clock, model = io.clock, io.model
     # Disable the servos' watchdogs: after a trip, a servo would reject the goals of the descent.
     with contextlib.suppress(ServoError):
         io.set_watchdog(0.0)
     refused = 0
+
+    def resumed(lowering: Lowering) -> Lowering:
+        """Return a descent that starts from the present goals and limits."""
+        to = rest if lowering.phase == "rest" else None
+        return Lowering(model, io.servos, io.q, goal=io.goal, limit=io.limit, rest=to)
+
     lowering = Lowering(model, io.servos, io.q, goal=io.goal, limit=io.limit, rest=rest)
     before = deadline = heard = clock.now()
     while not is_aborted():
@@ -241,6 +271,8 @@ def descend(
         try:
             ok = io.sample()
             heard = now
+            if io.resume_silent():
+                lowering = resumed(lowering)
         except ServoError as error:
             if now - heard > MAX_SILENCE:
                 raise ServoError(
@@ -248,6 +280,11 @@ def descend(
                     "their last goal and limit; support the arm before you cut the supply"
                 ) from error
         order = lowering.step(io.q, ok, dt=now - before, age=io.delay(now))
+        if lowering.phase == "ramp" and io.torque_unknown.any():
+            _wait_for_silent(io, rate, is_aborted)
+            lowering = resumed(lowering)
+            before = deadline = heard = clock.now()
+            continue
         if order is None and not io.is_refused():
             return True
         if order is None:
@@ -267,6 +304,26 @@ def descend(
         before, deadline = now, max(deadline + 1.0 / rate, now)
         clock.wait_until(deadline)
     return False
+
+
+def _wait_for_silent(io: ArmIO, rate: float, is_aborted: Callable[[], bool]) -> None:
+    """Wait until a joint whose torque is unknown has answered, and take it over; send nothing.
+
+    Raises:
+        ServoFaultError: No such joint answered within `UNKNOWN_TIME`.
+    """
+    end = io.clock.now() + UNKNOWN_TIME
+    while io.clock.now() < end and not is_aborted():
+        with contextlib.suppress(ServoError):
+            io.sample()
+            if io.resume_silent():
+                return
+        io.clock.wait_until(io.clock.now() + 1.0 / rate)
+    if not is_aborted():
+        raise ServoFaultError(
+            f"no answer from {', '.join(io.unknown_joints())}, which may hold the arm up: torque "
+            "stays as it is"
+        )
 
 
 def hold_position(io: ArmIO) -> None:

@@ -118,8 +118,15 @@ def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
     if not differs.any():
         return None
     names = io.model.joint_names
-    found = [f"{names[i]} {ratio[i]:.2g} x" for i in np.flatnonzero(differs)]
-    return (
+    wrong = [names[i] for i in np.flatnonzero(differs & (ratio < 0.0))]
+    reversed_leads = (
+        f"{', '.join(wrong)} {'push' if len(wrong) > 1 else 'pushes'} opposite to what its weight "
+        "needs: check sign and zero of the servo, or a load or an object lifts the arm"
+    )
+    found = [f"{names[i]} {ratio[i]:.2g} x" for i in np.flatnonzero(differs & (ratio > 0.0))]
+    if not found:
+        return reversed_leads
+    return (f"{reversed_leads}; " if wrong else "") + (
         f"servos are stiffer or softer than their table, or weights differ from the model: "
         f"{', '.join(found)} the assumed k_p; forces are wrong by as much: "
         "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload tells of "

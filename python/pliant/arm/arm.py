@@ -250,7 +250,7 @@ class Arm:
             self._descend(self.rest_q)
             return
         target = posture(self.model, pose, "pose")
-        check_rest(self.model, self._points, target, self.table)
+        check_rest(self.model, self._points, target, self.table, name="pose")
         self._descend(target)
 
     def leave_enabled(self) -> None:
@@ -362,9 +362,14 @@ class Arm:
             is_answering = isinstance(error, ServoFaultError)
             is_unknown = isinstance(error, ServoError) and not is_answering and not down
             self._exit_message = messages.failed(
-                error, None if is_unknown else self._powered_joints()
+                error,
+                None if is_unknown else self._joints_where("enabled", True),
+                self._joints_where("torque_unknown", False),
+                down=down,
             )
             raise
+        if unrestored := self._joints_where("unrestored", False):
+            messages.unrestored(unrestored)
         self._is_unfinished = False
         if down:
             has_signal = self._signals is not None and self._signals.has_pending
@@ -378,14 +383,14 @@ class Arm:
         with contextlib.suppress(Exception):
             hold_position(self._io)
 
-    def _powered_joints(self) -> list[str]:
-        """Return the joints whose torque is on according to the drive.
+    def _joints_where(self, mask: str, default: bool) -> list[str]:
+        """Return the joints for which the drive's attribute `mask` is True.
 
-        If the drive does not report torque, return all joints.
+        `default` is the value for a drive that does not have this attribute.
         """
         names = self._io.joints.names
-        on = np.broadcast_to(getattr(self.drive, "enabled", True), len(names))
-        return [name for name, powered in zip(names, on, strict=True) if powered]
+        values = np.broadcast_to(getattr(self.drive, mask, default), len(names))
+        return [name for name, value in zip(names, values, strict=True) if value]
 
     def _exit_messages(self, cause: str | None) -> ExitMessages:
         return ExitMessages(self.model.name, self._io, cause)

@@ -69,6 +69,9 @@ class Device:
         wraparound: Counts per turn after which positions wrap around; None if they do not.
         enabled: True if this program switched the torque on, or took over a servo with torque on.
         torque_on: True if torque was on at the last reading of Torque Enable.
+        torque_unknown: True if torque may be on, because the servo has not answered since a program
+            ended, or has not confirmed that torque is off.
+        is_unrestored: True if registers may not have their `initial_values` after torque off.
         goal, limit: Goal and limit register as last written; goal is None before the first write.
         voltage, temperature: Supply voltage [V] and temperature [°C] as last read.
         limit_read: Limit register as last read.
@@ -103,7 +106,8 @@ class Device:
         self.overload: float | None = self.row.overload
         self.min_voltage, self._last_good_voltage = 0.0, 0.0
         self.alerts = 0
-        self.enabled = self.torque_on = False
+        self.enabled = self.torque_on = self.torque_unknown = False
+        self.is_unrestored = False
         self.goal: int | None = None
         self.limit = 0
         self.voltage: float | None = None
@@ -303,7 +307,7 @@ class Device:
         if "goal" in values and self.goal is not None:
             self._compare("goal", values["goal"], self.goal, time)
         if "torque_enable" in values:
-            self.torque_on = bool(values["torque_enable"])
+            self.torque_on, self.torque_unknown = bool(values["torque_enable"]), False
             went_off = (self.enabled or "torque" in self.other_faults) and not self.torque_on
             if went_off or self.other_faults:
                 self.fault("torque", went_off, "its torque went off by itself")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-import warnings
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from pliant._core import ServoError, ServoFaultError
@@ -30,14 +30,16 @@ MAX_START_ERROR = 0.15
 MAX_SENDS, MAX_DRIFT = 5, 0.01
 #: Time within which a servo must answer after a reboot [s].
 REBOOT = 2.0
-#: Time within which each servo must answer after its program has ended [s].
-RESUME_TIME = 1.0
+#: Time without a new answer after which `ServoBus.reopen` waits no longer for silent servos [s].
+RESUME_TIME = 3.0
 #: Registers that are read and checked before torque is switched on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
 #: Number of torque-off packets to send to a servo that does not reply, and largest number of
 #: attempts to send them; an attempt fails while the line is noisy.
 OFF_PACKETS, OFF_TRIES = 3, 30
 MAY_BE_ON = "torque may still be on: "
+#: Text about servos whose registers could not be restored after torque off.
+KEPT = "torque limits and speeds are pliant's until the supply is switched off and on"
 
 
 def enable(
@@ -102,24 +104,34 @@ def enable(
                 device.enabled = device.torque_on = True
             raise
         left = [why for device in switched if (why := _try_off(device, ports))]
-        if left and is_sent and isinstance(error, ServoError):
-            raise ServoError(
-                f"{error}\n{MAY_BE_ON}{'; '.join(left)}\nsupport the arm and cut the supply"
-            ) from error
-        raise
+        if not (switched and is_sent and isinstance(error, ServoError)):
+            raise
+        if left:
+            state = f"{MAY_BE_ON}{'; '.join(left)}\nsupport the arm and cut the supply"
+        else:
+            names = ", ".join(device.name for device in switched)
+            where = "all joints" if len(switched) == len(devices) else names
+            state = f"torque is OFF again in {where}: what it carried falls"
+        kept = [device.name for device in switched if device.is_unrestored]
+        if kept:
+            state += f"\n{', '.join(kept)}: {KEPT}"
+        raise ServoError(f"{error}\n{state}") from error
     for device in devices:
         device.enabled = device.torque_on = True
 
 
-def resume(devices: Sequence[Device], ports: Ports, budget: float) -> list[Device]:
+def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: float) -> list[Device]:
     """Read the servos of a program that has ended, and drive those whose torque is on.
 
-    A servo that does not answer within `RESUME_TIME` keeps goal and limit, and gets no goals.
+    Each servo is asked until it answers, or until no servo has answered for the time `patience`. A
+    servo that does not answer keeps goal and limit, and gets no goals.
 
     Args:
         devices: The servos.
         ports: Port of each servo.
         budget: Time for each try of a servo [s].
+        patience: Time without an answer after which no servo is asked again [s]; 0: each servo is
+            asked once.
 
     Returns:
         Servos that did not answer; their torque may be on.
@@ -129,8 +141,8 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float) -> list[Devic
     """
     pending = list(devices)
     for device in devices:
-        device.enabled = False
-    deadline = time.monotonic() + RESUME_TIME
+        device.enabled, device.torque_unknown = False, True
+    deadline = time.monotonic() + patience
     while pending:
         silent = []
         for device in pending:
@@ -145,8 +157,10 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float) -> list[Devic
                 silent.append(device)
                 continue
             device.enabled = device.torque_on = bool(image["torque_enable"])
+            device.torque_unknown = False
             device.limit = image["limit"]
             device.record_sent(image["goal"], image["limit"])
+            deadline = time.monotonic() + patience
         pending = silent
         if time.monotonic() > deadline:
             break
@@ -235,7 +249,6 @@ def _send_first_command(
         + ", ".join(
             f"{n} reads {found[n]}, written was {expected_values[n]}" for n in wrong or ["goal"]
         )
-        + "; nothing stays switched on"
     )
 
 
@@ -281,7 +294,7 @@ def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
     """
     image = _image(device, ports, "torque_enable", "position")
     if not image["torque_enable"]:
-        raise ServoError(f"{device.name} did not switch its torque on; all are off again")
+        raise ServoError(f"{device.name} did not switch its torque on")
     moved = abs(image["position"] - before["position"]) * device.units.count
     passed = image.time - before.time
     fall = 2.0 * abs(device.units.velocity(before["speed"])) * passed
@@ -290,7 +303,7 @@ def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
     sag = device.units.torque(device.limit) / kp
     if moved > MAX_MOTION + fall + sag:
         raise ServoError(
-            f"{device.name} moved by {moved:.2f} rad as its torque came on; all are off again. "
+            f"{device.name} moved by {moved:.2f} rad as its torque came on. "
             "A limit below what carries its weight lets it sink, a wrong Homing Offset lets it jump"
         )
 
@@ -346,22 +359,17 @@ def _try_off(device: Device, ports: Ports) -> str | None:
     device.accept_any_position()
     for key in ("torque", "limit", "goal"):
         device.other_faults.pop(key, None)
+    device.torque_unknown = device.is_unrestored = True
     try:
         _set(device, ports, "torque_enable", 0)
     except BusError as error:
         return str(error)
     except ServoError as error:
         return f"{error}{_send_off_blindly(device, ports)}"
-    device.torque_on = False
-    try:
+    device.torque_on = device.torque_unknown = False
+    with suppress(ServoError):
         _restore_registers(device, ports)
-    except ServoError as error:
-        warnings.warn(
-            f"torque is off, but {device.name} keeps limits of ours until its power is cut: "
-            f"{error}",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+        device.is_unrestored = False
     return None
 
 

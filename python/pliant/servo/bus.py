@@ -126,6 +126,8 @@ class ServoBus:
         self._reply_timeout_min = check_reply_timeout(reply_timeout_min)
         self._budget = max(BUDGET * self._cycle, BUDGET * self._reply_timeout_min)
         self._transport, self.clock = transport, clock
+        #: Servos that `reopen` has not reached yet.
+        self._silent: list[Device] = []
         self._reset()
         self._port_of: dict[int, Port] = {}
         self._ports: list[Port] = []
@@ -196,6 +198,9 @@ class ServoBus:
         sends goals to the servos whose torque is on. Torque does not change, and `disable`
         restores the registers that the ended program found.
 
+        A servo that does not answer counts as `enabled`. Called again while the ports are open,
+        this method asks only these servos, once each.
+
         Returns:
             Goals [rad] and torque limits [N·m] (n,) in the servos; NaN for a joint without torque
             or without an answer.
@@ -204,6 +209,9 @@ class ServoBus:
             ServoError: A port cannot be opened, for example because a program still uses it; or
                 servos do not answer, and no other has torque.
         """
+        if self._ports:
+            self._silent = sequences.resume(self._silent, self._port_of, self._budget, 0.0)
+            return self._commands()
         self._attach()
         try:
             for path, (response_delay, latency) in self._timing.items():
@@ -214,14 +222,20 @@ class ServoBus:
                 port.guard.find_unused_id({device.id for device in port.devices}, port.highest)
             if len(self._ports) > 1:
                 self._pool = ThreadPoolExecutor(len(self._ports), "pliant-bus")
-            silent = sequences.resume(self._devices, self._port_of, self._budget)
-            if silent and not any(device.enabled for device in self._devices):
+            self._silent = sequences.resume(
+                self._devices, self._port_of, self._budget, sequences.RESUME_TIME
+            )
+            if self._silent and not any(device.enabled for device in self._devices):
                 # Unknown is not off: switching them off would drop the arm.
-                names = ", ".join(device.name for device in silent)
+                names = ", ".join(device.name for device in self._silent)
                 raise ServoError(f"no answer from {names}: torque may be on")
         except BaseException:
             self.close()
             raise
+        return self._commands()
+
+    def _commands(self) -> tuple[Array, Array]:
+        """Return goals [rad] and limits [N·m] (n,) last written; NaN for joints not driven."""
         goals, limits = np.full(self.n, np.nan), np.full(self.n, np.nan)
         for i, joint in enumerate(self._joints):
             if all(device.enabled for device in joint):
@@ -327,8 +341,33 @@ class ServoBus:
 
     @property
     def enabled(self) -> Mask:
-        """Mask (n,) of joints with torque on, switched on by this program or before open."""
-        return np.array([all(d.enabled or d.torque_on for d in joint) for joint in self._joints])
+        """Mask (n,) of joints with torque on, switched on by this program or before open.
+
+        A servo whose torque is unknown counts as on.
+        """
+        return np.array(
+            [
+                all(d.enabled or d.torque_on or d.torque_unknown for d in joint)
+                for joint in self._joints
+            ]
+        )
+
+    @property
+    def torque_unknown(self) -> Mask:
+        """Mask (n,) of joints whose torque is unknown.
+
+        A servo has not answered since the end of the program that used it, or has not confirmed
+        that its torque is off.
+        """
+        return np.array([any(d.torque_unknown for d in joint) for joint in self._joints])
+
+    @property
+    def unrestored(self) -> Mask:
+        """Mask (n,) of joints whose RAM registers were not restored at torque off.
+
+        They keep the torque limits and speeds of this program until the supply is cut.
+        """
+        return np.array([any(d.is_unrestored for d in joint) for joint in self._joints])
 
     @property
     def orders(self) -> tuple[Array, Array]:
@@ -454,6 +493,8 @@ class ServoBus:
     def disable(self, names: Sequence[str] | None = None) -> None:
         """Switch torque off, by default of all joints; all are tried even if one fails.
 
+        RAM registers get their initial values again; `unrestored` tells where this failed.
+
         Raises:
             ServoError: Joints did not confirm that torque is off; the message names them.
         """
@@ -518,6 +559,7 @@ class ServoBus:
         ]
         self._devices = [device for joint in self._joints for device in joint]
         self._doubled = [joint for joint in self._joints if len(joint) > 1]
+        self._silent = []
         self._poller = StatusPoller(self._joints)
         self._counters: list[Counters] = []
         self._attach()
