@@ -74,7 +74,7 @@ def check_same_robot(model: Model, arm: Model) -> None:
         return
     raise ConfigError(
         f"the controller is made for {model.name}, the arm is {arm.name} ({which}): make the "
-        "controller with arm.model"
+        "controller with the model of the arm"
     )
 
 
