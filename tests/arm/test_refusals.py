@@ -145,3 +145,9 @@ def test_a_controller_with_another_tip_mass_or_range_is_accepted(make):
     ):
         model = pliant.Model.from_urdf_str(changed, **{**options, **other})
         pliant.Loop(arm, pliant.Controller(model, pliant.Settings(task="xyz")))
+
+
+@pytest.mark.parametrize("patience", [np.nan, -1.0, 0.0, "x"])
+def test_a_patience_that_is_no_time_is_refused(make, patience):
+    with pytest.raises(pliant.ConfigError, match=r"patience must be .*, got"):
+        make().supervised(patience)
