@@ -178,6 +178,11 @@ def test_a_configuration_that_is_nested_too_deeply(text):
         config.parse(text, source="arm.toml")
 
 
+def test_a_number_of_too_many_digits_in_a_configuration():
+    with pytest.raises(pliant.ConfigError, match=r"arm\.toml is no TOML: .*digits"):
+        config.parse("a = " + "9" * 5000, source="arm.toml")
+
+
 @settings(max_examples=150, deadline=None)
 @given(
     st.one_of(

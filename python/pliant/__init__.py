@@ -134,7 +134,12 @@ def __getattr__(name: str) -> Any:
     if name in _NAMES:
         return getattr(importlib.import_module(_NAMES[name]), name)
     if name in _PARTS:
-        return importlib.import_module(f"pliant.{name}")
+        try:
+            return importlib.import_module(f"pliant.{name}")
+        except ImportError as error:
+            # `hasattr` and `inspect` expect this class. `from pliant import NAME` imports again
+            # and raises the `ImportError`.
+            raise AttributeError(str(error)) from error
     raise AttributeError(f"module 'pliant' has no attribute {name!r}")
 
 

@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pliant._core import Command, ConfigError, ServoError, ServoFaultError, ServoTimeoutError
+from pliant._core import (
+    Command,
+    ConfigError,
+    Model,
+    ServoError,
+    ServoFaultError,
+    ServoTimeoutError,
+)
 from pliant._priority import check_real_time_priority, real_time_priority
 from pliant._validation import format_value, real
-from pliant.arm._checks import vector
+from pliant.arm._checks import check_same_robot, vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -243,10 +250,11 @@ class Loop:
             goals computed from them [s]; None before the first 50 commands.
 
     Raises:
-        TypeError: `arm` is not an arm, or `controller` has no `reset`.
-        ConfigError: The rate is below 1 Hz, or its period is not a multiple of a simulated arm's
-            period; or a time is negative or not a number; or the priority is out of range. While
-            iterating: the system does not permit the priority.
+        TypeError: `arm` is not an arm, `controller` has no `reset`, or `recorder` is no recorder.
+        ConfigError: The controller's model is of another robot than the arm's (masses, limits,
+            payload, gravity, base and tip may differ). The rate is below 1 Hz, or its period is
+            not a multiple of a simulated arm's period; or a time is negative or not a number; or
+            the priority is out of range. While iterating: the system does not permit the priority.
         ServoTimeoutError: While looping: positions or commands are missing, or the program stalled.
         ServoFaultError: While looping: a servo reports a fault, or is too hot.
 
@@ -278,6 +286,16 @@ class Loop:
                 f"controller must be a Controller, or have reset(q), or be None, got "
                 f"{format_value(controller)}"
             )
+        # `HandGuiding` has a model too, but no public one.
+        model = getattr(controller, "model", getattr(controller, "_model", None))
+        if isinstance(model, Model):
+            check_same_robot(model, arm.model)
+        for name in ("start", "add", "close") if recorder is not None else ():
+            if not callable(getattr(recorder, name, None)):
+                raise TypeError(
+                    "recorder must be a pliant.log.Recorder, or have start, add and close, or be "
+                    f"None, got {format_value(recorder)}"
+                )
         default_rate = getattr(getattr(controller, "settings", None), "rate", arm.rate)
         rate = real(default_rate if rate is None else rate, "rate")
         if not LOWEST <= rate < math.inf:

@@ -3,6 +3,7 @@
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import textwrap
 import time
@@ -74,6 +75,7 @@ except pliant.ServoError as error:
 print(arm._guardian and arm._guardian.pid, flush=True)
 {action}
 """
+CONFIGURATION = pliant.config.loader.builtin_text("so101") + "\n[loop]\nreply_timeout_min = 0.05\n"
 #: Program that holds its pose until it is ended.
 HOLD = """
 for tick in pliant.Loop(arm):
@@ -94,9 +96,7 @@ def bus():
 def begin(bus, tmp_path):
     """Start a program on the bus with this code, and return it with the id of its guardian."""
     file, begun = tmp_path / "arm.toml", ExitStack()
-    file.write_text(
-        pliant.config.loader.builtin_text("so101") + "\n[loop]\nreply_timeout_min = 0.05\n"
-    )
+    file.write_text(CONFIGURATION)
 
     def start(action, **options):
         words = "".join(f", {name}={value!r}" for name, value in options.items())
@@ -127,6 +127,24 @@ def test_a_program_that_lowers_its_arm_leaves_nothing_behind(bus, begin):
     assert not is_running(pid)
     assert not bus.call("recorder.has_torque")
     assert "guardian" not in complained
+
+
+def test_a_program_without_standard_streams_has_a_guardian(bus, tmp_path):
+    file, result = tmp_path / "arm.toml", tmp_path / "result"
+    file.write_text(f"{CONFIGURATION}comm_timeout = 10.0\n")
+    code = f"""
+import pathlib, pliant
+try:
+    with pliant.connect({str(file)!r}, port={bus.port!r}) as arm:
+        text = f"{{arm.enabled}} {{arm._guardian is not None}}"
+except pliant.PliantError as error:
+    text = repr(error)
+pathlib.Path({str(result)!r}).write_text(text)
+"""
+    shell = ("/bin/sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh")
+    ended = subprocess.run([*shell, sys.executable, "-c", code], timeout=100, check=False)
+    assert (ended.returncode, result.read_text()) == (0, "True True")
+    assert not bus.call("recorder.has_torque")
 
 
 def test_torque_left_on_deliberately_stays_on_and_the_next_program_takes_over(bus, begin):

@@ -60,6 +60,7 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
             r"grippers\['a'\] must be a GripperConfig, .*got 5",
         ),
         (lambda: pliant.Loop(make(), 5), TypeError, r"controller must be .*got 5 \(int\)"),
+        (lambda: pliant.Loop(make(), recorder=5), TypeError, r"recorder must be .*got 5 \(int\)"),
     ):
         with pytest.raises(error, match=said):
             wrong()
@@ -115,3 +116,38 @@ def test_an_argument_of_another_kind_is_named(make, grasp):
 def test_times_that_would_keep_an_arm_up_for_ever_are_refused(make, option, value, said):
     with pytest.raises(pliant.ConfigError, match=said):
         make(**{option: value})
+
+
+@pytest.mark.parametrize("make_controller", [pliant.Controller, pliant.HandGuiding])
+def test_a_controller_of_another_robot_is_refused(make, make_controller):
+    arm = make(q=None, robot="so101")
+    settings = (pliant.Settings(task="xyz"),) if make_controller is pliant.Controller else ()
+    stranger = pliant.robots.koch()
+    assert stranger.joint_names == arm.model.joint_names
+    for model, said in (
+        (stranger, "made for koch_like, the arm is so101_like .joint shoulder_pan has another"),
+        (pliant.robots.arm7(), "made for .*, the arm is so101_like .joints .*, not shoulder_pan"),
+    ):
+        controller = make_controller(model, *settings)
+        with pytest.raises(pliant.ConfigError, match=said):
+            pliant.Loop(arm, controller)
+
+
+def test_a_controller_with_another_tip_mass_or_range_is_accepted(make):
+    arm = make(q=None, robot="so101")
+    text, options = arm.model.source
+    low, high = arm.model.lower[0] + 0.1, arm.model.upper[0]
+    for changed, other in (
+        (text, {"tip": arm.model.links[5].name}),
+        (text, {"payload": pliant.Payload(0.05)}),
+        (text, {"limits": {"shoulder_pan": (low, high)}}),
+        (text.replace('<mass value="0.', '<mass value="0.1'), {}),
+    ):
+        model = pliant.Model.from_urdf_str(changed, **{**options, **other})
+        pliant.Loop(arm, pliant.Controller(model, pliant.Settings(task="xyz")))
+
+
+@pytest.mark.parametrize("patience", [np.nan, -1.0, 0.0, "x"])
+def test_a_patience_that_is_no_time_is_refused(make, patience):
+    with pytest.raises(pliant.ConfigError, match=r"patience must be .*, got"):
+        make().supervised(patience)

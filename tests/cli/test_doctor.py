@@ -119,3 +119,24 @@ def test_it_ends_with_the_number_of_problems(count, said, monkeypatch, capsys):
     monkeypatch.setattr(doctor, "examine", lambda _: [Diagnosis("good", "file", "read"), *found])
     assert main(["servos", "doctor", "so101", "--backend", "sim"]) == 2
     assert capsys.readouterr().err == f"error: not ready: {said}\n"
+
+
+@pytest.mark.parametrize(
+    ("supply", "said"),
+    [
+        (
+            "voltage = 11.1",
+            "supply.voltage: XL330-M288 of elbow_flex takes 3.7 to 6 V, got 11.1 V; leave it out",
+        ),
+        ("current = 4.0", "supply.current: the currents of .*STS3215-7.4V.*; leave it out"),
+    ],
+)
+def test_a_supply_that_does_not_fit_the_servos_is_named(supply, said, tmp_path, capsys):
+    name = "koch" if "voltage" in supply else "so100"
+    text = re.sub(r"(?s)\[supply\]\n.*?\n\n", "", config.loader.builtin_text(name))
+    file = tmp_path / "arm.toml"
+    file.write_text(f"{text}\n[supply]\n{supply}\n")
+    assert main(["servos", "doctor", str(file)]) == 2
+    assert re.search(said, " ".join(capsys.readouterr().err.split()))
+    if "current" in supply:
+        assert config.load(file, backend="sim").supply.current == 4.0

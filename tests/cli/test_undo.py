@@ -1,8 +1,10 @@
 """`pliant servos setup --undo`: a backup of another arm is rejected before any write."""
 
+import errno
 import io
 import json
 import shlex
+from pathlib import Path
 
 import pytest
 
@@ -141,3 +143,21 @@ def test_a_backup_of_another_arm_or_a_register_twice(done, capsys):
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 2
     assert "holds the old values of left.toml, not of" in capsys.readouterr().err
     assert not bus.log.eeprom_writes()
+
+
+def test_a_full_disk_leaves_no_backup_and_no_change(arm, capsys, monkeypatch):
+    bus, file, backup = arm
+    write = Path.write_text
+
+    def write_the_start(path, text, **options):
+        write(path, text[:10], **options)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    bus.log.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", write_the_start)
+        words = ["servos", "setup", str(file), "--port", bus.port, "--yes"]
+        assert main([*words, "--backup", str(backup)]) == 2
+    assert f"No space left on device: '{backup}'" in capsys.readouterr().err
+    assert list(backup.parent.iterdir()) == [file]
+    assert bus.log.eeprom_writes() == []

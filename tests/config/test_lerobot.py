@@ -24,6 +24,8 @@ def test_a_file_is_read_as_it_is(tmp_path):
         ({**MOTOR, "id": "one"}, r"shoulder_pan\.id is a whole number, got 'one'"),
         ({**MOTOR, "id": True}, r"shoulder_pan\.id is a whole number"),
         ({**MOTOR, "range_min": 3100}, "empty range"),
+        ({**MOTOR, "range_min": 3099}, "empty range, 3099 to 3100 counts"),
+        ({**MOTOR, "drive_mode": 7}, "drive_mode is 0 or 1, got 7"),
         ([], "is no table"),
     ],
 )

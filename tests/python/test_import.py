@@ -76,3 +76,17 @@ def test_parts_are_loaded_when_named():
     ]
     with pytest.raises(AttributeError, match="module 'pliant' has no attribute 'robot'"):
         _ = pliant.robot
+
+
+def test_a_part_without_its_extra_is_an_attribute_that_is_missing():
+    code = """
+import sys
+sys.modules["gymnasium"] = None
+import inspect, pliant
+print(hasattr(pliant, "gym"), len(inspect.getmembers(pliant)) > 20)
+try: pliant.gym
+except AttributeError as error: print("pliant[gym]" in str(error))
+try: from pliant import gym
+except ImportError as error: print("pliant[gym]" in str(error))
+"""
+    assert run(code) == ["False", "True", "True", "True"]

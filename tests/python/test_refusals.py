@@ -47,6 +47,13 @@ def test_a_place_in_millimetres_is_no_place(model, q, target, axis):
     assert np.isfinite(controller.step(q, lone).goal).all()
 
 
+def test_a_pose_with_a_wrong_last_row_is_no_posture(model, target):
+    controller = pliant.Controller(model)
+    target[3, 0] = 1.0
+    said = "last row of a 4×4 pose must be 0 0 0 1, got 1 0 0 1"
+    assert refused(controller.check, target) == f"path_or_pose: {said}"
+
+
 def test_what_is_not_a_number_is_said_plainly(model, q, target):
     lost = np.where(np.arange(7) == 2, np.nan, q)
     name = model.joint_names[2]

@@ -16,7 +16,7 @@ specs = st.builds(
     id=st.just(1),
     port=st.just("port"),
     sign=st.sampled_from([-1, 1]),
-    zero=st.one_of(st.none(), st.floats(0, 4095)),
+    zero=st.one_of(st.none(), st.floats(0, 1023)),
     gear_ratio=st.floats(0.2, 5.0),
     secondary=st.sampled_from([None, (2, 1), (2, -1)]),
     torque_offset=st.floats(0.0, 0.3),
@@ -139,3 +139,23 @@ def test_signs_of_registers():
     assert twos.decode(twos.encode(-4096)) == -4096
     sts = get_model("STS3215-7.4V").family.registers["goal"]
     assert sts.encode(-1) == b"\x01\x80"
+
+
+@pytest.mark.parametrize(
+    ("zero", "gear_ratio", "is_valid"),
+    [
+        (-4096, 1.0, True),
+        (8191, 1.0, True),
+        (8192, 1.0, False),
+        (99999, 1.0, False),
+        (8192, 2.0, True),
+        (math.nan, 1.0, False),
+    ],
+)
+def test_a_zero_lies_within_a_turn_of_the_encoder(zero, gear_ratio, is_valid):
+    options = {"name": "j", "model": "STS3215-7.4V", "id": 1, "port": ""}
+    if is_valid:
+        assert ServoSpec(**options, zero=zero, gear_ratio=gear_ratio).zero == zero
+        return
+    with pytest.raises(ConfigError, match=r"j: zero is a count of STS3215.* -4096 to 8191"):
+        ServoSpec(**options, zero=zero, gear_ratio=gear_ratio)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from pliant._core import ArmPoints, Model
+    from pliant._core import ArmPoints, Joint, Model
     from pliant._typing import Array
 
 
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 SLACK = 0.1
 #: Largest accepted value of the argument `comm_timeout` [s].
 MAX_COMM_TIMEOUT = 60.0
+#: Differences in a joint's placement [m] and orientation [rad] up to which two models are of the
+#: same robot: those of a measured arm and its drawing.
+MAX_SHIFT, MAX_TURN = 0.005, 0.05
 
 
 def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
@@ -50,6 +53,48 @@ def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) ->
     if finite and not np.isfinite(array).all():
         raise OutOfRangeError(f"{name} is not finite, nothing was sent: {array.tolist()}")
     return array
+
+
+def check_same_robot(model: Model, arm: Model) -> None:
+    """Check that a controller's model is of the same robot as the model of the arm.
+
+    The names, types, placements and axes of the chain's joints are compared. Masses, limits,
+    payload, gravity, base and tip may differ.
+
+    Raises:
+        ConfigError: The model is of another robot.
+    """
+    if model is arm:
+        return
+    if model.joint_names != arm.joint_names:
+        which = f"joints {', '.join(model.joint_names)}, not {', '.join(arm.joint_names)}"
+    elif (joint := _moved_joint(model, arm)) is not None:
+        which = f"joint {joint} has another place, axis or type"
+    else:
+        return
+    raise ConfigError(
+        f"the controller is made for {model.name}, the arm is {arm.name} ({which}): make the "
+        "controller with the model of the arm"
+    )
+
+
+def _moved_joint(model: Model, other: Model) -> str | None:
+    """Return the first joint of the chain that moves otherwise than in another model, else None."""
+    for one, same in zip(_chain(model), _chain(other), strict=True):
+        if one.kind != same.kind:
+            return one.name
+        if not np.allclose(one.axis, same.axis, rtol=0.0, atol=MAX_TURN):
+            return one.name
+        moved = np.asarray(one.origin.matrix) - np.asarray(same.origin.matrix)
+        if np.abs(moved[:3, 3]).max() > MAX_SHIFT or np.abs(moved[:3, :3]).max() > MAX_TURN:
+            return one.name
+    return None
+
+
+def _chain(model: Model) -> list[Joint]:
+    """Return the independent joints of the chain in the order of `Model.joint_names`."""
+    joints = {joint.name: joint for joint in model.joints}
+    return [joints[name] for name in model.joint_names]
 
 
 def times(rate: float, comm_timeout: float, watchdog: float) -> tuple[float, float, float]:

@@ -49,23 +49,23 @@ class Guardian:
         Raises:
             OSError: The system does not start it.
         """
-        number = _shared_memory()
-        ours, theirs = socket.socketpair()
+        number = _above_standard(_shared_memory())
+        ours, theirs = (_above_standard(end.detach()) for end in socket.socketpair())
         try:
             heartbeat = memoryview(mmap.mmap(number, SIZE)).cast("d")
-            words = (os.getpid(), theirs.fileno(), number)
+            words = (os.getpid(), theirs, number)
             self._process = subprocess.Popen(
                 # -P: do not import modules from the working directory.
                 [_executable(), "-P", "-m", "pliant.arm._guardian_process", *map(str, words)],
-                pass_fds=(theirs.fileno(), number),
+                pass_fds=(theirs, number),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,
             )
         finally:
-            theirs.close()
+            os.close(theirs)
             os.close(number)
-        self._line = Connection(ours.detach())
+        self._line = Connection(ours)
         self._supervisor, supervisor.heartbeat = supervisor, heartbeat
         self._drive: Drive | None = None
         _running.add(self)
@@ -182,6 +182,22 @@ def is_available(drive: Drive) -> bool:
 def _executable() -> str:
     """Return the path of the interpreter, as `multiprocessing.set_executable` may have set it."""
     return os.fsdecode(spawn.get_executable() or sys.executable)
+
+
+def _above_standard(number: int) -> int:
+    """Return a descriptor of the same file above those of the standard streams; close `number`.
+
+    A program with closed standard streams gets their descriptors for the files that it opens. The
+    guardian process has streams there.
+    """
+    from fcntl import F_DUPFD_CLOEXEC, fcntl  # not on Windows, where there is no guardian
+
+    if number > 2:
+        return number
+    try:
+        return fcntl(number, F_DUPFD_CLOEXEC, 3)
+    finally:
+        os.close(number)
 
 
 def _shared_memory() -> int:

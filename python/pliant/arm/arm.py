@@ -578,9 +578,15 @@ class Arm:
         The thread performs `on_exit` after `patience` [s] without a read or write. In simulated
         time there is no such thread. The context yields a function that raises `ServoTimeoutError`
         after the thread has performed `on_exit`. `Loop` uses this context.
+
+        Raises:
+            ConfigError: `patience` is not a number above 0.
         """
-        real = getattr(self.clock, "real_time", False)
-        return self._supervisor.supervised(patience if real else None)
+        seconds = real(patience, "patience")
+        if not seconds > 0.0:
+            raise ConfigError(f"patience must be above 0 s, got {patience!r}")
+        real_time = getattr(self.clock, "real_time", False)
+        return self._supervisor.supervised(seconds if real_time else None)
 
     def ramp_limits(self) -> None:
         """Bound torque limits for 0.5 s by a ramp from holding torques to usable torques.

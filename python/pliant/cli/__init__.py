@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import difflib
+import io
 import logging
 import os
 import sys
@@ -95,6 +97,7 @@ def program(
 
 def _guarded(call: Callable[[], int]) -> int:
     """Call a function and flush the output; return its exit code, or that of a closed pipe."""
+    _prepare_streams()
     try:
         return call()
     except BrokenPipeError:  # `pliant … | head`: the reader has closed the pipe
@@ -219,6 +222,20 @@ def _signal_exit_code(error: BaseException) -> int | None:
 
     number = signal_of(error)
     return None if number is None else 128 + number
+
+
+def _prepare_streams() -> None:
+    """Open closed standard streams on the null device; let output replace unknown characters.
+
+    Without a stream, its descriptor would be that of the next file which the command opens.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        # A locale such as C has no µ; its "surrogateescape" does not encode it either.
+        if isinstance(stream, io.TextIOWrapper) and codecs.lookup(stream.encoding).name != "utf-8":
+            stream.reconfigure(errors="replace")
 
 
 def _flush_output() -> None:

@@ -23,6 +23,8 @@ __all__ = ["Calibration", "find_calibration", "read_calibration"]
 SHOWN = 6
 #: Largest register value of a servo: four bytes, signed.
 LARGEST = 2**31 - 1
+#: Smallest range of a joint that was moved from end to end [counts]: about 1° of a 12-bit encoder.
+SMALLEST_RANGE = 12
 _FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
@@ -86,7 +88,9 @@ def _motor(file: Path, name: str, entry: object) -> Calibration:
                 f"{str(entry[key])[:SHOWN]}… of {len(str(abs(entry[key])))} digits"
             )
     out = Calibration(**{key: entry[key] for key in _FIELDS})
-    if out.range_min >= out.range_max:
+    if out.drive_mode not in {0, 1}:
+        raise ConfigError(f"{file}: {name}.drive_mode is 0 or 1, got {out.drive_mode}")
+    if out.range_max - out.range_min < SMALLEST_RANGE:
         raise ConfigError(
             f"{file}: {name} has an empty range, {out.range_min} to {out.range_max} counts: "
             "calibrate it again, moving the joint from end to end"

@@ -154,6 +154,8 @@ def parse(
         raise ConfigError(f"{source} is no TOML: {cause}") from error
     except RecursionError as error:
         raise ConfigError(f"{source} is no TOML: it is nested too deeply") from error
+    except ValueError as error:  # an integer of more digits than Python reads
+        raise ConfigError(f"{source} is no TOML: {error}") from error
     _override(table, source, **overrides)
     try:
         config = Config.model_validate(table)

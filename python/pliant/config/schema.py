@@ -246,7 +246,9 @@ class Supply(StrictModel):
 
     Attributes:
         voltage: Nominal voltage [V] for simulated and emulated servos; real servos measure it.
-        current: Largest current of the supply [A]; None: no limit.
+            None: the rated voltage of each model.
+        current: Largest current of the supply [A]; None: no limit. Only for servos whose stall
+            current is known: those that limit the current.
     """
 
     voltage: Positive | None = None
@@ -375,7 +377,7 @@ def check_tables(config: Config) -> None:
     Raises:
         ValueError: The tables contradict each other; the message has one line per error.
     """
-    wrong = [*_ports(config), *_ids(config)]
+    wrong = [*_ports(config), *_ids(config), *_supply(config)]
     if config.backend != "sim" and not config.servo:
         wrong.append(f"servo is missing: backend {config.backend!r} needs a servo for every joint")
     if wrong:
@@ -404,6 +406,29 @@ def _ids(config: Config) -> list[str]:
                     f"{servo.port!r}; every servo on a port needs an id of its own"
                 )
     return list(dict.fromkeys(out))
+
+
+def _supply(config: Config) -> list[str]:
+    volts, out = config.supply.voltage, []
+    unknown: list[str] = []
+    for joint, servo in servos(config).items():
+        row = get_model(servo.model)
+        low, high = servo.voltage or row.voltage
+        if volts is not None and not low <= volts <= high:
+            out.append(
+                f"supply.voltage: {servo.model} of {joint} takes {low:g} to {high:g} V, got "
+                f"{volts:g} V; leave it out if the servos have different supplies: each model then "
+                "has its rated voltage"
+            )
+        if not math.isfinite(row.stall_current):
+            unknown.append(f"{joint} ({servo.model})")
+    # Backend "sim" does not simulate servo currents, so the supply current has no limit.
+    if config.supply.current is not None and config.backend != "sim" and unknown:
+        out.append(
+            f"supply.current: the currents of {', '.join(unknown)} at stall are not known, so the "
+            "current of the supply cannot be kept; leave it out"
+        )
+    return out
 
 
 def servos(config: Config) -> dict[str, Servo]:

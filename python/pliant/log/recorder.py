@@ -16,6 +16,7 @@ from pliant._child import child_options
 from pliant._core import ConfigError, Controller, __version__
 from pliant._files import check_output
 from pliant._validation import format_value, instance
+from pliant.arm._checks import check_same_robot
 from pliant.log import frames, layout, serialization
 from pliant.log.journal import Journal
 
@@ -100,8 +101,8 @@ class Recorder:
                 "the controller has made steps that the log would lack: give the recorder to the "
                 "loop in which it makes its first one, or make a new controller"
             )
-        if controller is not None and controller.model.joint_names != arm.model.joint_names:
-            raise ConfigError("the controller is that of another arm")
+        if controller is not None:
+            check_same_robot(controller.model, arm.model)
         self._extra = tuple(arm.grippers)
         self._counters: Callable[[], dict[str, int]] = lambda: arm.counters
         axes = None if controller is None else controller.settings.task.names

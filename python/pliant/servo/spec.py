@@ -93,7 +93,8 @@ class ServoSpec:
         id: Id on the bus.
         port: Serial port, e.g. ``/dev/ttyUSB0``.
         sign: +1 if counts rise with the joint angle, else -1.
-        zero: Count at joint angle 0, may be fractional; None: the middle of the servo's range.
+        zero: Count at joint angle 0, may be fractional, at most a turn of the joint outside the
+            encoder's counts; None: the middle of the servo's range.
         gear_ratio: Turns of the servo per turn of the joint, above 0.
         secondary: Id and sign of a second servo on the same joint. The zero of that servo is
             computed at open from the first servo, because the joint couples both.
@@ -147,8 +148,8 @@ class ServoSpec:
             raise ConfigError(f"{self.name}: a sign is +1 or -1, got {signs}")
         if not (np.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
             raise ConfigError(f"{self.name}: gear_ratio must be above 0, got {self.gear_ratio!r}")
-        if self.zero is not None and not np.isfinite(self.zero):
-            raise ConfigError(f"{self.name}: zero is a count, got {self.zero!r}")
+        if self.zero is not None:
+            self._check_zero(self.zero)
         if self.stall is not None and not (np.isfinite(self.stall) and self.stall > 0.0):
             raise ConfigError(f"{self.name}: stall must be above 0 N·m, got {self.stall!r}")
         if not (np.isfinite(self.torque_offset) and self.torque_offset >= 0.0):
@@ -173,6 +174,17 @@ class ServoSpec:
         low, high = row.voltage
         if not (np.isfinite(low) and 0.0 < low < high < np.inf):
             raise ConfigError(f"{self.name}: voltage is lowest and highest [V], got {row.voltage}")
+
+    def _check_zero(self, zero: float) -> None:
+        """Raise `ConfigError` unless `zero` is at most a turn of the joint off the encoder."""
+        turn = self.row.counts_per_turn * max(self.gear_ratio, 1.0)
+        low, high = -turn, self.row.max_position + turn
+        if not low <= zero <= high:
+            raise ConfigError(
+                f"{self.name}: zero is a count of {self.row.name} from {low:.0f} to {high:.0f} "
+                f"(0 to {self.row.max_position}, and a turn of the joint at either end), got "
+                f"{zero!r}"
+            )
 
     @cached_property
     def row(self) -> ServoModel:

@@ -58,6 +58,10 @@ fn guard_04_mimics_lead_to_a_joint_that_moves() {
         &["joint 'k' mimics 'j', which is of type 'fixed' and never moves", "locked = {\"k\": value}"],
     );
     refused("04_mimic_zero", &["joint 'k' mimics 'j' with multiplier 0; make the joint fixed"]);
+    let bound = "each must be at most 1000000";
+    refused("04_mimic_multiplier", &["joint 'k' mimics 'j' with multiplier 1e300 and offset 0.0", bound]);
+    refused("04_mimic_offset", &["joint 'k' mimics 'j' with multiplier 1.0 and offset 1e300", bound]);
+    refused("04_mimic_chain", &["joint 'l' mimics 'j' with multiplier 100000000.0 and offset 0.0", bound]);
 }
 
 #[test]

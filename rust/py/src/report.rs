@@ -393,8 +393,9 @@ fn postures(got: &[usize], values: &[f64], n: usize) -> Option<Vec<Vec<f64>>> {
     }
 }
 
-/// Reads the argument `path_or_pose`. An array (4, 4) is a pose if its last row is 0 0 0 1. Three numbers are a
-/// position if the task has no rotations and the arm has not three joints. Other arrays are postures (n,) or (N, n).
+/// Reads the argument `path_or_pose`. An array (4, 4) is a pose; for an arm with four joints, only if its last row is
+/// 0 0 0 1. Three numbers are a position if the task has no rotations and the arm has not three joints. Other arrays
+/// are postures (n,) or (N, n).
 fn checked(value: &Bound<'_, PyAny>, n: usize, position_only: bool) -> PyResult<Checked> {
     let name = "path_or_pose";
     if let Some(pose) = pose_of_object(name, value)? {
@@ -402,7 +403,7 @@ fn checked(value: &Bound<'_, PyAny>, n: usize, position_only: bool) -> PyResult<
     }
     let (got, values) = numbers(name, value)?;
     let last = [0.0, 0.0, 0.0, 1.0_f64];
-    if got == [4, 4] && values[12..].iter().zip(last).all(|(a, b)| (a - b).abs() < 1e-12) {
+    if got == [4, 4] && (n != 4 || values[12..].iter().zip(last).all(|(a, b)| (a - b).abs() < 1e-12)) {
         let row = |i: usize| [values[4 * i], values[4 * i + 1], values[4 * i + 2], values[4 * i + 3]];
         return CorePose::from_rows_of(name, &[row(0), row(1), row(2), row(3)]).or_raise().map(Checked::Pose);
     }

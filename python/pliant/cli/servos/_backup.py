@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pliant._core import ConfigError, ServoError
+from pliant._files import replacing
 from pliant.servo.eeprom import SETUP_REGISTERS, RegisterChange
 from pliant.servo.models import get_model
 
@@ -32,7 +33,12 @@ def save(path: Path, arm: str, planned: Sequence[RegisterChange]) -> None:
     if path.exists():
         raise ConfigError(f"{path} exists: old values would be lost; give another --backup")
     data = {"format": FORMAT, "arm": arm, "changes": [asdict(change) for change in planned]}
-    path.write_text(json.dumps(data, indent=1), encoding="utf-8")
+    try:
+        with replacing(path) as temporary:
+            temporary.write_text(json.dumps(data, indent=1), encoding="utf-8")
+    except OSError as error:
+        # The error of a full disk names no file.
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def load(path: Path, arm: str) -> list[RegisterChange]:

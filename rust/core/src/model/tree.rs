@@ -8,6 +8,10 @@ use super::urdf::text::Source;
 use super::urdf::{guard, reader};
 use crate::error::{Error, Position, Result};
 
+/// Largest multiplier and offset of a mimic joint, also where the file chains several; larger ones could overflow in the
+/// Jacobian and in gravity.
+const MAX_MIMIC: f64 = 1e6;
+
 /// All links and joints of a robot: a tree with one root, in which each mimic joint refers to its driving joint.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tree {
@@ -145,8 +149,17 @@ impl Tree {
                 });
             }
         }
-        for (joint, mimic) in self.joints.iter_mut().zip(resolved) {
-            joint.mimic = mimic;
+        for (j, mimic) in resolved.into_iter().enumerate() {
+            if let Some(Mimic { joint, multiplier, offset }) = mimic
+                && ![multiplier, offset].iter().all(|number| number.abs() <= MAX_MIMIC)
+            {
+                let message = format!(
+                    "mimics '{}' with multiplier {multiplier:?} and offset {offset:?}; each must be at most {MAX_MIMIC}",
+                    self.joints[joint].name
+                );
+                return Err(self.joint_error(j, message));
+            }
+            self.joints[j].mimic = mimic;
         }
         Ok(())
     }

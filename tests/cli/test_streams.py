@@ -1,0 +1,34 @@
+"""Standard streams that are closed, or that cannot encode every character."""
+
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip("mujoco", reason="runs need the extra sim")
+
+PLIANT = (sys.executable, "-m", "pliant.cli")
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_a_command_runs_with_closed_streams(closed):
+    shell = ("/bin/sh", "-c", f'exec "$@" {closed}', "sh")
+    ended = subprocess.run(
+        [*shell, *PLIANT, "arms", "koch"], capture_output=True, timeout=100, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")
+
+
+def test_characters_that_the_locale_does_not_have_are_replaced(monkeypatch):
+    monkeypatch.setenv("LC_ALL", "C")
+    monkeypatch.setenv("PYTHONUTF8", "0")
+    monkeypatch.setenv("PYTHONCOERCECLOCALE", "0")
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    ended = subprocess.run(
+        [*PLIANT, "run", "so101", "--backend", "sim", "--duration", "0.1", "--quiet"],
+        capture_output=True,
+        timeout=100,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert b" ?s (50, 99, 99.9 %)" in ended.stdout
