@@ -313,22 +313,6 @@ impl<R: Copy> Pose<R> {
         let far = A::abs(a) + A::abs(b) + A::abs(c);
         A::fma(A::splat(region.tolerance_per_metre), far, lengths + angles)
     }
-
-    /// Returns `fine` in the lanes of poses that are valid and within `region`; 0 where [`Pose::is_invalid`] must
-    /// decide.
-    #[inline(always)]
-    pub(crate) fn mask_valid<A: RealOps<Real = R>>(&self, region: &TargetRegion, mut fine: R) -> R {
-        let (zero, radius) = (A::splat(0.0), region.radius);
-        let apart = sub::<A>(&self.position, &region.centre.map(A::splat));
-        fine = A::select_lt(dot::<A>(&apart, &apart), A::splat(radius * radius), fine, zero);
-        for i in 0..3 {
-            for j in 0..=i {
-                let error = orthogonality_error::<A>(&self.rotation, i, j);
-                fine = A::select_lt(error, A::splat(ROTATION_TOLERANCE), fine, zero);
-            }
-        }
-        A::select_lt(zero, determinant::<A>(&self.rotation), fine, zero)
-    }
 }
 
 /// Returns the absolute value of entry (i, j) of `RᵀR − I`.

@@ -119,9 +119,7 @@ impl Controller {
     ///
     /// With a `state`, each row of the result is bit-identical to that of a separate controller. Without `state`, each
     /// row is the first step of a controller that was just reset to its q, with unbounded `goal_slew` and
-    /// `max_tool_speed`. If law, damping, projector and inverse are those of the paper and the arm has at most seven
-    /// joints, stateless steps compute one arm per SIMD lane. They equal single steps up to rounding: below 1e-11 of a
-    /// row's largest number at λ ≥ 0.02.
+    /// `max_tool_speed`.
     ///
     /// With `caps` or `adaptation` in the input, each row equals that of a controller whose settings have these values
     /// as `soft` = `firm` and as `adaptation` of the axes that yield. They may change from step to step: torque limits
@@ -641,15 +639,7 @@ impl Controller {
 
     /// Returns a batch with the input `input` and the parameters of this controller.
     fn batch<'a>(&'a self, input: &'a BatchInput<'a>) -> Batch<'a> {
-        Batch {
-            input,
-            model: &self.model,
-            params: &self.params,
-            settings: &self.settings,
-            masses: &self.masses,
-            gravity: &self.gravity,
-            simd_level: self.simd_level,
-        }
+        Batch { input, model: &self.model, params: &self.params, settings: &self.settings }
     }
 
     /// Steps one arm of a batch from the present state, and writes its command.

@@ -4,7 +4,7 @@
 use super::forward::{JointFrames, Visitor, transform_point};
 use super::gravity::GroupMasses;
 use crate::math::rows::load_rows;
-use crate::math::simd::{JointVector, LANES, PaddedVec3, RealOps, Scalar, SingleArmJoints, StoreVec3, Vec3Ops};
+use crate::math::simd::{JointVector, LANES, PaddedVec3, Scalar, SingleArmJoints, StoreVec3, Vec3Ops};
 use crate::math::spatial::{Vec3, cross, dot, splat, sub};
 use crate::model::Chain;
 use crate::pose::Pose;
@@ -94,44 +94,6 @@ impl<T: StoreVec3> Visitor<T> for WithMasses<'_> {
 }
 
 impl Chain {
-    /// Computes tool pose, Jacobian and gravity torques of several configurations; the torques are 0 unless
-    /// `with_masses`. `rows` is scratch whose columns after the last joint must be 0.
-    #[inline(always)]
-    pub(crate) fn evaluate_soa<J: JointVector>(
-        &self,
-        q: &[Scalar<J>; MAX_JOINTS],
-        masses: &GroupMasses,
-        g: &Vec3,
-        with_masses: bool,
-        rows: &mut [[Scalar<J>; MAX_JOINTS]; MAX_AXES],
-    ) -> KinematicState<J> {
-        let zero = J::Elem::splat(0.0);
-        let mut holding = [zero; MAX_JOINTS];
-        let tool = if with_masses {
-            let mut frames = JointFrames::filled(zero);
-            self.forward_by::<J::Elem>(q, &mut frames);
-            self.jacobian_by::<J::Elem>(&frames, rows);
-            self.gravity_by::<J::Elem>(&frames, masses, g, &mut holding);
-            frames.tool
-        } else {
-            self.kinematics_by::<J::Elem>(q, rows)
-        };
-        let [a, b, c, d, e, f] = rows;
-        // Built in place, because it is too large to be moved cheaply.
-        KinematicState {
-            tool,
-            j_base: [
-                J::from_joints(a),
-                J::from_joints(b),
-                J::from_joints(c),
-                J::from_joints(d),
-                J::from_joints(e),
-                J::from_joints(f),
-            ],
-            holding: J::from_joints(&holding),
-        }
-    }
-
     /// Computes tool pose, Jacobian and gravity torques at `q`. `weight` holds the masses and gravity [m/s²] in the
     /// base; the torques are 0 if it is `None`.
     #[inline(always)]

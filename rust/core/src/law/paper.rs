@@ -9,7 +9,7 @@ use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::{damped, diagonal, tr_mul, weighted_gram};
 use crate::math::simd::{JointVector, RealOps, TaskVector};
-use crate::params::{Follow, Law, Params, Projector};
+use crate::params::{Follow, Params, Projector};
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Clamps the step of each task axis to its torque budget: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
@@ -64,7 +64,9 @@ impl ControlLaw for Paper {
     /// With `budget_on_goal`, the step of each axis is clamped to its budget τ^x.
     #[inline(always)]
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
-        let (params, damped) = (input.params, damped_space(input));
+        let params = input.params;
+        let (weight, size) = (J::load(&params.joint_weight_inv), (params.k, params.n));
+        let damped = NullSpace::new(input.rows, weight, &TaskVector::to_axes(input.damping), size);
         let pinv = damped.pseudo_inverse();
         let mut step = input.demand.clamped_displacement;
         if params.budget_on_goal {
@@ -90,36 +92,6 @@ impl ControlLaw for Paper {
     fn force_at(_push: &AxisPush<'_>) -> f64 {
         f64::INFINITY
     }
-}
-
-/// Returns true if the settings select the law as published, without the additions of this package.
-pub(crate) fn is_published(params: &Params) -> bool {
-    params.law == Law::Paper
-        && params.follow == Follow::Hold
-        && params.projector == Projector::Paper
-        && !params.budget_on_goal
-        && !params.tracks_sigma
-}
-
-/// Returns lead and joint torque budgets of law `paper` as published, for settings that satisfy [`is_published`].
-#[inline(always)]
-pub(crate) fn published_motion<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, J) {
-    let damped = damped_space(input);
-    let pinv = damped.pseudo_inverse();
-    let task = tr_mul(&pinv, &input.demand.clamped_displacement.to_axes());
-    within_limits(input, &pinv, task, &damped, damped.project_by(&pinv, input.gradient))
-}
-
-/// Returns the null-space projector that belongs to the damped pseudo-inverse of (3).
-#[inline(always)]
-fn damped_space<'a, J: JointVector>(input: &LawInput<'a, J>) -> NullSpace<'a, J> {
-    let params = input.params;
-    NullSpace::new(
-        input.rows,
-        J::load(&params.joint_weight_inv),
-        &TaskVector::to_axes(input.damping),
-        (params.k, params.n),
-    )
 }
 
 /// Scales the task motion `task` and the null-space direction `along` [rad], the latter times −α h, to the joint speed

@@ -22,7 +22,6 @@ mod elementary;
 mod joint_vec16;
 mod nontemporal;
 mod scalar;
-mod soa;
 mod vec3;
 mod vectors;
 #[cfg(target_arch = "x86_64")]
@@ -38,7 +37,6 @@ pub(crate) use nontemporal::{NONTEMPORAL_MIN_BYTES, NonTemporalWriter, with_nont
 pub(crate) use scalar::BaselineF64;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::FmaF64;
-pub(crate) use soa::SoaVec;
 pub(crate) use vec3::{PaddedVec3, Real, ScalarVec3, StoreVec3, Vec3Ops};
 pub(crate) use vectors::{AxisScalar, JointVector, Scalar, SingleArmJoints, TaskVector};
 #[cfg(target_arch = "x86_64")]
@@ -56,10 +54,6 @@ pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 
 /// Number of values in a vector of one configuration, and maximum number of lanes of a register.
 pub(crate) const LANES: usize = 8;
-
-/// Maximum number of joints of arms that are computed several configurations at once: each joint takes a register, used
-/// or not.
-pub(crate) const SOA_MAX_JOINTS: usize = 7;
 
 /// A type with `+ − * /` and negation.
 pub(crate) trait Number:
