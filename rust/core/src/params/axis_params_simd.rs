@@ -1,7 +1,7 @@
 //! Parameters of the task axes in vector layout.
 
 use crate::math::rotation::base_to_task;
-use crate::math::simd::{AxisScalar, LANES, RealOps, TaskVector};
+use crate::math::simd::{F64x8, LANES};
 use crate::math::spatial::Mat3;
 use crate::params::axis_params::AxisParams;
 use crate::params::{Frame, Params};
@@ -91,11 +91,7 @@ impl AxisParamsSimd {
 impl Params {
     /// Transforms a 6-vector in base axes into the task frame and returns the entries of the task rows.
     #[inline(always)]
-    pub(crate) fn to_task_rows<W: TaskVector>(
-        &self,
-        base_from_task: &Mat3<AxisScalar<W>>,
-        v: &[AxisScalar<W>; MAX_AXES],
-    ) -> W {
+    pub(crate) fn to_task_rows<W: F64x8>(&self, base_from_task: &Mat3, v: &AxisVec) -> W {
         if matches!(self.frame, Frame::Base) {
             return self.select_rows(v);
         }
@@ -104,15 +100,14 @@ impl Params {
 
     /// Returns the entries of the task rows from a vector over x, y, z, roll, pitch, yaw.
     #[inline(always)]
-    pub(crate) fn select_rows<W: TaskVector>(&self, v: &[AxisScalar<W>; MAX_AXES]) -> W {
+    pub(crate) fn select_rows<W: F64x8>(&self, v: &AxisVec) -> W {
         let all = W::from_axes(v);
         if self.k == MAX_AXES {
             return all;
         }
         // Indexing at run time forces a spill to memory; a copy is spilled, so that the path for all six axes stays in
         // registers.
-        let (all, zero) = (all.to_axes(), W::Elem::splat(0.0));
-        let mut out = [zero; MAX_AXES];
+        let (all, mut out) = (all.to_axes(), [0.0; MAX_AXES]);
         for r in 0..MAX_AXES {
             if let Some(&value) = all.get(self.axis_simd.axis[r]) {
                 out[r] = value;

@@ -15,7 +15,7 @@ pub(crate) use pose_error::pose_error_by;
 
 use crate::MAX_AXES;
 use crate::kinematics::rotated_rows;
-use crate::math::simd::{JointVector, Scalar};
+use crate::math::simd::JointVector;
 use crate::math::spatial::Mat3;
 use crate::params::Frame;
 
@@ -25,7 +25,7 @@ use crate::params::Frame;
 fn rows_in<'a, J: JointVector>(
     frame: &Frame,
     j_base: &'a [J; MAX_AXES],
-    base_from_task: &Mat3<Scalar<J>>,
+    base_from_task: &Mat3,
     axes: &[usize],
     room: &'a mut Option<[J; MAX_AXES]>,
 ) -> &'a [J; MAX_AXES] {

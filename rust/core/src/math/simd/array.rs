@@ -4,7 +4,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::scalar::{BaselineF64, rotate_quadrant};
-use super::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, ScalarVec3, SimdVec, SoaLanes, chunk8, chunk8_mut};
+use super::{F64x8, LANES, PaddedVec3, RealOps, ScalarVec3, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
 /// Eight numbers in an array, which the compiler may vectorize. x86-64 uses its own SIMD types.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
@@ -118,20 +118,6 @@ impl SimdVec for ArrayF64x8 {
     #[inline(always)]
     fn store_array(self, values: &mut [f64; LANES]) {
         *values = self.0;
-    }
-}
-
-impl Broadcast<f64> for ArrayF64x8 {
-    #[inline(always)]
-    fn broadcast(value: f64) -> Self {
-        Self::splat(value)
-    }
-}
-
-impl Broadcast<Self> for ArrayF64x8 {
-    #[inline(always)]
-    fn broadcast(value: Self) -> Self {
-        value
     }
 }
 

@@ -1,20 +1,22 @@
-//! Number types of the control step. Formulas are written once, for one configuration or several, and compiled per
+//! Number types of the control step and of batches of kinematics. Formulas are written once and compiled for each
 //! instruction set.
 //!
 //! [`RealOps`] defines the operations, on one `f64` or on several lanes, with or without fused multiply-add. Rust never
 //! fuses by itself, and `mul_add` without the instruction is a slow call, so the type decides. [`Isa`] is the set of
 //! number types of one instruction set, and [`SimdLevel`] an instruction set that the processor has.
 //!
-//! In the control step the lanes of a register hold the joints or the task axes of one configuration ([`F64x8`],
-//! [`JointVec16`]). In batches they hold several configurations ([`SoaLanes`]), with one register per joint or axis
-//! ([`SoaVec`]). Laws are written over [`JointVector`], which covers both. Code that runs rarely uses [`JointVec16`]
-//! and is compiled once.
+//! In the control step a vector holds the joints or the task axes of one configuration. Formulas over joints are
+//! generic over [`JointVector`], which has two kinds of implementation: [`F64x8`] in registers, for arms of at most
+//! eight joints, and [`JointVec16`], for larger arms and for code that runs rarely. Formulas over task axes are generic
+//! over [`F64x8`]. In batches of kinematics each lane of a register holds another configuration ([`SoaLanes`]).
 //!
 //! Everything that [`SimdLevel::dispatch`] runs is `#[inline(always)]`: a function that is not inlined would be
 //! compiled for the baseline instruction set. For the same reason formulas over [`RealOps`] use loops, not closures.
 
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use crate::AxisVec;
 
 mod array;
 mod dispatch;
@@ -38,7 +40,7 @@ pub(crate) use scalar::BaselineF64;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::FmaF64;
 pub(crate) use vec3::{PaddedVec3, Real, ScalarVec3, StoreVec3, Vec3Ops};
-pub(crate) use vectors::{AxisScalar, JointVector, Scalar, SingleArmJoints, TaskVector};
+pub(crate) use vectors::JointVector;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::sse2::{Sse2x2, Sse2x8};
 #[cfg(target_arch = "x86_64")]
@@ -52,7 +54,7 @@ use x86::{
 /// stay there, and some processors need a hundred cycles per product with them.
 pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 
-/// Number of values in a vector of one configuration, and maximum number of lanes of a register.
+/// Number of values in a [`F64x8`], and maximum number of lanes of a register.
 pub(crate) const LANES: usize = 8;
 
 /// A type with `+ − * /` and negation.
@@ -72,12 +74,12 @@ impl<T> Number for T where
 {
 }
 
-/// Arithmetic on real numbers that hold one value (`Real = f64`) or several.
+/// Arithmetic on numbers that hold one value (`Real = f64`) or several.
 pub(crate) trait RealOps: Copy + Debug + 'static {
     /// The number type: `f64`, or a vector with one value per joint, per axis or per configuration.
     type Real: Number;
 
-    /// True if a number holds several values: of joints, of axes or of configurations.
+    /// True if a number holds several values, of joints, axes or configurations.
     const WIDE: bool;
 
     /// Copies a value to every lane.
@@ -124,12 +126,6 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     fn rotate_quadrant(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
 }
 
-/// Broadcast of one value of type `R` to all joints or task axes; the identity for `R` itself.
-pub(crate) trait Broadcast<R>: RealOps {
-    /// Copies the value to all elements.
-    fn broadcast(value: R) -> Self::Real;
-}
-
 /// A SIMD vector in registers.
 pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
     /// Number of lanes, at most [`LANES`].
@@ -154,7 +150,7 @@ pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
 }
 
 /// A vector with one value of each of several configurations.
-pub(crate) trait SoaLanes: SimdVec + Broadcast<Self> {
+pub(crate) trait SoaLanes: SimdVec {
     /// Loads eight numbers of each configuration from rows that begin `stride` apart; result i holds number i of every
     /// row. A row that is incomplete counts as zeros.
     fn load_transposed(rows: &[f64], stride: usize) -> [Self; LANES];
@@ -180,12 +176,25 @@ fn chunk8_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
 }
 
 /// A vector of eight values of one configuration: one per joint or per task axis.
-pub(crate) trait F64x8: SimdVec + Broadcast<f64> {
+pub(crate) trait F64x8: SimdVec {
     /// Scalar operations of the same instruction set.
-    type Elem: RealOps<Real = f64> + Broadcast<f64>;
+    type Elem: RealOps<Real = f64>;
 
     /// 3-vector of the same instruction set.
     type Vec3: StoreVec3<Elem = Self::Elem>;
+
+    /// Creates the vector from one number per task axis, zeros in the spare lanes.
+    #[inline(always)]
+    fn from_axes(v: &AxisVec) -> Self {
+        Self::from_array(&[v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0])
+    }
+
+    /// Returns the numbers of the task axes.
+    #[inline(always)]
+    fn to_axes(self) -> AxisVec {
+        let n = self.to_array();
+        [n[0], n[1], n[2], n[3], n[4], n[5]]
+    }
 
     /// Returns the sum of the lanes of each vector.
     fn hsum4(vectors: [Self; 4]) -> [f64; 4];

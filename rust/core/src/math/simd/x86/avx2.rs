@@ -16,7 +16,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{hsum_of_four as sum4, transpose_4x4};
 use crate::math::simd::vec3::Vec3Register;
-use crate::math::simd::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
+use crate::math::simd::{F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
 simd_type! {
     /// A vector of eight numbers in two registers, with fused multiply-add.

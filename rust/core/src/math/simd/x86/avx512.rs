@@ -15,7 +15,7 @@ use std::arch::x86_64::{
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::math::simd::{Broadcast, LANES, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
+use crate::math::simd::{LANES, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
 simd_type! {
     /// A vector of eight numbers in one register, with fused multiply-add.

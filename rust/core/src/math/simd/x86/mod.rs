@@ -175,13 +175,6 @@ macro_rules! f64x8 {
                 [Self(x), Self(y), Self(z)]
             }
         }
-
-        impl Broadcast<f64> for $name {
-            #[inline(always)]
-            fn broadcast(value: f64) -> Self {
-                Self::splat(value)
-            }
-        }
     };
 }
 
@@ -232,13 +225,6 @@ macro_rules! soa_lanes {
                 $(if let Some(row) = chunk8_mut(rows, $i * stride) {
                     $row(transposed[$i]).store_array(row);
                 })*
-            }
-        }
-
-        impl Broadcast<Self> for $name {
-            #[inline(always)]
-            fn broadcast(value: Self) -> Self {
-                value
             }
         }
     };
