@@ -145,7 +145,7 @@ impl<'a> Batch<'a> {
             for (i, row_state) in rows.chunks_exact(row_len(n)).enumerate() {
                 let row = index * CHUNK + i;
                 let checked = self.arm(row).and_then(|_| match RowStatus::of(row_state, n) {
-                    RowStatus::ReferenceHold(q) => self
+                    RowStatus::Reset(q) => self
                         .params
                         .positions(self.model, "q", q)
                         .map(|_| ())

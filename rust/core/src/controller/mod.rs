@@ -183,7 +183,7 @@ impl Controller {
                     let row_state = row_state.unwrap_or_default();
                     match RowStatus::of(row_state, n) {
                         RowStatus::New => arm.state = State::new(),
-                        RowStatus::ReferenceHold(q) => arm.reset(q).map_err(|error| error.in_row("state", one.row))?,
+                        RowStatus::Reset(q) => arm.reset(q).map_err(|error| error.in_row("state", one.row))?,
                         RowStatus::Running => arm.state.read_from(n, row_state),
                     }
                     if changed {
@@ -239,7 +239,7 @@ impl Controller {
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
             self.delay = settings.delay;
         }
-        params.update_gain_scale(self.delay, &settings);
+        params.set_delay(self.delay, &settings);
         self.settings = settings;
         self.params = params;
         self.reset_dependent_state();
@@ -294,7 +294,7 @@ impl Controller {
             return Err(Error::out_of_range("delay [s]", delay, "[0, 0.5]"));
         }
         self.delay = delay;
-        self.params.update_gain_scale(delay, &self.settings);
+        self.params.set_delay(delay, &self.settings);
         Ok(())
     }
 

@@ -110,11 +110,11 @@ impl StepContext<'_> {
         let mut governor = self.state.governor;
         let reference = governor.update::<J::Elem>(self.target, speed, settings.max_tool_acceleration, dt);
         let view = self.chain.evaluate(q, params.uses_gravity.then_some((self.masses, self.gravity)), self.scratch);
-        let mut turned = None;
-        let arm = ArmState::new(params, settings, q, &view, &mut turned);
+        let mut row_storage = None;
+        let arm = ArmState::new(params, settings, q, &view, &mut row_storage);
         let error = pose_error_by::<J::Elem>(&arm.view.tool, &reference);
         let deviation = params.to_task_rows(&arm.base_from_task, &error);
-        let mut aim = StepReference { reference, deviation };
+        let mut step_reference = StepReference { reference, deviation };
         // Those of x, y, z, roll, pitch, yaw that are at their deviation limit. An array that is indexed at run time stays
         // in memory, with the whole struct that holds it.
         let mut limited_axes = [false; MAX_AXES];
@@ -124,9 +124,9 @@ impl StepContext<'_> {
                 DeviationLimiter { tool: &tool, base_from_task: &base_from_task, before: &self.state.governor.pose() };
             if let Some(limited) = limit_deviation(params, &limiter, &mut governor) {
                 // If the limit does not change the reference, keep the deviation bit-identical.
-                let still = limited.reference == aim.reference;
-                let deviation = if still { aim.deviation } else { params.select_rows(&limited.error) };
-                aim = StepReference { reference: limited.reference, deviation };
+                let still = limited.reference == step_reference.reference;
+                let deviation = if still { step_reference.deviation } else { params.select_rows(&limited.error) };
+                step_reference = StepReference { reference: limited.reference, deviation };
                 limited_axes = limited.active;
             }
         }
@@ -138,7 +138,7 @@ impl StepContext<'_> {
             Some(twist) => params.to_task_rows(&arm.base_from_task, &governor.velocity(twist, speed)),
             None => J::Axes::splat(0.0),
         };
-        let demand = AxisDemand::new(params, settings, aim.deviation, twist);
+        let demand = AxisDemand::new(params, settings, step_reference.deviation, twist);
         let pacing = self.pacing(&arm, &filtered, &governor, dt);
         let mut singular = self.state.singular;
         let mut locked = [false; MAX_JOINTS];
@@ -202,7 +202,7 @@ impl StepContext<'_> {
         let profile =
             profile_velocity(&arm.view.j_base, speed, settings.tracking.goal_slew, J::load(&params.joint_speed));
         profile.store(&mut self.command.speed_limit);
-        self.record_diagnostics(&arm, &aim, &demand, &solved, &filtered, (&locked, &limited_axes));
+        self.record_diagnostics(&arm, &step_reference, &demand, &solved, &filtered, (&locked, &limited_axes));
         true
     }
 
@@ -368,7 +368,7 @@ impl StepContext<'_> {
     fn record_diagnostics<J: JointVector>(
         &mut self,
         arm: &ArmState<'_, J>,
-        aim: &StepReference<J::Axes>,
+        step_reference: &StepReference<J::Axes>,
         demand: &AxisDemand<J::Axes>,
         solved: &StepSolution<J>,
         filtered: &Filtered<J>,
@@ -405,6 +405,6 @@ impl StepContext<'_> {
                 *slot = limited_axes[axis];
             }
         }
-        record.reference = aim.reference;
+        record.reference = step_reference.reference;
     }
 }

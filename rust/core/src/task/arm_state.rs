@@ -25,16 +25,17 @@ pub(crate) struct ArmState<'a, J: JointVector> {
 }
 
 impl<'a, J: JointVector> ArmState<'a, J> {
+    /// Computes task rows and gravity torques from the kinematics `view`; `row_storage` is memory for the rows.
     #[inline(always)]
     pub(crate) fn new(
         params: &Params,
         settings: &Settings,
         q: J,
         view: &'a KinematicState<J>,
-        room: &'a mut Option<[J; MAX_AXES]>,
+        row_storage: &'a mut Option<[J; MAX_AXES]>,
     ) -> Self {
         let base_from_task = params.base_from_task(&view.tool);
-        let rows = rows_in(&params.frame, &view.j_base, &base_from_task, &params.axes, room);
+        let rows = rows_in(&params.frame, &view.j_base, &base_from_task, &params.axes, row_storage);
         let gravity = settings.gravity_use();
         let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));
         let in_limit = J::splat(f64::from(u8::from(gravity.in_limits())));

@@ -43,10 +43,12 @@ impl<W: F64x8> AxisDemand<W> {
         let w = blend_sides(plus, &rows.yields);
         let adapted = adapt_deviation::<W>(e, W::from_array(&rows.eta), w);
         let deviation_of_compliance = if settings.paper_options.raw_deviation { e } else { adapted };
-        let c =
-            compliance_by::<W>(deviation_of_compliance, W::from_array(&rows.firm_from), W::from_array(&rows.d_slope));
-        let strength =
-            lerp::<W>(c, blend_sides(plus, &rows.strength_firm_from), blend_sides(plus, &rows.strength_soft_until));
+        let c = compliance_by::<W>(
+            deviation_of_compliance,
+            W::from_array(&rows.firm_from),
+            W::from_array(&rows.compliance_slope),
+        );
+        let strength = lerp::<W>(c, blend_sides(plus, &rows.far_strength), blend_sides(plus, &rows.near_strength));
         let horizon = W::splat(settings.paper_options.horizon);
         let displacement = horizon * W::fma(W::splat(params.gain_scale), apply_kx(params, adapted), twist);
         let stiff_max = horizon * W::from_array(&rows.step_limit);
