@@ -83,15 +83,6 @@ impl RealOps for ArrayF64x8 {
     }
 
     #[inline(always)]
-    fn any_lt(a: Self, b: Self) -> bool {
-        let mut any = false;
-        for i in 0..LANES {
-            any |= a.0[i] < b.0[i];
-        }
-        any
-    }
-
-    #[inline(always)]
     fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..LANES {
             (s.0[i], c.0[i]) = rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
@@ -109,13 +100,6 @@ impl SimdVec for ArrayF64x8 {
     }
 
     #[inline(always)]
-    fn load_partial(values: &[f64]) -> Self {
-        let mut out = [0.0; LANES];
-        out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
-        Self(out)
-    }
-
-    #[inline(always)]
     fn store_array(self, values: &mut [f64; LANES]) {
         *values = self.0;
     }
@@ -124,6 +108,22 @@ impl SimdVec for ArrayF64x8 {
 impl F64x8 for ArrayF64x8 {
     type Elem = BaselineF64;
     type Vec3 = ScalarVec3<BaselineF64>;
+
+    #[inline(always)]
+    fn load_partial(values: &[f64]) -> Self {
+        let mut out = [0.0; LANES];
+        out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
+        Self(out)
+    }
+
+    #[inline(always)]
+    fn any_lt(a: Self, b: Self) -> bool {
+        let mut any = false;
+        for i in 0..LANES {
+            any |= a.0[i] < b.0[i];
+        }
+        any
+    }
 
     #[inline(always)]
     fn hsum4(vectors: [Self; 4]) -> [f64; 4] {

@@ -94,15 +94,6 @@ impl RealOps for JointVec16 {
         exp2_int(sum);
     }
 
-    #[inline(always)]
-    fn any_lt(a: Self, b: Self) -> bool {
-        #[inline(never)]
-        fn anywhere(a: &JointVec16, b: &JointVec16) -> bool {
-            a.0.iter().zip(&b.0).any(|(a, b)| a < b)
-        }
-        anywhere(&a, &b)
-    }
-
     fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..MAX_JOINTS {
             (s.0[i], c.0[i]) = rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
@@ -158,6 +149,15 @@ impl JointVector for JointVec16 {
     #[inline(never)]
     fn max_element(self) -> f64 {
         self.0.iter().fold(0.0, |largest, &value| BaselineF64::max(largest, value))
+    }
+
+    #[inline(always)]
+    fn is_any_lt(self, other: Self) -> bool {
+        #[inline(never)]
+        fn anywhere(a: &JointVec16, b: &JointVec16) -> bool {
+            a.0.iter().zip(&b.0).any(|(a, b)| a < b)
+        }
+        anywhere(&self, &other)
     }
 
     #[inline(always)]

@@ -115,9 +115,6 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     /// Selects per lane: returns `then` if `a < b`, else `otherwise`.
     fn select_lt(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
 
-    /// Returns true if `a < b` in any lane.
-    fn any_lt(a: Self::Real, b: Self::Real) -> bool;
-
     /// Returns two to the power of the integer in the last bits of `sum`, a number to which [`ROUND`] was added.
     fn exp2_int(sum: Self::Real) -> Self::Real;
 
@@ -133,9 +130,6 @@ pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
 
     /// Loads the first [`SimdVec::COUNT`] numbers of `values`.
     fn from_array(values: &[f64; LANES]) -> Self;
-
-    /// Loads the first numbers of the slice, zeros in lanes after its end.
-    fn load_partial(values: &[f64]) -> Self;
 
     /// Stores the lanes into the first [`SimdVec::COUNT`] entries of `values`.
     fn store_array(self, values: &mut [f64; LANES]);
@@ -195,6 +189,12 @@ pub(crate) trait F64x8: SimdVec {
         let n = self.to_array();
         [n[0], n[1], n[2], n[3], n[4], n[5]]
     }
+
+    /// Loads the first numbers of the slice, zeros in lanes after its end.
+    fn load_partial(values: &[f64]) -> Self;
+
+    /// Returns true if `a < b` in any lane.
+    fn any_lt(a: Self, b: Self) -> bool;
 
     /// Returns the sum of the lanes of each vector.
     fn hsum4(vectors: [Self; 4]) -> [f64; 4];

@@ -79,11 +79,6 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
-            fn any_lt(a: f64, b: f64) -> bool {
-                a < b
-            }
-
-            #[inline(always)]
             fn exp2_int(sum: f64) -> f64 {
                 f64::from_bits((sum.to_bits() << 52).wrapping_add(1023 << 52))
             }

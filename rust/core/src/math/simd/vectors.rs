@@ -45,17 +45,14 @@ pub(crate) trait JointVector: RealOps<Real = Self> + Number {
     /// Returns the largest element, at least 0.
     fn max_element(self) -> f64;
 
+    /// Returns true if any element is less than the same element of `other`.
+    fn is_any_lt(self, other: Self) -> bool;
+
     /// Returns the sum over the joints of each of four vectors.
     fn sum4(vectors: [Self; 4]) -> [f64; 4];
 
     /// Returns the dot product over the joints of each of four pairs.
     fn dot4(a: [&Self; 4], b: [&Self; 4]) -> [f64; 4];
-
-    /// Returns true if any element is less than the same element of `other`.
-    #[inline(always)]
-    fn is_any_lt(self, other: Self) -> bool {
-        Self::any_lt(self, other)
-    }
 
     /// Returns the sum of the elements over the joints.
     #[inline(always)]
@@ -123,6 +120,11 @@ impl<W: F64x8> JointVector for W {
             }
         }
         Self::Elem::max(0.0, n[0])
+    }
+
+    #[inline(always)]
+    fn is_any_lt(self, other: Self) -> bool {
+        W::any_lt(self, other)
     }
 
     #[inline(always)]

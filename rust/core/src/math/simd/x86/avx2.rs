@@ -23,7 +23,7 @@ simd_type! {
     Avx2x8, 8 in registers of 4: 0 1
 }
 
-f64x8! { Avx2x8 beside FmaF64 and Avx2x4 }
+f64x8! { Avx2x8 beside FmaF64 and Avx2x4, registers of 4: 0 1 }
 
 simd_type! {
     /// A vector of four numbers in one register, with fused multiply-add.

@@ -21,7 +21,7 @@ simd_type! {
     Sse2x8, 8 in registers of 2: 0 1 2 3
 }
 
-f64x8! { Sse2x8 beside BaselineF64 and Sse2x4 }
+f64x8! { Sse2x8 beside BaselineF64 and Sse2x4, registers of 2: 0 1 2 3 }
 
 simd_type! {
     /// A vector of two numbers in one register, without fused multiply-add.
