@@ -1,11 +1,11 @@
 //! Steps of many arms with arbitrary numbers: each row as a controller of its own, states unchanged after an error.
 
 use pliant_core::{
-    BatchCommand, BatchInput, BatchState, Controller, Error, OnInvalid, Pose, SimdLevel, StepInput, Targets,
+    BatchCommand, BatchInput, BatchState, Command, Controller, Error, OnInvalid, Pose, SimdLevel, StepInput, Targets,
 };
 
 use super::arms::{Arm, CONTROLLERS, controller};
-use super::checks::{assert_named, assert_near, ceiling};
+use super::checks::{assert_named, ceiling};
 use super::input::Input;
 use super::step::pose;
 
@@ -103,6 +103,14 @@ fn assert_nan(row: [&[f64]; 3], error: &Error) {
     assert!(row.iter().all(|values| values.iter().all(|value| value.is_nan())), "{row:?} after {error}");
 }
 
+/// Panics unless the row has the bits of the command of a single step.
+fn assert_same(row: usize, got: [&[f64]; 3], command: &Command) {
+    let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+    for (got, want) in got.into_iter().zip([command.goal(), command.torque_limit(), command.speed_limit()]) {
+        assert_eq!(bits(got), bits(want), "row {row}: {got:?} {want:?}");
+    }
+}
+
 /// Returns false if the batch was refused after it had stepped some arms.
 fn with_state(
     controller: &Controller,
@@ -125,13 +133,7 @@ fn with_state(
         Ok(out) => {
             for (row, result) in results.iter().enumerate() {
                 match result {
-                    Ok(command) => {
-                        let want = [command.goal(), command.torque_limit(), command.speed_limit()];
-                        for (got, want) in out.row(n, row).into_iter().zip(want) {
-                            let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
-                            assert_eq!(bits(got), bits(want), "row {row}: {got:?} {want:?}");
-                        }
-                    }
+                    Ok(command) => assert_same(row, out.row(n, row), command),
                     Err(error) => {
                         assert_eq!(invalid, OnInvalid::Nan, "row {row} was accepted, not by a controller: {error}");
                         assert_nan(out.row(n, row), error);
@@ -172,9 +174,7 @@ fn stateless(controller: &Controller, rows: &Rows, n: usize, count: usize, inval
                         let within = limit.iter().zip(&ceiling).all(|(limit, most)| (0.0..=*most).contains(limit));
                         assert!(goal.iter().all(|goal| goal.is_finite()) && within, "row {row}: {goal:?} {limit:?}");
                         if comparable {
-                            assert_near(|| "goal".to_owned(), goal, command.goal());
-                            assert_near(|| "torque_limit".to_owned(), limit, command.torque_limit());
-                            assert_near(|| "velocity".to_owned(), speed, command.speed_limit());
+                            assert_same(row, [goal, limit, speed], command);
                         }
                     }
                     Err(error) => {

@@ -1985,10 +1985,9 @@ class Controller:
 
         With a state, each row is bit-identical to `step` of a separate controller. Without one,
         each row is the first step of a controller just reset to its q, with infinite `goal_slew`
-        and `max_tool_speed`: goals may jump, so do not use it for a real arm. Such steps of law
-        `paper` as printed are vectorized for arms of at most 7 joints, which changes results by
-        rounding. The state and diagnostics of this controller do not change. `RAYON_NUM_THREADS`
-        sets the number of threads.
+        and `max_tool_speed`, bit for bit: goals may jump, so do not use it for a real arm. The
+        state and diagnostics of this controller do not change. `RAYON_NUM_THREADS` sets the number
+        of threads.
 
         Args:
             Q: Measured joint positions (N, n) [rad]; a plain float64 array is not copied.

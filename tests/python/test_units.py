@@ -157,7 +157,7 @@ def test_small_degrees_are_refused():
 
 
 def test_rows_that_are_too_far_become_nan_where_asked():
-    """Tested with and without a state, and with few rows and many (with and without SIMD)."""
+    """Tested with and without a state, and with few rows and many (one chunk and several)."""
     model = pliant.robots.arm7()
     rng = np.random.default_rng(0)
     bound = 2.0 * model.reach + 0.1

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3,
 
 use crate::error::{Error, Result};
 use crate::math::rotation::{rotation_matrix, rotation_vector};
-use crate::math::simd::{BaselineF64, Number, RealOps};
+use crate::math::simd::{BaselineF64, RealOps};
 use crate::math::spatial::{Mat3, add, cross, dot, multiply, rotate, sub, tr_rotate};
 
 /// Largest accepted absolute value of a joint position [rad; m if prismatic].
@@ -137,6 +137,21 @@ impl Pose {
         }
     }
 
+    /// Returns a sum of residuals that is 0 for a valid pose: how far the first two rows of the rotation are from
+    /// orthonormal and the third from their cross product, and how far the position is outside `region`. A pose with a
+    /// sum of at most [`FAST_TOLERANCE`] is valid, so that one comparison replaces many.
+    #[inline(always)]
+    fn validity_residual<A: RealOps<Real = f64>>(&self, region: &TargetRegion) -> f64 {
+        let [x, y, z] = &self.rotation;
+        let [a, b, c] = sub::<A>(&self.position, &region.centre);
+        let off = sub::<A>(&cross::<A>(x, y), z);
+        let lengths = A::abs(dot::<A>(x, x) - 1.0) + A::abs(dot::<A>(y, y) - 1.0);
+        let angles = A::abs(dot::<A>(x, y)) + (A::abs(off[0]) + A::abs(off[1]) + A::abs(off[2]));
+        // The sum of the absolute components is at least the distance.
+        let far = A::abs(a) + A::abs(b) + A::abs(c);
+        A::fma(region.tolerance_per_metre, far, lengths + angles)
+    }
+
     /// Returns true if [`Pose::check`] rejects the pose or if it is outside `region`; does the fast check first.
     #[inline(always)]
     pub(crate) fn is_invalid<A: RealOps<Real = f64>>(&self, region: &TargetRegion) -> bool {
@@ -164,12 +179,12 @@ impl Pose {
         let mut worst: f64 = 0.0;
         for i in 0..3 {
             for j in 0..3 {
-                let error = orthogonality_error::<BaselineF64>(&self.rotation, i, j);
+                let error = orthogonality_error(&self.rotation, i, j);
                 // `f64::max` would ignore a NaN.
                 worst = if error > worst || error.is_nan() { error } else { worst };
             }
         }
-        if worst <= ROTATION_TOLERANCE && determinant::<BaselineF64>(&self.rotation) >= 0.0 {
+        if worst <= ROTATION_TOLERANCE && determinant(&self.rotation) >= 0.0 {
             return Ok(());
         }
         if worst <= ROTATION_TOLERANCE {
@@ -295,52 +310,14 @@ impl Pose {
     }
 }
 
-impl<R: Copy> Pose<R> {
-    /// Returns a sum of residuals that is 0 for a valid pose: how far the first two rows of the rotation are from
-    /// orthonormal and the third from their cross product, and how far the position is outside `region`. A pose with a
-    /// sum of at most [`FAST_TOLERANCE`] is valid, so that one comparison replaces many.
-    #[inline(always)]
-    fn validity_residual<A: RealOps<Real = R>>(&self, region: &TargetRegion) -> R
-    where
-        R: Number,
-    {
-        let ([x, y, z], centre) = (&self.rotation, region.centre.map(A::splat));
-        let [a, b, c] = sub::<A>(&self.position, &centre);
-        let (one, off) = (A::splat(1.0), sub::<A>(&cross::<A>(x, y), z));
-        let lengths = A::abs(dot::<A>(x, x) - one) + A::abs(dot::<A>(y, y) - one);
-        let angles = A::abs(dot::<A>(x, y)) + (A::abs(off[0]) + A::abs(off[1]) + A::abs(off[2]));
-        // The sum of the absolute components is at least the distance.
-        let far = A::abs(a) + A::abs(b) + A::abs(c);
-        A::fma(A::splat(region.tolerance_per_metre), far, lengths + angles)
-    }
-
-    /// Returns `fine` in the lanes of poses that are valid and within `region`; 0 where [`Pose::is_invalid`] must
-    /// decide.
-    #[inline(always)]
-    pub(crate) fn mask_valid<A: RealOps<Real = R>>(&self, region: &TargetRegion, mut fine: R) -> R {
-        let (zero, radius) = (A::splat(0.0), region.radius);
-        let apart = sub::<A>(&self.position, &region.centre.map(A::splat));
-        fine = A::select_lt(dot::<A>(&apart, &apart), A::splat(radius * radius), fine, zero);
-        for i in 0..3 {
-            for j in 0..=i {
-                let error = orthogonality_error::<A>(&self.rotation, i, j);
-                fine = A::select_lt(error, A::splat(ROTATION_TOLERANCE), fine, zero);
-            }
-        }
-        A::select_lt(zero, determinant::<A>(&self.rotation), fine, zero)
-    }
-}
-
 /// Returns the absolute value of entry (i, j) of `RᵀR − I`.
-#[inline(always)]
-fn orthogonality_error<A: RealOps>(r: &Mat3<A::Real>, i: usize, j: usize) -> A::Real {
-    let product = dot::<A>(&[r[0][i], r[1][i], r[2][i]], &[r[0][j], r[1][j], r[2][j]]);
-    A::abs(product - A::splat(f64::from(u8::from(i == j))))
+fn orthogonality_error(r: &Mat3, i: usize, j: usize) -> f64 {
+    let product = dot::<BaselineF64>(&[r[0][i], r[1][i], r[2][i]], &[r[0][j], r[1][j], r[2][j]]);
+    (product - f64::from(u8::from(i == j))).abs()
 }
 
-#[inline(always)]
-fn determinant<A: RealOps>(r: &Mat3<A::Real>) -> A::Real {
-    dot::<A>(&r[0], &cross::<A>(&r[1], &r[2]))
+fn determinant(r: &Mat3) -> f64 {
+    dot::<BaselineF64>(&r[0], &cross::<BaselineF64>(&r[1], &r[2]))
 }
 
 #[cfg(test)]

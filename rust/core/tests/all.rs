@@ -9,7 +9,6 @@
     reason = "a test may fail loudly, its helpers too, and print what it looked at"
 )]
 
-mod abreast;
 mod arm;
 mod batch;
 mod bounds;

@@ -1,11 +1,11 @@
-//! A batch step gives the commands of single steps for random settings of all laws: bit for bit, or up to rounding
-//! where several arms are processed at once.
+//! A batch step gives the commands of single steps bit for bit, for random settings of all laws.
 
 use std::sync::Arc;
 
-use pliant_core::params::{Axis, CompliantSide, Law, Tracking};
+use pliant_core::params::{Axis, CompliantSide, Damping, Follow, Law, NullSpace, PaperOptions, Projector, Tracking};
 use pliant_core::{
-    BatchInput, BatchState, Controller, Error, MAX_AXES, ModelOptions, OnInvalid, Pose, Settings, StepInput, Targets,
+    BatchInput, BatchState, Controller, Error, MAX_AXES, Model, ModelOptions, OnInvalid, Pose, Settings, SimdLevel,
+    StepInput, Targets,
 };
 
 use crate::cases;
@@ -67,34 +67,73 @@ fn with_a_state_every_row_is_a_controller_of_its_own() {
     assert!(locked > 1000, "{locked} rows had a locked joint");
 }
 
+/// Returns controllers of law `paper` as printed, with random settings otherwise.
+fn printed(random: &mut Random, each: usize) -> Vec<Controller> {
+    let settings = |random: &mut Random, model: &Model| {
+        let settings = cases::settings(random, model, Law::Paper);
+        let damping = Damping::Fixed(random.pick(&[0.02, 0.05, 0.3]));
+        Settings {
+            tracking: Tracking { damping, ..settings.tracking },
+            null_space: NullSpace { projector: Projector::Paper, ..settings.null_space },
+            paper_options: PaperOptions {
+                follow: Some(Follow::Hold),
+                direction_band: random.pick(&[None, Some(0.5)]),
+                ..settings.paper_options
+            },
+            ..settings
+        }
+    };
+    let mut all = Vec::new();
+    for index in 0..3 {
+        for _ in 0..each {
+            let model = seeded::arm(index, &ModelOptions::default());
+            let servos = cases::servos(random, &seeded::servos(index), model.n());
+            let settings = cases::tamed(&model, settings(random, &model), Some(&servos));
+            all.push(Controller::new(model, settings, Some(servos)).unwrap());
+        }
+    }
+    all
+}
+
 #[test]
 fn without_a_state_every_row_is_a_first_step_without_slew() {
     let mut random = Random::new(6);
-    for controller in controllers(&mut random, 3) {
+    let (mut locked, mut rows) = (0, 0);
+    let mut all = controllers(&mut random, 3);
+    all.extend(printed(&mut random, 6));
+    for controller in all {
         let (model, n) = (Arc::clone(controller.model()), controller.model().n());
-        let arms = Arms::new(&mut random, &model, ARMS);
+        let mut arms = Arms::new(&mut random, &model, ARMS);
+        let bad = 1 + random.below(ARMS - 1);
+        arms.q[n * bad] = f64::NAN;
+        arms.flat[16 * (bad / 2) + random.below(12)] = f64::NAN;
         let free = Settings {
             max_tool_speed: [f64::INFINITY; 2],
             tracking: Tracking { goal_slew: f64::INFINITY, ..controller.settings().tracking.clone() },
             ..controller.settings().clone()
         };
         let fresh = Controller::new(model, free, controller.servos().cloned()).unwrap();
-        let mut out = Out::new(ARMS, n);
-        for with_dq in [false, true] {
-            controller.step_batch(&arms.input(None, with_dq), None, out.command()).unwrap();
+        for (simd_level, with_dq) in SimdLevel::available().into_iter().flat_map(|set| [(set, false), (set, true)]) {
+            let (mut batch, mut out) = (controller.clone(), Out::new(ARMS, n));
+            batch.set_simd_level(simd_level);
+            let input = BatchInput { invalid: OnInvalid::Nan, ..arms.input(None, with_dq) };
+            batch.step_batch(&input, None, out.command()).unwrap();
             for row in 0..ARMS {
+                if row == bad || row == bad / 2 {
+                    assert!(out.0.iter().all(|all| all[row * n..][..n].iter().all(|value| value.is_nan())));
+                    continue;
+                }
                 let (q, dq) = (&arms.q[row * n..][..n], &arms.dq[row * n..][..n]);
                 let input = StepInput { dq: with_dq.then_some(dq), ..StepInput::default() };
-                let want = single(&mut fresh.clone(), q, &arms.poses[row], &input);
-                let same = if controller.settings().law == Law::Paper {
-                    out.is_near(row, n, &want)
-                } else {
-                    out.row(row, n) == want
-                };
-                assert!(same, "arm {row}, {:?}", controller.settings());
+                let mut alone = fresh.clone();
+                alone.set_simd_level(simd_level);
+                let want = single(&mut alone, q, &arms.poses[row], &input);
+                assert_eq!(out.row(row, n), want, "arm {row}, {simd_level}, {:?}", controller.settings());
+                (locked, rows) = (locked + usize::from(alone.diagnostics().locked.contains(&true)), rows + 1);
             }
         }
     }
+    assert!(rows > 10_000 && locked > 500, "{rows} rows, {locked} of them with a locked joint");
 }
 
 /// Returns a controller with default settings, and `count` arms for it.

@@ -9,7 +9,7 @@ use crate::law::activation::Activation;
 use crate::law::nullspace::projector_damping_sq;
 use crate::math::ldlt6::pseudo_inverse;
 use crate::math::rows::{load_rows, store_rows, tr_mul};
-use crate::math::simd::{JointVec16, JointVector, RealOps, TaskVector};
+use crate::math::simd::{F64x8, JointVec16, JointVector, RealOps};
 use crate::params::{LimitRule, Params, Settings};
 use crate::task::compliance::{compliance, strength};
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS};
@@ -151,22 +151,17 @@ impl<'a> StepAnalysis<'a> {
     fn static_capacity(&self, row: usize, side: usize, max: &AxisVec) -> f64 {
         let (params, record, n) = (self.params, self.record, self.params.n);
         let gravity = if self.settings.gravity_use().in_limits() { record.gravity } else { [0.0; MAX_JOINTS] };
-        let wrench: Axes = TaskVector::from_axes(&record.wrench);
+        let wrench = Axes::from_axes(&record.wrench);
         let terms = LimitTerms {
             gravity: JointVec16::load(&gravity),
             feed_forward: JointVec16::load(&record.feed_forward),
-            task: tr_mul(
-                &load_rows(&record.rows),
-                &TaskVector::to_axes(Axes::clamp_abs(wrench, TaskVector::from_axes(max))),
-            ),
+            task: tr_mul(&load_rows(&record.rows), &Axes::clamp_abs(wrench, Axes::from_axes(max)).to_axes()),
             offset: JointVec16::splat(0.0),
             gravity_scale: self.settings.paper_options.gravity_scale,
             margin: JointVec16::load(&params.limit_margin),
         };
         let mut limit = match (&self.shares, params.limits) {
-            (Some(shares), _) => {
-                terms.budget(shares.distribute(TaskVector::from_axes(max), params.null_torque)).to_joints()
-            }
+            (Some(shares), _) => terms.budget(shares.distribute(Axes::from_axes(max), params.null_torque)).to_joints(),
             (None, LimitRule::Demand) => terms.demand().to_joints(),
             (None, LimitRule::Sum) => terms.sum(&record.rows, max, &self.null),
         };

@@ -231,7 +231,7 @@ fn build_report(controller: &Controller) -> PoseReport {
 /// Returns the simulation of pushes from the pose of the last step; `friction` is the static friction of the joints
 /// [N·m].
 pub(super) fn push_path<'a>(controller: &'a Controller, frames: &JointFrames, friction: &'a JointVec) -> PushPath<'a> {
-    let base_from_task = controller.params.base_from_task::<crate::math::simd::BaselineF64>(&frames.tool);
+    let base_from_task = controller.params.base_from_task(&frames.tool);
     PushPath {
         simd_level: controller.simd_level,
         model: controller.model(),
@@ -256,7 +256,7 @@ pub(super) fn host_loss_now<'a>(
         params: &controller.params,
         masses: &controller.masses,
         gravity: controller.gravity,
-        base_from_task: controller.params.base_from_task::<crate::math::simd::BaselineF64>(&frames.tool),
+        base_from_task: controller.params.base_from_task(&frames.tool),
         q: &controller.diagnostics.q,
         goal,
         limit,

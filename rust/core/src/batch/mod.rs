@@ -1,18 +1,15 @@
 //! Control steps of many arms at once: one row of input, output and state per arm, computed in chunks on all cores.
 
-mod soa;
 pub(crate) mod state;
 
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::batch::soa::SoaStep;
 use crate::batch::state::{RowStatus, row_len};
 use crate::error::{Error, Result};
-use crate::kinematics::GroupMasses;
 use crate::kinematics::velocity_filter::SPEED_BOUND;
-use crate::math::simd::{BaselineF64, SimdLevel};
+use crate::math::simd::BaselineF64;
 use crate::math::thread_pool::install;
 use crate::model::Model;
 use crate::params::{Params, RowAxes, Settings};
@@ -21,7 +18,7 @@ use crate::{JointVec, MAX_AXES, MAX_JOINTS};
 
 pub use state::BatchState;
 
-/// Arms per chunk: a 64-bit mask has one bit for each. A batch of at most one chunk runs on the caller's thread.
+/// Arms per chunk, the work of one task; a batch of at most one chunk runs on the caller's thread.
 const CHUNK: usize = 64;
 
 /// Targets of `N` arms.
@@ -83,9 +80,6 @@ pub(crate) struct Batch<'a> {
     pub(crate) model: &'a Model,
     pub(crate) params: &'a Params,
     pub(crate) settings: &'a Settings,
-    pub(crate) masses: &'a GroupMasses,
-    pub(crate) gravity: &'a [f64; 3],
-    pub(crate) simd_level: SimdLevel,
 }
 
 /// Validated input of one arm of a batch.
@@ -151,7 +145,7 @@ impl<'a> Batch<'a> {
             for (i, row_state) in rows.chunks_exact(row_len(n)).enumerate() {
                 let row = index * CHUNK + i;
                 let checked = self.arm(row).and_then(|_| match RowStatus::of(row_state, n) {
-                    RowStatus::ReferenceHold(q) => self
+                    RowStatus::Reset(q) => self
                         .params
                         .positions(self.model, "q", q)
                         .map(|_| ())
@@ -184,54 +178,39 @@ impl<'a> Batch<'a> {
     ) -> Result<()> {
         let (n, first) = (self.model.n(), FirstError::default());
         let BatchCommand { goal, torque_limit, velocity } = out;
-        let one_setting = self.input.caps.is_none() && self.input.adaptation.is_none();
-        let soa = state.is_none() && one_setting && soa::supports_soa(self.params);
-        let chunk =
-            |slot: &mut Option<A>, index: usize, mut row_state: Option<&mut [f64]>, mut outs: [&mut [f64]; 3]| {
-                let mut pending = u64::MAX;
-                if soa {
-                    let outs = outs.each_mut().map(|out| &mut **out);
-                    pending = self.simd_level.dispatch(SoaStep { batch: self, first: index * CHUNK, outs });
-                }
-                if pending == 0 {
-                    return;
-                }
-                let arm = slot.get_or_insert_with(&make);
-                let [goals, limits, velocities] = outs;
-                let outs =
-                    goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
-                for (i, ((goal, limit), velocity)) in outs.enumerate() {
-                    if pending >> i & 1 == 0 {
-                        continue;
+        let chunk = |arm: &mut A, index: usize, mut row_state: Option<&mut [f64]>, outs: [&mut [f64]; 3]| {
+            let [goals, limits, velocities] = outs;
+            let outs = goals.chunks_exact_mut(n).zip(limits.chunks_exact_mut(n)).zip(velocities.chunks_exact_mut(n));
+            for (i, ((goal, limit), velocity)) in outs.enumerate() {
+                let row = index * CHUNK + i;
+                let row_state = row_state.as_deref_mut().map(|rows| &mut rows[i * row_len(n)..][..row_len(n)]);
+                let outs = [&mut *goal, &mut *limit, &mut *velocity];
+                if let Err(error) = self.arm(row).and_then(|input| step(arm, &input, row_state, outs)) {
+                    for out in [goal, limit, velocity] {
+                        out.fill(f64::NAN);
                     }
-                    let row = index * CHUNK + i;
-                    let row_state = row_state.as_deref_mut().map(|rows| &mut rows[i * row_len(n)..][..row_len(n)]);
-                    let outs = [&mut *goal, &mut *limit, &mut *velocity];
-                    if let Err(error) = self.arm(row).and_then(|input| step(arm, &input, row_state, outs)) {
-                        for out in [goal, limit, velocity] {
-                            out.fill(f64::NAN);
-                        }
-                        if self.input.invalid == OnInvalid::Error {
-                            first.report(row, error);
-                        }
+                    if self.input.invalid == OnInvalid::Error {
+                        first.report(row, error);
                     }
                 }
-            };
-        let outs = [goal, torque_limit, velocity];
+            }
+        };
         let size = CHUNK * n;
         if self.input.q.len() <= size {
-            chunk(&mut None, 0, state, outs);
+            chunk(&mut make(), 0, state, [goal, torque_limit, velocity]);
             return first.result();
         }
-        let outs = outs.map(|out| out.par_chunks_mut(size));
+        let outs = [goal, torque_limit, velocity].map(|out| out.par_chunks_mut(size));
         let [goals, limits, velocities] = outs;
         let outs = (goals, limits, velocities).into_par_iter().enumerate();
         install(|| match state {
-            None => outs.for_each_init(|| None, |slot, (index, (a, b, c))| chunk(slot, index, None, [a, b, c])),
-            Some(state) => outs.zip(state.par_chunks_mut(CHUNK * row_len(n))).for_each_init(
-                || None,
-                |slot, ((index, (a, b, c)), row_state)| chunk(slot, index, Some(row_state), [a, b, c]),
-            ),
+            None => outs.for_each_init(&make, |arm, (index, (a, b, c))| chunk(arm, index, None, [a, b, c])),
+            Some(state) => {
+                let states = state.par_chunks_mut(CHUNK * row_len(n));
+                outs.zip(states).for_each_init(&make, |arm, ((index, (a, b, c)), row_state)| {
+                    chunk(arm, index, Some(row_state), [a, b, c]);
+                });
+            }
         })?;
         first.result()
     }

@@ -24,7 +24,7 @@ pub(crate) enum Flag {
     /// The row holds torque limits, from which the next ones are slewed.
     Limited = 4,
     /// The row holds only joint positions, to which the next step resets the arm.
-    ReferenceHold = 8,
+    Reset = 8,
 }
 
 /// Status of an arm whose state is in a row.
@@ -33,7 +33,7 @@ pub(crate) enum RowStatus<'a> {
     /// Not started: the next step resets the arm to its measured positions.
     New,
     /// The next step resets the arm to these positions (n) [rad].
-    ReferenceHold(&'a [f64]),
+    Reset(&'a [f64]),
     /// At least one step has run; the row holds the state after it.
     Running,
 }
@@ -134,8 +134,8 @@ impl BatchState {
 }
 
 impl Flag {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a sum of flags")]
     /// Returns true if the sum of flags contains this flag.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a sum of flags")]
     pub(crate) fn is_in(self, flags: f64) -> bool {
         (flags as u32) & self as u32 != 0
     }
@@ -145,7 +145,7 @@ impl<'a> RowStatus<'a> {
     /// Returns the status of an arm of `n` joints from its row.
     pub(crate) fn of(row: &'a [f64], n: usize) -> Self {
         match row.split_first() {
-            Some((&flags, rest)) if Flag::ReferenceHold.is_in(flags) => Self::ReferenceHold(&rest[..n.min(rest.len())]),
+            Some((&flags, rest)) if Flag::Reset.is_in(flags) => Self::Reset(&rest[..n.min(rest.len())]),
             Some((&flags, _)) if Flag::Started.is_in(flags) => Self::Running,
             _ => Self::New,
         }
@@ -155,7 +155,7 @@ impl<'a> RowStatus<'a> {
     pub(crate) fn reset_row(row: &mut [f64], q: Option<&[f64]>) {
         row.fill(0.0);
         if let (Some(q), Some((first, rest))) = (q, row.split_first_mut()) {
-            *first = f64::from(Flag::ReferenceHold as u32);
+            *first = f64::from(Flag::Reset as u32);
             rest.iter_mut().zip(q).for_each(|(slot, value)| *slot = *value);
         }
     }

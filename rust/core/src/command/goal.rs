@@ -5,7 +5,7 @@ use crate::command::DEFAULT_OFFSET_LIMIT;
 use crate::command::torque_limit::LimitTerms;
 use crate::law::{LawInput, LawOutput};
 use crate::math::rows::tr_mul;
-use crate::math::simd::{JointVector, RealOps, Scalar, TaskVector};
+use crate::math::simd::{F64x8, JointVector, RealOps};
 use crate::params::{Params, Settings};
 use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
@@ -137,22 +137,19 @@ pub(crate) struct Goals<J> {
 /// with the longest distance slows the others. The gravity part does not wait for other joints. A NaN goal stays NaN,
 /// so that the step can refuse to send it.
 #[inline(always)]
-pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goals<J>, Scalar<J>) {
+pub(crate) fn slew<J: JointVector>(before: Goals<J>, to: Goals<J>, step: f64) -> (Goals<J>, f64) {
     let step = J::splat(step);
     let lift = J::clamp_abs(to.gravity_offset - before.gravity_offset, step);
     let motion = (to.goal - to.gravity_offset) - (before.goal - before.gravity_offset);
     let (distance, room) = (J::abs(motion), step - J::abs(lift));
-    let mut share = J::Elem::splat(1.0);
+    let mut share = 1.0;
     if room.is_any_lt(distance) {
         // A motion that is only rounding error must not stop the other joints while the gravity part takes all the room.
         let free = J::max(room, step * J::splat(1e-9));
         let missing = J::select_lt(free, distance, J::splat(1.0) - room / distance, J::splat(0.0));
-        share = share - missing.max_element();
+        share -= missing.max_element();
     }
-    (
-        Goals { goal: before.goal + lift + J::broadcast(share) * motion, gravity_offset: before.gravity_offset + lift },
-        share,
-    )
+    (Goals { goal: before.goal + lift + J::splat(share) * motion, gravity_offset: before.gravity_offset + lift }, share)
 }
 
 /// Joint speeds [rad/s] for the servos' own profiles: the speed at which one joint alone keeps the tool within its

@@ -313,7 +313,7 @@ impl HostLossBound<'_> {
             friction[i] = params.servos.friction_at_rest(i, self.holding[i]);
             base[i] = (self.gravity_scale * self.in_limit[i].abs()).max(params.min_torque_limit[i]);
         }
-        let dead = HostLoss {
+        let host_loss = HostLoss {
             simd_level: self.simd_level,
             chain: self.chain,
             params,
@@ -326,7 +326,7 @@ impl HostLossBound<'_> {
             friction: &friction,
         };
         let by_demand = params.law.by_force() && params.limits == LimitRule::Demand;
-        dead.limits_within(max, &base, if by_demand { &params.limit_margin } else { &zero })
+        host_loss.limits_within(max, &base, if by_demand { &params.limit_margin } else { &zero })
     }
 }
 

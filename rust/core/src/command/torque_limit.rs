@@ -1,7 +1,7 @@
 //! Joint torque limits: three rules for the wanted limits, and their bounds and slew.
 
 use crate::law::activation::Activation;
-use crate::math::simd::{JointVec16, JointVector, RealOps, SingleArmJoints};
+use crate::math::simd::{JointVec16, JointVector, RealOps};
 use crate::params::Params;
 use crate::{AxisVec, JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
@@ -36,9 +36,7 @@ impl<J: JointVector> LimitTerms<J> {
     pub(crate) fn budget(&self, budget: J) -> J {
         J::fma(J::splat(self.gravity_scale), J::abs(self.gravity), budget)
     }
-}
 
-impl<J: SingleArmJoints> LimitTerms<J> {
     /// Returns the limits of the rule `Sum`, which adds up the largest demands of all axes j:
     /// `s_g |g_i| + Σ_j |J_ji| max_j + null_i + |ff_i|`.
     #[cold]

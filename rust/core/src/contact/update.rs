@@ -301,7 +301,7 @@ impl ContactEstimator {
         chain.forward(q, &mut frames);
         chain.jacobian(&frames, &mut j_base);
         chain.gravity(&frames, &controller.masses, controller.gravity, &mut gravity);
-        let base_from_task = controller.params.base_from_task::<crate::math::simd::BaselineF64>(&frames.tool);
+        let base_from_task = controller.params.base_from_task(&frames.tool);
         for (row, g) in j_base.iter().zip(controller.gravity) {
             for i in 0..self.joints.n {
                 payload[i] -= row[i] * g;

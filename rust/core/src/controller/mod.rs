@@ -119,9 +119,7 @@ impl Controller {
     ///
     /// With a `state`, each row of the result is bit-identical to that of a separate controller. Without `state`, each
     /// row is the first step of a controller that was just reset to its q, with unbounded `goal_slew` and
-    /// `max_tool_speed`. If law, damping, projector and inverse are those of the paper and the arm has at most seven
-    /// joints, stateless steps compute one arm per SIMD lane. They equal single steps up to rounding: below 1e-11 of a
-    /// row's largest number at λ ≥ 0.02.
+    /// `max_tool_speed`.
     ///
     /// With `caps` or `adaptation` in the input, each row equals that of a controller whose settings have these values
     /// as `soft` = `firm` and as `adaptation` of the axes that yield. They may change from step to step: torque limits
@@ -185,7 +183,7 @@ impl Controller {
                     let row_state = row_state.unwrap_or_default();
                     match RowStatus::of(row_state, n) {
                         RowStatus::New => arm.state = State::new(),
-                        RowStatus::ReferenceHold(q) => arm.reset(q).map_err(|error| error.in_row("state", one.row))?,
+                        RowStatus::Reset(q) => arm.reset(q).map_err(|error| error.in_row("state", one.row))?,
                         RowStatus::Running => arm.state.read_from(n, row_state),
                     }
                     if changed {
@@ -241,7 +239,7 @@ impl Controller {
         if settings.delay.to_bits() != self.settings.delay.to_bits() {
             self.delay = settings.delay;
         }
-        params.update_gain_scale(self.delay, &settings);
+        params.set_delay(self.delay, &settings);
         self.settings = settings;
         self.params = params;
         self.reset_dependent_state();
@@ -296,7 +294,7 @@ impl Controller {
             return Err(Error::out_of_range("delay [s]", delay, "[0, 0.5]"));
         }
         self.delay = delay;
-        self.params.update_gain_scale(delay, &self.settings);
+        self.params.set_delay(delay, &self.settings);
         Ok(())
     }
 
@@ -641,15 +639,7 @@ impl Controller {
 
     /// Returns a batch with the input `input` and the parameters of this controller.
     fn batch<'a>(&'a self, input: &'a BatchInput<'a>) -> Batch<'a> {
-        Batch {
-            input,
-            model: &self.model,
-            params: &self.params,
-            settings: &self.settings,
-            masses: &self.masses,
-            gravity: &self.gravity,
-            simd_level: self.simd_level,
-        }
+        Batch { input, model: &self.model, params: &self.params, settings: &self.settings }
     }
 
     /// Steps one arm of a batch from the present state, and writes its command.

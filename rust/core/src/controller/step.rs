@@ -18,7 +18,7 @@ use crate::law::redistribution::{redistribute, without_locked};
 use crate::law::singularity::{row_damping, singularity_state};
 use crate::law::{self, LawInput, Pacing};
 use crate::math::rows::store_rows;
-use crate::math::simd::{Isa, JointVec16, Kernel, LANES, RealOps, SimdLevel, SingleArmJoints, TaskVector};
+use crate::math::simd::{F64x8, Isa, JointVec16, JointVector, Kernel, LANES, RealOps, SimdLevel};
 use crate::math::singular_values::SingularValues;
 use crate::model::Chain;
 use crate::params::{LimitRule, Params, Settings};
@@ -60,7 +60,7 @@ pub(super) struct StepContext<'a> {
 
 /// Joint targets of a step, with the quantities that later stages need.
 #[derive(Clone, Copy)]
-struct StepSolution<J: SingleArmJoints> {
+struct StepSolution<J: JointVector> {
     solution: JointTargets<J>,
     gradient: J,
     /// Damping λ².
@@ -96,7 +96,7 @@ impl StepContext<'_> {
 
     /// Runs the step, lines 1 to 12; returns false if positions, target or command are invalid.
     #[inline(always)]
-    fn step_generic<J: SingleArmJoints>(&mut self) -> bool {
+    fn step_generic<J: JointVector>(&mut self) -> bool {
         let (params, settings) = (self.params, self.settings);
         let dt = self.input.dt.min(LONGEST_SLEW);
 
@@ -110,11 +110,11 @@ impl StepContext<'_> {
         let mut governor = self.state.governor;
         let reference = governor.update::<J::Elem>(self.target, speed, settings.max_tool_acceleration, dt);
         let view = self.chain.evaluate(q, params.uses_gravity.then_some((self.masses, self.gravity)), self.scratch);
-        let mut turned = None;
-        let arm = ArmState::new(params, settings, q, &view, &mut turned);
+        let mut row_storage = None;
+        let arm = ArmState::new(params, settings, q, &view, &mut row_storage);
         let error = pose_error_by::<J::Elem>(&arm.view.tool, &reference);
         let deviation = params.to_task_rows(&arm.base_from_task, &error);
-        let mut aim = StepReference { reference, deviation };
+        let mut step_reference = StepReference { reference, deviation };
         // Those of x, y, z, roll, pitch, yaw that are at their deviation limit. An array that is indexed at run time stays
         // in memory, with the whole struct that holds it.
         let mut limited_axes = [false; MAX_AXES];
@@ -124,9 +124,9 @@ impl StepContext<'_> {
                 DeviationLimiter { tool: &tool, base_from_task: &base_from_task, before: &self.state.governor.pose() };
             if let Some(limited) = limit_deviation(params, &limiter, &mut governor) {
                 // If the limit does not change the reference, keep the deviation bit-identical.
-                let still = limited.reference == aim.reference;
-                let deviation = if still { aim.deviation } else { params.select_rows(&limited.error) };
-                aim = StepReference { reference: limited.reference, deviation };
+                let still = limited.reference == step_reference.reference;
+                let deviation = if still { step_reference.deviation } else { params.select_rows(&limited.error) };
+                step_reference = StepReference { reference: limited.reference, deviation };
                 limited_axes = limited.active;
             }
         }
@@ -138,7 +138,7 @@ impl StepContext<'_> {
             Some(twist) => params.to_task_rows(&arm.base_from_task, &governor.velocity(twist, speed)),
             None => J::Axes::splat(0.0),
         };
-        let demand = AxisDemand::new(params, settings, aim.deviation, twist);
+        let demand = AxisDemand::new(params, settings, step_reference.deviation, twist);
         let pacing = self.pacing(&arm, &filtered, &governor, dt);
         let mut singular = self.state.singular;
         let mut locked = [false; MAX_JOINTS];
@@ -155,7 +155,7 @@ impl StepContext<'_> {
         let (Goals { goal, gravity_offset }, share) = slew(from, to, settings.tracking.goal_slew * dt);
         let hold_fraction = hold_fraction(solution.motion.factors[2].min(share));
         if hold_fraction > 0.0 && governor.lags(speed) != [false; 2] {
-            let lag = TaskVector::to_axes(demand.deviation * (J::Axes::splat(1.0) - demand.softness));
+            let lag = (demand.deviation * (J::Axes::splat(1.0) - demand.softness)).to_axes();
             let bounds = [speed, settings.max_tool_acceleration];
             let hold =
                 ReferenceHold { params, bounds, base_from_task: &arm.base_from_task, lag: &lag, hold_fraction, dt };
@@ -202,7 +202,7 @@ impl StepContext<'_> {
         let profile =
             profile_velocity(&arm.view.j_base, speed, settings.tracking.goal_slew, J::load(&params.joint_speed));
         profile.store(&mut self.command.speed_limit);
-        self.record_diagnostics(&arm, &aim, &demand, &solved, &filtered, (&locked, &limited_axes));
+        self.record_diagnostics(&arm, &step_reference, &demand, &solved, &filtered, (&locked, &limited_axes));
         true
     }
 
@@ -210,7 +210,7 @@ impl StepContext<'_> {
     /// exceed a position limit to the others; those are then true in `locked`. Updates `singular` if the settings need
     /// it.
     #[inline(always)]
-    fn solve<J: SingleArmJoints>(
+    fn solve<J: JointVector>(
         &self,
         arm: &ArmState<'_, J>,
         demand: &AxisDemand<J::Axes>,
@@ -243,7 +243,7 @@ impl StepContext<'_> {
             velocity: filtered.velocity,
             gradient,
             gravity: arm.gravity_in_goal,
-            friction_gains: FrictionGains::new::<J::Elem>(settings, singularity.gamma),
+            friction_gains: FrictionGains::new(settings, singularity.gamma),
             integral: J::load(&state.integral),
         };
         let mut solved = StepSolution {
@@ -268,7 +268,7 @@ impl StepContext<'_> {
 
     /// Adds the lead of stiff axes and null space, without that of locked joints, to the stored lead.
     #[inline(always)]
-    fn integrate<J: SingleArmJoints>(
+    fn integrate<J: JointVector>(
         &mut self,
         dt: f64,
         arm: &ArmState<'_, J>,
@@ -285,16 +285,16 @@ impl StepContext<'_> {
             offset: &offset,
             share: self.settings.tracking.integrate * dt,
             gravity: &(arm.view.holding * J::splat(self.settings.paper_options.gravity_scale)).to_joints(),
-            softness: &TaskVector::to_axes(demand.softness),
+            softness: &demand.softness.to_axes(),
             rows: &without_locked(&store_rows(arm.rows), locked),
-            damping: &TaskVector::to_axes(solved.row_damping),
+            damping: &solved.row_damping.to_axes(),
         };
         integrator.update(&mut self.state.integral, self.params);
     }
 
     /// Returns the filtered joint velocity, or that of the input (line 1).
     #[inline(always)]
-    fn filter<J: SingleArmJoints>(&self, q: J) -> Filtered<J> {
+    fn filter<J: JointVector>(&self, q: J) -> Filtered<J> {
         if let Some(dq) = &self.input.dq {
             return Filtered { backlash_output: q, velocity: J::load(dq) };
         }
@@ -304,7 +304,7 @@ impl StepContext<'_> {
 
     /// Returns the predicted positions at the arrival of the goal (line 1); the measured ones under law `paper`.
     #[inline(always)]
-    fn predict<J: SingleArmJoints>(&self, q: J, filtered: &Filtered<J>) -> J {
+    fn predict<J: JointVector>(&self, q: J, filtered: &Filtered<J>) -> J {
         if !self.params.law.by_force() {
             return q;
         }
@@ -315,7 +315,7 @@ impl StepContext<'_> {
     /// Returns the terms that give the tool the velocity and acceleration of its reference; zero if the settings do not
     /// limit the tool's speed.
     #[inline(always)]
-    fn pacing<J: SingleArmJoints>(
+    fn pacing<J: JointVector>(
         &self,
         arm: &ArmState<'_, J>,
         filtered: &Filtered<J>,
@@ -334,7 +334,7 @@ impl StepContext<'_> {
     /// Returns the torque limits before floor, ceiling and slew: (11) under law `paper`, otherwise line 12 or the sum
     /// rule.
     #[inline(always)]
-    fn wanted_limits<J: SingleArmJoints>(
+    fn wanted_limits<J: JointVector>(
         &self,
         q: J,
         arm: &ArmState<'_, J>,
@@ -354,7 +354,7 @@ impl StepContext<'_> {
                     gradient: solved.gradient.to_joints(),
                     damping: solved.damping.sqrt(),
                     sigma: [singular.smallest, singular.largest],
-                    max: TaskVector::to_axes(demand.max_strength),
+                    max: demand.max_strength.to_axes(),
                     gravity: arm.gravity_in_limit.to_joint_vec16(),
                     feed_forward: solution.feed_forward.to_joint_vec16(),
                 };
@@ -365,10 +365,10 @@ impl StepContext<'_> {
 
     /// Stores the intermediate results of the step in the diagnostics.
     #[inline(always)]
-    fn record_diagnostics<J: SingleArmJoints>(
+    fn record_diagnostics<J: JointVector>(
         &mut self,
         arm: &ArmState<'_, J>,
-        aim: &StepReference<J::Axes>,
+        step_reference: &StepReference<J::Axes>,
         demand: &AxisDemand<J::Axes>,
         solved: &StepSolution<J>,
         filtered: &Filtered<J>,
@@ -378,15 +378,14 @@ impl StepContext<'_> {
         let (params, record, motion) = (self.params, &mut *self.diagnostics, &solution.motion);
         arm.q.store(&mut record.q);
         filtered.velocity.store(&mut record.velocity);
-        record.deviation = TaskVector::to_axes(demand.deviation);
-        record.adapted_deviation = TaskVector::to_axes(demand.adapted);
-        record.task_velocity = TaskVector::to_axes(
-            demand.clamped_displacement * J::Axes::splat(1.0 / self.settings.paper_options.horizon),
-        );
-        record.softness = TaskVector::to_axes(demand.softness);
-        record.compliance = TaskVector::to_axes(demand.compliance);
-        record.axis_strength = TaskVector::to_axes(demand.max_strength);
-        record.wrench = TaskVector::to_axes(motion.wrench.total());
+        record.deviation = demand.deviation.to_axes();
+        record.adapted_deviation = demand.adapted.to_axes();
+        record.task_velocity =
+            (demand.clamped_displacement * J::Axes::splat(1.0 / self.settings.paper_options.horizon)).to_axes();
+        record.softness = demand.softness.to_axes();
+        record.compliance = demand.compliance.to_axes();
+        record.axis_strength = demand.max_strength.to_axes();
+        record.wrench = motion.wrench.total().to_axes();
         arm.view.holding.store(&mut record.gravity);
         solution.feed_forward.store(&mut record.feed_forward);
         solved.gradient.store(&mut record.gradient);
@@ -406,6 +405,6 @@ impl StepContext<'_> {
                 *slot = limited_axes[axis];
             }
         }
-        record.reference = aim.reference;
+        record.reference = step_reference.reference;
     }
 }

@@ -26,7 +26,7 @@ use crate::law::activation::Activation;
 use crate::law::nullspace::projector_damping_sq;
 use crate::law::{activation, nullspace};
 use crate::math::rows::load_rows;
-use crate::math::simd::{JointVec16, JointVector, RealOps, TaskVector};
+use crate::math::simd::{F64x8, JointVec16, JointVector, RealOps};
 use crate::math::svd::Svd;
 use crate::params::Projector;
 use crate::pose::Pose;
@@ -195,7 +195,7 @@ pub fn joint_torque_limits(activation: &DMatrix<f64>, strength: &[f64]) -> Resul
         (0..k).for_each(|r| task[r][i] = activation[(i, r)]);
         null[i] = activation[(i, k)];
     }
-    let torque = Activation::of(&task, &null).distribute(TaskVector::from_axes(&budgets), all[k]);
+    let torque = Activation::of(&task, &null).distribute(F64x8::from_axes(&budgets), all[k]);
     let limits = DMatrix::from_column_slice(n, 1, &torque.to_joints()[..n]);
     Ok(DVector::from_column_slice(without_overflow("A", limits)?.as_slice()))
 }

@@ -1,6 +1,6 @@
 //! Forward kinematics: joint positions → frames of all joints and of the tool.
 
-use crate::math::simd::{BaselineF64, Real, RealOps, ScalarVec3, SingleArmJoints, Vec3Ops, sin_cos};
+use crate::math::simd::{BaselineF64, JointVector, Real, RealOps, ScalarVec3, Vec3Ops, sin_cos};
 use crate::math::spatial::{Mat3, Vec3, multiply, splat, splat_matrix};
 use crate::model::Chain;
 use crate::pose::Pose;
@@ -154,7 +154,7 @@ impl Chain {
 
     /// Computes the motions at `q` of the joints of a simple chain, one joint per lane.
     #[inline(always)]
-    pub(super) fn joint_trigs_simd<J: SingleArmJoints, const N: usize>(&self, q: J) -> JointTrigs<'static, f64, N> {
+    pub(super) fn joint_trigs_simd<J: JointVector, const N: usize>(&self, q: J) -> JointTrigs<'static, f64, N> {
         let (sine, cosine) = sin_cos::<J>(q + J::load(&self.angle_offset));
         JointTrigs { q: &[0.0; MAX_JOINTS], all: [sine.prefix(), cosine.prefix(), [0.0; N]] }
     }

@@ -4,17 +4,17 @@
 use super::forward::{JointFrames, Visitor, transform_point};
 use super::gravity::GroupMasses;
 use crate::math::rows::load_rows;
-use crate::math::simd::{JointVector, LANES, PaddedVec3, RealOps, Scalar, SingleArmJoints, StoreVec3, Vec3Ops};
+use crate::math::simd::{JointVector, LANES, PaddedVec3, StoreVec3, Vec3Ops};
 use crate::math::spatial::{Vec3, cross, dot, splat, sub};
 use crate::model::Chain;
 use crate::pose::Pose;
 use crate::{JointVec, MAX_AXES, MAX_JOINTS, Rows};
 
-/// Tool pose, Jacobian and gravity torques of one configuration or of several.
+/// Tool pose, Jacobian and gravity torques of one configuration.
 #[derive(Clone, Copy)]
 pub(crate) struct KinematicState<J: JointVector> {
     /// Pose of the tool, `base_from_tool`.
-    pub(crate) tool: Pose<Scalar<J>>,
+    pub(crate) tool: Pose,
     /// Geometric Jacobian at the tool, in base axes (6 × n).
     pub(crate) j_base: [J; MAX_AXES],
     /// Torques that hold the arm against gravity [N·m]; 0 if they were not requested.
@@ -63,7 +63,7 @@ impl<const N: usize> JointAxes<N> {
 
     /// Returns the joint axes, and the Jacobian at the tool for revolute joints.
     #[inline(always)]
-    fn jacobian<J: SingleArmJoints>(&self, tool: &Pose) -> ([J; 3], [J; MAX_AXES]) {
+    fn jacobian<J: JointVector>(&self, tool: &Pose) -> ([J; 3], [J; MAX_AXES]) {
         let (origin, axis) = (J::components(&self.origin), J::components(&self.axis));
         let lever = cross::<J>(&axis, &sub::<J>(&splat::<J>(&tool.position), &origin));
         (axis, [lever[0], lever[1], lever[2], axis[0], axis[1], axis[2]])
@@ -94,48 +94,10 @@ impl<T: StoreVec3> Visitor<T> for WithMasses<'_> {
 }
 
 impl Chain {
-    /// Computes tool pose, Jacobian and gravity torques of several configurations; the torques are 0 unless
-    /// `with_masses`. `rows` is scratch whose columns after the last joint must be 0.
-    #[inline(always)]
-    pub(crate) fn evaluate_soa<J: JointVector>(
-        &self,
-        q: &[Scalar<J>; MAX_JOINTS],
-        masses: &GroupMasses,
-        g: &Vec3,
-        with_masses: bool,
-        rows: &mut [[Scalar<J>; MAX_JOINTS]; MAX_AXES],
-    ) -> KinematicState<J> {
-        let zero = J::Elem::splat(0.0);
-        let mut holding = [zero; MAX_JOINTS];
-        let tool = if with_masses {
-            let mut frames = JointFrames::filled(zero);
-            self.forward_by::<J::Elem>(q, &mut frames);
-            self.jacobian_by::<J::Elem>(&frames, rows);
-            self.gravity_by::<J::Elem>(&frames, masses, g, &mut holding);
-            frames.tool
-        } else {
-            self.kinematics_by::<J::Elem>(q, rows)
-        };
-        let [a, b, c, d, e, f] = rows;
-        // Built in place, because it is too large to be moved cheaply.
-        KinematicState {
-            tool,
-            j_base: [
-                J::from_joints(a),
-                J::from_joints(b),
-                J::from_joints(c),
-                J::from_joints(d),
-                J::from_joints(e),
-                J::from_joints(f),
-            ],
-            holding: J::from_joints(&holding),
-        }
-    }
-
     /// Computes tool pose, Jacobian and gravity torques at `q`. `weight` holds the masses and gravity [m/s²] in the
     /// base; the torques are 0 if it is `None`.
     #[inline(always)]
-    pub(crate) fn evaluate<J: SingleArmJoints>(
+    pub(crate) fn evaluate<J: JointVector>(
         &self,
         q: J,
         weight: Option<(&GroupMasses, &Vec3)>,
@@ -155,7 +117,7 @@ impl Chain {
 
     /// Computes [`Chain::evaluate`] for a simple chain without joints beside its path.
     #[inline(always)]
-    fn evaluate_simple<J: SingleArmJoints>(
+    fn evaluate_simple<J: JointVector>(
         &self,
         q: J,
         weight: Option<(&GroupMasses, &Vec3)>,
@@ -187,7 +149,7 @@ impl Chain {
 
     /// Computes tool pose and Jacobian at `q` of an arm in which each coordinate drives one joint.
     #[inline(always)]
-    pub(super) fn pose_and_jacobian<J: SingleArmJoints>(&self, q: &JointVec, rows: &mut Rows) -> Pose {
+    pub(super) fn pose_and_jacobian<J: JointVector>(&self, q: &JointVec, rows: &mut Rows) -> Pose {
         let mut cells = JointAxes::<LANES>::new();
         let joint_trigs = self.joint_trigs_simd::<J, LANES>(J::load(q));
         let tool = self.forward_pass::<J::Vec3, LANES, false>(&joint_trigs, &mut cells);

@@ -2,7 +2,7 @@
 
 use super::forward::{JointFrames, Visitor};
 use crate::math::rows::{load_rows, store_rows};
-use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps, Scalar, ScalarVec3, Vec3Ops};
+use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps, ScalarVec3, Vec3Ops};
 use crate::math::spatial::{Mat3, Vec3, cross, dot, sub, tr_rotate};
 use crate::model::Chain;
 use crate::pose::Pose;
@@ -131,16 +131,16 @@ fn block_and_column(axis: usize) -> (usize, usize) {
 #[inline(always)]
 pub(crate) fn rotated_rows<J: JointVector>(
     j_base: &[J; MAX_AXES],
-    base_from_task: &Mat3<Scalar<J>>,
+    base_from_task: &Mat3,
     axes: &[usize],
 ) -> [J; MAX_AXES] {
     let mut out = [J::splat(0.0); MAX_AXES];
     for r in 0..axes.len().min(MAX_AXES) {
         let (block, column) = block_and_column(axes[r]);
         let [x, y, z] = [
-            J::broadcast(base_from_task[0][column]),
-            J::broadcast(base_from_task[1][column]),
-            J::broadcast(base_from_task[2][column]),
+            J::splat(base_from_task[0][column]),
+            J::splat(base_from_task[1][column]),
+            J::splat(base_from_task[2][column]),
         ];
         out[r] = J::fma(z, j_base[block + 2], J::fma(y, j_base[block + 1], x * j_base[block]));
     }

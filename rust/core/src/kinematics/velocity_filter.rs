@@ -1,6 +1,6 @@
 //! Joint velocity from measured positions.
 
-use crate::math::simd::{JointVector, NEGLIGIBLE, SingleArmJoints};
+use crate::math::simd::{JointVector, NEGLIGIBLE};
 use crate::{JointVec, MAX_JOINTS};
 
 /// Largest plausible speed of a joint [rad/s, m/s].
@@ -41,7 +41,7 @@ impl VelocityFilter {
 
     /// Stores the state that [`VelocityFilter::update`] returned.
     #[inline(always)]
-    pub(crate) fn set<J: SingleArmJoints>(&mut self, filtered: Filtered<J>) {
+    pub(crate) fn set<J: JointVector>(&mut self, filtered: Filtered<J>) {
         filtered.backlash_output.store(&mut self.backlash_output);
         filtered.velocity.store(&mut self.velocity);
     }

@@ -4,8 +4,9 @@ use nalgebra::DMatrix;
 
 use crate::law::nullspace::{step_projector, step_pseudo_inverse};
 use crate::math::rows::{JointMatrix, load_rows, tr_mul};
-use crate::math::simd::{JointVec16, JointVector, RealOps, TaskVector};
+use crate::math::simd::{F64x8, JointVec16, JointVector, RealOps};
 use crate::params::Params;
+use crate::task::compliance::clamp01;
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 /// Smallest sum by which shares are divided: its inverse times any strength is finite. An axis with a smaller sum gets
@@ -122,15 +123,13 @@ pub(crate) fn responsibility(
 pub(crate) fn null_column<J: JointVector>(motion: J, projector: &impl RowNorms<J>) -> J {
     let magnitudes = J::abs(motion);
     let sum = magnitudes.sum();
-    let (zero, one) = (J::Elem::splat(0.0), J::Elem::splat(1.0));
-    let blend = sum * J::Elem::splat(1.0 / GRADIENT_THRESHOLD) - one;
-    if !J::Elem::any_lt(blend, one) {
-        return magnitudes * J::broadcast(one / sum);
+    let blend = sum * (1.0 / GRADIENT_THRESHOLD) - 1.0;
+    if !(blend < 1.0) {
+        return magnitudes * J::splat(1.0 / sum);
     }
-    let (blend, lengths) = (J::Elem::min(J::Elem::max(blend, zero), one), projector.row_norms());
-    let least = J::Elem::splat(MIN_SUM);
-    let (moved, still) = (J::Elem::max(sum, least), J::Elem::max(lengths.sum(), least));
-    magnitudes * J::broadcast(blend / moved) + lengths * J::broadcast((one - blend) / still)
+    let (blend, lengths) = (clamp01::<J::Elem>(blend), projector.row_norms());
+    let (moved, still) = (J::Elem::max(sum, MIN_SUM), J::Elem::max(lengths.sum(), MIN_SUM));
+    magnitudes * J::splat(blend / moved) + lengths * J::splat((1.0 - blend) / still)
 }
 
 /// A matrix over the joints whose row norms can be computed. A trait, because a closure would be compiled for the

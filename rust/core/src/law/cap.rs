@@ -4,14 +4,14 @@ use crate::law::wrench::Wrench;
 use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::{Mat6, damped, diagonal, weighted_gram};
-use crate::math::simd::{AxisScalar, JointVector, TaskVector};
+use crate::math::simd::{F64x8, JointVector};
 use crate::params::Follow;
 
 /// Compliance, step and bounds of each task axis, from which the wrench of one step is solved.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct CapProblem<'a, W: TaskVector> {
+pub(crate) struct CapProblem<'a, W: F64x8> {
     /// `C = J K_p⁻¹ Jᵀ` [m/N, rad/(N·m)]: compliance of the task axes on the servos' stiffness.
-    pub(crate) compliance: &'a Mat6<AxisScalar<W>>,
+    pub(crate) compliance: &'a Mat6,
     /// `λ²/k̄` of each row, in the units of `C`, with the servos' mean stiffness k̄.
     pub(crate) damping: W,
     /// Step `s = h (K_x ẽ + twist)` [m, rad], within the step limits of soft axes.
@@ -24,7 +24,7 @@ pub(crate) struct CapProblem<'a, W: TaskVector> {
     pub(crate) cap: W,
 }
 
-impl<W: TaskVector> CapProblem<'_, W> {
+impl<W: F64x8> CapProblem<'_, W> {
     /// Returns the wrench that the servos shall exert on the tool.
     #[inline(always)]
     pub(crate) fn wrench(&self, follow: Follow) -> Wrench<W> {
@@ -50,15 +50,14 @@ impl<W: TaskVector> CapProblem<'_, W> {
         let root = W::sqrt(W::max(W::splat(1.0) - self.softness, W::splat(0.0)));
         let c_diagonal = W::max(diagonal(self.compliance), W::splat(f64::MIN_POSITIVE));
         let added = W::fma(root * root, self.damping, self.softness * c_diagonal);
-        let (roots, mut m) = (TaskVector::to_axes(root), *self.compliance);
+        let (roots, mut m) = (root.to_axes(), *self.compliance);
         for (r, row) in m.iter_mut().enumerate() {
             for c in 0..=r {
-                row[c] = row[c] * (roots[r] * roots[c]);
+                row[c] *= roots[r] * roots[c];
             }
         }
-        let y = Ldlt6::new::<W::Elem>(&damped(m, &TaskVector::to_axes(added)))
-            .solve::<W::Elem>(&TaskVector::to_axes(root * self.bounded_step));
-        root * TaskVector::from_axes(&y)
+        let factor = Ldlt6::new::<W::Elem>(&damped(m, &added.to_axes()));
+        root * W::from_axes(&factor.solve::<W::Elem>(&(root * self.bounded_step).to_axes()))
     }
 
     /// Returns `(C + λ²/k̄)⁻¹ s` over all rows, with the steps of soft rows clamped to ±F C_jj.
@@ -67,8 +66,8 @@ impl<W: TaskVector> CapProblem<'_, W> {
         let (w, stiff) = (self.softness, W::splat(1.0) - self.softness);
         let max = self.cap * diagonal::<W>(self.compliance);
         let b = W::fma(w, W::clamp_abs(self.bounded_step, max), stiff * self.bounded_step);
-        let factor = Ldlt6::new::<W::Elem>(&damped(*self.compliance, &TaskVector::to_axes(self.damping)));
-        let all: W = TaskVector::from_axes(&factor.solve::<W::Elem>(&TaskVector::to_axes(b)));
+        let factor = Ldlt6::new::<W::Elem>(&damped(*self.compliance, &self.damping.to_axes()));
+        let all = W::from_axes(&factor.solve::<W::Elem>(&b.to_axes()));
         Wrench { soft: w * all, stiff: stiff * all }
     }
 }
@@ -136,12 +135,12 @@ mod tests {
         let problem = CapProblem {
             compliance: &c,
             damping: Axes::splat(1e-3),
-            step: TaskVector::from_axes(&s),
-            bounded_step: TaskVector::from_axes(&s),
-            softness: TaskVector::from_axes(&softness),
+            step: Axes::from_axes(&s),
+            bounded_step: Axes::from_axes(&s),
+            softness: Axes::from_axes(&softness),
             cap: Axes::splat(5.0),
         };
-        let stiff = TaskVector::to_axes(problem.stiff_force());
+        let stiff = problem.stiff_force().to_axes();
         let rows = [0, 2, 3, 4, 5];
         let matrix = nalgebra::DMatrix::from_fn(5, 5, |i, j| {
             let (r, k) = (rows[i], rows[j]);
@@ -153,7 +152,7 @@ mod tests {
             assert!((stiff[r] - expected[i]).abs() < 1e-14);
         }
         assert!(stiff[1].abs() < f64::MIN_POSITIVE);
-        assert!((TaskVector::to_axes(problem.wrench(Follow::Free).soft)[1] + 0.1).abs() < 1e-15);
+        assert!((problem.wrench(Follow::Free).soft.to_axes()[1] + 0.1).abs() < 1e-15);
     }
 
     #[test]
@@ -167,6 +166,6 @@ mod tests {
             softness: Axes::splat(1.0),
             cap: Axes::splat(5.0),
         };
-        assert!(TaskVector::to_axes(problem.wrench(Follow::Free).soft).iter().all(|f| (f - 5.0).abs() < 1e-15));
+        assert!(problem.wrench(Follow::Free).soft.to_axes().iter().all(|f| (f - 5.0).abs() < 1e-15));
     }
 }

@@ -1,30 +1,26 @@
 //! Feed-forward of friction and damping.
 
-use crate::math::simd::{JointVector, Number, RealOps, Scalar, tanh};
+use crate::math::simd::{JointVector, tanh};
 use crate::params::{ServoArrays, Settings};
 
 /// Factors of the friction and damping feed-forward.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct FrictionGains<S> {
+pub(crate) struct FrictionGains {
     /// γ b_f, on dry friction.
-    pub(crate) friction: S,
+    pub(crate) friction: f64,
     /// γ b_d, on viscous damping.
-    pub(crate) damping: S,
+    pub(crate) damping: f64,
     /// Speed v₀ [rad/s] at which the dry friction saturates.
     pub(crate) speed: f64,
 }
 
-impl<S> FrictionGains<S> {
+impl FrictionGains {
     /// Returns the factors of the settings for the singularity fade γ; law `paper` does not use them.
     #[inline(always)]
-    pub(crate) fn new<A: RealOps<Real = S>>(settings: &Settings, gamma: S) -> Self
-    where
-        S: Number,
-    {
-        let share = |of: f64| gamma * A::splat(of);
+    pub(crate) fn new(settings: &Settings, gamma: f64) -> Self {
         Self {
-            friction: share(settings.compensation.friction),
-            damping: share(settings.compensation.damping),
+            friction: gamma * settings.compensation.friction,
+            damping: gamma * settings.compensation.damping,
             speed: settings.paper_options.friction_speed,
         }
     }
@@ -44,15 +40,14 @@ impl<J: JointVector> FrictionFeedForward<J> {
     /// `s = 1/(1 + x + x²)`, `x = |v|/v_s`, the excess of static friction fades with the speed. `toward` replaces v in
     /// `tanh(v/v₀)`, because the velocity of a joint that sticks has no direction.
     #[inline(always)]
-    pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, friction_gains: FrictionGains<Scalar<J>>) -> Self {
+    pub(crate) fn new([v, toward]: [J; 2], servos: &ServoArrays, friction_gains: FrictionGains) -> Self {
         let one = J::splat(1.0);
         let x = J::abs(v) * J::load(&servos.inv_stribeck_speed);
         let at_rest = one / J::fma(x, x, one + x);
-        let direction =
-            tanh::<J>(toward * J::splat(1.0 / friction_gains.speed)) * J::broadcast(friction_gains.friction);
+        let direction = tanh::<J>(toward * J::splat(1.0 / friction_gains.speed)) * J::splat(friction_gains.friction);
         let dry = J::fma(at_rest, J::load(&servos.stribeck), J::load(&servos.friction));
         let per_load = J::fma(at_rest, J::load(&servos.load_stribeck), J::load(&servos.load_friction));
-        let damping = J::load(&servos.damping) * v * J::broadcast(friction_gains.damping);
+        let damping = J::load(&servos.damping) * v * J::splat(friction_gains.damping);
         Self { unloaded: J::fma(dry, direction, damping), per_load: per_load * direction }
     }
 

@@ -3,32 +3,32 @@
 use crate::law::wrench::Wrench;
 use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
 use crate::math::rows::{diagonal, load_rows, mul, weighted_gram};
-use crate::math::simd::{Broadcast, JointVec16, JointVector, RealOps, Scalar, TaskVector};
+use crate::math::simd::{F64x8, JointVec16, JointVector, RealOps};
 use crate::math::spectral::rho;
 use crate::params::Params;
 use crate::{MAX_AXES, Rows};
 
 /// Returns the factor that reduces ρ of these gains to `bound`; 1 if ρ is within it.
 #[inline(always)]
-fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) -> Scalar<J> {
+fn share<J: JointVector>(input: &LawInput<'_, J>, gains: J::Axes, bound: f64) -> f64 {
     if !J::Axes::any_lt(J::Axes::splat(0.0), gains) {
-        return J::Elem::splat(1.0);
+        return 1.0;
     }
-    let (rho, bound) = (rho(input.rows, J::load(&input.params.servos.compliance), gains), J::Elem::splat(bound));
-    J::Elem::select_lt(bound, rho, bound / rho, J::Elem::splat(1.0))
+    let rho = rho(input.rows, J::load(&input.params.servos.compliance), gains);
+    if rho > bound { bound / rho } else { 1.0 }
 }
 
 /// Returns the force `F = clip(f K ẽ + f_D D (twist − v), ±max)` [N, N·m] of each axis, the joint speeds [rad/s] at the
 /// velocity of the reference, and f. The factors f, f_D ≤ 1 keep `f ρ(K)` and `f_D ρ(D)` within their bounds at this
 /// pose.
 #[inline(always)]
-fn force<J: JointVector>(input: &LawInput<'_, J>) -> (J::Axes, J, Scalar<J>) {
+fn force<J: JointVector>(input: &LawInput<'_, J>) -> (J::Axes, J, f64) {
     let (demand, [max_stiffness, max_damping]) = (input.demand, input.params.impedance_bounds);
     let stiff = share(input, demand.stiffness, max_stiffness);
     let damped = share(input, demand.damping, max_damping);
-    let velocity: J::Axes = TaskVector::from_axes(&mul(input.rows, input.velocity));
-    let spring = J::Axes::broadcast(stiff) * demand.stiffness * demand.adapted;
-    let mut force = J::Axes::fma(J::Axes::broadcast(damped) * demand.damping, demand.twist - velocity, spring);
+    let velocity = J::Axes::from_axes(&mul(input.rows, input.velocity));
+    let spring = J::Axes::splat(stiff) * demand.stiffness * demand.adapted;
+    let mut force = J::Axes::fma(J::Axes::splat(damped) * demand.damping, demand.twist - velocity, spring);
     let mut ahead = J::splat(0.0);
     if input.params.pace.on {
         let gram = weighted_gram(input.rows, J::load(&input.params.servos.compliance));
@@ -76,7 +76,8 @@ impl ControlLaw for Impedance {
         for (gain, row) in gains.iter_mut().zip(&params.per_axis).take(params.k) {
             *gain = row.damping[0].max(row.damping[1]);
         }
-        let rho = rho(&load_rows(rows), JointVec16::load(&params.servos.compliance), TaskVector::from_axes(&gains));
+        let gains = <JointVec16 as JointVector>::Axes::from_axes(&gains);
+        let rho = rho(&load_rows(rows), JointVec16::load(&params.servos.compliance), gains);
         if rho > max { max / rho } else { 1.0 }
     }
 }

@@ -17,7 +17,7 @@ use crate::law::nullspace::NullSpace;
 use crate::law::singularity::SingularityState;
 use crate::law::wrench::Wrench;
 use crate::math::rows::{mul, tr_mul};
-use crate::math::simd::{JointVector, RealOps, Scalar, SingleArmJoints, TaskVector};
+use crate::math::simd::{F64x8, JointVector, RealOps};
 use crate::params::{Law, Params, Projector};
 use crate::task::ArmState;
 use crate::task::demand::AxisDemand;
@@ -35,7 +35,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
     pub(crate) rows: &'a [J; MAX_AXES],
     /// Task rows whose translations are divided by the arm's length scale.
     pub(crate) scaled_rows: &'a [J; MAX_AXES],
-    pub(crate) singularity: &'a SingularityState<Scalar<J>>,
+    pub(crate) singularity: &'a SingularityState,
     /// λ² of each task row, in the units of that row.
     pub(crate) damping: J::Axes,
     /// Velocity and acceleration terms of the reference.
@@ -49,7 +49,7 @@ pub(crate) struct LawInput<'a, J: JointVector> {
     /// Gravity torque that the goals compensate [N·m]; 0 if the settings exclude it.
     pub(crate) gravity: J,
     /// Factors γ b_f and γ b_d and speed v₀ of the friction feed-forward.
-    pub(crate) friction_gains: FrictionGains<Scalar<J>>,
+    pub(crate) friction_gains: FrictionGains,
     /// Lead (goal − q) that the integrator has stored [rad]; 0 without integration.
     pub(crate) integral: J,
 }
@@ -64,26 +64,23 @@ pub(crate) struct Pacing<W> {
     pub(crate) velocity: W,
 }
 
-impl<W: TaskVector> Pacing<W> {
+impl<W: F64x8> Pacing<W> {
     /// Computes the terms from the reference's `velocity` [m/s, rad/s] and its `change` per second, both in base axes;
     /// `joints` is the joint velocity [rad/s].
     #[inline(always)]
-    pub(crate) fn new<J: SingleArmJoints<Axes = W>>(
+    pub(crate) fn new<J: JointVector<Axes = W>>(
         params: &Params,
         arm: &ArmState<'_, J>,
         joints: J,
         velocity: &AxisVec,
         change: &AxisVec,
-    ) -> Self
-    where
-        W: TaskVector<Elem: RealOps<Real = f64>>,
-    {
+    ) -> Self {
         let pace = &params.pace;
         let speed: W = params.to_task_rows(&arm.base_from_task, velocity);
         let acceleration: W = params.to_task_rows(&arm.base_from_task, change);
-        let tool_velocity: W = TaskVector::from_axes(&mul(arm.rows, joints));
-        let driven = W::constant(&pace.inertia) * W::clamp_abs(acceleration, W::constant(&pace.max_acceleration));
-        let displacement = W::fma(W::constant(&pace.damping), speed - tool_velocity, driven);
+        let tool_velocity = W::from_axes(&mul(arm.rows, joints));
+        let driven = W::from_array(&pace.inertia) * W::clamp_abs(acceleration, W::from_array(&pace.max_acceleration));
+        let displacement = W::fma(W::from_array(&pace.damping), speed - tool_velocity, driven);
         Self { displacement, velocity: speed }
     }
 
@@ -106,11 +103,11 @@ pub(crate) struct LawOutput<J: JointVector> {
     /// Wrench that the leads exert [N, N·m]; 0 under law `paper`.
     pub(crate) wrench: Wrench<J::Axes>,
     /// Factors, 0 to 1, by which the null-space, the soft and the stiff part were scaled.
-    pub(crate) factors: [Scalar<J>; 3],
+    pub(crate) factors: [f64; 3],
     /// Friction and damping feed-forward [N·m].
     pub(crate) feed_forward: J,
     /// Factor ≤ 1 on the gain of the stiff axes that delay and pose require.
-    pub(crate) gain_factor: Scalar<J>,
+    pub(crate) gain_factor: f64,
 }
 
 /// A control law. Each is implemented in its own file; the step is compiled for every law, and [`with_law`] selects
@@ -230,11 +227,9 @@ impl<J: JointVector> LawInput<'_, J> {
         let (params, size) = (self.params, (self.params.k, self.params.n));
         let weight = J::load(&params.joint_weight_inv);
         match (params.projector, &self.singularity.factor) {
-            (Projector::Paper, _) => NullSpace::new(self.rows, weight, &TaskVector::to_axes(self.damping), size),
+            (Projector::Paper, _) => NullSpace::new(self.rows, weight, &self.damping.to_axes(), size),
             // With equal joint weights and μ = 0, reuse the factor that the singular value tracking computed.
-            (Projector::Exact, Some(factor))
-                if params.law.by_force() && !J::Elem::any_lt(J::Elem::splat(0.0), self.singularity.mu_squared) =>
-            {
+            (Projector::Exact, Some(factor)) if params.law.by_force() && !(self.singularity.mu_squared > 0.0) => {
                 NullSpace::of(self.scaled_rows, weight, factor, size)
             }
             (Projector::Exact, _) => {

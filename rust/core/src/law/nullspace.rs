@@ -4,7 +4,7 @@ use crate::law::activation::RowNorms;
 use crate::law::posture_fade::posture_gain;
 use crate::math::ldlt6::{Ldlt6, factor_gram, pseudo_inverse};
 use crate::math::rows::{JointMatrix, load_rows, mul, store_rows, tr_mul};
-use crate::math::simd::{BaselineF64, JointVec16, JointVector, RealOps, Scalar, SingleArmJoints};
+use crate::math::simd::{BaselineF64, JointVec16, JointVector};
 use crate::math::spatial::{cross, dot, sub};
 use crate::params::{Frame, NullSpaceCost, Params, Projector};
 use crate::task::ArmState;
@@ -21,7 +21,7 @@ pub(crate) struct NullSpace<'a, J: JointVector> {
     /// Diagonal of D.
     weight: J,
     /// Factor of `J D Jᵀ + μ²I`.
-    factor: Ldlt6<Scalar<J>>,
+    factor: Ldlt6,
     /// Number of task rows; if there are more rows than joints, N is 0.
     task: usize,
     /// Number of joints.
@@ -43,24 +43,14 @@ impl<'a, J: JointVector> NullSpace<'a, J> {
     /// Creates the projector of `task` rows over `joints` joints; `weight` is the diagonal of D, `added` the diagonal
     /// that is added to `J D Jᵀ`.
     #[inline(always)]
-    pub(crate) fn new(
-        rows: &'a [J; MAX_AXES],
-        weight: J,
-        added: &[Scalar<J>; MAX_AXES],
-        (task, joints): (usize, usize),
-    ) -> Self {
+    pub(crate) fn new(rows: &'a [J; MAX_AXES], weight: J, added: &AxisVec, (task, joints): (usize, usize)) -> Self {
         let factor = factor_gram(rows, weight, added);
         Self::of(rows, weight, &factor, (task, joints))
     }
 
     /// Creates the projector from the factor of the damped `J D Jᵀ`; `weight` is the diagonal of D.
     #[inline(always)]
-    pub(crate) fn of(
-        rows: &'a [J; MAX_AXES],
-        weight: J,
-        factor: &Ldlt6<Scalar<J>>,
-        (task, joints): (usize, usize),
-    ) -> Self {
+    pub(crate) fn of(rows: &'a [J; MAX_AXES], weight: J, factor: &Ldlt6, (task, joints): (usize, usize)) -> Self {
         Self { rows, weight, factor: *factor, task, joints }
     }
 
@@ -102,29 +92,29 @@ static IDENTITY: JointMatrix = {
 impl<J: JointVector> RowNorms<J> for NullSpace<'_, J> {
     #[inline(always)]
     fn row_norms(&self) -> J {
-        let (none, zero) = (J::splat(0.0), J::Elem::splat(0.0));
+        let none = J::splat(0.0);
         if self.task > self.joints {
             return none;
         }
-        let (mut columns, pinv_transposed) = ([[zero; MAX_JOINTS]; MAX_AXES], self.pseudo_inverse());
+        let (mut columns, pinv_transposed) = ([[0.0; MAX_JOINTS]; MAX_AXES], self.pseudo_inverse());
         for r in 0..MAX_AXES {
             columns[r] = pinv_transposed[r].to_joints();
         }
-        let (joints, mut squares) = (self.joints.min(MAX_JOINTS), [zero; MAX_JOINTS]);
+        let (joints, mut squares) = (self.joints.min(MAX_JOINTS), [0.0; MAX_JOINTS]);
         for first in (0..joints).step_by(4) {
             let mut four = [none; 4];
             for i in first..joints.min(first + 4) {
                 let row = &mut four[i - first];
                 *row = J::load(&IDENTITY[i]);
                 for r in 0..MAX_AXES {
-                    *row = J::fnma(J::broadcast(columns[r][i]), self.rows[r], *row);
+                    *row = J::fnma(J::splat(columns[r][i]), self.rows[r], *row);
                 }
             }
             let [a, b, c, d] = &four;
             let sums = J::dot4([a, b, c, d], [a, b, c, d]);
             squares[first..first + 4].copy_from_slice(&sums);
         }
-        J::sqrt(J::from_joints(&squares))
+        J::sqrt(J::load(&squares))
     }
 }
 
@@ -163,7 +153,7 @@ impl NullSpaceCost {
 /// Returns the gradient of the whole null-space cost; `rest` is the posture, `added` the gradient of a user's cost,
 /// `scaled` the scaled task rows and `mu_squared` μ² of the projector.
 #[inline(always)]
-pub(crate) fn cost_gradient<J: SingleArmJoints>(
+pub(crate) fn cost_gradient<J: JointVector>(
     params: &Params,
     rest: &JointVec,
     added: Option<&JointVec>,

@@ -8,8 +8,8 @@ use crate::law::wrench::Wrench;
 use crate::law::{AxisPush, ControlLaw, LawInput, LawOutput};
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::{damped, diagonal, tr_mul, weighted_gram};
-use crate::math::simd::{JointVector, RealOps, TaskVector};
-use crate::params::{Follow, Law, Params, Projector};
+use crate::math::simd::{F64x8, JointVector, RealOps};
+use crate::params::{Follow, Params, Projector};
 use crate::{MAX_AXES, MAX_JOINTS};
 
 /// Clamps the step of each task axis to its torque budget: `|s_j| ≤ τ_j / Σ_i k_i |J⁺_ij|`.
@@ -24,7 +24,7 @@ fn within_budget<J: JointVector>(pinv_transposed: &[J; MAX_AXES], step: J::Axes,
     }
     let [a, b, c, d] = J::sum4([cost[0], cost[1], cost[2], cost[3]]);
     let [e, f, ..] = J::sum4([cost[4], cost[5], zero, zero]);
-    let cost = J::Axes::max(TaskVector::from_axes(&[a, b, c, d, e, f]), J::Axes::splat(f64::MIN_POSITIVE));
+    let cost = J::Axes::max(J::Axes::from_axes(&[a, b, c, d, e, f]), J::Axes::splat(f64::MIN_POSITIVE));
     J::Axes::clamp_abs(step, budget / cost)
 }
 
@@ -42,8 +42,8 @@ fn decoupled_offset<J: JointVector>(input: &LawInput<'_, J>, step: J::Axes) -> J
         softness: input.demand.softness,
         cap: input.demand.strength,
     };
-    let factor = Ldlt6::new::<J::Elem>(&damped(c, &TaskVector::to_axes(problem.damping)));
-    let soft = problem.softness * TaskVector::from_axes(&factor.inverse_diagonal::<J::Elem>()) * step;
+    let factor = Ldlt6::new::<J::Elem>(&damped(c, &problem.damping.to_axes()));
+    let soft = problem.softness * J::Axes::from_axes(&factor.inverse_diagonal::<J::Elem>()) * step;
     compliance * tr_mul(input.rows, &(problem.stiff_force() + soft).to_axes())
 }
 
@@ -64,7 +64,9 @@ impl ControlLaw for Paper {
     /// With `budget_on_goal`, the step of each axis is clamped to its budget τ^x.
     #[inline(always)]
     fn solve<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, Option<J>) {
-        let (params, damped) = (input.params, damped_space(input));
+        let params = input.params;
+        let (weight, size) = (J::load(&params.joint_weight_inv), (params.k, params.n));
+        let damped = NullSpace::new(input.rows, weight, &input.damping.to_axes(), size);
         let pinv = damped.pseudo_inverse();
         let mut step = input.demand.clamped_displacement;
         if params.budget_on_goal {
@@ -92,36 +94,6 @@ impl ControlLaw for Paper {
     }
 }
 
-/// Returns true if the settings select the law as published, without the additions of this package.
-pub(crate) fn is_published(params: &Params) -> bool {
-    params.law == Law::Paper
-        && params.follow == Follow::Hold
-        && params.projector == Projector::Paper
-        && !params.budget_on_goal
-        && !params.tracks_sigma
-}
-
-/// Returns lead and joint torque budgets of law `paper` as published, for settings that satisfy [`is_published`].
-#[inline(always)]
-pub(crate) fn published_motion<J: JointVector>(input: &LawInput<'_, J>) -> (LawOutput<J>, J) {
-    let damped = damped_space(input);
-    let pinv = damped.pseudo_inverse();
-    let task = tr_mul(&pinv, &input.demand.clamped_displacement.to_axes());
-    within_limits(input, &pinv, task, &damped, damped.project_by(&pinv, input.gradient))
-}
-
-/// Returns the null-space projector that belongs to the damped pseudo-inverse of (3).
-#[inline(always)]
-fn damped_space<'a, J: JointVector>(input: &LawInput<'a, J>) -> NullSpace<'a, J> {
-    let params = input.params;
-    NullSpace::new(
-        input.rows,
-        J::load(&params.joint_weight_inv),
-        &TaskVector::to_axes(input.damping),
-        (params.k, params.n),
-    )
-}
-
 /// Scales the task motion `task` and the null-space direction `along` [rad], the latter times −α h, to the joint speed
 /// limits; also returns the joint torque budgets τ^q of (11).
 #[inline(always)]
@@ -139,13 +111,13 @@ fn within_limits<J: JointVector>(
     let null_shares = if params.k < params.n { null_column(along, null_space) } else { J::splat(0.0) };
     let budget = Activation::new(pinv, null_shares).distribute(input.demand.max_strength, params.null_torque);
     let motion = LawOutput {
-        stiff_offset: offset * J::broadcast(task_factor),
+        stiff_offset: offset * J::splat(task_factor),
         soft_offset: J::splat(0.0),
-        null: null * J::broadcast(null_factor),
+        null: null * J::splat(null_factor),
         wrench: Wrench::zero(),
         factors: [null_factor, task_factor, task_factor],
         feed_forward: J::splat(0.0),
-        gain_factor: J::Elem::splat(1.0),
+        gain_factor: 1.0,
     };
     (motion, budget)
 }
@@ -158,7 +130,7 @@ fn gained<J: JointVector>(params: &Params, v: J) -> J {
     }
     let (values, mut out) = (v.to_joints(), J::splat(0.0));
     for i in 0..params.n.min(MAX_JOINTS) {
-        out = J::fma(J::load(&params.kq_columns[i]), J::broadcast(values[i]), out);
+        out = J::fma(J::load(&params.kq_columns[i]), J::splat(values[i]), out);
     }
     out
 }

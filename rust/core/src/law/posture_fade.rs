@@ -5,7 +5,7 @@
 //! Without a push the posture task stays: it moves joints away from their stops, for example out of a folded
 //! configuration.
 
-use crate::math::simd::{RealOps, SingleArmJoints, TaskVector};
+use crate::math::simd::{F64x8, JointVector};
 use crate::params::Params;
 use crate::task::compliance::clamp01;
 use crate::task::demand::AxisDemand;
@@ -20,7 +20,7 @@ const ZERO_AT: f64 = 0.5;
 /// Returns the factor on the posture task at `q`: 1 away from all position limits, at the posture `rest`, or without a
 /// push; it falls to 0 where a push has moved a joint to its limit.
 #[inline(always)]
-pub(crate) fn posture_gain<J: SingleArmJoints>(params: &Params, q: J, rest: J, demand: &AxisDemand<J::Axes>) -> f64 {
+pub(crate) fn posture_gain<J: JointVector>(params: &Params, q: J, rest: J, demand: &AxisDemand<J::Axes>) -> f64 {
     let (lower, upper, clear) = (J::load(&params.lower), J::load(&params.upper), J::load(&params.clearance));
     let (below, above) = (q - lower, upper - q);
     if !J::min(below, above).is_any_lt(clear) {
@@ -33,16 +33,16 @@ pub(crate) fn posture_gain<J: SingleArmJoints>(params: &Params, q: J, rest: J, d
 /// Returns the strength of a push on the yielding axes, 0 to 1: 0 below the deviation at which the compliance of an
 /// axis begins to fall, 1 at twice that deviation.
 #[inline(always)]
-fn push_fraction<W: TaskVector<Elem: RealOps<Real = f64>>>(params: &Params, demand: &AxisDemand<W>) -> f64 {
-    let slope = W::constant(&params.axis_simd.push_slope);
+fn push_fraction<W: F64x8>(params: &Params, demand: &AxisDemand<W>) -> f64 {
+    let slope = W::from_array(&params.axis_simd.push_slope);
     let felt = clamp01::<W>(W::fma(W::abs(demand.deviation), slope, W::splat(-1.0))) * demand.softness;
-    TaskVector::to_axes(felt).into_iter().fold(0.0, f64::max)
+    felt.to_axes().into_iter().fold(0.0, f64::max)
 }
 
 /// Returns the share of the posture task that a stop at the distance `room` [rad or m] removes. It is 0 at the distance
 /// `at_rest` of the posture itself, so that the fade does not move the posture; `clear` is the clearance.
 #[inline(always)]
-fn stop_fade<J: SingleArmJoints>(room: J, at_rest: J, clear: J) -> J {
+fn stop_fade<J: JointVector>(room: J, at_rest: J, clear: J) -> J {
     let width = J::min(J::max(at_rest, J::splat(MIN_WIDTH) * clear), clear);
     (J::min(at_rest, width) - room) / (J::splat(ZERO_AT) * width)
 }

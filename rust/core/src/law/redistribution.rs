@@ -8,7 +8,7 @@ use crate::law::scaling::scale_to_fit;
 use crate::law::{LawInput, LawOutput};
 use crate::math::ldlt6::factor_gram;
 use crate::math::rows::{mul, tr_mul, weighted_gram};
-use crate::math::simd::{JointVector, RealOps, SimdVec, SingleArmJoints, TaskVector};
+use crate::math::simd::{F64x8, JointVector, RealOps};
 use crate::params::{Follow, Law, Params};
 use crate::task::ArmState;
 use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
@@ -55,7 +55,7 @@ impl<J: JointVector> JointLocks<J> {
 
 /// Inputs for the motion that the other joints make instead of the locked ones.
 #[derive(Debug, Clone, Copy)]
-struct Redistribution<'a, J: SingleArmJoints> {
+struct Redistribution<'a, J: JointVector> {
     params: &'a Params,
     /// Horizon h [s].
     horizon: f64,
@@ -75,14 +75,14 @@ struct Redistribution<'a, J: SingleArmJoints> {
 
 /// Additional motion of the joints that are not locked.
 #[derive(Debug, Clone, Copy)]
-struct Correction<J: SingleArmJoints> {
+struct Correction<J: JointVector> {
     /// Additional lead of the goals [rad].
     offset: J,
     /// Wrench that the additional lead exerts [N, N·m]; 0 under law `paper`.
     wrench: J::Axes,
 }
 
-impl<J: SingleArmJoints> Redistribution<'_, J> {
+impl<J: JointVector> Redistribution<'_, J> {
     /// Computes the additional motion, within the usable torques and the joint speeds. Under [`Follow::Free`], soft
     /// rows keep their force and require no motion.
     #[inline(always)]
@@ -98,14 +98,14 @@ impl<J: SingleArmJoints> Redistribution<'_, J> {
             let compliance = J::load(&params.servos.compliance) * self.unlocked;
             let problem = CapProblem {
                 compliance: &weighted_gram(self.rows, compliance),
-                damping: params.per_stiffness(TaskVector::from_axes(squared)),
-                step: TaskVector::from_axes(self.missing),
-                bounded_step: TaskVector::from_axes(self.missing),
+                damping: params.per_stiffness(J::Axes::from_axes(squared)),
+                step: J::Axes::from_axes(self.missing),
+                bounded_step: J::Axes::from_axes(self.missing),
                 softness: if params.follow == Follow::Free { self.softness } else { zero },
                 cap: zero,
             };
             let wrench = problem.stiff_force();
-            (tr_mul(self.rows, &wrench.to_array()) * compliance, wrench)
+            (tr_mul(self.rows, &wrench.to_axes()) * compliance, wrench)
         };
         let mut factor: f64 = 1.0;
         if params.law.by_force() {
@@ -122,7 +122,7 @@ impl<J: SingleArmJoints> Redistribution<'_, J> {
 
 /// Parts of the law's motion that locking joints changes.
 #[derive(Debug, Clone, Copy)]
-struct MotionParts<J: SingleArmJoints> {
+struct MotionParts<J: JointVector> {
     /// Lead of the goals that moves the arm [rad].
     offset: J,
     /// Null-space part of the goals [rad].
@@ -131,7 +131,7 @@ struct MotionParts<J: SingleArmJoints> {
     stiff: J::Axes,
 }
 
-impl<J: SingleArmJoints> MotionParts<J> {
+impl<J: JointVector> MotionParts<J> {
     /// Returns the motion in which locked joints go to their limits and the others add `correction`.
     #[inline(always)]
     fn with(&self, locks: &JointLocks<J>, correction: &Correction<J>) -> Self {
@@ -146,7 +146,7 @@ impl<J: SingleArmJoints> MotionParts<J> {
 /// Locks joints, one set after another, until no goal exceeds its position limit, and replaces the parts of `motion`
 /// accordingly. Returns the goals without force offsets [rad], and 1 for locked joints, 0 for the others.
 #[inline(always)]
-pub(crate) fn redistribute<J: SingleArmJoints>(
+pub(crate) fn redistribute<J: JointVector>(
     input: &LawInput<'_, J>,
     arm: &ArmState<'_, J>,
     feed_forward: J,

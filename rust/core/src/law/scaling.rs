@@ -1,33 +1,33 @@
 //! Scaling of the parts of a motion so that their sum satisfies a bound.
 
-use crate::math::simd::{JointVector, RealOps, Scalar};
+use crate::math::simd::JointVector;
 
 /// Returns one factor in [0, 1] per part so that `|base + Σ f_p part_p| ≤ bound` for every joint; all 0 if `base` alone
 /// exceeds the bound.
 ///
 /// The parts are reduced in order: the second is scaled only if the bound is exceeded even without the first.
 #[inline(always)]
-pub(crate) fn scale_to_fit<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
+pub(crate) fn scale_to_fit<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P] {
     // Fast path without a branch per joint: usually the sum is within the bound.
     let mut all = base;
     for part in parts {
         all = all + part;
     }
-    if bound.is_any_lt(J::abs(all)) { shrink(base, parts, bound) } else { [J::Elem::splat(1.0); P] }
+    if bound.is_any_lt(J::abs(all)) { shrink(base, parts, bound) } else { [1.0; P] }
 }
 
 #[inline(always)]
-fn shrink<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [Scalar<J>; P] {
+fn shrink<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [f64; P] {
     let (zero, one) = (J::splat(0.0), J::splat(1.0));
     // Ignore a part that moves a joint by no more than rounding error: scaling it does not help. Also ignore an excess
     // that is only rounding error after the previous part was scaled to the bound.
     let rounding = bound * J::splat(1e-9);
-    let mut factors = [J::Elem::splat(1.0); P];
+    let mut factors = [1.0; P];
     for p in 0..P {
         let mut others = base;
         for o in 0..P {
             if o != p {
-                others = J::fma(J::broadcast(factors[o]), parts[o], others);
+                others = J::fma(J::splat(factors[o]), parts[o], others);
             }
         }
         let (part, all) = (parts[p], others + parts[p]);
@@ -38,7 +38,7 @@ fn shrink<J: JointVector, const P: usize>(base: J, parts: [J; P], bound: J) -> [
         let room = (J::copy_sign(bound, all) - others) / part;
         let missing = one - J::min(J::max(room, zero), one);
         let missing = J::select_lt(rounding, J::abs(part), missing, zero);
-        factors[p] = J::Elem::splat(1.0) - J::select_lt(max, J::abs(all), missing, zero).max_element();
+        factors[p] = 1.0 - J::select_lt(max, J::abs(all), missing, zero).max_element();
     }
     factors
 }

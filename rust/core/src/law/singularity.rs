@@ -4,7 +4,7 @@
 use crate::law::nullspace::projector_damping_sq;
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::{Mat6, store_rows, weighted_gram};
-use crate::math::simd::{Broadcast, JointVector, Scalar, SingleArmJoints, TaskVector};
+use crate::math::simd::{JointVector, RealOps, SimdVec};
 use crate::math::singular_values::SingularValues;
 use crate::params::Params;
 use crate::{MAX_AXES, Rows};
@@ -17,15 +17,15 @@ const TRACKING_ITERATIONS: usize = 1;
 
 /// Damping and fade that follow from the singular values of a step's task rows.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct SingularityState<R = f64> {
+pub(crate) struct SingularityState {
     /// λ², before the scale of each row.
-    pub(crate) damping: R,
+    pub(crate) damping: f64,
     /// μ² of the exact null-space projector.
-    pub(crate) mu_squared: R,
+    pub(crate) mu_squared: f64,
     /// Factor of `JJᵀ` of the scaled rows; `None` if singular values are not tracked, or with more axes than joints.
-    pub(crate) factor: Option<Ldlt6<R>>,
+    pub(crate) factor: Option<Ldlt6>,
     /// γ, the factor on feed-forward and prediction.
-    pub(crate) gamma: R,
+    pub(crate) gamma: f64,
 }
 
 /// Returns γ, which fades feed-forward and prediction near singular poses: `clip(3 σ/σ₀, ½, 1)`, or 1 if σ₀ is 0.
@@ -47,14 +47,14 @@ pub(crate) fn damping_squared(sigma: f64, lambda_0: f64, sigma_0: f64, lambda_ma
 
 /// Returns λ² of each task row, in the units of that row.
 #[inline(always)]
-pub(crate) fn row_damping<J: JointVector>(params: &Params, singularity: &SingularityState<Scalar<J>>) -> J::Axes {
-    J::Axes::constant(&params.axis_simd.damping_scale) * J::Axes::broadcast(singularity.damping)
+pub(crate) fn row_damping<J: JointVector>(params: &Params, singularity: &SingularityState) -> J::Axes {
+    J::Axes::from_array(&params.axis_simd.damping_scale) * J::Axes::splat(singularity.damping)
 }
 
 /// Updates the singular values of the scaled rows and returns damping and fade; `cold` if `values` are not from the
 /// last step.
 #[inline(always)]
-pub(crate) fn singularity_state<J: SingleArmJoints>(
+pub(crate) fn singularity_state<J: JointVector>(
     params: &Params,
     scaled: &[J; MAX_AXES],
     values: &mut SingularValues,

@@ -5,7 +5,7 @@ use crate::law::friction::FrictionFeedForward;
 use crate::law::scaling::scale_to_fit;
 use crate::law::{LawInput, LawOutput};
 use crate::math::rows::tr_mul;
-use crate::math::simd::{Broadcast, JointVector, RealOps, TaskVector};
+use crate::math::simd::{F64x8, JointVector, RealOps};
 
 /// Wrench on the tool in task axes [N, N·m], in two parts that are scaled separately at a limit.
 #[derive(Debug, Clone, Copy)]
@@ -16,7 +16,7 @@ pub(crate) struct Wrench<W> {
     pub(crate) stiff: W,
 }
 
-impl<W: TaskVector> Wrench<W> {
+impl<W: F64x8> Wrench<W> {
     /// Returns a zero wrench.
     #[inline(always)]
     pub(crate) fn zero() -> Self {
@@ -52,22 +52,21 @@ impl<J: JointVector> LawInput<'_, J> {
         let base = J::fma(kp, null + self.integral, self.gravity + feed_forward);
         let [soft_torque, stiff_torque] = scale_to_fit(base, [soft, stiff], torque);
         // Joint speeds: reduce the null-space part first, then the soft, then the stiff part.
-        let (soft, stiff) =
-            (soft * compliance * J::broadcast(soft_torque), stiff * compliance * J::broadcast(stiff_torque));
+        let (soft, stiff) = (soft * compliance * J::splat(soft_torque), stiff * compliance * J::splat(stiff_torque));
         let [null_speed, soft_speed, stiff_speed] =
             scale_to_fit(J::splat(0.0), [null, soft, stiff], params.reach(self.horizon));
         let factors = [null_speed, soft_torque * soft_speed, stiff_torque * stiff_speed];
         LawOutput {
-            stiff_offset: stiff * J::broadcast(stiff_speed),
-            soft_offset: soft * J::broadcast(soft_speed),
-            null: null * J::broadcast(null_speed),
+            stiff_offset: stiff * J::splat(stiff_speed),
+            soft_offset: soft * J::splat(soft_speed),
+            null: null * J::splat(null_speed),
             wrench: Wrench {
-                soft: wrench.soft * J::Axes::broadcast(factors[1]),
-                stiff: wrench.stiff * J::Axes::broadcast(factors[2]),
+                soft: wrench.soft * J::Axes::splat(factors[1]),
+                stiff: wrench.stiff * J::Axes::splat(factors[2]),
             },
             factors,
             feed_forward,
-            gain_factor: J::Elem::splat(params.gain_scale),
+            gain_factor: params.gain_scale,
         }
     }
 
@@ -76,9 +75,8 @@ impl<J: JointVector> LawInput<'_, J> {
     fn bound_null(&self, null: J) -> J {
         let params = self.params;
         let torque = (J::load(&params.servos.kp) * J::abs(null)).sum();
-        let max = J::Elem::splat(params.null_torque);
-        let null =
-            if J::Elem::any_lt(max, torque) { null * J::broadcast(max / J::Elem::max(torque, max)) } else { null };
+        let max = params.null_torque;
+        let null = if torque > max { null * J::splat(max / torque) } else { null };
         params.bound_null_speed(null, self.horizon)
     }
 }

@@ -1,18 +1,21 @@
 //! LDLᵀ factor of a 6 × 6 matrix, and the damped pseudo-inverse of six rows.
 
 use super::rows::{Mat6, damped, load_rows, store_rows, weighted_gram};
-use super::simd::{Broadcast, JointVec16, JointVector, Number, RealOps, Scalar};
+use super::simd::{JointVec16, JointVector, RealOps};
 use crate::{AxisVec, JointVec, MAX_AXES, Rows};
 
 outlined_formula! {
     /// Factors `J diag(d) Jᵀ` plus the diagonal matrix of `added`.
-    fn factor_gram<J>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Ldlt6<Scalar<J>> as factored
+    fn factor_gram<J>(rows: &[J; MAX_AXES], d: J, added: &AxisVec) -> Ldlt6 as factored
 }
 
 #[inline(always)]
-fn factored<J: JointVector>(rows: &[J; MAX_AXES], d: J, added: &[Scalar<J>; MAX_AXES]) -> Ldlt6<Scalar<J>> {
+fn factored<J: JointVector>(rows: &[J; MAX_AXES], d: J, added: &AxisVec) -> Ldlt6 {
     Ldlt6::new::<J::Elem>(&damped(weighted_gram(rows, d), added))
 }
+
+/// Smallest pivot, as a share of its diagonal entry.
+const PIVOT_SHARE: f64 = 1e-15;
 
 /// Smallest pivot whose square and inverse square are finite and nonzero.
 const MIN_PIVOT: f64 = 1e-100;
@@ -23,27 +26,27 @@ const MIN_PIVOT: f64 = 1e-100;
 /// is replaced by a tiny positive one: a singular matrix gives large but finite results, not NaN. A row of zeros gives
 /// a zero result if the right side is zero there, so that a task with fewer axes needs no separate code.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Ldlt6<R = f64> {
+pub(crate) struct Ldlt6 {
     /// `L` below the 2 × 2 blocks of its diagonal, which are the identity.
-    l: Mat6<R>,
+    l: Mat6,
     /// Inverse `[[a, b], [b, c]]` of each 2 × 2 block of `D`, as `[a, b, c]`.
-    inverse: [[R; 3]; MAX_AXES / 2],
+    inverse: [[f64; 3]; MAX_AXES / 2],
 }
 
-impl<R: Number> Ldlt6<R> {
+impl Ldlt6 {
+    /// Factors `m` with the scalar operations of an instruction set.
     #[inline(always)]
-    pub(crate) fn new<A: RealOps<Real = R>>(m: &Mat6<R>) -> Self {
-        let (zero, one, tiny, min_pivot) = (A::splat(0.0), A::splat(1.0), A::splat(1e-15), A::splat(MIN_PIVOT));
-        let (mut s, mut l) = (*m, [[zero; MAX_AXES]; MAX_AXES]);
-        let mut inverse = [[zero; 3]; MAX_AXES / 2];
+    pub(crate) fn new<A: RealOps<Real = f64>>(m: &Mat6) -> Self {
+        let (mut s, mut l) = (*m, [[0.0; MAX_AXES]; MAX_AXES]);
+        let mut inverse = [[0.0; 3]; MAX_AXES / 2];
         unrolled!(block in 0 1 2 => {
             let (i, j) = (2 * block, 2 * block + 1);
-            let least = [A::max(tiny * m[i][i], min_pivot), A::max(tiny * m[j][j], min_pivot)];
+            let least = [A::max(PIVOT_SHARE * m[i][i], MIN_PIVOT), A::max(PIVOT_SHARE * m[j][j], MIN_PIVOT)];
             let (a, b, c) = (A::max(s[i][i], least[0]), s[j][i], A::max(s[j][j], least[1]));
             let determinant = A::max(A::fnma(b, b, a * c), a * least[1]);
             // Independent of the division, so that it is computed during its latency.
-            let scale = one / determinant;
-            let mut products = [[zero; 2]; MAX_AXES];
+            let scale = 1.0 / determinant;
+            let mut products = [[0.0; 2]; MAX_AXES];
             for r in j + 1..MAX_AXES {
                 let (u, v) = (s[r][i], s[r][j]);
                 products[r] = [A::fnma(b, v, c * u), A::fnma(b, u, a * v)];
@@ -63,25 +66,25 @@ impl<R: Number> Ldlt6<R> {
 
     /// Solves `M X = B`, where each row of B is one value, or one value per joint.
     #[inline(always)]
-    pub(crate) fn solve<A: Broadcast<R>>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
+    pub(crate) fn solve<A: RealOps>(&self, b: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
         let mut x = *b;
         unrolled!(block in 0 1 => {
             let (i, j) = (2 * block, 2 * block + 1);
             for r in j + 1..MAX_AXES {
-                x[r] = A::fnma(A::broadcast(self.l[r][j]), x[j], A::fnma(A::broadcast(self.l[r][i]), x[i], x[r]));
+                x[r] = A::fnma(A::splat(self.l[r][j]), x[j], A::fnma(A::splat(self.l[r][i]), x[i], x[r]));
             }
         });
         unrolled!(block in 0 1 2 => {
             let ((i, j), [a, b, c]) = ((2 * block, 2 * block + 1), self.inverse[block]);
             let (u, v) = (x[i], x[j]);
-            x[i] = A::fma(A::broadcast(a), u, A::broadcast(b) * v);
-            x[j] = A::fma(A::broadcast(b), u, A::broadcast(c) * v);
+            x[i] = A::fma(A::splat(a), u, A::splat(b) * v);
+            x[j] = A::fma(A::splat(b), u, A::splat(c) * v);
         });
         unrolled!(block in 1 0 => {
             let (i, j) = (2 * block, 2 * block + 1);
             for r in j + 1..MAX_AXES {
-                x[i] = A::fnma(A::broadcast(self.l[r][i]), x[r], x[i]);
-                x[j] = A::fnma(A::broadcast(self.l[r][j]), x[r], x[j]);
+                x[i] = A::fnma(A::splat(self.l[r][i]), x[r], x[i]);
+                x[j] = A::fnma(A::splat(self.l[r][j]), x[r], x[j]);
             }
         });
         x
@@ -90,56 +93,32 @@ impl<R: Number> Ldlt6<R> {
     /// Returns `M⁻¹ J D`, the transposed pseudo-inverse, where this is the factor of the damped `M = J D Jᵀ` and
     /// `joint_weight` the diagonal of D.
     #[inline(always)]
-    pub(crate) fn weighted_rows<J: JointVector<Group: Broadcast<R>>>(
-        &self,
-        rows: &[J; MAX_AXES],
-        joint_weight: J,
-    ) -> [J; MAX_AXES] {
+    pub(crate) fn weighted_rows<J: JointVector>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
         if J::OUTLINED { self.outlined_rows(rows, joint_weight) } else { self.inlined_rows(rows, joint_weight) }
     }
 
     #[inline(never)]
-    fn outlined_rows<J: JointVector<Group: Broadcast<R>>>(
-        &self,
-        rows: &[J; MAX_AXES],
-        joint_weight: J,
-    ) -> [J; MAX_AXES] {
+    fn outlined_rows<J: JointVector>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
         self.inlined_rows(rows, joint_weight)
     }
 
     #[inline(always)]
-    fn inlined_rows<J: JointVector<Group: Broadcast<R>>>(
-        &self,
-        rows: &[J; MAX_AXES],
-        joint_weight: J,
-    ) -> [J; MAX_AXES] {
-        let mut out = *rows;
-        // Joint by joint if each joint has its own register: then six values stay in registers instead of six rows.
-        for i in 0..J::GROUPS {
-            // The right side is weighted, not the result: the products are those of [`weighted_gram`].
-            let weight = joint_weight.group(i);
-            let x = self.solve::<J::Group>(&[
-                rows[0].group(i) * weight,
-                rows[1].group(i) * weight,
-                rows[2].group(i) * weight,
-                rows[3].group(i) * weight,
-                rows[4].group(i) * weight,
-                rows[5].group(i) * weight,
-            ]);
-            for r in 0..MAX_AXES {
-                out[r].set_group(i, x[r]);
-            }
+    fn inlined_rows<J: JointVector>(&self, rows: &[J; MAX_AXES], joint_weight: J) -> [J; MAX_AXES] {
+        // The right side is weighted, not the result: the products are those of [`weighted_gram`].
+        let mut weighted = *rows;
+        for row in &mut weighted {
+            *row = *row * joint_weight;
         }
-        out
+        self.solve::<J>(&weighted)
     }
 
     /// Returns the diagonal of `M⁻¹`.
     #[inline(always)]
-    pub(crate) fn inverse_diagonal<A: RealOps<Real = R> + Broadcast<R>>(&self) -> [R; MAX_AXES] {
-        let mut out = [A::splat(0.0); MAX_AXES];
+    pub(crate) fn inverse_diagonal<A: RealOps<Real = f64>>(&self) -> AxisVec {
+        let mut out = [0.0; MAX_AXES];
         for i in 0..MAX_AXES {
-            let mut unit = [A::splat(0.0); MAX_AXES];
-            unit[i] = A::splat(1.0);
+            let mut unit = [0.0; MAX_AXES];
+            unit[i] = 1.0;
             out[i] = self.solve::<A>(&unit)[i];
         }
         out

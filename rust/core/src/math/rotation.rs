@@ -2,7 +2,7 @@
 
 use super::simd::{BaselineF64, RealOps, atan_over_y, atan2_first_quadrant, is_small_angle, sin_cos};
 use super::spatial::{Mat3, Vec3, dot, tr_rotate};
-use crate::{AxisVec, MAX_AXES};
+use crate::AxisVec;
 
 /// Returns the rotation vector [rad] of a rotation matrix (row-major), of length at most π.
 ///
@@ -13,34 +13,31 @@ pub(crate) fn rotation_vector(m: &[[f64; 3]; 3]) -> [f64; 3] {
     rotation_vector_by::<BaselineF64>(m)
 }
 
-/// Computes [`rotation_vector`] for one rotation or for several.
+/// Computes [`rotation_vector`] with the scalar operations of an instruction set.
 #[inline(always)]
-pub(crate) fn rotation_vector_by<A: RealOps>(m: &Mat3<A::Real>) -> Vec3<A::Real> {
-    let c = A::splat;
-    let (zero, one) = (c(0.0), c(1.0));
+pub(crate) fn rotation_vector_by<A: RealOps<Real = f64>>(m: &Mat3) -> Vec3 {
     let trace = m[0][0] + m[1][1] + m[2][2];
     // Four times the products of the quaternion's largest component with all components: scalar, x, y, z.
     let turned = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
-    let mut products = [one + trace, turned[0], turned[1], turned[2]];
+    let mut products = [1.0 + trace, turned[0], turned[1], turned[2]];
     let squared = dot::<A>(&turned, &turned);
     // Fast path for angles up to an eighth of a turn, the usual case.
-    if is_small_angle::<A>(squared, products[0]) & !A::any_lt(trace, zero) {
+    if is_small_angle(squared, products[0]) && !(trace < 0.0) {
         let half = atan_over_y::<A>(squared, products[0]);
         let scale = half + half;
         return [scale * turned[0], scale * turned[1], scale * turned[2]];
     }
-    if A::any_lt(trace, zero) {
+    if trace < 0.0 {
         let shared = [m[1][0] + m[0][1], m[0][2] + m[2][0], m[2][1] + m[1][2]];
         let twice = [m[0][0] + m[0][0], m[1][1] + m[1][1], m[2][2] + m[2][2]];
-        let rest = one - trace;
+        let rest = 1.0 - trace;
         let x = [turned[0], rest + twice[0], shared[0], shared[1]];
         let y = [turned[1], shared[0], rest + twice[1], shared[2]];
         let z = [turned[2], shared[1], shared[2], rest + twice[2]];
         let larger = A::max(m[0][0], m[1][1]);
         for i in 0..4 {
             let of_two = A::select_lt(m[0][0], m[1][1], y[i], x[i]);
-            let of_three = A::select_lt(larger, m[2][2], z[i], of_two);
-            products[i] = A::select_lt(trace, zero, of_three, products[i]);
+            products[i] = A::select_lt(larger, m[2][2], z[i], of_two);
         }
     }
     // atan2 is invariant to a common scale, so the quaternion need not be normalized; for a small angle the errors of
@@ -48,7 +45,7 @@ pub(crate) fn rotation_vector_by<A: RealOps>(m: &Mat3<A::Real>) -> Vec3<A::Real>
     let [w, x, y, z] = products;
     let length = A::sqrt(dot::<A>(&[x, y, z], &[x, y, z]));
     let angle = atan2_first_quadrant::<A>(length, A::abs(w));
-    let scale = A::copy_sign((angle + angle) / A::max(length, c(f64::MIN_POSITIVE)), w);
+    let scale = A::copy_sign((angle + angle) / A::max(length, f64::MIN_POSITIVE), w);
     [scale * x, scale * y, scale * z]
 }
 
@@ -58,7 +55,7 @@ pub(crate) fn rotation_matrix(v: [f64; 3]) -> [[f64; 3]; 3] {
     rotation_matrix_by::<BaselineF64>(v)
 }
 
-/// Computes [`rotation_matrix`] with the scalar type of an instruction set.
+/// Computes [`rotation_matrix`] with the scalar operations of an instruction set.
 #[inline(always)]
 pub(crate) fn rotation_matrix_by<A: RealOps<Real = f64>>(v: [f64; 3]) -> Mat3 {
     let angle2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
@@ -80,7 +77,7 @@ pub(crate) fn rotation_matrix_by<A: RealOps<Real = f64>>(v: [f64; 3]) -> Mat3 {
 
 /// Rotates both halves of a 6-vector from base axes into the task axes, the columns of `base_from_task`.
 #[inline(always)]
-pub(crate) fn base_to_task<A: RealOps>(base_from_task: &Mat3<A::Real>, v: &[A::Real; MAX_AXES]) -> [A::Real; MAX_AXES] {
+pub(crate) fn base_to_task<A: RealOps<Real = f64>>(base_from_task: &Mat3, v: &AxisVec) -> AxisVec {
     let [x, y, z] = tr_rotate::<A>(base_from_task, &[v[0], v[1], v[2]]);
     let [roll, pitch, yaw] = tr_rotate::<A>(base_from_task, &[v[3], v[4], v[5]]);
     [x, y, z, roll, pitch, yaw]

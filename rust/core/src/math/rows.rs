@@ -1,10 +1,10 @@
 //! Six rows over the joints, such as a Jacobian, and their products.
 
-use super::simd::{AxisScalar, JointVector, Number, RealOps, Scalar, SingleArmJoints, TaskVector};
-use crate::{MAX_AXES, MAX_JOINTS, Rows};
+use super::simd::{F64x8, JointVector};
+use crate::{AxisVec, MAX_AXES, MAX_JOINTS, Rows};
 
 /// A 6 × 6 matrix over the task axes, usually symmetric.
-pub(crate) type Mat6<R = f64> = [[R; MAX_AXES]; MAX_AXES];
+pub(crate) type Mat6 = [[f64; MAX_AXES]; MAX_AXES];
 
 /// A matrix over the joints, `m[row][column]`.
 pub(crate) type JointMatrix = [[f64; MAX_JOINTS]; MAX_JOINTS];
@@ -28,7 +28,7 @@ pub(crate) fn load_rows<J: JointVector>(rows: &Rows) -> [J; MAX_AXES] {
 
 /// Stores six rows over the joints to memory, zeros in the padding.
 #[inline(always)]
-pub(crate) fn store_rows<J: SingleArmJoints>(rows: &[J; MAX_AXES]) -> Rows {
+pub(crate) fn store_rows<J: JointVector>(rows: &[J; MAX_AXES]) -> Rows {
     let mut out = [[0.0; MAX_JOINTS]; MAX_AXES];
     for r in 0..MAX_AXES {
         rows[r].store(&mut out[r]);
@@ -48,20 +48,20 @@ const LOWER_HALF: [[(usize, usize); 4]; 6] = [
 
 outlined_formula! {
     /// Returns `J diag(d) Jᵀ`.
-    fn weighted_gram<J>(rows: &[J; MAX_AXES], d: J) -> Mat6<Scalar<J>> as gram
+    fn weighted_gram<J>(rows: &[J; MAX_AXES], d: J) -> Mat6 as gram
 }
 
 #[inline(always)]
-fn gram<J: JointVector>(rows: &[J; MAX_AXES], d: J) -> Mat6<Scalar<J>> {
-    let (zero, zero_elem) = (J::splat(0.0), J::Elem::splat(0.0));
+fn gram<J: JointVector>(rows: &[J; MAX_AXES], d: J) -> Mat6 {
+    let zero = J::splat(0.0);
     let mut scaled = *rows;
     for row in &mut scaled {
         *row = *row * d;
     }
-    // By reference, because rows of several configurations are large.
+    // By reference, because a copy of a `JointVec16` is a call.
     let right = [&rows[0], &rows[1], &rows[2], &rows[3], &rows[4], &rows[5], &zero];
     let left = [&scaled[0], &scaled[1], &scaled[2], &scaled[3], &scaled[4], &scaled[5], &zero];
-    let mut out = [[zero_elem; MAX_AXES]; MAX_AXES];
+    let mut out = [[0.0; MAX_AXES]; MAX_AXES];
     unrolled!(four in 0 1 2 3 4 5 => {
         let at = LOWER_HALF[four];
         let sums = J::dot4(
@@ -80,19 +80,18 @@ fn gram<J: JointVector>(rows: &[J; MAX_AXES], d: J) -> Mat6<Scalar<J>> {
 
 /// Returns `Jᵀ w`.
 #[inline(always)]
-pub(crate) fn tr_mul<J: JointVector, const K: usize>(rows: &[J; MAX_AXES], w: &[Scalar<J>; K]) -> J {
-    const { assert!(K >= MAX_AXES) }
-    let (mut even, mut odd) = (rows[0] * J::broadcast(w[0]), rows[1] * J::broadcast(w[1]));
+pub(crate) fn tr_mul<J: JointVector>(rows: &[J; MAX_AXES], w: &AxisVec) -> J {
+    let (mut even, mut odd) = (rows[0] * J::splat(w[0]), rows[1] * J::splat(w[1]));
     for pair in 1..MAX_AXES / 2 {
-        even = J::fma(rows[2 * pair], J::broadcast(w[2 * pair]), even);
-        odd = J::fma(rows[2 * pair + 1], J::broadcast(w[2 * pair + 1]), odd);
+        even = J::fma(rows[2 * pair], J::splat(w[2 * pair]), even);
+        odd = J::fma(rows[2 * pair + 1], J::splat(w[2 * pair + 1]), odd);
     }
     even + odd
 }
 
 /// Returns `J v`.
 #[inline(always)]
-pub(crate) fn mul<J: JointVector>(rows: &[J; MAX_AXES], v: J) -> [Scalar<J>; MAX_AXES] {
+pub(crate) fn mul<J: JointVector>(rows: &[J; MAX_AXES], v: J) -> AxisVec {
     let zero = J::splat(0.0);
     let [a, b, c, d] = J::dot4([&rows[0], &rows[1], &rows[2], &rows[3]], [&v; 4]);
     let [e, f, ..] = J::dot4([&rows[4], &rows[5], &zero, &zero], [&v, &v, &zero, &zero]);
@@ -101,15 +100,15 @@ pub(crate) fn mul<J: JointVector>(rows: &[J; MAX_AXES], v: J) -> [Scalar<J>; MAX
 
 /// Returns the diagonal of a matrix as a task vector.
 #[inline(always)]
-pub(crate) fn diagonal<W: TaskVector>(m: &Mat6<AxisScalar<W>>) -> W {
-    TaskVector::from_axes(&[m[0][0], m[1][1], m[2][2], m[3][3], m[4][4], m[5][5]])
+pub(crate) fn diagonal<W: F64x8>(m: &Mat6) -> W {
+    W::from_axes(&[m[0][0], m[1][1], m[2][2], m[3][3], m[4][4], m[5][5]])
 }
 
 /// Returns `M + Λ`, where `damping` is the diagonal of Λ.
 #[inline(always)]
-pub(crate) fn damped<R: Number>(mut m: Mat6<R>, damping: &[R; MAX_AXES]) -> Mat6<R> {
+pub(crate) fn damped(mut m: Mat6, damping: &AxisVec) -> Mat6 {
     for r in 0..MAX_AXES {
-        m[r][r] = m[r][r] + damping[r];
+        m[r][r] += damping[r];
     }
     m
 }

@@ -2,7 +2,7 @@
 
 use crate::math::ldlt6::Ldlt6;
 use crate::math::rows::Mat6;
-use crate::math::simd::{BaselineF64, Broadcast, RealOps};
+use crate::math::simd::{BaselineF64, RealOps};
 use crate::{AxisVec, MAX_AXES};
 
 /// Estimates of the largest and the smallest singular value of scaled task rows, with the singular vectors from which
@@ -42,13 +42,7 @@ impl SingularValues {
     /// `gram` is `JJᵀ` of `k` rows, or `JᵀJ` of `k` joints if there are fewer joints than axes; `factor` is its factor.
     /// From the vectors of the last step, one iteration per step tracks a moving arm to about one percent.
     #[inline(always)]
-    pub(crate) fn update<A: RealOps<Real = f64> + Broadcast<f64>>(
-        &mut self,
-        gram: &Mat6,
-        factor: &Ldlt6,
-        k: usize,
-        iterations: usize,
-    ) {
+    pub(crate) fn update<A: RealOps<Real = f64>>(&mut self, gram: &Mat6, factor: &Ldlt6, k: usize, iterations: usize) {
         for _ in 0..iterations {
             let before = self.min_vectors;
             let [first, second] = before;

@@ -1,7 +1,7 @@
 //! Smooth upper bound on the largest eigenvalue of a symmetric 6 × 6 matrix.
 
 use super::rows::weighted_gram;
-use super::simd::{AxisScalar, Broadcast, JointVector, RealOps, Scalar, TaskVector};
+use super::simd::{F64x8, JointVector, RealOps};
 use crate::MAX_AXES;
 
 /// Number of squarings that isolate the largest eigenvalue: power 2⁶ = 64.
@@ -13,19 +13,19 @@ const SQUARINGS: usize = 6;
 /// ρ is at least the largest eigenvalue and at most 3 % above it (six equal eigenvalues). It is smooth where two
 /// eigenvalues cross and needs no state. `compliance` holds 1/k_p.
 #[inline(always)]
-pub(crate) fn rho<J: JointVector>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> Scalar<J> {
+pub(crate) fn rho<J: JointVector>(rows: &[J; MAX_AXES], compliance: J, stiffness: J::Axes) -> f64 {
     // √K C √K has the same eigenvalues, and is symmetric.
     let (root, c) = (J::Axes::sqrt(stiffness), weighted_gram(rows, compliance));
-    let roots = TaskVector::to_axes(root);
+    let roots = root.to_axes();
     let mut m = [root; MAX_AXES];
     for r in 0..MAX_AXES {
-        m[r] = <J::Axes as TaskVector>::from_axes(&c[r]) * root * J::Axes::broadcast(roots[r]);
+        m[r] = J::Axes::from_axes(&c[r]) * root * J::Axes::splat(roots[r]);
     }
     // Divide by the trace before each squaring, to prevent overflow.
-    let mut traces = [J::Elem::splat(0.0); SQUARINGS];
+    let mut traces = [0.0; SQUARINGS];
     for trace in &mut traces {
         *trace = trace_of(&m);
-        m = squared(&m, J::Elem::splat(1.0) / J::Elem::max(*trace, J::Elem::splat(f64::MIN_POSITIVE)));
+        m = squared(&m, 1.0 / J::Elem::max(*trace, f64::MIN_POSITIVE));
     }
     let mut power = trace_of(&m);
     for trace in traces.iter().rev() {
@@ -35,22 +35,22 @@ pub(crate) fn rho<J: JointVector>(rows: &[J; MAX_AXES], compliance: J, stiffness
 }
 
 #[inline(always)]
-fn trace_of<W: TaskVector>(m: &[W; MAX_AXES]) -> AxisScalar<W> {
-    let mut sum = W::Elem::splat(0.0);
+fn trace_of<W: F64x8>(m: &[W; MAX_AXES]) -> f64 {
+    let mut sum = 0.0;
     for r in 0..MAX_AXES {
-        sum = sum + TaskVector::to_axes(m[r])[r];
+        sum += m[r].to_axes()[r];
     }
     sum
 }
 
 /// Returns `(f M)²` for a symmetric matrix M.
 #[inline(always)]
-fn squared<W: TaskVector>(m: &[W; MAX_AXES], factor: AxisScalar<W>) -> [W; MAX_AXES] {
-    let (factor, mut out) = (W::broadcast(factor), [W::splat(0.0); MAX_AXES]);
+fn squared<W: F64x8>(m: &[W; MAX_AXES], factor: f64) -> [W; MAX_AXES] {
+    let (factor, mut out) = (W::splat(factor), [W::splat(0.0); MAX_AXES]);
     for r in 0..MAX_AXES {
-        let row = TaskVector::to_axes(m[r] * factor * factor);
+        let row = (m[r] * factor * factor).to_axes();
         for c in 0..MAX_AXES {
-            out[r] = W::fma(W::broadcast(row[c]), m[c], out[r]);
+            out[r] = W::fma(W::splat(row[c]), m[c], out[r]);
         }
     }
     out
@@ -74,7 +74,11 @@ mod tests {
         let mut compliance: JointVec = [1.0; MAX_JOINTS];
         compliance[..7].copy_from_slice(&[1.0 / 150.0, 1.0 / 150.0, 1e-2, 1e-2, 1.0 / 60.0, 1.0 / 60.0, 1.0 / 60.0]);
         let of = |stiffness: &[f64; 6]| {
-            rho::<JointVec16>(&load_rows(&rows), JointVec16::load(&compliance), TaskVector::from_axes(stiffness))
+            rho::<JointVec16>(
+                &load_rows(&rows),
+                JointVec16::load(&compliance),
+                <JointVec16 as JointVector>::Axes::from_axes(stiffness),
+            )
         };
         for stiffness in [[800.0_f64, 800.0, 800.0, 20.0, 20.0, 20.0], [0.0, 1e9, 1e-3, 5.0, 0.0, 0.0], [1.0; 6]] {
             let j = nalgebra::DMatrix::from_fn(6, 7, |r, i| rows[r][i] * stiffness[r].sqrt());

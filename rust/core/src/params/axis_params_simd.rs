@@ -1,7 +1,7 @@
 //! Parameters of the task axes in vector layout.
 
 use crate::math::rotation::base_to_task;
-use crate::math::simd::{AxisScalar, LANES, RealOps, TaskVector};
+use crate::math::simd::{F64x8, LANES};
 use crate::math::spatial::Mat3;
 use crate::params::axis_params::AxisParams;
 use crate::params::{Frame, Params};
@@ -18,9 +18,9 @@ pub(crate) struct AxisParamsSimd {
     /// 1 for a side that yields, else 0.
     pub(crate) yields: [AxisArray; 2],
     /// Strength of a yielding side at a small deviation.
-    pub(crate) strength_soft_until: [AxisArray; 2],
+    pub(crate) near_strength: [AxisArray; 2],
     /// Strength of a yielding side at a large deviation.
-    pub(crate) strength_firm_from: [AxisArray; 2],
+    pub(crate) far_strength: [AxisArray; 2],
     /// Strength of a side that does not yield.
     pub(crate) hold: AxisArray,
     /// Stiffness [N/m, N·m/rad]; 0 except under law `impedance`.
@@ -31,8 +31,8 @@ pub(crate) struct AxisParamsSimd {
     pub(crate) eta: AxisArray,
     /// Deviation [m, rad] above which the compliance is 0.
     pub(crate) firm_from: AxisArray,
-    /// 1 / (firm_from − soft_until), precomputed to save a division in the step.
-    pub(crate) d_slope: AxisArray,
+    /// Slope 1 / (firm_from − soft_until) of the compliance, precomputed to save a division in the step.
+    pub(crate) compliance_slope: AxisArray,
     /// 1 / deviation above which a push is detected: `soft_until`, at least a tenth of `firm_from`.
     pub(crate) push_slope: AxisArray,
     /// Half-width [m, rad] of the deviations around zero over which an axis blends between its sides.
@@ -69,14 +69,14 @@ impl AxisParamsSimd {
         Self {
             axis,
             yields: [0, 1].map(|side| of(&|row| row.yields[side])),
-            strength_soft_until: [0, 1].map(|side| of(&|row| ends(row, side)[0])),
-            strength_firm_from: [0, 1].map(|side| of(&|row| ends(row, side)[1])),
+            near_strength: [0, 1].map(|side| of(&|row| ends(row, side)[0])),
+            far_strength: [0, 1].map(|side| of(&|row| ends(row, side)[1])),
             hold: of(&|row| row.hold),
             stiffness: [0, 1].map(|side| of(&|row| row.stiffness[side])),
             damping: [0, 1].map(|side| of(&|row| row.damping[side])),
             eta: of(&|row| row.eta),
             firm_from: of(&|row| row.firm_from),
-            d_slope: of(&|row| 1.0 / (row.firm_from - row.soft_until)),
+            compliance_slope: of(&|row| 1.0 / (row.firm_from - row.soft_until)),
             push_slope: of(&|row| 1.0 / row.soft_until.max(0.1 * row.firm_from)),
             band: of(&|row| row.band),
             band_slope: of(&|row| 0.5 / row.band),
@@ -91,11 +91,7 @@ impl AxisParamsSimd {
 impl Params {
     /// Transforms a 6-vector in base axes into the task frame and returns the entries of the task rows.
     #[inline(always)]
-    pub(crate) fn to_task_rows<W: TaskVector>(
-        &self,
-        base_from_task: &Mat3<AxisScalar<W>>,
-        v: &[AxisScalar<W>; MAX_AXES],
-    ) -> W {
+    pub(crate) fn to_task_rows<W: F64x8>(&self, base_from_task: &Mat3, v: &AxisVec) -> W {
         if matches!(self.frame, Frame::Base) {
             return self.select_rows(v);
         }
@@ -104,15 +100,14 @@ impl Params {
 
     /// Returns the entries of the task rows from a vector over x, y, z, roll, pitch, yaw.
     #[inline(always)]
-    pub(crate) fn select_rows<W: TaskVector>(&self, v: &[AxisScalar<W>; MAX_AXES]) -> W {
+    pub(crate) fn select_rows<W: F64x8>(&self, v: &AxisVec) -> W {
         let all = W::from_axes(v);
         if self.k == MAX_AXES {
             return all;
         }
         // Indexing at run time forces a spill to memory; a copy is spilled, so that the path for all six axes stays in
         // registers.
-        let (all, zero) = (all.to_axes(), W::Elem::splat(0.0));
-        let mut out = [zero; MAX_AXES];
+        let (all, mut out) = (all.to_axes(), [0.0; MAX_AXES]);
         for r in 0..MAX_AXES {
             if let Some(&value) = all.get(self.axis_simd.axis[r]) {
                 out[r] = value;

@@ -59,12 +59,12 @@ impl PacingParams {
             if settings.law.by_force() { settings.compensation.damping * resisted / n.max(1) as f64 } else { 0.0 };
         let on = inertia.iter().any(|&t| t > 0.0);
         let mut pace = Self { on, inertia, max_acceleration, damping: [0.0; LANES], restored: RESTORED_SHARE * taken };
-        pace.update_gain_scale(settings, settings.delay);
+        pace.set_delay(settings.delay, settings);
         pace
     }
 
     /// Updates the damper for a measured delay [s].
-    pub(super) fn update_gain_scale(&mut self, settings: &Settings, delay: f64) {
+    pub(super) fn set_delay(&mut self, delay: f64, settings: &Settings) {
         let late = delay + 0.5 / settings.rate + settings.tracking.velocity_filter;
         let rate = DECAY.min(DECAY_DELAY_BOUND / late);
         let restored = self.restored;

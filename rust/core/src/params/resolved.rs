@@ -284,12 +284,12 @@ impl Params {
 
     /// Updates the bounds that depend on the measured delay [s]: the factor on K_x (1 under laws without such a bound),
     /// and the bounds of springs, dampers, fades and pacing.
-    pub(crate) fn update_gain_scale(&mut self, delay: f64, settings: &Settings) {
+    pub(crate) fn set_delay(&mut self, delay: f64, settings: &Settings) {
         let (gain, bound) = (self.gain(settings.paper_options.horizon), self.gain_bound(delay, 1.0 / settings.rate));
         self.gain_scale = if self.law.bounds_gain() && gain > bound { bound / gain } else { 1.0 };
         self.impedance_bounds = impedance::bounds(settings, delay, self.servos.well_damped(self.n));
         self.limit_fade_slope = bound - 1.0;
-        self.pace.update_gain_scale(settings, delay);
+        self.pace.set_delay(delay, settings);
     }
 }
 

@@ -90,7 +90,7 @@ impl Params {
             let rows = &mut self.axis_simd;
             if let Some(&cap) = axes.caps.and_then(|caps| caps.get(axis)) {
                 for side in 0..2 {
-                    (rows.strength_soft_until[side][r], rows.strength_firm_from[side][r]) = (cap, cap);
+                    (rows.near_strength[side][r], rows.far_strength[side][r]) = (cap, cap);
                 }
             }
             if let Some(&eta) = axes.adaptation.and_then(|adaptation| adaptation.get(axis)) {

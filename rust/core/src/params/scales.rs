@@ -1,8 +1,8 @@
 //! Scalings and bounds of the control step that are constant between changes of the settings.
 
 use crate::error::Result;
-use crate::math::simd::{JointVector, RealOps, TaskVector};
-use crate::math::spatial::{Mat3, splat_matrix};
+use crate::math::simd::{F64x8, JointVector, RealOps};
+use crate::math::spatial::Mat3;
 use crate::model::Model;
 use crate::params::{DampingParams, Frame, Params, Projector, Settings};
 use crate::pose::{COORDINATE_BOUND, Pose};
@@ -62,10 +62,10 @@ impl Params {
 
     /// Returns the task's axes as columns, in the base, for this pose of the tool.
     #[inline(always)]
-    pub(crate) fn base_from_task<A: RealOps>(&self, tool: &Pose<A::Real>) -> Mat3<A::Real> {
+    pub(crate) fn base_from_task(&self, tool: &Pose) -> Mat3 {
         match self.frame {
             Frame::Tool => tool.rotation,
-            Frame::Base | Frame::Rotation(_) => splat_matrix::<A>(&self.fixed_axes),
+            Frame::Base | Frame::Rotation(_) => self.fixed_axes,
         }
     }
 
@@ -81,7 +81,7 @@ impl Params {
 
     /// Returns λ² of each row divided by the servos' mean stiffness, `λ²/k̄`.
     #[inline(always)]
-    pub(crate) fn per_stiffness<W: TaskVector>(&self, squared: W) -> W {
+    pub(crate) fn per_stiffness<W: F64x8>(&self, squared: W) -> W {
         squared / W::splat(self.servos.kp_mean)
     }
 
@@ -98,7 +98,6 @@ impl Params {
         if !J::splat(highest).is_any_lt(J::abs(null)) {
             return null;
         }
-        let highest = J::Elem::splat(highest);
-        null * J::broadcast(highest / J::Elem::max(J::abs(null).max_element(), highest))
+        null * J::splat(highest / J::Elem::max(J::abs(null).max_element(), highest))
     }
 }

@@ -2,7 +2,8 @@
 
 use crate::MAX_AXES;
 use crate::kinematics::KinematicState;
-use crate::math::simd::{JointVector, Scalar};
+use crate::math::simd::JointVector;
+use crate::math::spatial::Mat3;
 use crate::params::{Params, Settings};
 use crate::task::rows_in;
 
@@ -14,7 +15,7 @@ pub(crate) struct ArmState<'a, J: JointVector> {
     /// Tool pose, Jacobian and gravity torques at q̂.
     pub(crate) view: &'a KinematicState<J>,
     /// Task axes as columns, in the base.
-    pub(crate) base_from_task: [[Scalar<J>; 3]; 3],
+    pub(crate) base_from_task: Mat3,
     /// Jacobian rows of the task's axes, in the task frame (k × n); zeros after the last row.
     pub(crate) rows: &'a [J; MAX_AXES],
     /// Gravity torques that the goals compensate [N·m]; 0 if the settings exclude it.
@@ -24,16 +25,17 @@ pub(crate) struct ArmState<'a, J: JointVector> {
 }
 
 impl<'a, J: JointVector> ArmState<'a, J> {
+    /// Computes task rows and gravity torques from the kinematics `view`; `row_storage` is memory for the rows.
     #[inline(always)]
     pub(crate) fn new(
         params: &Params,
         settings: &Settings,
         q: J,
         view: &'a KinematicState<J>,
-        room: &'a mut Option<[J; MAX_AXES]>,
+        row_storage: &'a mut Option<[J; MAX_AXES]>,
     ) -> Self {
-        let base_from_task = params.base_from_task::<J::Elem>(&view.tool);
-        let rows = rows_in(&params.frame, &view.j_base, &base_from_task, &params.axes, room);
+        let base_from_task = params.base_from_task(&view.tool);
+        let rows = rows_in(&params.frame, &view.j_base, &base_from_task, &params.axes, row_storage);
         let gravity = settings.gravity_use();
         let in_goal = J::splat(f64::from(u8::from(gravity.in_goal())));
         let in_limit = J::splat(f64::from(u8::from(gravity.in_limits())));

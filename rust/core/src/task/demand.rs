@@ -1,7 +1,7 @@
 //! Demand of each task axis in one step: deviation, softness, compliance, strength and step.
 
 use crate::MAX_AXES;
-use crate::math::simd::TaskVector;
+use crate::math::simd::F64x8;
 use crate::params::{AxisArray, Params, Settings};
 use crate::task::adapt::{adapt_deviation, push_side_blend};
 use crate::task::compliance::{compliance_by, lerp};
@@ -33,37 +33,38 @@ pub(crate) struct AxisDemand<W> {
     pub(crate) clamped_displacement: W,
 }
 
-impl<W: TaskVector> AxisDemand<W> {
+impl<W: F64x8> AxisDemand<W> {
     /// Computes the demand from the deviation `e` [m, rad] and the target's velocity `twist` [m/s, rad/s] of each task
     /// row.
     #[inline(always)]
     pub(crate) fn new(params: &Params, settings: &Settings, e: W, twist: W) -> Self {
         let rows = &params.axis_simd;
-        let plus = push_side_blend::<W>(e, W::constant(&rows.band), W::constant(&rows.band_slope));
+        let plus = push_side_blend::<W>(e, W::from_array(&rows.band), W::from_array(&rows.band_slope));
         let w = blend_sides(plus, &rows.yields);
-        let adapted = adapt_deviation::<W>(e, W::constant(&rows.eta), w);
+        let adapted = adapt_deviation::<W>(e, W::from_array(&rows.eta), w);
         let deviation_of_compliance = if settings.paper_options.raw_deviation { e } else { adapted };
-        let c = compliance_by::<W>(deviation_of_compliance, W::constant(&rows.firm_from), W::constant(&rows.d_slope));
-        let strength =
-            lerp::<W>(c, blend_sides(plus, &rows.strength_firm_from), blend_sides(plus, &rows.strength_soft_until));
-        let displacement = W::splat(settings.paper_options.horizon)
-            * W::fma(W::splat(params.gain_scale), apply_kx(params, adapted), twist);
-        let soft_max = W::splat(settings.paper_options.horizon) * W::constant(&rows.soft_step_limit);
+        let c = compliance_by::<W>(
+            deviation_of_compliance,
+            W::from_array(&rows.firm_from),
+            W::from_array(&rows.compliance_slope),
+        );
+        let strength = lerp::<W>(c, blend_sides(plus, &rows.far_strength), blend_sides(plus, &rows.near_strength));
+        let horizon = W::splat(settings.paper_options.horizon);
+        let displacement = horizon * W::fma(W::splat(params.gain_scale), apply_kx(params, adapted), twist);
+        let stiff_max = horizon * W::from_array(&rows.step_limit);
+        let soft_max = horizon * W::from_array(&rows.soft_step_limit);
         Self {
             deviation: e,
             adapted,
             softness: w,
             compliance: c,
             strength,
-            max_strength: lerp::<W>(w, W::constant(&rows.hold), strength),
+            max_strength: lerp::<W>(w, W::from_array(&rows.hold), strength),
             stiffness: blend_sides(plus, &rows.stiffness),
             damping: blend_sides(plus, &rows.damping),
             twist,
             displacement: W::clamp_abs(displacement, soft_max),
-            clamped_displacement: W::clamp_abs(
-                displacement,
-                max_displacement(w, W::splat(settings.paper_options.horizon) * W::constant(&rows.step_limit), soft_max),
-            ),
+            clamped_displacement: W::clamp_abs(displacement, max_displacement(w, stiff_max, soft_max)),
         }
     }
 }
@@ -71,16 +72,16 @@ impl<W: TaskVector> AxisDemand<W> {
 /// Returns the value for the side from which each axis is pushed: `pair[0]` toward −, `pair[1]` toward +, blended by
 /// the weight `plus`.
 #[inline(always)]
-fn blend_sides<W: TaskVector>(plus: W, pair: &[AxisArray; 2]) -> W {
-    lerp::<W>(plus, W::constant(&pair[0]), W::constant(&pair[1]))
+fn blend_sides<W: F64x8>(plus: W, pair: &[AxisArray; 2]) -> W {
+    lerp::<W>(plus, W::from_array(&pair[0]), W::from_array(&pair[1]))
 }
 
 /// Returns `K_x ẽ`.
 #[inline(always)]
-fn apply_kx<W: TaskVector>(params: &Params, adapted: W) -> W {
+fn apply_kx<W: F64x8>(params: &Params, adapted: W) -> W {
     let (adapted, mut pull) = (adapted.to_axes(), W::splat(0.0));
     for c in 0..MAX_AXES {
-        pull = W::fma(W::constant(&params.axis_simd.kx[c]), W::broadcast(adapted[c]), pull);
+        pull = W::fma(W::from_array(&params.axis_simd.kx[c]), W::splat(adapted[c]), pull);
     }
     pull
 }
@@ -88,7 +89,7 @@ fn apply_kx<W: TaskVector>(params: &Params, adapted: W) -> W {
 /// Returns the limit of each axis' step [m, rad]. A vector is never scaled by its norm: a large soft step would reduce
 /// the step of the stiff axes.
 #[inline(always)]
-fn max_displacement<W: TaskVector>(w: W, stiff: W, soft: W) -> W {
+fn max_displacement<W: F64x8>(w: W, stiff: W, soft: W) -> W {
     let (zero, one, endless) = (W::splat(0.0), W::splat(1.0), W::splat(f64::INFINITY));
     // If one of the two limits is infinite, a partly stiff axis keeps the limit of its stiff part.
     let mixed = W::select_lt(W::max(stiff, soft), endless, lerp::<W>(w, stiff, soft), stiff);

@@ -15,19 +15,19 @@ pub(crate) use pose_error::pose_error_by;
 
 use crate::MAX_AXES;
 use crate::kinematics::rotated_rows;
-use crate::math::simd::{JointVector, Scalar};
+use crate::math::simd::JointVector;
 use crate::math::spatial::Mat3;
 use crate::params::Frame;
 
-/// Returns the [`task_rows`](crate::kinematics::task_rows) of a task in `frame`, stored in `room`; `j_base` itself if
+/// Returns the [`task_rows`](crate::kinematics::task_rows) of a task in `frame`, stored in `storage`; `j_base` itself if
 /// the task has all six base axes.
 #[inline(always)]
 fn rows_in<'a, J: JointVector>(
     frame: &Frame,
     j_base: &'a [J; MAX_AXES],
-    base_from_task: &Mat3<Scalar<J>>,
+    base_from_task: &Mat3,
     axes: &[usize],
-    room: &'a mut Option<[J; MAX_AXES]>,
+    storage: &'a mut Option<[J; MAX_AXES]>,
 ) -> &'a [J; MAX_AXES] {
     match frame {
         Frame::Base if axes.len() == MAX_AXES => j_base,
@@ -36,8 +36,8 @@ fn rows_in<'a, J: JointVector>(
             for r in 0..axes.len().min(MAX_AXES) {
                 out[r] = j_base[axes[r] % MAX_AXES];
             }
-            room.insert(out)
+            storage.insert(out)
         }
-        _ => room.insert(rotated_rows(j_base, base_from_task, axes)),
+        _ => storage.insert(rotated_rows(j_base, base_from_task, axes)),
     }
 }

@@ -20,17 +20,6 @@ impl Out {
         BatchCommand { goal, torque_limit, velocity }
     }
 
-    /// Returns true if a row equals `want` within 1e-11 of the largest number.
-    pub(crate) fn is_near(&self, row: usize, n: usize, want: &[Vec<u64>; 3]) -> bool {
-        self.0.iter().zip(want).all(|(all, want)| {
-            let want: Vec<f64> = want.iter().map(|&bits| f64::from_bits(bits)).collect();
-            let size = want.iter().filter(|value| value.is_finite()).fold(0.0_f64, |size, value| size.max(value.abs()));
-            let near =
-                |(got, want): (&f64, &f64)| got.to_bits() == want.to_bits() || (got - want).abs() <= 1e-11 * size;
-            all[row * n..][..n].iter().zip(&want).all(near)
-        })
-    }
-
     pub(crate) fn row(&self, row: usize, n: usize) -> [Vec<u64>; 3] {
         self.0.each_ref().map(|all| bits(&all[row * n..][..n]))
     }

@@ -4,7 +4,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::scalar::{BaselineF64, rotate_quadrant};
-use super::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, ScalarVec3, SimdVec, SoaLanes, chunk8, chunk8_mut};
+use super::{F64x8, LANES, PaddedVec3, RealOps, ScalarVec3, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
 /// Eight numbers in an array, which the compiler may vectorize. x86-64 uses its own SIMD types.
 #[cfg_attr(target_arch = "x86_64", allow(dead_code, reason = "x86-64 has registers of its own"))]
@@ -83,15 +83,6 @@ impl RealOps for ArrayF64x8 {
     }
 
     #[inline(always)]
-    fn any_lt(a: Self, b: Self) -> bool {
-        let mut any = false;
-        for i in 0..LANES {
-            any |= a.0[i] < b.0[i];
-        }
-        any
-    }
-
-    #[inline(always)]
     fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..LANES {
             (s.0[i], c.0[i]) = rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
@@ -109,6 +100,16 @@ impl SimdVec for ArrayF64x8 {
     }
 
     #[inline(always)]
+    fn store_array(self, values: &mut [f64; LANES]) {
+        *values = self.0;
+    }
+}
+
+impl F64x8 for ArrayF64x8 {
+    type Elem = BaselineF64;
+    type Vec3 = ScalarVec3<BaselineF64>;
+
+    #[inline(always)]
     fn load_partial(values: &[f64]) -> Self {
         let mut out = [0.0; LANES];
         out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
@@ -116,28 +117,13 @@ impl SimdVec for ArrayF64x8 {
     }
 
     #[inline(always)]
-    fn store_array(self, values: &mut [f64; LANES]) {
-        *values = self.0;
+    fn any_lt(a: Self, b: Self) -> bool {
+        let mut any = false;
+        for i in 0..LANES {
+            any |= a.0[i] < b.0[i];
+        }
+        any
     }
-}
-
-impl Broadcast<f64> for ArrayF64x8 {
-    #[inline(always)]
-    fn broadcast(value: f64) -> Self {
-        Self::splat(value)
-    }
-}
-
-impl Broadcast<Self> for ArrayF64x8 {
-    #[inline(always)]
-    fn broadcast(value: Self) -> Self {
-        value
-    }
-}
-
-impl F64x8 for ArrayF64x8 {
-    type Elem = BaselineF64;
-    type Vec3 = ScalarVec3<BaselineF64>;
 
     #[inline(always)]
     fn hsum4(vectors: [Self; 4]) -> [f64; 4] {

@@ -17,7 +17,7 @@ use super::Sse2x2 as BaselineF64xN;
 pub(crate) use super::Sse2x8 as BaselineF64x8;
 #[cfg(target_arch = "x86_64")]
 use super::{Avx2x4, Avx2x8, Avx512x8, FmaF64};
-use super::{BaselineF64, Broadcast, F64x8, RealOps, SoaLanes};
+use super::{BaselineF64, F64x8, RealOps, SoaLanes};
 
 /// Environment variable that selects an instruction set by name: `baseline`, `avx2` or `avx512`.
 const INSTRUCTIONS_VARIABLE: &str = "PLIANT_INSTRUCTIONS";
@@ -25,7 +25,7 @@ const INSTRUCTIONS_VARIABLE: &str = "PLIANT_INSTRUCTIONS";
 /// The number types of one instruction set.
 pub(crate) trait Isa {
     /// Scalar operations of the instruction set.
-    type Elem: RealOps<Real = f64> + Broadcast<f64>;
+    type Elem: RealOps<Real = f64>;
     /// Vector of eight values of one configuration, one per joint or per task axis.
     type F64x8: F64x8<Elem = Self::Elem>;
     /// Vector with one value of each of several configurations.
@@ -60,7 +60,7 @@ impl Isa for Avx2x8 {
 #[cfg(target_arch = "x86_64")]
 impl Isa for Avx512x8 {
     type Elem = FmaF64;
-    // Single configurations use AVX2 types also here, see `dispatch_narrow`.
+    // Code for one configuration never runs with AVX-512, see `dispatch_narrow`.
     type F64x8 = Avx2x8;
     type F64xN = Avx512x8;
 }
@@ -132,7 +132,7 @@ impl SimdLevel {
         }
     }
 
-    /// Runs code for single configurations with this instruction set, but at most with AVX2.
+    /// Runs code for one configuration with this instruction set, but at most with AVX2.
     ///
     /// Vectors of seven or eight numbers gain nothing from wider registers (kinematics even become a tenth slower), and
     /// a third copy of the control step would add a third to the size of the Python wheel.
@@ -146,7 +146,7 @@ impl SimdLevel {
         }
     }
 
-    /// Runs code with this instruction set.
+    /// Runs code for several configurations, one per lane of a register, with this instruction set.
     #[inline]
     pub(crate) fn dispatch<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {

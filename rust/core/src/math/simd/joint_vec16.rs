@@ -6,7 +6,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::dispatch::BaselineF64x8;
 use super::scalar::{BaselineF64, rotate_quadrant};
-use super::{Broadcast, JointVector, PaddedVec3, RealOps, ScalarVec3, SingleArmJoints};
+use super::{JointVector, PaddedVec3, RealOps, ScalarVec3};
 use crate::{JointVec, MAX_JOINTS};
 
 /// One number per joint, padded to 16: for arms with more than [`LANES`](super::LANES) joints and for code that runs
@@ -94,15 +94,6 @@ impl RealOps for JointVec16 {
         exp2_int(sum);
     }
 
-    #[inline(always)]
-    fn any_lt(a: Self, b: Self) -> bool {
-        #[inline(never)]
-        fn anywhere(a: &JointVec16, b: &JointVec16) -> bool {
-            a.0.iter().zip(&b.0).any(|(a, b)| a < b)
-        }
-        anywhere(&a, &b)
-    }
-
     fn rotate_quadrant(turns: Self, mut s: Self, mut c: Self) -> (Self, Self) {
         for i in 0..MAX_JOINTS {
             (s.0[i], c.0[i]) = rotate_quadrant(turns.0[i], s.0[i], c.0[i]);
@@ -111,39 +102,27 @@ impl RealOps for JointVec16 {
     }
 }
 
-impl Broadcast<f64> for JointVec16 {
-    #[inline(always)]
-    fn broadcast(value: f64) -> Self {
-        Self::splat(value)
-    }
-}
-
 impl JointVector for JointVec16 {
     type Elem = BaselineF64;
     type Axes = BaselineF64x8;
-    type Group = Self;
+    type Vec3 = ScalarVec3<BaselineF64>;
 
-    const GROUPS: usize = 1;
     const OUTLINED: bool = true;
-
-    #[inline(always)]
-    fn group(&self, _: usize) -> Self {
-        *self
-    }
-
-    #[inline(always)]
-    fn set_group(&mut self, _: usize, value: Self) {
-        *self = value;
-    }
 
     #[inline(always)]
     fn load(values: &JointVec) -> Self {
         Self(*values, 0)
     }
 
+    fn load_slice(values: &[f64]) -> Self {
+        let mut out = [0.0; MAX_JOINTS];
+        out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
+        Self::load(&out)
+    }
+
     #[inline(always)]
-    fn from_joints(values: &JointVec) -> Self {
-        Self::load(values)
+    fn store(self, values: &mut JointVec) {
+        *values = self.0;
     }
 
     #[inline(always)]
@@ -151,9 +130,34 @@ impl JointVector for JointVec16 {
         self.0
     }
 
+    fn prefix<const N: usize>(self) -> [f64; N] {
+        let mut out = [0.0; N];
+        out.iter_mut().zip(self.0).for_each(|(slot, value)| *slot = value);
+        out
+    }
+
+    fn components(cells: &[PaddedVec3]) -> [Self; 3] {
+        let mut out = [[0.0; MAX_JOINTS]; 3];
+        for (k, cell) in cells.iter().enumerate().take(MAX_JOINTS) {
+            for (row, &value) in out.iter_mut().zip(cell) {
+                row[k] = value;
+            }
+        }
+        out.map(|row| Self::load(&row))
+    }
+
     #[inline(never)]
     fn max_element(self) -> f64 {
         self.0.iter().fold(0.0, |largest, &value| BaselineF64::max(largest, value))
+    }
+
+    #[inline(always)]
+    fn is_any_lt(self, other: Self) -> bool {
+        #[inline(never)]
+        fn anywhere(a: &JointVec16, b: &JointVec16) -> bool {
+            a.0.iter().zip(&b.0).any(|(a, b)| a < b)
+        }
+        anywhere(&self, &other)
     }
 
     #[inline(always)]
@@ -176,36 +180,5 @@ impl JointVector for JointVec16 {
     #[inline(always)]
     fn dot4(a: [&Self; 4], b: [&Self; 4]) -> [f64; 4] {
         Self::sum4([*a[0] * *b[0], *a[1] * *b[1], *a[2] * *b[2], *a[3] * *b[3]])
-    }
-}
-
-impl SingleArmJoints for JointVec16 {
-    type Vec3 = ScalarVec3<BaselineF64>;
-
-    fn load_slice(values: &[f64]) -> Self {
-        let mut out = [0.0; MAX_JOINTS];
-        out.iter_mut().zip(values).for_each(|(slot, value)| *slot = *value);
-        Self::load(&out)
-    }
-
-    fn prefix<const N: usize>(self) -> [f64; N] {
-        let mut out = [0.0; N];
-        out.iter_mut().zip(self.0).for_each(|(slot, value)| *slot = value);
-        out
-    }
-
-    fn components(cells: &[PaddedVec3]) -> [Self; 3] {
-        let mut out = [[0.0; MAX_JOINTS]; 3];
-        for (k, cell) in cells.iter().enumerate().take(MAX_JOINTS) {
-            for (row, &value) in out.iter_mut().zip(cell) {
-                row[k] = value;
-            }
-        }
-        out.map(|row| Self::load(&row))
-    }
-
-    #[inline(always)]
-    fn store(self, values: &mut JointVec) {
-        *values = self.0;
     }
 }

@@ -1,14 +1,14 @@
-//! Number types of the control step. Formulas are written once, for one configuration or several, and compiled per
+//! Number types of the control step and of batches of kinematics. Formulas are written once and compiled for each
 //! instruction set.
 //!
 //! [`RealOps`] defines the operations, on one `f64` or on several lanes, with or without fused multiply-add. Rust never
 //! fuses by itself, and `mul_add` without the instruction is a slow call, so the type decides. [`Isa`] is the set of
 //! number types of one instruction set, and [`SimdLevel`] an instruction set that the processor has.
 //!
-//! In the control step the lanes of a register hold the joints or the task axes of one configuration ([`F64x8`],
-//! [`JointVec16`]). In batches they hold several configurations ([`SoaLanes`]), with one register per joint or axis
-//! ([`SoaVec`]). Laws are written over [`JointVector`], which covers both. Code that runs rarely uses [`JointVec16`]
-//! and is compiled once.
+//! In the control step a vector holds the joints or the task axes of one configuration. Formulas over joints are
+//! generic over [`JointVector`], which has two kinds of implementation: [`F64x8`] in registers, for arms of at most
+//! eight joints, and [`JointVec16`], for larger arms and for code that runs rarely. Formulas over task axes are generic
+//! over [`F64x8`]. In batches of kinematics each lane of a register holds another configuration ([`SoaLanes`]).
 //!
 //! Everything that [`SimdLevel::dispatch`] runs is `#[inline(always)]`: a function that is not inlined would be
 //! compiled for the baseline instruction set. For the same reason formulas over [`RealOps`] use loops, not closures.
@@ -16,13 +16,14 @@
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+use crate::AxisVec;
+
 mod array;
 mod dispatch;
 mod elementary;
 mod joint_vec16;
 mod nontemporal;
 mod scalar;
-mod soa;
 mod vec3;
 mod vectors;
 #[cfg(target_arch = "x86_64")]
@@ -38,9 +39,8 @@ pub(crate) use nontemporal::{NONTEMPORAL_MIN_BYTES, NonTemporalWriter, with_nont
 pub(crate) use scalar::BaselineF64;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use scalar::FmaF64;
-pub(crate) use soa::SoaVec;
 pub(crate) use vec3::{PaddedVec3, Real, ScalarVec3, StoreVec3, Vec3Ops};
-pub(crate) use vectors::{AxisScalar, JointVector, Scalar, SingleArmJoints, TaskVector};
+pub(crate) use vectors::JointVector;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::sse2::{Sse2x2, Sse2x8};
 #[cfg(target_arch = "x86_64")]
@@ -54,12 +54,8 @@ use x86::{
 /// stay there, and some processors need a hundred cycles per product with them.
 pub(crate) const NEGLIGIBLE: f64 = 1e-30;
 
-/// Number of values in a vector of one configuration, and maximum number of lanes of a register.
+/// Number of values in a [`F64x8`], and maximum number of lanes of a register.
 pub(crate) const LANES: usize = 8;
-
-/// Maximum number of joints of arms that are computed several configurations at once: each joint takes a register, used
-/// or not.
-pub(crate) const SOA_MAX_JOINTS: usize = 7;
 
 /// A type with `+ − * /` and negation.
 pub(crate) trait Number:
@@ -78,12 +74,12 @@ impl<T> Number for T where
 {
 }
 
-/// Arithmetic on real numbers that hold one value (`Real = f64`) or several.
+/// Arithmetic on numbers that hold one value (`Real = f64`) or several.
 pub(crate) trait RealOps: Copy + Debug + 'static {
     /// The number type: `f64`, or a vector with one value per joint, per axis or per configuration.
     type Real: Number;
 
-    /// True if a number holds several values: of joints, of axes or of configurations.
+    /// True if a number holds several values, of joints, axes or configurations.
     const WIDE: bool;
 
     /// Copies a value to every lane.
@@ -119,21 +115,12 @@ pub(crate) trait RealOps: Copy + Debug + 'static {
     /// Selects per lane: returns `then` if `a < b`, else `otherwise`.
     fn select_lt(a: Self::Real, b: Self::Real, then: Self::Real, otherwise: Self::Real) -> Self::Real;
 
-    /// Returns true if `a < b` in any lane.
-    fn any_lt(a: Self::Real, b: Self::Real) -> bool;
-
     /// Returns two to the power of the integer in the last bits of `sum`, a number to which [`ROUND`] was added.
     fn exp2_int(sum: Self::Real) -> Self::Real;
 
     /// Rotates `(s, c)`, sine and cosine, by as many quarter turns as the integer in the last bits of `turns`, a number
     /// to which [`ROUND`] was added.
     fn rotate_quadrant(turns: Self::Real, s: Self::Real, c: Self::Real) -> (Self::Real, Self::Real);
-}
-
-/// Broadcast of one value of type `R` to all joints or task axes; the identity for `R` itself.
-pub(crate) trait Broadcast<R>: RealOps {
-    /// Copies the value to all elements.
-    fn broadcast(value: R) -> Self::Real;
 }
 
 /// A SIMD vector in registers.
@@ -143,9 +130,6 @@ pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
 
     /// Loads the first [`SimdVec::COUNT`] numbers of `values`.
     fn from_array(values: &[f64; LANES]) -> Self;
-
-    /// Loads the first numbers of the slice, zeros in lanes after its end.
-    fn load_partial(values: &[f64]) -> Self;
 
     /// Stores the lanes into the first [`SimdVec::COUNT`] entries of `values`.
     fn store_array(self, values: &mut [f64; LANES]);
@@ -160,7 +144,7 @@ pub(crate) trait SimdVec: RealOps<Real = Self> + Number {
 }
 
 /// A vector with one value of each of several configurations.
-pub(crate) trait SoaLanes: SimdVec + Broadcast<Self> {
+pub(crate) trait SoaLanes: SimdVec {
     /// Loads eight numbers of each configuration from rows that begin `stride` apart; result i holds number i of every
     /// row. A row that is incomplete counts as zeros.
     fn load_transposed(rows: &[f64], stride: usize) -> [Self; LANES];
@@ -186,12 +170,31 @@ fn chunk8_mut(values: &mut [f64], at: usize) -> Option<&mut [f64; LANES]> {
 }
 
 /// A vector of eight values of one configuration: one per joint or per task axis.
-pub(crate) trait F64x8: SimdVec + Broadcast<f64> {
+pub(crate) trait F64x8: SimdVec {
     /// Scalar operations of the same instruction set.
-    type Elem: RealOps<Real = f64> + Broadcast<f64>;
+    type Elem: RealOps<Real = f64>;
 
     /// 3-vector of the same instruction set.
     type Vec3: StoreVec3<Elem = Self::Elem>;
+
+    /// Creates the vector from one number per task axis, zeros in the spare lanes.
+    #[inline(always)]
+    fn from_axes(v: &AxisVec) -> Self {
+        Self::from_array(&[v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0])
+    }
+
+    /// Returns the numbers of the task axes.
+    #[inline(always)]
+    fn to_axes(self) -> AxisVec {
+        let n = self.to_array();
+        [n[0], n[1], n[2], n[3], n[4], n[5]]
+    }
+
+    /// Loads the first numbers of the slice, zeros in lanes after its end.
+    fn load_partial(values: &[f64]) -> Self;
+
+    /// Returns true if `a < b` in any lane.
+    fn any_lt(a: Self, b: Self) -> bool;
 
     /// Returns the sum of the lanes of each vector.
     fn hsum4(vectors: [Self; 4]) -> [f64; 4];

@@ -1,7 +1,7 @@
 //! Scalar operations on `f64`, with and without fused multiply-add.
 #![forbid(unsafe_code)]
 
-use super::{Broadcast, RealOps};
+use super::RealOps;
 
 /// Operations on `f64` with the baseline instruction set of the architecture: with fused multiply-add on aarch64,
 /// elsewhere without.
@@ -79,11 +79,6 @@ macro_rules! scalar {
             }
 
             #[inline(always)]
-            fn any_lt(a: f64, b: f64) -> bool {
-                a < b
-            }
-
-            #[inline(always)]
             fn exp2_int(sum: f64) -> f64 {
                 f64::from_bits((sum.to_bits() << 52).wrapping_add(1023 << 52))
             }
@@ -91,13 +86,6 @@ macro_rules! scalar {
             #[inline(always)]
             fn rotate_quadrant(turns: f64, s: f64, c: f64) -> (f64, f64) {
                 rotate_quadrant(turns, s, c)
-            }
-        }
-
-        impl Broadcast<f64> for $name {
-            #[inline(always)]
-            fn broadcast(value: f64) -> f64 {
-                value
             }
         }
     };

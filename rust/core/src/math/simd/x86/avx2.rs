@@ -16,14 +16,14 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{hsum_of_four as sum4, transpose_4x4};
 use crate::math::simd::vec3::Vec3Register;
-use crate::math::simd::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
+use crate::math::simd::{F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
 simd_type! {
     /// A vector of eight numbers in two registers, with fused multiply-add.
     Avx2x8, 8 in registers of 4: 0 1
 }
 
-f64x8! { Avx2x8 beside FmaF64 and Avx2x4 }
+f64x8! { Avx2x8 beside FmaF64 and Avx2x4, registers of 4: 0 1 }
 
 simd_type! {
     /// A vector of four numbers in one register, with fused multiply-add.

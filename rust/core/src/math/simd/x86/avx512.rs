@@ -7,15 +7,15 @@ use std::arch::x86_64::{
     __m512d as Register, __mmask8 as Mask, _CMP_LT_OQ, _mm512_add_epi64, _mm512_add_pd as add, _mm512_and_pd as and,
     _mm512_andnot_pd as andnot, _mm512_castpd_si512, _mm512_castsi512_pd, _mm512_cmp_pd_mask, _mm512_div_pd as div,
     _mm512_fmadd_pd as fmadd, _mm512_fnmadd_pd as fnmadd, _mm512_loadu_pd as loadu, _mm512_mask_blend_pd,
-    _mm512_maskz_loadu_pd, _mm512_max_pd as max, _mm512_min_pd as min, _mm512_mul_pd as mul, _mm512_or_pd as or,
-    _mm512_set1_epi64, _mm512_set1_pd as set1, _mm512_shuffle_f64x2 as shuffle, _mm512_slli_epi64,
-    _mm512_sqrt_pd as sqrt, _mm512_storeu_pd as storeu, _mm512_sub_pd as sub, _mm512_test_epi64_mask,
-    _mm512_unpackhi_pd as high, _mm512_unpacklo_pd as low, _mm512_xor_pd as xor,
+    _mm512_max_pd as max, _mm512_min_pd as min, _mm512_mul_pd as mul, _mm512_or_pd as or, _mm512_set1_epi64,
+    _mm512_set1_pd as set1, _mm512_shuffle_f64x2 as shuffle, _mm512_slli_epi64, _mm512_sqrt_pd as sqrt,
+    _mm512_storeu_pd as storeu, _mm512_sub_pd as sub, _mm512_test_epi64_mask, _mm512_unpackhi_pd as high,
+    _mm512_unpacklo_pd as low, _mm512_xor_pd as xor,
 };
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::math::simd::{Broadcast, LANES, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
+use crate::math::simd::{LANES, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
 simd_type! {
     /// A vector of eight numbers in one register, with fused multiply-add.
@@ -23,16 +23,6 @@ simd_type! {
 }
 
 soa_lanes! { Avx512x8, each row an Avx512x8: 0 1 2 3 4 5 6 7 }
-
-/// Loads up to eight of `count` numbers, zeros in lanes after the last.
-#[inline(always)]
-unsafe fn first_of(values: *const f64, count: usize) -> Register {
-    // Separate case for 0: a shift by the full width of the mask would overflow.
-    let mask = if count == 0 { 0 } else { Mask::MAX >> (LANES - count.min(LANES)) };
-    // SAFETY: the processor has the instructions, see `SimdLevel`; `values` points to `count` numbers, and the mask is
-    // set for no more.
-    unsafe { _mm512_maskz_loadu_pd(mask, values) }
-}
 
 #[inline(always)]
 unsafe fn cmp_lt(a: Register, b: Register) -> Mask {
@@ -44,11 +34,6 @@ unsafe fn cmp_lt(a: Register, b: Register) -> Mask {
 unsafe fn blend(mask: Mask, then: Register, otherwise: Register) -> Register {
     // SAFETY: the processor has the instructions, see `SimdLevel`.
     unsafe { _mm512_mask_blend_pd(mask, otherwise, then) }
-}
-
-#[inline(always)]
-unsafe fn mask_any(mask: Mask) -> bool {
-    mask != 0
 }
 
 #[inline(always)]

@@ -86,12 +86,6 @@ macro_rules! simd_type {
             }
 
             #[inline(always)]
-            fn any_lt(a: Self, b: Self) -> bool {
-                // SAFETY: the processor has the instructions, see `SimdLevel`.
-                unsafe { false $(| mask_any(cmp_lt(a.0[$i], b.0[$i])))* }
-            }
-
-            #[inline(always)]
             fn exp2_int(sum: Self) -> Self {
                 // SAFETY: the processor has the instructions, see `SimdLevel`.
                 Self(unsafe { [$(exp2_int(sum.0[$i])),*] })
@@ -112,16 +106,6 @@ macro_rules! simd_type {
             fn from_array(values: &[f64; LANES]) -> Self {
                 // SAFETY: the processor has the instructions, see `SimdLevel`; there are eight values.
                 Self(unsafe { [$(loadu(values.as_ptr().add($i * $width))),*] })
-            }
-
-            #[inline(always)]
-            fn load_partial(values: &[f64]) -> Self {
-                // SAFETY: the processor has the instructions, see `SimdLevel`; each register reads only the numbers
-                // that the previous registers left.
-                Self(unsafe { [$({
-                    let rest = values.get($i * $width..).unwrap_or_default();
-                    first_of(rest.as_ptr(), rest.len())
-                }),*] })
             }
 
             #[inline(always)]
@@ -149,10 +133,26 @@ macro_rules! simd_type {
 
 /// Implements [`F64x8`] for a vector of eight numbers.
 macro_rules! f64x8 {
-    ($name:ident beside $one:ident and $vec3_register:ident) => {
+    ($name:ident beside $one:ident and $vec3_register:ident, registers of $width:literal: $($i:literal)*) => {
         impl F64x8 for $name {
             type Elem = crate::math::simd::$one;
             type Vec3 = $vec3_register;
+
+            #[inline(always)]
+            fn load_partial(values: &[f64]) -> Self {
+                // SAFETY: the processor has the instructions, see `SimdLevel`; each register reads only the numbers
+                // that the previous registers left.
+                Self(unsafe { [$({
+                    let rest = values.get($i * $width..).unwrap_or_default();
+                    first_of(rest.as_ptr(), rest.len())
+                }),*] })
+            }
+
+            #[inline(always)]
+            fn any_lt(a: Self, b: Self) -> bool {
+                // SAFETY: the processor has the instructions, see `SimdLevel`.
+                unsafe { false $(| mask_any(cmp_lt(a.0[$i], b.0[$i])))* }
+            }
 
             #[inline(always)]
             fn hsum4(n: [Self; 4]) -> [f64; 4] {
@@ -173,13 +173,6 @@ macro_rules! f64x8 {
             fn components(cells: &[PaddedVec3; LANES]) -> [Self; 3] {
                 let [x, y, z] = components(cells);
                 [Self(x), Self(y), Self(z)]
-            }
-        }
-
-        impl Broadcast<f64> for $name {
-            #[inline(always)]
-            fn broadcast(value: f64) -> Self {
-                Self::splat(value)
             }
         }
     };
@@ -232,13 +225,6 @@ macro_rules! soa_lanes {
                 $(if let Some(row) = chunk8_mut(rows, $i * stride) {
                     $row(transposed[$i]).store_array(row);
                 })*
-            }
-        }
-
-        impl Broadcast<Self> for $name {
-            #[inline(always)]
-            fn broadcast(value: Self) -> Self {
-                value
             }
         }
     };

@@ -14,14 +14,14 @@ use std::arch::x86_64::{
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::math::simd::vec3::Vec3Register;
-use crate::math::simd::{Broadcast, F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
+use crate::math::simd::{F64x8, LANES, PaddedVec3, RealOps, SimdVec, SoaLanes, chunk8, chunk8_mut};
 
 simd_type! {
     /// A vector of eight numbers in four registers, without fused multiply-add.
     Sse2x8, 8 in registers of 2: 0 1 2 3
 }
 
-f64x8! { Sse2x8 beside BaselineF64 and Sse2x4 }
+f64x8! { Sse2x8 beside BaselineF64 and Sse2x4, registers of 2: 0 1 2 3 }
 
 simd_type! {
     /// A vector of two numbers in one register, without fused multiply-add.
