@@ -30,12 +30,15 @@ from pliant.sim.doors import Door
 from pliant.sim.postures import AT_DOOR, VERTICAL
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from experiments.poses import Array
     from pliant.sim import Friction, Hand
     from pliant.sim.plant import Fixture
     from pliant.types import Diagnostics
+
+    #: Name of the remedy, name of the arm, delay of readings and of commands [ticks].
+    Row = tuple[str, str, int]
 
 #: Control period [s], and creep of joints that friction holds, relative to MuJoCo's default.
 PERIOD, CREEP = 0.01, 0.1
@@ -91,6 +94,8 @@ REMEDIES = {
         Remedy(name="learned, dither 0.6", learns=True, dither=0.6),
     )
 }
+#: Ratios of true to assumed friction.
+FACTORS = (0.7, 1.0, 1.3)
 #: Row with the friction of the servo table instead of that of real gears.
 IDEAL = "ideal gears"
 
@@ -185,12 +190,13 @@ class Case:
             rate=1.0 / PERIOD,
             delay=(self.delay, self.delay),
             encoder_step=self.encoder_step,
-            friction="coulomb" if self.friction is None else self._true(self.friction),
+            friction="coulomb" if self.friction is None else self.true_friction(self.friction),
             friction_creep=CREEP,
             scene=scene,
         )
 
-    def _true(self, factor: float) -> Friction:
+    def true_friction(self, factor: float) -> Friction:
+        """Return `factor` times the friction identified on real gears."""
         gears = REAL_GEARS[self.arm].spread(model(self.arm).n)
         shape = ("speed", "exponent")
         return replace(
@@ -445,47 +451,67 @@ def _turns(values: Array, band: float) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """Smallest force of a hand that a quiet position servo can notice.
+    """Force of a hand at the start of a drag before a position servo without dither notices it.
 
     Attributes:
         moves: Force that moves one joint against its static friction [N].
         counts: Force that turns this joint by one encoder count against its servo [N].
-        rises: Force that a hand of the drag adds in the time until the command reacts [N].
     """
 
     moves: float
     counts: float
-    rises: float
 
 
-def bound(case: Case, encoder_step: float = COUNT) -> Bound:
-    """Return the bound for the drag of a case with the true friction, for encoders with a count.
+def bound(case: Case) -> Bound:
+    """Return the bound for the drag of a case with its true friction.
 
-    A joint moves at ``τ_s / |J_i|`` with static friction τ_s under the gravity of the pose and
-    lever J_i. Its goal stays until the count changes, so the servo resists with k_p times the
-    count. The command reacts after the velocity filter, half a period and the delays.
+    A joint starts to move when the torque ``J_i F`` of the hand exceeds its static friction, which
+    depends on the motor torque of the pose and on the load with the hand; the first of all joints
+    counts. Until the reading changes, its goal stays, and the servo resists with k_p times the
+    encoder count.
     """
     bench, arm = BENCHES[case.arm], model(case.arm)
-    frame = bench.hand.at
     plant = case.build(bench.hand)
     plant.reset(bench.start)
-    table = case.table()
-    gear = REAL_GEARS[case.arm].spread(arm.n)
-    factor = 1.0 if case.friction is None else case.friction
-    still = factor * gear.at_rest(arm.gravity(bench.start))
-    point = plant.ground_truth.frame(frame).position - plant.tool[:3, 3]
+    point = plant.ground_truth.frame(bench.hand.at).position - plant.tool[:3, 3]
     jacobian = arm.jacobian(bench.start)
     row = "xyz".index(str(bench.hand.axis))
-    lever = np.abs(jacobian[row] + np.cross(jacobian[3:].T, point)[:, row])
-    share = np.where(lever > 1e-3, lever, np.nan)
-    first = int(np.nanargmin(still / share))
-    speed = bench.hand.distance / bench.hand.course.rise
-    late = 0.5 * PERIOD + pliant.Settings().tracking.velocity_filter + 2 * case.delay * PERIOD
+    lever = jacobian[row] + np.cross(jacobian[3:].T, point)[:, row]
+    forces = np.linspace(0.0, 50.0, 5001)
+    pushed, motor = forces[:, None] * lever, arm.gravity(bench.start)
+    if case.friction is None:
+        still = np.broadcast_to(np.asarray(servos(case.arm).friction), pushed.shape)
+    else:
+        still = case.true_friction(case.friction).largest(motor, pushed - motor, 0.0)
+    moves = np.abs(pushed) > still
+    begin = int(np.argmax(moves.any(axis=1)))
+    first = int(np.argmax(moves[begin]))
+    stiffness = float(np.broadcast_to(np.asarray(servos(case.arm).kp), (arm.n,))[first])
     return Bound(
-        moves=float(still[first] / share[first]),
-        counts=float(np.broadcast_to(table.kp, (arm.n,))[first] * encoder_step / share[first]),
-        rises=float(bench.hand.stiffness * speed * late),
+        moves=float(forces[begin]), counts=stiffness * case.encoder_step / abs(float(lever[first]))
     )
+
+
+def text(rows: Mapping[Row, Sequence[Result]]) -> str:
+    """Return a Markdown table with one line per remedy, arm and delay.
+
+    A cell with several numbers has one for each of `FACTORS`; prices at rest are the worst of them.
+    """
+    columns = ("remedy", "arm", "ticks each way", "drag [N]", "door [N]", "opening [deg]")
+    lines = []
+    for row, results in rows.items():
+        figures = [
+            " / ".join(f"{getattr(result, name):.{digits}f}" for result in results)
+            for name, digits in (("drag", 1), ("door", 1), ("angle", 0))
+        ]
+        quiet, rested = min((result.quiet, result.rested) for result in results)
+        price = (
+            f"{max(result.reversals for result in results):.0f}",
+            f"{max(result.heat for result in results):.2f}",
+            f"{'' if quiet < rested - 1e-9 else '≥ '}{quiet:.2g}",
+        )
+        lines.append((*row, *figures, *price))
+    return program.markdown((*columns, "reversals [1/s]", "heat [1]", "quiet [min]"), lines)
 
 
 def main(
@@ -506,35 +532,29 @@ def main(
         jobs: Number of processes.
     """
     step = 0.0 if exact else COUNT
+    rows: dict[Row, list[str]] = {}
     work: list[Job] = []
     for name in arm or tuple(BENCHES):
         for delay in (0, 1):
-            ideal = Case(arm=name, delay=delay, friction=None, encoder_step=step)
-            rows = [(IDEAL, ideal, "present law")]
-            for chosen in remedy or tuple(REMEDIES):
-                cases = [replace(ideal, friction=friction) for friction in (0.7, 1.0, 1.3)]
-                rows.extend((chosen, case, chosen) for case in cases)
-            for label, case, key in rows:
-                friction = "–" if case.friction is None else f"{case.friction:g}"
-                cells = "|".join((label, name, str(delay), friction))
-                work.append(Job(cells, measure, (case, key, minutes)))
+            case = Case(arm=name, delay=delay, friction=None, encoder_step=step)
+            plan: list[tuple[str, str, tuple[float | None, ...]]]
+            plan = [(IDEAL, "present law", (None,))]
+            plan += [(key, key, FACTORS) for key in remedy or tuple(REMEDIES)]
+            for label, key, factors in plan:
+                keys = rows.setdefault((label, name, delay), [])
+                for factor in factors:
+                    keys.append(f"{label}|{name}|{delay}|{factor}")
+                    under = replace(case, friction=factor)
+                    work.append(Job(keys[-1], measure, (under, key, minutes)))
     found = run_by_key(work, jobs, "gears")
-    conditions = ("remedy", "arm", "ticks each way", "true / assumed friction")
-    figures = ("drag [N]", "door [N]", "opening [deg]")
-    columns = (*conditions, *figures, "reversals [1/s]", "heat [1]", "quiet [min]")
-    lines = []
-    for key, result in found.items():
-        more = "" if result.quiet < result.rested - 1e-9 else "≥ "
-        price = (f"{result.reversals:.1f}", f"{result.heat:.2f}", f"{more}{result.quiet:.2g}")
-        forces = (f"{result.drag:.1f}", f"{result.door:.1f}", f"{result.angle:.0f}")
-        lines.append((*key.split("|"), *forces, *price))
-    print(program.markdown(columns, lines))
+    print(text({row: [found[key] for key in keys] for row, keys in rows.items()}))
     for name in arm or tuple(BENCHES):
-        least = bound(Case(arm=name))
-        print(
-            f"{name}: a joint moves at {least.moves:.2f} N, a count more needs {least.counts:.2f} "
-            f"N, and the hand adds {least.rises:.2f} N before the command reacts"
-        )
+        for kind, friction in (("real", 1.0), ("ideal", None)):
+            least = bound(Case(arm=name, friction=friction, encoder_step=step))
+            print(
+                f"{name}, {kind} gears: a joint moves at {least.moves:.2f} N of the hand, and "
+                f"{least.counts:.2f} N more turn it by a count"
+            )
 
 
 if __name__ == "__main__":
