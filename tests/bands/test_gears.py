@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mismatch import under
 
-from experiments import controllers, disturbances, goals
+from experiments import controllers, disturbances, gears, goals
 from experiments.campaign import REAL_GEARS
 from experiments.simulation import Conditions
 from pliant.sim import DRAG_15N
@@ -33,3 +33,27 @@ def test_the_arm_stays_at_rest(delay):
     )
     assert idle.error < 2e-3  # measured 6e-4
     assert np.abs(idle.speed) < 0.02  # measured 0.008
+
+
+def test_dither_makes_the_drag_lighter_and_costs_reversals():
+    """One row of `experiments.gears` for the present law, and one with dither."""
+    case, rows = gears.Case(arm="arm7"), ("present law", "dither 0.6")
+    present, dither = (gears.drag(case, gears.REMEDIES[row]) for row in rows)
+    assert present == pytest.approx(8.0, abs=0.3)  # measured 8.04
+    assert dither < 0.93 * present  # measured 7.1
+    (calm, cool, _, _), (shaken, warm, _, _) = (
+        gears.rest(case, gears.REMEDIES[row], 0.0) for row in rows
+    )
+    assert calm < 1.0  # [1/s]
+    assert shaken > 20.0
+    assert warm > cool
+
+
+@pytest.mark.parametrize("arm", ["arm7", "so101"])
+def test_a_drag_needs_at_least_the_static_friction_of_one_joint(arm):
+    case = gears.Case(arm=arm, encoder_step=gears.COUNT)
+    least = gears.bound(case)
+    strong = gears.bound(gears.Case(arm=arm, friction=1.3))
+    assert 1.1 * least.moves < strong.moves < 1.5 * least.moves
+    assert least.counts > 0.0
+    assert gears.drag(case, gears.REMEDIES["present law"]) > least.moves

@@ -1,0 +1,561 @@
+"""Remedies for gears that stick: ``python -m experiments.gears``.
+
+The gears of `arm7` and `so101` have the friction identified on real ones, which sticks and grows
+with the load. The controller knows it, but the true friction is 0.7, 1 and 1.3 times the assumed
+one. A hand drags the tool along a soft axis, and the arm opens a door. The program prints the
+largest force of the hand and at the handle for the present law and for each remedy, and the price
+of the remedy in an arm at rest: torque reversals, heat, and minutes without a limit cycle.
+
+The remedies are not in the package: each adds torques to the command of `pliant.Controller`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import pliant
+from experiments import controllers, metrics, program
+from experiments.campaign import REAL_GEARS
+from experiments.poses import pull
+from experiments.runner import Job, run_by_key
+from experiments.simulation import closed_loop, run, scaled
+from pliant import robots
+from pliant.functional import PaperOptions
+from pliant.sim import DRAG_15N, Drag, Plant
+from pliant.sim.doors import Door
+from pliant.sim.postures import AT_DOOR, VERTICAL
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from experiments.poses import Array
+    from pliant.sim import Friction, Hand
+    from pliant.sim.plant import Fixture
+    from pliant.types import Diagnostics
+
+    #: Name of the remedy, name of the arm, delay of readings and of commands [ticks].
+    Row = tuple[str, str, int]
+
+#: Control period [s], and creep of joints that friction holds, relative to MuJoCo's default.
+PERIOD, CREEP = 0.01, 0.1
+#: Angle of an encoder count [rad].
+COUNT = float(np.deg2rad(0.088))
+#: Time that an arm at rest has to settle, shortest time after it, and window of one check of the
+#: joint speeds [s].
+SETTLE, OBSERVED, WINDOW = 3.0, 3.0, 1.0
+#: Bounds of an arm at rest: largest displacement of the tool [m] and rms speed of the joints in a
+#: window [rad/s].
+STAYS, STILL = 2e-3, 0.02
+#: Change of a servo's torque that counts as a reversal, as a share of its usable torque.
+REVERSAL = 0.005
+#: Bounds of the learned ratio of true to assumed friction, least speed of a joint that teaches it
+#: [rad/s], least travel of such a joint [rad], and duration of the motion that teaches it [s].
+LEARNED, TEACHING, TRAVEL, LESSON = (0.6, 1.5), 0.1, 0.1, 8.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remedy:
+    """Change of the friction feed-forward.
+
+    Attributes:
+        name: Name in the table.
+        saturation: Joint speed above which the feed-forward has its full value [rad/s].
+        by_reference: True adds the joint speeds of the target's motion to the measured ones, for
+            the direction of the feed-forward.
+        by_tool: True takes the direction from the tool's measured motion instead of each joint's.
+        dither: Amplitude of an alternating torque, as a share of the assumed static friction.
+        ticks: Ticks after which the alternating torque changes its sign.
+        learns: True learns the size of the friction in a free motion before the measurement.
+    """
+
+    name: str
+    saturation: float = 0.05
+    by_reference: bool = False
+    by_tool: bool = False
+    dither: float = 0.0
+    ticks: int = 2
+    learns: bool = False
+
+
+REMEDIES = {
+    remedy.name: remedy
+    for remedy in (
+        Remedy(name="present law"),
+        Remedy(name="saturates at 0.02 rad/s", saturation=0.02),
+        Remedy(name="direction of the reference", by_reference=True),
+        Remedy(name="direction of the tool", by_tool=True),
+        Remedy(name="dither 0.3", dither=0.3),
+        Remedy(name="dither 0.6", dither=0.6),
+        Remedy(name="learned", learns=True),
+        Remedy(name="learned, dither 0.6", learns=True, dither=0.6),
+    )
+}
+#: Ratios of true to assumed friction.
+FACTORS = (0.7, 1.0, 1.3)
+#: Row with the friction of the servo table instead of that of real gears.
+IDEAL = "ideal gears"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Arm with its two tasks.
+
+    Attributes:
+        start: Start pose of the drag (n,) [rad].
+        at_door: Start pose at the handle (n,) [rad].
+        hand: The hand of the drag, whose axis is soft.
+        door: Arguments of `pliant.sim.Door`.
+        soft: Names of the soft axes at the door.
+        distance: Distance by which the target moves to open the door [m].
+        task: Names of the task axes.
+    """
+
+    start: Array
+    at_door: Array
+    hand: Drag
+    door: Mapping[str, Any]
+    soft: str
+    distance: float
+    task: str = "xyz rpy"
+
+
+BENCHES = {
+    "arm7": Bench(
+        start=VERTICAL,
+        at_door=AT_DOOR,
+        hand=DRAG_15N,
+        door={"grip": "rigid"},
+        soft="y yaw",
+        distance=0.28,
+    ),
+    # Only the pan joint moves y, and it carries no load. Therefore z is soft, and the door has a
+    # horizontal hinge.
+    "so101": Bench(
+        start=np.array([0.0, -0.3, 0.6, 0.8, 0.0]),
+        at_door=np.array([0.0, 0.3, 0.1, 0.8, 0.0]),
+        hand=replace(DRAG_15N, axis="z", distance=0.06, limit=8.0, at="tool"),
+        door={
+            "grip": "turning",
+            "hinge": (0.0, 0.0, -0.12),
+            "axis": (0.0, -1.0, 0.0),
+            "mass": 0.3,
+            "friction": 0.03,
+            "damping": 0.02,
+            "balanced": True,
+        },
+        soft="z",
+        distance=0.08,
+        task="xyz",
+    ),
+}
+
+
+@cache
+def model(arm: str) -> pliant.Model:
+    """Return a built-in arm by name."""
+    return robots.load(arm)
+
+
+def servos(arm: str) -> pliant.Servos:
+    """Return the servo table of a built-in arm by name."""
+    table = model(arm).servos
+    assert table is not None
+    return table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """Conditions of a run.
+
+    Attributes:
+        arm: Name of the arm, a key of `BENCHES`.
+        delay: Delay of readings, and of commands [ticks], known to the controller.
+        friction: True over assumed friction; None: friction of the servo table, known exactly.
+        encoder_step: Angle of an encoder count [rad]; 0: exact readings.
+    """
+
+    arm: str = "arm7"
+    delay: int = 0
+    friction: float | None = 1.0
+    encoder_step: float = 0.0
+
+    def build(self, *scene: Hand | Fixture) -> Plant:
+        """Return the simulated arm with hands and fixtures."""
+        return Plant(
+            model(self.arm),
+            rate=1.0 / PERIOD,
+            delay=(self.delay, self.delay),
+            encoder_step=self.encoder_step,
+            friction="coulomb" if self.friction is None else self.true_friction(self.friction),
+            friction_creep=CREEP,
+            scene=scene,
+        )
+
+    def true_friction(self, factor: float) -> Friction:
+        """Return `factor` times the friction identified on real gears."""
+        gears = REAL_GEARS[self.arm].spread(model(self.arm).n)
+        shape = ("speed", "exponent")
+        return replace(
+            gears, **{key: factor * v for key, v in vars(gears).items() if key not in shape}
+        )
+
+    def table(self) -> pliant.Servos:
+        """Return the servo table that the controller assumes, with friction of factor 1."""
+        table = servos(self.arm)
+        if self.friction is not None:
+            table = REAL_GEARS[self.arm].assumed(table)
+        return table.replace(encoder_step=self.encoder_step)
+
+
+class Remedied:
+    """`pliant.Controller` whose command a remedy changes.
+
+    Attributes:
+        reading: Positions (n,) of the last step [rad].
+    """
+
+    def __init__(self, settings: pliant.Settings, case: Case, remedy: Remedy) -> None:
+        """Make a controller for a case with settings that a remedy changes."""
+        n, table = model(case.arm).n, case.table()
+        if remedy.learns:
+            table = scaled(table, learned(case), 1.0)
+        self._settings = settings.replace(
+            rate=1.0 / PERIOD,
+            delay=2 * case.delay * PERIOD,
+            task=BENCHES[case.arm].task,
+            paper_options=PaperOptions(friction_speed=remedy.saturation),
+        )
+        self._remedy = remedy
+        self._inner = pliant.Controller(model(case.arm), self._settings, table)
+
+        def each(name: str) -> Array:
+            return np.broadcast_to(np.asarray(getattr(table, name), dtype=np.float64), (n,))
+
+        self._kp, self._torque, self._speed = map(each, ("kp", "max_torque", "stribeck_speed"))
+        self._dry = tuple(map(each, ("friction", "stribeck", "load_friction", "load_stribeck")))
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Diagnostics of the last step of the controller."""
+        return self._inner.diagnostics
+
+    def reset(self, q: Array) -> None:
+        """Start at rest in q (n,) [rad]."""
+        self._inner.reset(q)
+        self._tick = 0
+        self._before: Array | None = None
+
+    def friction(self) -> Array:
+        """Return the assumed dry friction (n,) [N·m] at speed and load of the last step."""
+        seen = self.diagnostics
+        constant, stribeck, load, load_stribeck = self._dry
+        x = np.abs(seen.velocity) / self._speed
+        share = 1.0 / (1.0 + x + x**2)
+        torque = np.abs(seen.gravity + seen.task_jacobian.T @ seen.wrench)
+        torque = np.minimum(torque, self._torque)
+        out: Array = constant + share * stribeck + (load + share * load_stribeck) * torque
+        return out
+
+    def step(self, q: Array, target: Array) -> controllers.Goals:
+        """Return goals and limits for positions q (n,) [rad] and the target pose (4, 4)."""
+        command = self._inner.step(q, target)
+        self.reading = q
+        extra = self._extra(target)
+        self._tick, self._before = self._tick + 1, np.array(target)
+        return controllers.Goals(
+            command.goal + extra / self._kp,
+            np.minimum(command.torque_limit + np.abs(extra), self._torque),
+        )
+
+    def _extra(self, target: Array) -> Array:
+        """Return the torque (n,) [N·m] that the remedy adds to the command."""
+        seen, remedy = self.diagnostics, self._remedy
+        measured = np.asarray(seen.velocity)
+        toward = measured.copy()
+        jacobian = np.asarray(seen.task_jacobian)
+        compliance = jacobian / self._kp @ jacobian.T + 1e-9 * np.eye(len(jacobian))
+        if remedy.by_tool:
+            toward = jacobian.T @ np.linalg.solve(compliance, jacobian @ measured) / self._kp
+        if remedy.by_reference and self._before is not None:
+            moved = pliant.functional.pose_error(self._before, target)[: len(jacobian)]
+            stiff = (1.0 - np.asarray(seen.softness)) * moved / PERIOD
+            toward = toward + jacobian.T @ np.linalg.solve(compliance, stiff) / self._kp
+        dry = self.friction()
+        v_0, share = remedy.saturation, self._settings.compensation.friction
+        extra = seen.gamma * share * dry * (np.tanh(toward / v_0) - np.tanh(measured / v_0))
+        if remedy.dither > 0.0:
+            sign = 1.0 if self._tick // remedy.ticks % 2 else -1.0
+            extra = extra + sign * remedy.dither * dry / (1.0 + (measured / 0.05) ** 2)
+        out: Array = extra
+        return out
+
+
+@cache
+def learned(case: Case) -> Array:
+    """Return the ratio of true to assumed friction (n,) that an observer finds in free motion.
+
+    The target moves on a circle through the workspace. A joint that moves teaches the ratio by
+    least squares: the lead of its goal, without gravity and damping, against the assumed friction.
+    A joint that hardly moves keeps 1. In contact the observer would have to be off, because it
+    takes a force of the hand for friction.
+    """
+    plant, bench = case.build(), BENCHES[case.arm]
+    table, arm = case.table(), model(case.arm)
+    controller = Remedied(controllers.cap(soft=""), case, Remedy(name="free motion"))
+    home = arm.forward_kinematics(bench.start)
+    radius = 0.3 * abs(bench.distance)
+
+    def circle(time: float) -> Array:
+        pose, angle = home.copy(), 2.0 * np.pi * time / 4.0
+        pose[:3, 3] += radius * np.array([np.cos(angle) - 1.0, np.sin(angle), np.sin(2.0 * angle)])
+        return pose
+
+    plant.reset(bench.start)
+    controller.reset(bench.start)
+    damping = np.asarray(table.damping) + np.asarray(table.kv)
+    if table.limit_type == "pwm":
+        damping = damping + np.asarray(table.max_torque) / np.asarray(table.no_load_speed)
+    up, down, travel = np.zeros(arm.n), np.zeros(arm.n), np.zeros(arm.n)
+    goals: list[Array] = [bench.start] * (2 * case.delay + 1)
+    for _, _, command in closed_loop(plant, controller, circle, LESSON):
+        goals.append(command.goal)
+        # The goal that the servos had before they took the last reading, and the positions in the
+        # middle of that period.
+        v = np.asarray(controller.diagnostics.velocity)
+        q = controller.reading - 0.5 * PERIOD * v
+        apparent = np.asarray(table.kp) * (goals[-2 - 2 * case.delay] - q)
+        apparent = apparent - arm.gravity(q) - damping * v
+        assumed = controller.friction() * np.sign(v)
+        teaches = np.abs(v) > TEACHING
+        up += np.where(teaches, apparent * assumed, 0.0)
+        down += np.where(teaches, assumed**2, 0.0)
+        travel += np.where(teaches, np.abs(v) * PERIOD, 0.0)
+    known = travel > TRAVEL
+    ratio = np.where(known, up / np.where(known, down, 1.0), 1.0)
+    return np.clip(ratio, *LEARNED)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """Result of a remedy in one case.
+
+    Attributes:
+        drag: Largest force of the hand, averaged over a control period [N].
+        door: Largest force at the handle in any physics step [N].
+        angle: Largest opening of the door [deg].
+        reversals: Reversals of the servo torque at rest, mean over the joints [1/s].
+        heat: Mean squared servo torque at rest over that of gravity alone [1].
+        quiet: Time at rest before the tool leaves `STAYS` or a joint exceeds `STILL` [min].
+        rested: Time at rest that was simulated [min].
+    """
+
+    drag: float
+    door: float
+    angle: float
+    reversals: float
+    heat: float
+    quiet: float
+    rested: float
+
+
+def measure(case: Case, remedy: str, minutes: float) -> Result:
+    """Return the result of a remedy in one case; `minutes` is the time at rest [min]."""
+    force = drag(case, REMEDIES[remedy])
+    handle, angle = open_door(case, REMEDIES[remedy])
+    reversals, heat, quiet, rested = rest(case, REMEDIES[remedy], minutes)
+    return Result(
+        drag=force,
+        door=handle,
+        angle=angle,
+        reversals=reversals,
+        heat=heat,
+        quiet=quiet,
+        rested=rested,
+    )
+
+
+def drag(case: Case, remedy: Remedy) -> float:
+    """Return the largest force of a hand that drags the arm along a soft axis [N]."""
+    bench = BENCHES[case.arm]
+    plant, axis = case.build(bench.hand), str(bench.hand.axis)
+    law = Remedied(controllers.cap(soft=axis), case, remedy)
+    target = model(case.arm).forward_kinematics(bench.start)
+
+    def grip(time: float, plant: Plant) -> None:
+        if abs(time - metrics.PULLING[0]) < 0.5 * PERIOD:
+            plant.ground_truth.remember()
+
+    trace = run(plant, law, target, metrics.PULLING[1], q=bench.start, on_tick=grip)
+    return metrics.largest(trace.force[:, "xyz".index(axis)])
+
+
+def open_door(case: Case, remedy: Remedy) -> tuple[float, float]:
+    """Return the largest force at the handle of a door [N], and its largest opening [deg]."""
+    bench = BENCHES[case.arm]
+    door = Door(**bench.door)
+    null_space = pliant.NullSpace(gain=1.0)
+    law = Remedied(controllers.cap(soft=bench.soft, null_space=null_space), case, remedy)
+    target = pull(model(case.arm).forward_kinematics(bench.at_door), bench.distance)
+    run(case.build(door), law, target, 9.5, q=bench.at_door)
+    return door.peak_force, float(np.rad2deg(door.widest))
+
+
+def rest(case: Case, remedy: Remedy, minutes: float) -> tuple[float, float, float, float]:
+    """Return reversals [1/s], relative heat [1], quiet time and simulated time at rest [min].
+
+    The simulation ends with the first sign of a limit cycle.
+    """
+    bench, arm = BENCHES[case.arm], model(case.arm)
+    plant = case.build()
+    law = Remedied(controllers.cap(soft=str(bench.hand.axis)), case, remedy)
+    plant.reset(bench.start)
+    law.reset(bench.start)
+    target = arm.forward_kinematics(bench.start)
+    for _ in closed_loop(plant, law, target, SETTLE):
+        pass
+    place, quiet = plant.tool[:3, 3], 0.0
+    torques: list[Array] = []
+    speeds: list[float] = []
+    seconds = max(60.0 * minutes, OBSERVED)
+    for time, _, _ in closed_loop(plant, law, target, seconds):
+        if len(torques) < OBSERVED / PERIOD:
+            torques.append(plant.torque)
+        speeds = [*speeds[1 - round(WINDOW / PERIOD) :], metrics.rms(plant.dq)]
+        quiet = time + PERIOD
+        away = float(np.linalg.norm(plant.tool[:3, 3] - place))
+        moves = len(speeds) * PERIOD >= WINDOW and metrics.rms(np.array(speeds)) > STILL
+        if away > STAYS or moves:
+            break
+    observed = np.array(torques)
+    band = REVERSAL * np.asarray(servos(case.arm).max_torque)
+    count = np.mean([_turns(column, size) for column, size in zip(observed.T, band, strict=True)])
+    heat = float(np.mean(np.sum(observed**2, axis=1)) / np.sum(arm.gravity(bench.start) ** 2))
+    return float(count) / (len(observed) * PERIOD), heat, quiet / 60.0, seconds / 60.0
+
+
+def _turns(values: Array, band: float) -> int:
+    """Return how often a signal changes its direction by more than `band`."""
+    turns, direction, extreme = 0, 0.0, values[0]
+    for value in values:
+        if direction * (value - extreme) > 0.0:
+            extreme = value
+        elif abs(value - extreme) > band:
+            turns += direction != 0.0
+            direction, extreme = np.sign(value - extreme), value
+    return turns
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bound:
+    """Force of a hand at the start of a drag before a position servo without dither notices it.
+
+    Attributes:
+        moves: Force that moves one joint against its static friction [N].
+        counts: Force that turns this joint by one encoder count against its servo [N].
+    """
+
+    moves: float
+    counts: float
+
+
+def bound(case: Case) -> Bound:
+    """Return the bound for the drag of a case with its true friction.
+
+    A joint starts to move when the torque ``J_i F`` of the hand exceeds its static friction, which
+    depends on the motor torque of the pose and on the load with the hand; the first of all joints
+    counts. Until the reading changes, its goal stays, and the servo resists with k_p times the
+    encoder count.
+    """
+    bench, arm = BENCHES[case.arm], model(case.arm)
+    plant = case.build(bench.hand)
+    plant.reset(bench.start)
+    point = plant.ground_truth.frame(bench.hand.at).position - plant.tool[:3, 3]
+    jacobian = arm.jacobian(bench.start)
+    row = "xyz".index(str(bench.hand.axis))
+    lever = jacobian[row] + np.cross(jacobian[3:].T, point)[:, row]
+    forces = np.linspace(0.0, 50.0, 5001)
+    pushed, motor = forces[:, None] * lever, arm.gravity(bench.start)
+    if case.friction is None:
+        still = np.broadcast_to(np.asarray(servos(case.arm).friction), pushed.shape)
+    else:
+        still = case.true_friction(case.friction).largest(motor, pushed - motor, 0.0)
+    moves = np.abs(pushed) > still
+    begin = int(np.argmax(moves.any(axis=1)))
+    first = int(np.argmax(moves[begin]))
+    stiffness = float(np.broadcast_to(np.asarray(servos(case.arm).kp), (arm.n,))[first])
+    return Bound(
+        moves=float(forces[begin]), counts=stiffness * case.encoder_step / abs(float(lever[first]))
+    )
+
+
+def text(rows: Mapping[Row, Sequence[Result]]) -> str:
+    """Return a Markdown table with one line per remedy, arm and delay.
+
+    A cell with several numbers has one for each of `FACTORS`; prices at rest are the worst of them.
+    """
+    columns = ("remedy", "arm", "ticks each way", "drag [N]", "door [N]", "opening [deg]")
+    lines = []
+    for row, results in rows.items():
+        figures = [
+            " / ".join(f"{getattr(result, name):.{digits}f}" for result in results)
+            for name, digits in (("drag", 1), ("door", 1), ("angle", 0))
+        ]
+        quiet, rested = min((result.quiet, result.rested) for result in results)
+        price = (
+            f"{max(result.reversals for result in results):.0f}",
+            f"{max(result.heat for result in results):.2f}",
+            f"{'' if quiet < rested - 1e-9 else '≥ '}{quiet:.2g}",
+        )
+        lines.append((*row, *figures, *price))
+    return program.markdown((*columns, "reversals [1/s]", "heat [1]", "quiet [min]"), lines)
+
+
+def main(
+    *,
+    arm: program.Arms = (),
+    remedy: program.Arms = (),
+    exact: bool = False,
+    minutes: float = 0.05,
+    jobs: int = 2,
+) -> None:
+    """Measure remedies for gears that stick, and print one table.
+
+    Args:
+        arm: Names of the arms; default: both.
+        remedy: Names of the remedies; default: all.
+        exact: True for exact readings, else encoders with counts of 0.088°.
+        minutes: Time at rest of each row [min].
+        jobs: Number of processes.
+    """
+    step = 0.0 if exact else COUNT
+    rows: dict[Row, list[str]] = {}
+    work: list[Job] = []
+    for name in arm or tuple(BENCHES):
+        for delay in (0, 1):
+            case = Case(arm=name, delay=delay, friction=None, encoder_step=step)
+            plan: list[tuple[str, str, tuple[float | None, ...]]]
+            plan = [(IDEAL, "present law", (None,))]
+            plan += [(key, key, FACTORS) for key in remedy or tuple(REMEDIES)]
+            for label, key, factors in plan:
+                keys = rows.setdefault((label, name, delay), [])
+                for factor in factors:
+                    keys.append(f"{label}|{name}|{delay}|{factor}")
+                    under = replace(case, friction=factor)
+                    work.append(Job(keys[-1], measure, (under, key, minutes)))
+    found = run_by_key(work, jobs, "gears")
+    print(text({row: [found[key] for key in keys] for row, keys in rows.items()}))
+    for name in arm or tuple(BENCHES):
+        for kind, friction in (("real", 1.0), ("ideal", None)):
+            least = bound(Case(arm=name, friction=friction, encoder_step=step))
+            print(
+                f"{name}, {kind} gears: a joint moves at {least.moves:.2f} N of the hand, and "
+                f"{least.counts:.2f} N more turn it by a count"
+            )
+
+
+if __name__ == "__main__":
+    program.start(main)
