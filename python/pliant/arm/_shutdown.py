@@ -29,7 +29,7 @@ MIN_LOAD = 1e-3
 MAX_REASON = 160
 #: Text in progress messages for each phase of a descent.
 PHASES = {"rest": "to its rest pose", "down": "down", "ramp": "at rest, giving up its weight"}
-#: Advice in messages: remedy for an arm that was left with torque on.
+#: Remedy in messages about an arm that was left with torque on.
 RECOVER = (
     "`pliant run ARM`, or your program started again, takes it over and lowers it at its end; or "
     "support the arm and cut the supply"
