@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from pliant._core import Model
     from pliant._typing import Array
 
 
@@ -69,7 +70,7 @@ class Gains:
         )
 
 
-def tabulate(model: Any, servos: Any | None) -> Servos:
+def tabulate(model: Model, servos: Any | None) -> Servos:
     """Return the servo table of a model, with n entries.
 
     Args:
@@ -85,7 +86,7 @@ def tabulate(model: Any, servos: Any | None) -> Servos:
         ShapeError: The table is for another number of joints.
         TypeError: `servos` is not a `Servos` table.
     """
-    table = getattr(model, "servos", None) if servos is None else instance(servos, Servos, "servos")
+    table = model.servos if servos is None else instance(servos, Servos, "servos")
     return _guess(model) if table is None else spread(table, model.n)
 
 
@@ -117,7 +118,7 @@ def resolve(table: Servos) -> Gains:
     )
 
 
-def _guess(model: Any) -> Servos:
+def _guess(model: Model) -> Servos:
     """Return a servo table estimated from the effort limits of the URDF."""
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
