@@ -100,7 +100,7 @@ class Dxl1Servo(Servo):
     def check_write(self, address: int, data: bytes) -> int:
         """Return the error bit of a write, 0 if it is accepted.
 
-        Addresses, access rights, EEPROM lock and values must fit, and goals the angle limits.
+        Checked are address, access rights, EEPROM lock and range, and for goals the angle limits.
         """
         end = address + len(data)
         if not data or end > self.table.size:
@@ -191,7 +191,7 @@ class Dxl1Servo(Servo):
         self.put("present_position", self.position)
         sign = self.direction
         self.put("present_speed", sign * self.shaft.speed / self._rpm)
-        # Bit 10 of the registers load and speed is their sign: set in the direction of falling
+        # Bit 10 of the registers load and speed is the sign: it is set in the direction of falling
         # counts.
         self.put("present_load", sign * 1023.0 * self.duty)
         self.put("present_voltage", self.supply * 10.0)
