@@ -127,7 +127,7 @@ def check_writable(path: Path, kind: str, inputs: Iterable[Path | str | None] = 
 
 
 def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> None:
-    """Check that the file of `--log` can be written, so that an error is raised before torque on.
+    """Check that the file of `--log` can be written; called before torque is switched on.
 
     Raises:
         ConfigError: The name does not end in .mcap, or the file cannot be written.

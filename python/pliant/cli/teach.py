@@ -87,7 +87,7 @@ def run(
 
     def save(recorded: Motion) -> None:
         recorded = replace(recorded, note=note)
-        # Save the motion before `retime` applies the bounds, so that an error loses nothing.
+        # Save before `retime` applies the bounds: after an error there, the motion is not lost.
         recorded.save(motion)
         if bounds is not None:
             teach.retime(recorded, bounds).save(motion)
