@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 #: Integral gain of the goals while the arm is held [1/s]. Positions and goals are averaged over the
 #: last part of the holding time, of this share [1].
 INTEGRATION_RATE, AVERAGED_SHARE = 4.0, 0.25
-#: If the check fails: shares of the friction and damping feed-forward that are tried instead [1],
-#: and time for which the arm is held stiffly before each try [s].
+#: If the check fails: shares of the friction and damping feed-forward to try instead [1], and time
+#: for which the arm is held stiffly before each try [s].
 REDUCED_SHARES, HOLD_TIME = (0.5, 0.0), 0.5
 #: Speed of the tool below which the arm counts as at rest [m/s].
 REST_SPEED = 2e-3

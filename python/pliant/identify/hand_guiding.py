@@ -13,9 +13,9 @@ each joint with predicted position q̂ and filtered speed v:
 with gravity torque g, viscous damping d [N·m·s/rad], the shares b_f, b_d = 0.8 of friction and
 damping that are fed forward, v₀ = 0.05 rad/s, and the least play w₀ of the joint (at least 2 mrad).
 [c_low, c_high] is the interval of possible compliances 1/k_p [rad/(N·m)], and c its middle. The
-play grows with the possible error of the lead, so a wrong k_p can let the arm sag within the play
-but cannot make it drift. When the arm rests after a motion, its lead is right within ρ; that
-narrows the interval, and so the play.
+play covers the possible error of the lead: with a wrong k_p the arm can sag within the play, but
+not drift. When the arm rests after a motion, its lead is right within ρ; this narrows the
+interval, and with it the play.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Steps
 
 
-#: Factor by which the assumed stiffness may be too small or too large [1]: if `stiffness_known` of
-#: the servo parameters is True, and if it is False.
+#: Factor by which the assumed stiffness may be wrong in either direction [1], with
+#: `stiffness_known` True and False.
 KNOWN_STIFFNESS_FACTOR, UNKNOWN_STIFFNESS_FACTOR = 1.1, 2.2
 #: Time for which the arm rests after the first swing [s].
 REST_TIME = 0.4

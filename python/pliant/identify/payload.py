@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Assumed relative standard deviation of the servo stiffness [1]: if `stiffness_known` of the servo
-#: parameters is True, and if it is False.
+#: Assumed relative standard deviation of the servo stiffness [1], with `stiffness_known` True and
+#: False.
 KNOWN_STIFFNESS_SIGMA, UNKNOWN_STIFFNESS_SIGMA = 0.05, 0.3
 
 

@@ -1,6 +1,7 @@
 """Pipe between the process of the control loop and the process of the browser page.
 
-The processes of ROS 2 and Foxglove (`pliant.ros`) use the same pipe. "The page" is each of them.
+The processes of ROS 2 and Foxglove (`pliant.ros`) use the same pipe; here, "the page" is any of
+them.
 
 The loop never waits for the page: it sends a snapshot (state of the arm) only after the page has
 acknowledged the last one. The page cannot overload the loop: at both ends, new messages replace

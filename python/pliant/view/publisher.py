@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pliant.view.source import RealtimePacer
 
 
-#: Cause of a shown error: a rejected message about target, hand or settings, or (`fault`) the error
-#: that ended a run.
+#: Cause of an error on the page: a rejected message about target, hand or settings, or the error
+#: that ended a run (`fault`).
 Cause = Literal["target", "hand", "settings", "fault"]
 #: Time between two reports on the forces that the arm can exert in its pose [s].
 REPORT_PERIOD = 1.0

@@ -32,8 +32,7 @@ WALL_TRAVEL, WALL_DISTANCE = 0.12, 0.05
 #: Force of a simulated person who takes the object from the gripper: start after the click on the
 #: button, time in which the force rises, and duration, all [s].
 TAKE_PROFILE = ForceProfile(start=0.3, rise=1.5, end=30.0)
-#: Force of the simulated person before the click on the button: starts so late that it is zero
-#: throughout a run [s].
+#: Force of the simulated person before the click: it starts after the end of any run [s].
 NO_FORCE = ForceProfile(start=1e9, rise=1.0, end=2e9)
 
 
