@@ -199,24 +199,16 @@ def names(
         )
 
 
-def level(ax: Axes, y: float, text: str = "", *, colour: str = MUTED, at: float = 0.01) -> None:
-    """Draw a dashed horizontal line at y, labelled `text`.
-
-    Args:
-        ax: Axes to draw into.
-        y: Height of the line in data units.
-        text: Label above the line; empty: no label.
-        colour: Colour of line and label.
-        at: Start of the label, as a share of the width of the axes.
-    """
-    ax.axhline(y, color=colour, linewidth=0.9, linestyle=(0, (4, 3)))
+def level(ax: Axes, y: float, text: str = "") -> None:
+    """Draw a dashed horizontal line at y (data units), labelled `text` unless that is empty."""
+    ax.axhline(y, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
     if text:
         ax.annotate(
             text,
-            (at, y),
+            (0.01, y),
             xycoords=("axes fraction", "data"),
             xytext=(0, 2),
             textcoords="offset points",
             fontsize=7.5,
-            color=colour,
+            color=MUTED,
         )

@@ -172,23 +172,20 @@ class Motion:
         x, y, z = model.forward_kinematics(q)[:3, 3].tolist()
         return replace(self, start=(x, y, z))
 
-    def trimmed(self, still: float = REST_TOLERANCE, keep: float = REST_TIME) -> Motion:
+    def trimmed(self) -> Motion:
         """Return a copy without the rest before and after the motion, and without `start`.
-
-        Args:
-            still: Distance from the first or last position within which a joint counts as at rest
-                [rad].
-            keep: Duration of the rest that is kept at both ends [s].
 
         Raises:
             ConfigError: No joint moved.
         """
         rows = np.column_stack((self.q, *self.extra.values()))
-        moved = np.flatnonzero((np.abs(rows - rows[0]) > still).any(axis=1))
-        not_arrived = np.flatnonzero((np.abs(rows - rows[-1]) > still).any(axis=1))
+        moved = np.flatnonzero((np.abs(rows - rows[0]) > REST_TOLERANCE).any(axis=1))
+        not_arrived = np.flatnonzero((np.abs(rows - rows[-1]) > REST_TOLERANCE).any(axis=1))
         if not (moved.size and not_arrived.size):
-            raise ConfigError(f"nothing moved by more than {still:g} rad: there is no motion")
-        first, last = self.time[moved[0]] - keep, self.time[not_arrived[-1]] + keep
+            raise ConfigError(
+                f"nothing moved by more than {REST_TOLERANCE:g} rad: there is no motion"
+            )
+        first, last = self.time[moved[0]] - REST_TIME, self.time[not_arrived[-1]] + REST_TIME
         chosen = (self.time >= first) & (self.time <= last)
         return self._select(chosen)
 

@@ -38,11 +38,11 @@ State = Literal["approaching", "playing", "blocked", "stopped", "done"]
 class Replay:
     """Steps a controller along a motion; call `Replay.step` once per tick, not `Controller.step`.
 
-    The motion has a clock of its own, which runs at the rate p times `speed`. The factor p follows
+    The motion has its own clock, which runs at `speed` times a factor p. This factor follows
     ``clip(2 (1 − m), 0, 1)``, where m is the largest ratio of the tool's deviation to its bound
-    `wait`; p falls at once and rises gradually. So the clock runs at full rate up to half the bound
-    and stops at the bound: however long the tool is blocked, the deviation, and with it the force,
-    does not grow further.
+    `wait`; p falls at once and rises gradually. The clock thus runs at full rate up to half the
+    bound and stops at the bound, so that the deviation, and with it the force, does not grow while
+    the tool is blocked.
 
     Args:
         controller: The controller; its settings define the compliance of each axis.
