@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pliant.log import Recorder
 
 
+#: Maximum TCP port number.
+MAX_PORT = 65535
 #: Path of an arm's configuration file, or the name of a configuration file in the package.
 ArmName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ARM")]
 #: Path of a motion file written by `pliant teach`, or of a log.
@@ -30,7 +32,7 @@ MotionFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION
 LogFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 #: Optional path of a file to read or write.
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-#: TCP port of the browser page.
+#: TCP port of a server.
 HttpPort = Annotated[int, tyro.conf.arg(metavar="PORT")]
 #: Present and new id of a servo, as text "OLD:NEW"; None: no id is changed.
 Ids = Annotated[str | None, tyro.conf.arg(metavar="OLD:NEW")]
@@ -112,6 +114,16 @@ def check_duration(seconds: float | None) -> None:
     """
     if seconds is not None and not seconds > 0.0:
         raise ConfigError(f"--duration must be above 0 s, got {seconds:g}")
+
+
+def check_port(port: int) -> None:
+    """Check the value of `--http-port`.
+
+    Raises:
+        ConfigError: The value is not a TCP port.
+    """
+    if not 1 <= port <= MAX_PORT:
+        raise ConfigError(f"--http-port is a port from 1 to {MAX_PORT}, got {port}")
 
 
 def check_writable(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()) -> None:

@@ -50,9 +50,10 @@ def run(
             the 16 ms latency timer of an FTDI adapter.
         lose: Share of the replies that get lost (0 to 1).
         seed: Seed of the random faults.
-        hand: A hand that moves the arm, also without torque: wave swings every joint, ranges leads
-            each joint through its range (for lerobot-calibrate; without a table), or a motion of
-            `pliant teach`, forth and back. Default: the arm is held until its torque comes on.
+        hand: A hand that moves the arm, also without torque. wave swings every joint; ranges leads
+            each joint through its range, without a table, for lerobot-calibrate; a motion file of
+            `pliant teach` is played forth and back. Default: the arm is held until its torque
+            comes on.
         duration: Time after which the command ends [s].
         override: Values that replace those of the configuration file.
     """
