@@ -25,7 +25,7 @@ from pliant._core import PliantError
 from pliant.view.messages import Edit, Message, Queue
 
 if TYPE_CHECKING:
-    from types import TracebackType
+    pass
 
 #: Maximum rate at which the loop sends snapshots of the arm to the browser page [Hz].
 SNAPSHOT_RATE = 30.0
@@ -169,12 +169,7 @@ class ProcessLink:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
