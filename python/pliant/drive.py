@@ -122,9 +122,9 @@ class Drive(Protocol):
     - `refusing` (N,): joints that are known not to accept goals;
     - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint;
     - `outlives_program`: True if the servos keep their torque after the end of the program, and
-      another process can then drive them. Such a drive also has `closed_copy()`, which returns a
-      closed drive of the same servos for `pickle`, `reopen()` of that copy, which opens it and
-      returns `orders`, and `drop_ports()`, with which a forked process gives up the ports.
+      another process can then drive them. Such a drive also has three methods: `closed_copy()`
+      returns a closed drive of the same servos for `pickle`; `reopen()` opens that copy and returns
+      `orders`; `drop_ports()` closes the ports in a forked process.
     """
 
     @property

@@ -119,8 +119,8 @@ class Tick:
 
     Attributes:
         q: Joint positions (n,) [rad], new in this tick.
-        dt: Time from the position sample of the last tick to that of this tick [s], at least 0.1
-            of a period; one period in the first tick and after a reset of the controller.
+        dt: Time between the position samples of the last tick and of this tick [s], at least 0.1 of
+            a period. In the first tick, and after a reset of the controller, it is one period.
         state: State of the arm in this tick.
         time: Start of the tick [s]; 0 at the first tick of the loop, on every backend.
         index: Number of ticks that the loop yielded before this one.

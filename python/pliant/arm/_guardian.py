@@ -161,9 +161,9 @@ if hasattr(os, "register_at_fork"):
 def is_available(drive: Drive) -> bool:
     """Return True if a guardian can lower the arm of a drive.
 
-    The servos must keep their torque after the end of the program, the system must be POSIX, and
-    the program must not be frozen into one file, which cannot start another interpreter. If only
-    the system or the frozen program prevents a guardian, log a warning.
+    The servos must keep their torque after the end of the program. The system must be POSIX. A
+    program that is frozen into one file cannot start another interpreter. If only one of the last
+    two conditions fails, a warning is logged.
     """
     if not getattr(drive, "outlives_program", False):
         return False

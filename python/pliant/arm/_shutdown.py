@@ -273,8 +273,8 @@ def hold_position(io: ArmIO) -> None:
     """Send goals and torque limits that hold the present pose; disable the servos' watchdogs."""
     kp, gravity = np.asarray(io.servos.kp), io.gravity()
     push, need = torque_margin(io.servos, gravity), gravity / kp
-    # Keep the present lead (goal minus position) if it carries the weight with the true stiffness,
-    # which may differ from the assumed kp by up to the factors `STIFFER` and `SOFTER`.
+    # Keep the present lead (goal minus position) if it can carry the weight. The true stiffness may
+    # differ from the assumed kp by up to the factors `STIFFER` and `SOFTER`.
     ends = np.sort((need / STIFFER, need * SOFTER), axis=0)
     lead = np.clip(io.goal - io.q, ends[0] - push / kp, ends[1] + push / kp)
     limit = SUPPORT * np.abs(gravity) + push

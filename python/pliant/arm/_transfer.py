@@ -56,9 +56,8 @@ SHRINK_TIME, SHRINK_SPEED, MIN_LEAD = 0.4, 0.15, 0.002
 MIN_CHANGE, MAX_COUNT = 1e-6, 0.006
 #: A joint that is displaced by more than this [rad], and two encoder steps, counts as sinking.
 SINKING = 0.002
-#: The lead of a sinking joint carries it if the torque exceeds that of the balance by the shares
-#: `FOUND_FRICTION` of friction and `FOUND_SHARE` of that torque, or reaches `USABLE_SHARE` of the
-#: usable torque.
+#: The lead of a sinking joint carries it at a torque of ``(1 + FOUND_SHARE) τ + FOUND_FRICTION f``,
+#: with the torque τ of the balance and the friction f, or at `USABLE_SHARE` of the usable torque.
 FOUND_FRICTION, FOUND_SHARE, USABLE_SHARE = 2.5, 0.1, 0.98
 #: Longest wait of the lead of a sinking joint for this torque [s], and the speed at which the lead
 #: shrinks after the wait [rad/s].

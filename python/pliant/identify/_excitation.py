@@ -27,13 +27,13 @@ REVERSAL_SHARE = 0.2
 #: A joint counts as blocked if it lags behind its planned position by `tracking_tolerance` plus
 #: this angle [rad].
 BLOCKED_LAG = 0.2
-#: Stiffness of the spring toward the planned position that is part of the torque of a joint driven
-#: by its torque limit, as a share of the servo's stiffness k_p [1].
+#: The torque limit that drives a joint includes a spring toward the planned position: stiffness
+#: of this spring, as a share of the servo's stiffness k_p [1].
 SPRING_SHARE = 0.15
 #: Share of the assumed friction that is fed forward while a joint is driven by its torque limit.
 FRICTION_SHARE = 0.8
-#: Bounds of the overshoot beyond the ends of its swing above which a joint driven by its torque
-#: limit is stopped [rad]; within them, the allowed overshoot grows with the friction of the joint.
+#: A joint driven by its torque limit is stopped if it overshoots the ends of its swing too far. The
+#: allowed overshoot grows with the friction of the joint, within these bounds [rad].
 OVERSHOOT_RANGE = (0.06, 0.25)
 #: Minimum lead (goal minus position) of a joint driven by its torque limit [rad].
 MIN_LEAD = 0.05

@@ -1,7 +1,7 @@
 """Reader of MCAP records that checks all lengths, checksums and counts.
 
 The reader of the `mcap` package trusts lengths, skips unknown records and does not check the CRCs
-of attachments, so a damaged byte could become a wrong number in a log.
+of attachments. With it, a damaged byte could become a wrong number in a log.
 """
 
 from __future__ import annotations
