@@ -30,8 +30,7 @@ STALE_PERIODS, STALE = 5.0, 0.1
 #: Time step of the first controller step after a reset [s]. Goals move at a limited speed; in this
 #: step they can reach the lead (goal minus position) that holds the arm against gravity.
 PRIME = 0.1
-#: Extra time before the arm's supervisor thread lowers the arm because the program has stalled [s],
-#: so that the loop detects a stall first.
+#: Time by which the arm's supervisor thread acts later than the loop when the program stalls [s].
 GRACE = 0.1
 #: Lowest rate of the loop [Hz], because the time step of a controller is at most 1 s.
 LOWEST = 1.0

@@ -162,8 +162,8 @@ def is_available(drive: Drive) -> bool:
     """Return True if a guardian can lower the arm of a drive.
 
     The servos must keep their torque after the end of the program. The system must be POSIX. A
-    program that is frozen into one file cannot start another interpreter. If only one of the last
-    two conditions fails, a warning is logged.
+    program that is frozen into one file cannot start another interpreter. If the servos keep their
+    torque but a guardian is not possible, a warning is logged.
     """
     if not getattr(drive, "outlives_program", False):
         return False

@@ -59,7 +59,7 @@ class JointHand:
         """Do nothing after a physics step."""
 
     def during(self, plant: Plant) -> None:
-        """Apply the hand's torques to the joints in a physics step, including their weight."""
+        """Apply the hand's torques to the joints in a physics step; they also carry the weight."""
         model, data = plant.mj_model, plant.mj_data
         wanted = self._motion(data.time)
         if not self._start:

@@ -147,7 +147,7 @@ class Log:
         return [write for write in self.writes() if write.eeprom]
 
     def goals_while_disabled(self) -> list[Write]:
-        """Return the writes of goals while torque was off; switching torque on starts with one."""
+        """Return the writes of goals while torque was off, such as the goal before torque on."""
         return [w for w in self.writes() if not w.enabled and GOALS & w.values.keys()]
 
     def order(self, id: int) -> list[str]:

@@ -3,9 +3,9 @@
 The servo protocols have no sequence numbers: only its length distinguishes a late reply to an
 earlier request from the present reply. When a request fails, its reply is recorded as missing, and
 further requests to that servo ask for another length until such a reply arrives. Servos answer in
-order, so this reply proves that no older one can still come. For one second, requests avoid the
-length of a missing reply even after that, if possible, because some adapters reorder data. A
-missing reply expires after two seconds; an arm without positions for so long is being lowered.
+order, so this reply proves that no older one can still come. Some adapters reorder data: requests
+therefore avoid the length of a missing reply for one second in any case, if possible. A missing
+reply expires after two seconds; an arm without positions for so long is being lowered.
 
 A late reply also corrupts the next reply. After a failure the line is therefore drained: pings to
 an unused id discard data until the line has been silent for as long as a reply may take.

@@ -62,7 +62,7 @@ class Calibration:
                 )
 
     def registers(self, known: Container[str]) -> dict[str, int]:
-        """Return the values by name of the registers that LeRobot writes from its calibration file.
+        """Return, by register name, the values that LeRobot writes from its calibration file.
 
         At each connection LeRobot compares these registers with the file. `known` are the names of
         the servo's registers; others are omitted, e.g. Drive Mode, which Feetech servos lack.
