@@ -46,10 +46,6 @@ Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
 Duration = Annotated[float, tyro.conf.arg(metavar="SECONDS")]
 #: Names of task axes, separated by spaces.
 Axes = Annotated[str, tyro.conf.arg(metavar="AXES")]
-#: Names of task axes, separated by spaces; None if the flag is not given.
-OtherAxes = Annotated[str | None, tyro.conf.arg(metavar="AXES")]
-#: Path or name of an arm's configuration, for an optional flag; None if the flag is not given.
-OtherArm = Annotated[str | None, tyro.conf.arg(metavar="ARM")]
 #: Name of a frame of the URDF; None if the flag is not given.
 Frame = Annotated[str | None, tyro.conf.arg(metavar="FRAME")]
 
