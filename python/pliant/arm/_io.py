@@ -187,8 +187,8 @@ class LowTorqueWarning:
         warnings.warn(
             f"{self._names[joint]} may exert {limit[joint]:.3g} N·m, and this pose needs "
             f"{weight[joint]:.3g}: the arm sinks or falls. Limits are sent as they are; None keeps "
-            "the last, a Controller's carry the weight, arm.lower() brings the arm down, and "
-            "arm.disable_torque() lets go of it by name",
+            "the last limits, those of a Controller carry the weight. arm.lower() brings the arm "
+            "down, arm.disable_torque() lets it fall",
             RuntimeWarning,
             stacklevel=4,
         )

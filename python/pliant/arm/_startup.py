@@ -122,6 +122,6 @@ def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
     return (
         f"servos are stiffer or softer than their table, or weights differ from the model: "
         f"{', '.join(found)} the assumed k_p; forces are wrong by as much: "
-        "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload tells of "
-        "a load"
+        "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload(...) "
+        "sets a load"
     )

@@ -86,8 +86,8 @@ class Supervisor:
         if self.is_owned_elsewhere:
             raise ServoError(
                 f"this arm belongs to process {self.owner}, which switched its torque on; this is "
-                f"process {os.getpid()}, forked from it: read and write there, and pass on what "
-                "this one needs"
+                f"process {os.getpid()}, forked from it: read and write there, and send the data "
+                "to this process"
             )
         if self.reason is not None:
             raise ServoTimeoutError(f"{self.reason}; arm.enable() starts again")

@@ -72,7 +72,7 @@ def run(
         if not is_loopback(host):
             console.print(
                 f"[bold]Open to the network on {host}:[/bold] anyone with this link can move the "
-                "arm, and what they send passes unencrypted.",
+                "arm, and the data are not encrypted.",
                 highlight=False,
             )
         if browser:

@@ -39,7 +39,7 @@ class Pty:
             ServoError: This system has no pseudo-terminals.
         """
         if termios is None:
-            raise ServoError("the emulator needs pseudo-terminals, which Windows has not")
+            raise ServoError("the emulator needs pseudo-terminals, which Windows lacks")
         self._folder = Path(tempfile.mkdtemp(prefix="pliant-emulator-"))
         self.path = str(self._folder / f"tty-{name}")
         self.master: int | None = None

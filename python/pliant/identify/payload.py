@@ -39,7 +39,7 @@ def _make_procedure(
     servos = instance(controller, Controller, "controller").servos
     if servos is None:
         raise ConfigError(
-            "weighing needs to know the servos: Controller(model, settings, servos=…)"
+            "the estimate of a payload needs servos: Controller(model, settings, servos=…)"
         )
     rig = Excitation(controller.model, servos, 1.0 / controller.settings.rate)
     numbers = number(span, "span", 0.0, SPAN, "rad"), number(amplitude, "amplitude", *SWING, "rad")

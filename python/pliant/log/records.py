@@ -111,7 +111,7 @@ def _bodies(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
                 raise DamagedError(f"the record at byte {offset} is longer than the file")
             raise CutShortError(f"it ends within the record at byte {offset}")
         if opcode not in _OPCODES:
-            raise DamagedError(f"the record at byte {offset} is of no kind, {opcode}")
+            raise DamagedError(f"the record at byte {offset} has an unknown kind, {opcode}")
         yield offset, opcode, stream.read(length)
 
 

@@ -162,8 +162,8 @@ class Motion:
                     "the motion is another arm's: its tool began at "
                     f"{_format_point(self.start)}, that of {model.name} is at "
                     f"{_format_point(tool)} with the same joint positions, {distance:.3f} m away "
-                    f"where {START_TOLERANCE:g} are allowed; give the URDF it was taught with, or "
-                    'take "start" out of the file'
+                    f"(at most {START_TOLERANCE:g}); give the URDF of the recording, or remove "
+                    '"start" from the file'
                 )
 
     def for_model(self, model: Model) -> Motion:
