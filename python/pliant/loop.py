@@ -34,8 +34,8 @@ PRIME = 0.1
 GRACE = 0.1
 #: Lowest rate of the loop [Hz], because the time step of a controller is at most 1 s.
 LOWEST = 1.0
-#: Number of commands over whose delays the median is taken; and absolute [s] and relative [1]
-#: changes of this median above which the controller gets the new value.
+#: The delay is the median over `AVERAGE` commands. The controller gets a new median if it differs
+#: from the last one by more than `CHANGE` [s] and `CHANGE_SHARE` [1].
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 
 

@@ -192,8 +192,8 @@ def brief(error: BaseException) -> str:
     return text if len(text) <= MAX_REASON else f"{text[: MAX_REASON - 3]}..."
 
 
-#: Largest ratio of true to assumed servo stiffness, and of assumed to true stiffness, for which
-#: `hold_position` keeps the present lead (goal minus position of a joint).
+#: `hold_position` allows for a true servo stiffness of up to `STIFFER` times the assumed one, or of
+#: down to the assumed one over `SOFTER`.
 STIFFER, SOFTER = 2.5, 2.0
 #: Silence of the bus after which a descent ends with an error [s].
 MAX_SILENCE = 2.0

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 TABLE_RATE = 5.0
 #: Without --duration, the command ends this long after the last target [s].
 HOLD_TIME = 2.0
-#: Distance of the tool from its last target above which the target is reported as missed [m]; and
-#: distance to a position limit below which a joint is reported as at its limit [rad].
+#: A target is reported as missed if the tool ends farther than `TARGET_TOLERANCE` from it [m]. A
+#: joint counts as at its limit within `LIMIT_MARGIN` of a position limit [rad].
 TARGET_TOLERANCE, LIMIT_MARGIN = 0.02, 0.05
 
 

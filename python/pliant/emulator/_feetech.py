@@ -8,8 +8,8 @@ from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_CURRENT = 0x08
 _BAUDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400, 19_200)
-#: Motor duty [1] per radian of position error and per unit of P gain, and the largest duty [1];
-#: from published measurements.
+#: Motor duty [1] per radian of position error and per unit of P gain, and largest duty [1], from
+#: published measurements.
 DUTY_PER_P, FULL_DUTY = 0.166, 0.97
 #: Unit of the speed registers [rad/s]: one encoder step per second, with the factory value of the
 #: register Phase.

@@ -25,8 +25,8 @@ MAX_TORQUE = 1.0
 AMPLITUDE, PERIOD, PERIOD_STEP = 0.3, 4.0, 0.7
 #: Time in which the hand moves the joints from their initial positions to those of the motion [s].
 TAKE_TIME = 3.0
-#: Motion `ranges`: time for which all joints stay in the middle of their ranges [s], and time in
-#: which one joint then moves through its range and back [s].
+#: Motion `ranges`: all joints stay in mid-range for `MIDDLE_TIME` [s]. Then each joint in turn
+#: moves through its range and back in `RANGE_TIME` [s].
 MIDDLE_TIME, RANGE_TIME = 20.0, 6.0
 
 

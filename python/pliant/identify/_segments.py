@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pliant.identify._excitation import Excitation, Record
 
 
-#: Length of the time window in which a speed is measured, and minimum duration of a segment [s].
+#: Length of the time window of a speed measurement, and minimum duration of a segment [s].
 SPEED_WINDOW, MIN_LENGTH = 0.12, 0.16
 #: A motion counts as steady if measured over planned speed is between these bounds [1].
 STEADY_RATIO = (0.5, 1.6)

@@ -139,8 +139,8 @@ def last_moving(model: Model) -> str:
 MIN_MASS, MIN_INERTIA = 1e-4, 1e-7
 #: Assumed effort limit of an off-chain joint without one in the URDF [N·m].
 OFF_CHAIN_EFFORT = 1.0
-#: Assumed armature (rotor inertia) of an off-chain servo per effort limit [s²]; and assumed
-#: armature of a mimic joint, which follows another joint [kg·m²].
+#: Assumed armature (rotor inertia): of an off-chain servo, per effort limit [s²]; and of a mimic
+#: joint [kg·m²].
 OFF_CHAIN_ARMATURE, FOLLOWER_ARMATURE = 2e-3, 1e-4
 #: Time constant of the constraint that makes a mimic joint follow its driving joint [s].
 MIMIC_TIME = 0.005

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 #: Assumed position error at which a servo without data exerts its effort limit [rad].
 FULL_EFFORT_ERROR = 0.07
-#: Assumed dry friction of a servo without data per effort limit [1], and viscous damping per effort
-#: limit [s/rad].
+#: Assumed friction of a servo without data, per effort limit: dry [1] and viscous [s/rad].
 FRICTION_SHARE, DAMPING_SHARE = 0.02, 0.10
 #: Assumed rotor inertia of a servo without data per stiffness [s²]; the natural frequency of rotor
 #: and position loop is then 100 rad/s.

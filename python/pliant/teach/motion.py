@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 FORMAT = "pliant motion 1"
 #: Sample rate of smoothed motions [Hz], and decimal digits of a position [rad] in a file.
 RATE, DIGITS = 50.0, 5
-#: A joint counts as at rest within this distance of the first or last position of a motion [rad];
-#: and duration of the rest that `Motion.trimmed` keeps at both ends [s].
+#: A joint rests within `REST_TOLERANCE` of the first or last position of a motion [rad].
+#: `Motion.trimmed` keeps `REST_TIME` of this rest at both ends [s].
 REST_TOLERANCE, REST_TIME = 0.02, 0.2
 #: Largest accepted distance between the start of the tool and the recorded start [m]; a larger one
 #: means that the motion was recorded on another arm.

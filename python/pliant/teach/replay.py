@@ -26,8 +26,8 @@ APPROACH_SPEED = 0.4
 RISE_TIME = 0.5
 #: The clock of the motion slows down if the deviation exceeds this share of its bound [1].
 SLOWING_SHARE = 0.5
-#: Rate of the motion's clock (full rate is 1) below which the replay counts as blocked, and above
-#: which it counts as free again.
+#: The replay counts as blocked below `BLOCKED_PACE`, and as free again above `FREE_PACE`; both are
+#: rates of the motion's clock, of which 1 is the full rate.
 BLOCKED_PACE, FREE_PACE = 0.05, 0.3
 #: Minimum duration of a contact [s], and time after `resume` in which contacts are ignored [s].
 MIN_CONTACT, IGNORE_TIME = 0.05, 1.0

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 SNAPSHOT_RATE = 30.0
 #: Timeout for the start and for the end of the page's process [s].
 TIMEOUT = 30.0
-#: Minimum time between two transmissions from the page to the loop [s], and maximum number of
-#: objects that the loop reads from the pipe in one call.
+#: Minimum time between two transmissions from the page to the loop [s]; maximum number of objects
+#: per read of the pipe in the loop.
 MESSAGE_PERIOD, MAX_RECEIVED = 0.02, 4
 #: Minimum time between two changes of the settings that the loop handles [s].
 EDIT_PERIOD = 0.05

@@ -37,8 +37,8 @@ ARROW_COLOUR, LINE_COLOUR, WALL_COLOUR, POST_COLOUR = (
 )
 #: RGB colour of the links (0 to 1).
 LINK_COLOUR = (0.42, 0.48, 0.56)
-#: RGB colours (0 to 255) of a joint with torque limit zero and with its maximum torque, and change
-#: of a colour component above which a new colour is sent to the browser.
+#: RGB colours (0 to 255) of a joint with torque limit zero and with its maximum torque. A new
+#: colour is sent to the browser if a component has changed by more than `COLOUR_STEP`.
 NO_TORQUE_COLOUR, FULL_TORQUE_COLOUR, COLOUR_STEP = (52, 62, 78), (255, 106, 19), 6
 #: Number of the MuJoCo geom group for shapes that are not drawn.
 HIDDEN_GROUP = 5

@@ -36,8 +36,8 @@ PUSHES = (
     ("y", 1, 0.4, "toward +y (left, seen from the base)"),
     ("x", -1, 0.4, "toward the base"),
 )
-#: Smallest motion of the tool in a push [m]; and the same in multiples of the motion in which the
-#: servos build up the cap [1].
+#: The tool must move by at least `MIN_PUSH` in a push [m], and by `MIN_PUSH_SHARE` times the motion
+#: in which the servos build up the cap [1].
 MIN_PUSH, MIN_PUSH_SHARE = 0.02, 1.5
 #: Smallest height of the tool above a table in the pose of the session [m].
 MIN_HEIGHT = 0.15
