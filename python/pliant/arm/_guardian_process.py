@@ -199,8 +199,8 @@ def take_over(arm: Arm, reason: str, program: Program) -> None:
 def _set_policy(name: str) -> None:
     """Set the scheduling policy of this process, on Linux.
 
-    SCHED_BATCH does not interrupt the control loop when the guardian wakes up. A higher nice value
-    would not either, but could not be lowered again for the descent.
+    With SCHED_BATCH, the guardian does not interrupt the control loop when it wakes up. A higher
+    nice value would have the same effect, but could not be lowered again for the descent.
     """
     if hasattr(os, name):
         with suppress(OSError):

@@ -19,8 +19,7 @@ FAST_BAUDS = {250: 2_250_000, 251: 2_500_000, 252: 3_000_000}
 class Dxl1Servo(Servo):
     """Emulated Protocol 1.0 servo; the register Torque Limit bounds the motor duty.
 
-    A shutdown (a condition that the register Shutdown enables) sets Torque Limit to 0.
-
+    A shutdown sets Torque Limit to 0; the register Shutdown selects the conditions that cause it.
 
     Assumptions: writing a goal switches torque on; the EEPROM is locked while torque is on; three
     seconds at the torque limit without motion count as an overload.

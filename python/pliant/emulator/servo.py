@@ -153,7 +153,7 @@ class Servo(ABC):
     def __repr__(self) -> str:
         return f"<{self.model.name} id {self.id}>"
 
-    # Access to the control table.
+    # Methods for access to the control table.
 
     def get(self, name: str) -> int:
         """Return the present value of the register `name`."""
@@ -205,7 +205,7 @@ class Servo(ABC):
         """Return the shaft angle at which the servo reports `count`, within one turn [rad]."""
         return self.raw_of(count) * self.model.count
 
-    # Requests from the bus.
+    # Methods that execute requests from the bus.
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Return error code and bytes of a read of `length` bytes; no bytes after an error."""

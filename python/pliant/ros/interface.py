@@ -82,7 +82,7 @@ class ArmInterface:
         self._refusals = {topic: Refusals(topic) for topic in (*SUBSCRIBED, "parameters")}
         self.urdf: str = info.model.source[0]
 
-    # State of the arm.
+    # Methods that publish the state of the arm.
 
     def publish(self, state: ArmState) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield the topics of `PUBLISHED` with the messages of a state."""
@@ -117,7 +117,7 @@ class ArmInterface:
         position = extra.get(joint.name, math.nan)
         return position if math.isfinite(position) else float(joint.locked_at or 0.0)
 
-    # Targets and softness from the network.
+    # Methods that handle targets and softness from the network.
 
     def receive(self, topic: str, message: Any) -> None:
         """Handle a message of a topic of `SUBSCRIBED`; report it if it is rejected.

@@ -54,7 +54,7 @@ class Controls:
         if info.max_push is not None:
             self._push(info.max_push)
 
-    # Construction of the controls.
+    # Methods that create the controls.
 
     def _scene(self) -> None:
         gui, info = self._gui, self._info

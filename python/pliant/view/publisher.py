@@ -117,7 +117,7 @@ class Publisher:
         """Mark the report on forces as outdated: the next snapshot gets a new one."""
         self._report: tuple[float, tuple[str, ...]] = (-np.inf, ())
 
-    # While a controller runs.
+    # Methods for a run with a controller.
 
     def estimate_contact(self, controller: Controller) -> None:
         """Start to estimate the force on the tool, from the steps of a new controller."""
@@ -178,7 +178,7 @@ class Publisher:
             speed=1.0 if self._pacer is None else self._pacer.speed,
         )
 
-    # While no controller runs.
+    # Methods for the time without a controller.
 
     def on_read(self) -> None:
         """Handle a new reading: pace a simulation; during a descent, send a snapshot."""
