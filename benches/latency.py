@@ -15,16 +15,17 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
+import tyro
 from rich.console import Console
 from rich.table import Table
 
 import pliant
 from pliant import config
 from pliant.cli import program
-from pliant.cli._flags import Axes, File, Frame, OtherArm, OtherAxes
+from pliant.cli._flags import Axes, File, Frame
 from pliant.config._soft import check_axes
 
 if TYPE_CHECKING:
@@ -33,6 +34,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+
+#: Names of task axes, separated by spaces; None if the flag is not given.
+OtherAxes = Annotated[str | None, tyro.conf.arg(metavar="AXES")]
+#: Path or name of an arm's configuration; None if the flag is not given.
+OtherArm = Annotated[str | None, tyro.conf.arg(metavar="ARM")]
 
 Law = Literal["cap", "impedance", "paper"]
 

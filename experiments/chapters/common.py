@@ -185,3 +185,29 @@ def shade(ax: Axes, start: float, end: float, text: str = "") -> None:
             fontsize=7.5,
             color=MUTED,
         )
+
+
+def names(
+    ax: Axes, entries: Sequence[tuple[str, str]], *, right: bool = True, top: bool = True
+) -> None:
+    """Write coloured texts into a corner of the axes, one per line.
+
+    Args:
+        ax: Axes to draw into.
+        entries: Text and colour of each line.
+        right: True: right corner; False: left corner.
+        top: True: upper corner; False: lower corner.
+    """
+    for row, (text, colour) in enumerate(entries if top else list(reversed(entries))):
+        ax.annotate(
+            text,
+            (0.98 if right else 0.02, 0.98 if top else 0.02),
+            xycoords="axes fraction",
+            xytext=(0, -11 * row if top else 11 * row),
+            textcoords="offset points",
+            ha="right" if right else "left",
+            va="top" if top else "bottom",
+            color=colour,
+            fontsize=8.0,
+            fontweight="bold",
+        )

@@ -16,7 +16,7 @@ import pliant
 from experiments import arms, controllers, metrics, poses, simulation
 from experiments.campaign import Bench
 from experiments.chapters.activation import heat, posture, show
-from experiments.chapters.common import LAW_COLOURS, shade
+from experiments.chapters.common import LAW_COLOURS, names, shade
 from experiments.demonstration import Subject
 from experiments.poses import AXES
 from experiments.report import (
@@ -41,7 +41,6 @@ from pliant._report.style import (
     WIDE,
     canvas,
     label_end,
-    names,
     save,
     thin,
 )

@@ -15,6 +15,7 @@ from experiments.chapters.common import (
     RETURN_TOLERANCE,
     Options,
     drag,
+    names,
     pad_y_range,
     return_speed,
     return_time,
@@ -41,7 +42,6 @@ from pliant._report.style import (
     WIDE,
     canvas,
     label_end,
-    names,
     save,
     thin,
 )

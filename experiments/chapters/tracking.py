@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.ticker import MultipleLocator
 
 from experiments import controllers, metrics
-from experiments.chapters.common import LAW_COLOURS, Options, track
+from experiments.chapters.common import LAW_COLOURS, Options, names, track
 from experiments.poses import AMPLITUDE, AXES
 from experiments.report import (
     Chapter,
@@ -33,7 +33,6 @@ from pliant._report.style import (
     WIDE,
     canvas,
     label_end,
-    names,
     save,
     thin,
 )

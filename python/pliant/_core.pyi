@@ -454,8 +454,8 @@ class Model:
             payload: Payload of the tool: a `Payload`, or mass [kg] and centre of mass (3,) [m] in
                 the tool frame.
             gravity: Gravity (3,) in the base [m/s^2].
-            limits: Position limits [rad or m] by joint name, instead of those of the file.
-            servos: Servos of the joints; the default of `Controller`.
+            limits: Position limits [rad or m] by joint name, in place of those of the file.
+            servos: Servos of the joints, which `Controller` uses by default.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -824,7 +824,7 @@ class Servos:
         """Create servos from the tables of `pliant.servo`, one model per joint.
 
         Args:
-            models: Servo models, base to tip; `pliant.servo.names()` lists them.
+            models: Servo models, base to tip; as `pliant.servo.list_models()` lists them.
             voltage: Supply voltage [V]; default: the rated one of each model.
             gains: Values of the gain registers; None: the factory setting.
 
@@ -1490,8 +1490,8 @@ class Settings:
 
         Args:
             model: The arm.
-            path: Postures (n,) or (N, n) [rad], of which the worst counts; None: the median over
-                the joint space.
+            path: Postures (n,) or (N, n) [rad]; the friction is that of the worst one. None: the
+                median over the joint space.
             servos: None: those of the model.
         """
 
@@ -1566,8 +1566,9 @@ class Command:
 class BatchState:
     """State of many arms between batch steps; made by `Controller.batch_state`.
 
-    Any controller of arms with as many joints can continue with it. Can be copied, and pickled for
-    the same version; two calls must not use it at once. `len` is the number of arms.
+    Any controller of arms with the same number of joints can continue with it. It can be copied,
+    and pickled for the same version; concurrent calls must not share it. `len` is the number of
+    arms.
 
     Args:
         n: Number of joints of an arm.
@@ -2013,14 +2014,14 @@ class Controller:
         Raises:
             ShapeError, OutOfRangeError, ConfigError, TypeError, ValueError: An argument or a row is
                 invalid; the message names it. `state` has not changed, `out` is undefined. Only a
-                command that is not finite is found later, when other arms have been stepped.
+                non-finite command is detected later, when other arms have already been stepped.
         """
 
     def batch_state(self, count: int) -> BatchState:
         """Return an initial state of `count` arms for `step_batch`.
 
-        The first step of an arm resets it to its positions. Takes 8 (52 + 7 n) bytes per arm: 0.81
-        GB for a million arms of seven joints.
+        The first step of an arm resets it to its positions. A state has 8 (52 + 7 n) bytes per arm:
+        0.81 GB for a million arms of seven joints.
         """
 
     def reset(self, q: ArrayLike) -> None:
@@ -2722,7 +2723,7 @@ if sys.platform != "win32":
 
         Returns:
             The replies, and True if each servo has sent a valid packet with `size` data bytes.
-            Otherwise the replies end with the bytes that show it, or before the timeout.
+            With False, the replies end with the first invalid packet, or at the timeout.
 
         Raises:
             OSError: The port has vanished.
@@ -2800,9 +2801,9 @@ class HandGuidingLaw:
 class JointFollower:
     """Follows joint targets of a leader arm or a policy, with the force of the tool bounded.
 
-    Unlike `Controller.step_joints`, every joint follows its own target, also near a singular pose,
-    and nothing but the torque limits is soft. The limits carry the weight and `max_force`; a
-    blocked joint's goal stays near it, so that a released arm returns at the speed limits. With the
+    Unlike with `Controller.step_joints`, every joint follows its own target, also near a singular
+    pose; only the torque limits make the arm soft. The limits carry the weight and `max_force`. The
+    goal of a blocked joint stays near it, so a released arm returns at the speed limits. With the
     reference r, gravity g, friction rho and damping d including back-EMF, per joint:
     `f = max_a F_a max(|J_a|, 0.1 m |J_wa|) + rho`, `r = clip(r moved to q_target, q -+ f / k_p)`,
     `goal = r + (g + 0.8 d v + 0.8 rho tanh(v / v0)) / k_p`, `limit = |g| + f + 0.8 |d v|`.
@@ -2985,10 +2986,10 @@ class ServoCodec:
             longest: Age of the last reading above which the reading is not stored [s].
 
         Returns:
-            Place in `servos` and True, if status or turns are not 0, voltage or temperature have
-            changed or are unusual, or any position was accepted; place and False, if the position
-            is implausible, and the reading was not stored; place and None, if the last reading is
-            too old. Servos of which only position, speed and load have changed are left out.
+            Place in `servos` and a value, for servos that need attention. True: status or turns are
+            not 0, voltage or temperature have changed or are unusual, or any position was accepted.
+            False: the position is implausible, and the reading was not stored. None: the last
+            reading is too old, and the reading was not stored.
 
         Raises:
             ShapeError: The bytes do not contain the position.
@@ -2999,9 +3000,9 @@ class ServoCodec:
     ) -> tuple[_Array, _Array, _Array, _Array, _Array, NDArray[np.bool_]]:
         """Return position [rad], time [s], velocity [rad/s], torque [N m], current [A] and a mask.
 
-        They are arrays (n,). The mask is True for joints whose servos all are among `read`. Of two
-        servos on a joint the first has angle and velocity; time is the older, torque the mean,
-        current the sum.
+        They are arrays (n,). The mask is True for joints whose servos all are among `read`. For a
+        joint with two servos, position and velocity are those of the first servo, time is the older
+        one, torque the mean and current the sum.
         """
 
     def encode(
@@ -3014,10 +3015,10 @@ class ServoCodec:
     ) -> list[tuple[int, int, int, bytes, bytes]]:
         """Return the registers of goal, limit and speed cap of each servo, and its 2 packets.
 
-        A goal is clamped to the range; a limit is rounded down and clamped to the largest; a speed
-        is rounded down, but at least 1 unit. The goal of a single-turn servo past the seam of its
-        encoder is the end at which it stands: it would move to another the long way round. The
-        range of a multi-turn servo that stands outside of it extends to its position.
+        A goal is clamped to the range; a limit is rounded down and clamped to the largest limit; a
+        speed is rounded down, but at least 1 unit. A single-turn servo past the end of its encoder
+        gets the nearer end of the range as goal: it would reach other goals the long way round. For
+        a multi-turn servo outside its range, the range is extended to its position.
 
         Args:
             servos: Indices of the servos.

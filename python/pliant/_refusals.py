@@ -27,9 +27,7 @@ class Refusals:
         if now < self._next:
             self._unreported += 1
             return
-        more = (
-            f" ({self._unreported} more since the last that was said)" if self._unreported else ""
-        )
+        more = f" ({self._unreported} more since the last message)" if self._unreported else ""
         print(f"{self._what} refused: {error}{more}", file=sys.stderr, flush=True)
         self._next, self._unreported = now + REPORT_PERIOD, 0
 

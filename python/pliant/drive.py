@@ -124,10 +124,10 @@ class Drive(Protocol):
     - `refusing` (N,): joints that are known not to accept goals;
     - `stiffness_known` (N,): joints whose stiffness is known within 10 %, if this differs by joint;
     - `outlives_program`: True if the servos keep their torque after the end of the program, and
-      another process can then drive them. Such a drive also has `closed_copy()`, which returns a
-      closed drive of the same servos for `pickle`, `reopen()` of that copy, which opens it and
-      returns `orders`, and `drop_ports()`, with which a forked process gives up the ports. A
-      second call of `reopen()` asks the servos that did not answer.
+      another process can then drive them. Such a drive also has three methods: `closed_copy()`
+      returns a closed drive of the same servos for `pickle`; `reopen()` opens that copy and returns
+      `orders`, and a second call asks the servos that did not answer; `drop_ports()` closes the
+      ports in a forked process.
     """
 
     @property

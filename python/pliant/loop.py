@@ -37,13 +37,12 @@ STALE_PERIODS, STALE = 5.0, 0.1
 #: Time step of the first controller step after a reset [s]. Goals move at a limited speed; in this
 #: step they can reach the lead (goal minus position) that holds the arm against gravity.
 PRIME = 0.1
-#: Extra time before the arm's supervisor thread lowers the arm because the program has stalled [s],
-#: so that the loop detects a stall first.
+#: Time by which the arm's supervisor thread acts later than the loop when the program stalls [s].
 GRACE = 0.1
 #: Lowest rate of the loop [Hz], because the time step of a controller is at most 1 s.
 LOWEST = 1.0
-#: Number of commands over whose delays the median is taken; and absolute [s] and relative [1]
-#: changes of this median above which the controller gets the new value.
+#: The delay is the median over `AVERAGE` commands. The controller gets a new median if it differs
+#: from the last one by more than `CHANGE` [s] and `CHANGE_SHARE` [1].
 AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 
 
@@ -126,8 +125,8 @@ class Tick:
 
     Attributes:
         q: Joint positions (n,) [rad], new in this tick.
-        dt: Time from the position sample of the last tick to that of this tick [s], at least 0.1
-            of a period; one period in the first tick and after a reset of the controller.
+        dt: Time between the position samples of the last tick and of this tick [s], at least 0.1 of
+            a period. In the first tick, and after a reset of the controller, it is one period.
         state: State of the arm in this tick.
         time: Start of the tick [s]; 0 at the first tick of the loop, on every backend.
         index: Number of ticks that the loop yielded before this one.

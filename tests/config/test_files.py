@@ -192,7 +192,7 @@ def test_the_command_line_replaces_port_and_backend(tmp_path):
 
 @pytest.mark.parametrize("backend", ["sim", "emulator"])
 def test_a_port_for_a_backend_that_opens_none_is_refused(backend):
-    said = rf"port /dev/ttyX is for servos on a bus, and backend '{backend}' opens none"
+    said = rf"port /dev/ttyX is for servos on a bus, and backend '{backend}' opens no serial port"
     with pytest.raises(pliant.ConfigError, match=said):
         config.load("so101", port="/dev/ttyX", backend=backend)
 

@@ -34,10 +34,6 @@ def test_every_ready_file_has_a_rest_pose_and_a_table_or_none():
         read = config.load(name)
         assert read.life.rest_q is not None, name
         assert (read.robot.table is None) == (name == "arm7"), name
-    for name in pliant.robots.names():
-        read = config.load(name)
-        np.testing.assert_array_equal(pliant.robots.rest(name), read.life.rest_q)
-        assert pliant.robots.table(name) == read.robot.table
 
 
 @pytest.mark.parametrize("name", [*OWN, "vx300s"])
@@ -95,7 +91,7 @@ BARRED = [0.0, 1.24, 1.23, 1.24, 0.0]
 
 def test_a_way_through_the_table_is_found():
     model = pliant.robots.so101()
-    points, rest = ArmPoints(model), pliant.robots.rest("so101")
+    points, rest = ArmPoints(model), np.array(config.load("so101").life.rest_q)
 
     def lowest(share):
         return points.position(np.array(BARRED) + share * (rest - BARRED))[:, 2].min()
@@ -217,7 +213,7 @@ def test_the_typed_options_of_connect_are_those_of_arm_and_plant():
 @pytest.mark.parametrize("name", ["so101", "koch"])
 def test_joint_targets_lead_an_arm_out_of_its_rest_pose(name, soft):
     target = np.array([0.0, -0.3, 0.3, 0.9, 0.0])
-    with pliant.connect(name, backend="sim", q=pliant.robots.rest(name)) as arm:
+    with pliant.connect(name, backend="sim", q=config.load(name).life.rest_q) as arm:
         controller = pliant.Controller(
             arm.model,
             pliant.Settings.soft(soft, task="xyz") if soft else pliant.Settings(task="xyz"),

@@ -173,50 +173,16 @@ def label_end(
         )
 
 
-def names(
-    ax: Axes, entries: Sequence[tuple[str, str]], *, right: bool = True, top: bool = True
-) -> None:
-    """Write coloured texts into a corner of the axes, one per line.
-
-    Args:
-        ax: Axes to draw into.
-        entries: Text and colour of each line.
-        right: True: right corner; False: left corner.
-        top: True: upper corner; False: lower corner.
-    """
-    for row, (text, colour) in enumerate(entries if top else list(reversed(entries))):
-        ax.annotate(
-            text,
-            (0.98 if right else 0.02, 0.98 if top else 0.02),
-            xycoords="axes fraction",
-            xytext=(0, -11 * row if top else 11 * row),
-            textcoords="offset points",
-            ha="right" if right else "left",
-            va="top" if top else "bottom",
-            color=colour,
-            fontsize=8.0,
-            fontweight="bold",
-        )
-
-
-def level(ax: Axes, y: float, text: str = "", *, colour: str = MUTED, at: float = 0.01) -> None:
-    """Draw a dashed horizontal line at y, labelled `text`.
-
-    Args:
-        ax: Axes to draw into.
-        y: Height of the line in data units.
-        text: Label above the line; empty: no label.
-        colour: Colour of line and label.
-        at: Start of the label, as a share of the width of the axes.
-    """
-    ax.axhline(y, color=colour, linewidth=0.9, linestyle=(0, (4, 3)))
+def level(ax: Axes, y: float, text: str = "") -> None:
+    """Draw a dashed horizontal line at y (data units), labelled `text` unless that is empty."""
+    ax.axhline(y, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
     if text:
         ax.annotate(
             text,
-            (at, y),
+            (0.01, y),
             xycoords=("axes fraction", "data"),
             xytext=(0, 2),
             textcoords="offset points",
             fontsize=7.5,
-            color=colour,
+            color=MUTED,
         )

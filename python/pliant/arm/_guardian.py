@@ -1,4 +1,4 @@
-"""Program's side of the guardian, a process that lowers the arm after the program has ended."""
+"""Client of the guardian, a process that lowers the arm after the program has ended."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ SIZE = 16
 class Guardian:
     """Process beside the program that lowers the arm if the program ends with torque on.
 
-    The process starts at once, and imports its modules while the program does other work. It is in
-    a session of its own, so that signals of a terminal do not reach it. It ends with `close`, or
-    when the program ends while it rests.
+    The process starts at once, and imports its modules while the program does other work. It runs
+    in its own session, so that signals of a terminal do not reach it. `close` ends it; without
+    `watch`, it also ends with the program.
 
     Args:
-        supervisor: Its heartbeat becomes memory that the process shares.
+        supervisor: Supervisor of the arm. Its heartbeat moves to memory that both processes share.
     """
 
     def __init__(self, supervisor: Supervisor) -> None:
@@ -77,11 +77,11 @@ class Guardian:
 
     @property
     def is_ours(self) -> bool:
-        """True if the process watches this process, and not one from which this one was forked."""
+        """True in the process that started the guardian, False in a process forked from it."""
         return self in _running
 
     def watch(self, drive: Drive, arguments: Mapping[str, Any]) -> None:
-        """Let the guardian process watch this program; return once it does.
+        """Let the guardian watch this program, and wait until it does.
 
         Call this before torque is switched on.
 
@@ -102,13 +102,13 @@ class Guardian:
                 reason = self._line.recv()
         if reason is not None:
             raise ServoError(
-                f"the guardian did not start: {reason}. Torque stays as it is; guardian=False goes "
-                "without what lowers the arm after SIGKILL"
+                f"the guardian did not start: {reason}. Torque stays as it is; guardian=False "
+                "starts without it, and then nothing lowers the arm after SIGKILL"
             )
         self._drive = drive
 
     def rest(self) -> None:
-        """Tell the process that the program needs it no longer, until the next `watch`."""
+        """Tell the guardian to stop watching until the next `watch`."""
         if self._drive is not None:
             self._drive = None
             if self._process.poll() is not None:
@@ -117,24 +117,24 @@ class Guardian:
                     "have lowered the arm after SIGKILL or a crash",
                     logging.WARNING,
                 )
-            # Without memory for the message, the process finds the torque off at the program's end.
+            # If this fails, the guardian finds at the end of the program that torque is off.
             with suppress(OSError, MemoryError):
                 self._line.send(None)
 
     def close(self, *, hand_over: bool = False) -> None:
-        """End the process; with `hand_over` it first lowers the arm, whose ports must be closed."""
+        """End the process; with `hand_over`, it lowers the arm first (the ports must be closed)."""
         _running.discard(self)
         if hand_over and self._drive is not None:
             self._line.close()
             return
         self.rest()
         self._line.close()
-        # It rests, or still imports its modules.
+        # The guardian is not in charge of the arm now, so that it can be killed.
         self._process.kill()
         self._process.wait()
 
     def leave(self) -> None:
-        """Give up line and ports in a forked process, so that they close when the program ends."""
+        """Close connection and ports in a forked process; the parent alone then keeps them open."""
         self._line.close()
         self._supervisor.heartbeat = private_heartbeat()
         drop_ports = getattr(self._drive, "drop_ports", None)
@@ -148,7 +148,7 @@ _running: weakref.WeakSet[Guardian] = weakref.WeakSet()
 
 
 def _leave_all() -> None:
-    """Give up all guardians in a forked process: they watch its parent."""
+    """Give up all guardians in a forked process, because they watch its parent."""
     for guardian in list(_running):
         guardian.leave()
     _running.clear()
@@ -161,9 +161,9 @@ if hasattr(os, "register_at_fork"):
 def is_available(drive: Drive) -> bool:
     """Return True if a guardian can lower the arm of a drive.
 
-    The servos must keep their torque after the end of the program, and the system must have the
-    signals of POSIX. A program that was frozen into one file cannot start another interpreter.
-    Where such servos go without a guardian, a message warns.
+    The servos must keep their torque after the end of the program. The system must be POSIX. A
+    program that is frozen into one file cannot start another interpreter. If the servos keep their
+    torque but a guardian is not possible, a warning is logged.
     """
     if not getattr(drive, "outlives_program", False):
         return False
@@ -201,9 +201,9 @@ def _above_standard(number: int) -> int:
 
 
 def _shared_memory() -> int:
-    """Return the descriptor of a file of `SIZE` bytes, in memory where the system has such files.
+    """Return the descriptor of `SIZE` bytes of shared memory, or of a temporary file without it.
 
-    A store into a page of a file on a disk could wait while the page is being written there.
+    Memory is preferred: a store into a file on a disk may wait while its page is being written.
     """
     if hasattr(os, "memfd_create"):
         number = os.memfd_create("pliant-heartbeat")

@@ -1,7 +1,7 @@
 """Process that lowers an arm after its program has ended, crashed or stopped with torque on.
 
-The program starts it before torque comes on, see `Guardian`. Arguments: id of the program, and
-descriptors of the socket to it and of the heartbeat.
+The program starts it before torque comes on, see `Guardian`. Arguments: process id of the program,
+descriptor of the socket to the program, descriptor of the heartbeat.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 #: Period of the checks [s].
 PERIOD = 0.1
-#: Time that the program has, beyond that of its own watchdog thread, before it counts as hanging
-#: [s]; the thread needs the interpreter's lock, and on a busy machine a core.
+#: Silence that is accepted in addition to the timeout of the program's watchdog thread [s]. That
+#: thread acts first; it waits for the interpreter's lock and for a core.
 MARGIN = 1.0
 #: Longest time until the port of an ended program can be opened [s].
 OPEN_TIME = 30.0
 #: Time between two tries to open it [s].
 OPEN_PERIOD = 0.01
-#: Time for the program to end after SIGKILL [s]; a call of the system that hangs may delay it.
+#: Longest wait for the end of the program after SIGKILL [s]; a hanging system call may delay it.
 KILL_TIME = 5.0
 #: Modules that the drive needs, imported before the program sends it.
 DRIVERS = ("pliant.servo.bus", "rustypot")
@@ -48,8 +48,8 @@ IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGPIPE", "SIGU
 class Program:
     """The program that is watched.
 
-    Times are sums of the periods of the checks, so that time in which the guardian itself did not
-    run, on a stopped or busy machine, does not count against the program.
+    Times are counted in periods of the checks: while the guardian itself does not run, on a stopped
+    or busy machine, no time passes for the program.
 
     Args:
         pid: Process id of the program, which is the parent of this process.
@@ -76,7 +76,7 @@ class Program:
         return os.getppid() != self.pid
 
     def restart(self) -> None:
-        """Restart the times of silence and stop."""
+        """Set the times of silence and of stop to zero."""
         self._last, self._silent, self._stopped = tuple(self._heartbeat), 0.0, 0.0
         self._checked = time.monotonic()
 
@@ -84,12 +84,12 @@ class Program:
         """Return a sentence if the program has stopped or hangs, else None.
 
         Args:
-            patience: Time for which the program may be stopped, without `MARGIN` [s].
+            patience: Longest stop that is accepted [s], in addition to `MARGIN`.
         """
         now = time.monotonic()
         passed, self._checked = min(now - self._checked, 2.0 * PERIOD), now
         found = tuple(self._heartbeat)
-        # A new limit counts as a beat: the silence before it was allowed by another limit.
+        # A new timeout counts as a heartbeat: the silence before it was within the old timeout.
         if found != self._last:
             self._last, self._silent, self._stopped = found, 0.0, 0.0
             return None
@@ -125,12 +125,11 @@ def watch(program: Program, line: Connection) -> tuple[Arm, str] | None:
 
     Args:
         program: The program.
-        line: Connection to it, over which it sends its arm before torque comes on, and None after
-            torque off.
+        line: Connection to the program. The program sends its arm before torque comes on, and None
+            after torque off.
 
     Returns:
-        The arm, and the reason for which this process has to lower it; None if there is nothing to
-        do for it any more.
+        The arm, and the reason for lowering it here; None if the program has finished with the arm.
     """
     arm: Arm | None = None
     is_open = True
@@ -152,7 +151,7 @@ def watch(program: Program, line: Connection) -> tuple[Arm, str] | None:
         if program.has_ended:
             return arm, "the program has ended"
         if not is_open:
-            # The line of a program that ends closes a little before its end.
+            # The connection of a program that ends closes shortly before the process does.
             wait(program.sentinels, PERIOD)
             ended = program.has_ended
             return arm, "the program has ended" if ended else "the program has given the arm up"
@@ -163,7 +162,7 @@ def watch(program: Program, line: Connection) -> tuple[Arm, str] | None:
 
 
 def _build(content: bytes) -> tuple[Arm | None, str | None]:
-    """Return the arm in a pickle, and None; or None and the text of the error."""
+    """Return the arm from a pickle, and None; or None and the text of the error."""
     try:
         drive, arguments = pickle.loads(content)
         return Arm(drive=drive, guardian=False, handle_signals=False, **arguments), None
@@ -172,7 +171,7 @@ def _build(content: bytes) -> tuple[Arm | None, str | None]:
 
 
 def take_over(arm: Arm, reason: str, program: Program) -> None:
-    """Open the port once the program has left it, and leave as `on_exit` of the arm says.
+    """Open the port once the program has released it, and perform `on_exit` of the arm.
 
     Args:
         arm: The arm, not open.
@@ -206,8 +205,8 @@ def take_over(arm: Arm, reason: str, program: Program) -> None:
 def _set_policy(name: str) -> None:
     """Set the scheduling policy of this process, on Linux.
 
-    SCHED_BATCH does not interrupt the control loop when the process wakes up. A higher nice value
-    would do so too, but could not be reset for the descent.
+    With SCHED_BATCH, the guardian does not interrupt the control loop when it wakes up. A higher
+    nice value would have the same effect, but could not be lowered again for the descent.
     """
     if hasattr(os, name):
         with suppress(OSError):
@@ -215,7 +214,7 @@ def _set_policy(name: str) -> None:
 
 
 def main(words: Sequence[str]) -> None:
-    """Watch the program, and take its arm over."""
+    """Watch the program, and take over its arm when it ends or hangs."""
     for name in IGNORED:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

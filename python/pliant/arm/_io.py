@@ -42,7 +42,7 @@ DEFAULT_SPEED = 10.0
 MAX_JUMPS = 3
 
 
-#: Part of error messages: format of the argument `extra`, goals and limits of joints off the chain.
+#: Format of the argument `extra` (joints off the chain) in error messages.
 EXTRA = "as {'gripper': (goal [rad], limit [N·m])}"
 
 
@@ -54,8 +54,8 @@ class JointMap:
     Attributes:
         names: Names of all joints (N,).
         chain: Index of each joint of the chain in drive order (n,).
-        select: Index that selects the chain's values of a vector (N,): `chain`, or a slice if these
-            joints follow each other, which is quicker and selects a view.
+        select: Index of the chain in a vector (N,): a slice, which returns a view, if its joints
+            are consecutive; else `chain`.
         off_chain: Index of each joint off the chain in drive order (N - n,).
         extra: Names of the joints off the chain (N - n,).
     """
@@ -88,7 +88,7 @@ class JointMap:
         return self.names.index(name)
 
     def servos(self, drive: Drive) -> Servos:
-        """Return the servo parameters of the chain, n entries, taken from the drive's table."""
+        """Return the servo parameters of the chain, n entries, from those of the drive."""
         size = len(self.names)
         table = take(drive.servos, size, self.chain)
         known = getattr(drive, "stiffness_known", None)
@@ -110,7 +110,7 @@ class JointMap:
         return both
 
     def check(self, orders: Orders) -> dict[str, tuple[float, float]]:
-        """Validate and return `orders`: goal [rad] and limit [N·m] by name of joints off the chain.
+        """Validate and return `orders`: goal [rad] and limit [N·m] of joints off the chain.
 
         Raises:
             TypeError: `orders` is not a mapping.
@@ -140,8 +140,8 @@ class JointMap:
         return checked
 
 
-#: A joint's torque limit below the share `LOW_SHARE` of its gravity torque, for longer than
-#: `LOW_TIME` [s], causes a warning.
+#: A warning is issued if the torque limit of a joint stays below `LOW_SHARE` of its gravity torque
+#: for `LOW_TIME` [s].
 LOW_SHARE, LOW_TIME = 0.5, 0.2
 
 
@@ -160,7 +160,7 @@ class LowTorqueWarning:
         self._is_warned = False
 
     def reset(self) -> None:
-        """Restart the time `LOW_TIME`; called after every command of a `Controller`."""
+        """Restart the time `LOW_TIME`; call this after every command of a `Controller`."""
         self._since = None
 
     def check(self, limit: Array, gravity: Array, now: float) -> None:
@@ -187,8 +187,8 @@ class LowTorqueWarning:
         warnings.warn(
             f"{self._names[joint]} may exert {limit[joint]:.3g} N·m, and this pose needs "
             f"{weight[joint]:.3g}: the arm sinks or falls. Limits are sent as they are; None keeps "
-            "the last, a Controller's carry the weight, arm.lower() brings the arm down, and "
-            "arm.disable_torque() lets go of it by name",
+            "the last limits, those of a Controller carry the weight. arm.lower() brings the arm "
+            "down, arm.disable_torque() lets it fall",
             RuntimeWarning,
             stacklevel=4,
         )
@@ -198,7 +198,7 @@ class LowTorqueWarning:
 #: and after a time without commands [s].
 RAMP_TIME = 0.5
 
-#: Number of reads within which every joint of a program that has ended should answer.
+#: Number of reads in which the joints of an ended program should answer at least once.
 RESUME_READS = 5
 
 
@@ -240,10 +240,10 @@ class ArmIO:
         self._ramp_start: float = -math.inf
         self._min_limit: Array = np.zeros(model.n)
         self._last_update: float | None = None
-        # Goals [rad] and torque limits [N·m] last sent to all joints (N,), and whether that was.
+        # Last goals [rad] and torque limits [N·m] of all joints (N,), and True once they were sent.
         self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
         self._unlimited = np.full(size, np.inf)
-        # Read-only arrays (N,), of which states hold views; replaced once a value changes.
+        # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
         self._chain = self.joints.chain.tolist()
         self._reported: dict[str, tuple[str, ...]] = {}
@@ -291,7 +291,7 @@ class ArmIO:
         return is_new
 
     def state(self, ok: Mask) -> State:
-        """Return the state of the arm after a `sample`, which returned the mask `ok` (n,)."""
+        """Return the state of the arm; `ok` is the mask (n,) that the last `sample` returned."""
         joints = self.joints
         extra: dict[str, float] = {}
         if joints.extra:
@@ -299,7 +299,7 @@ class ArmIO:
             extra = {name: float(position[self._index[name]]) for name in joints.extra}
         q, age, time = self.positions.select(self._chain, self.clock.now())
         state = object.__new__(State)
-        # The constructor of a frozen dataclass makes a call per attribute.
+        # Faster than the constructor of a frozen dataclass, which makes one call per attribute.
         state.__dict__.update(
             self._rows,
             q=q,
@@ -360,7 +360,7 @@ class ArmIO:
     def stored_commands(self) -> tuple[Array, Array]:
         """Return the goals [rad] and limits [N·m] (n,) in the chain's servos; NaN if unknown.
 
-        The drive reports them as its attribute `orders`, to take over an arm with torque on.
+        The drive reports them as its attribute `orders`, for an arm whose torque is on already.
         """
         orders = getattr(self.drive, "orders", None)
         chain = self.joints.chain
@@ -379,9 +379,9 @@ class ArmIO:
         self._last_access = self.clock.now()
 
     def _rearm_after_silence(self) -> None:
-        """Rearm the servos' watchdogs after a bus silence of half their time; one may have tripped.
+        """Rearm the servos' watchdogs, which may have tripped, after half their time of silence.
 
-        Do nothing after a shorter silence.
+        After a shorter silence, do nothing.
         """
         if self._watchdog and self.clock.now() - self._last_access > 0.5 * self._watchdog:
             self._rearm()
@@ -401,7 +401,7 @@ class ArmIO:
     # Methods that write to the drive.
 
     def resume(self, rate: float) -> bool:
-        """Take over the joints with torque of a program that has ended; send nothing.
+        """Take over the joints whose torque an ended program left on; send nothing.
 
         Goals and limits are those in the servos. A joint that does not answer counts as having
         torque, see `resume_silent`. Until it answers, it has the position that the program knew
@@ -468,7 +468,7 @@ class ArmIO:
         return goals, limits
 
     def ramp_limits(self, limit: Array | float = 0.0) -> None:
-        """Bound torque limits during `RAMP_TIME` by a ramp from holding torque to usable torque.
+        """Limit torque for `RAMP_TIME` by a ramp from holding torque to usable torque.
 
         Args:
             limit: Lower bound of the ramp at its start (n,) [N·m].

@@ -29,7 +29,7 @@ MIN_LOAD = 1e-3
 MAX_REASON = 160
 #: Text in progress messages for each phase of a descent.
 PHASES = {"rest": "to its rest pose", "down": "down", "ramp": "at rest, giving up its weight"}
-#: Advice in messages: remedy for an arm that was left with torque on.
+#: Remedy in messages about an arm that was left with torque on.
 RECOVER = (
     "`pliant run ARM`, or your program started again, takes it over and lowers it at its end; or "
     "support the arm and cut the supply"
@@ -212,8 +212,8 @@ def brief(error: BaseException) -> str:
     return text if len(text) <= MAX_REASON else f"{text[: MAX_REASON - 3]}..."
 
 
-#: Largest ratio of true to assumed servo stiffness, and of assumed to true stiffness, for which
-#: `hold_position` keeps the present lead (goal minus position of a joint).
+#: `hold_position` allows for a true servo stiffness of up to `STIFFER` times the assumed one, or of
+#: down to the assumed one over `SOFTER`.
 STIFFER, SOFTER = 2.5, 2.0
 #: Silence of the bus after which a descent ends with an error [s].
 MAX_SILENCE = 2.0
@@ -330,8 +330,8 @@ def hold_position(io: ArmIO) -> None:
     """Send goals and torque limits that hold the present pose; disable the servos' watchdogs."""
     kp, gravity = np.asarray(io.servos.kp), io.gravity()
     push, need = torque_margin(io.servos, gravity), gravity / kp
-    # Keep the present lead (goal minus position) if it carries the weight with the true stiffness,
-    # which may differ from the assumed kp by up to the factors `STIFFER` and `SOFTER`.
+    # Keep the present lead (goal minus position) if it can carry the weight. The true stiffness may
+    # differ from the assumed kp by up to the factors `STIFFER` and `SOFTER`.
     ends = np.sort((need / STIFFER, need * SOFTER), axis=0)
     lead = np.clip(io.goal - io.q, ends[0] - push / kp, ends[1] + push / kp)
     limit = SUPPORT * np.abs(gravity) + push

@@ -22,8 +22,8 @@ ATTEMPTS = 10
 #: Largest first lead (goal minus position) of a joint with torque on whose goal register is unknown
 #: [rad].
 MAX_FIRST_LEAD = 0.1
-#: Ratio of the first lead (goal minus position) of a joint to the lead with which a servo of the
-#: assumed stiffness exerts its limit; with 2, a servo of half that stiffness exerts it too.
+#: First lead (goal minus position) of a joint, as a multiple of limit over assumed stiffness: with
+#: 2, a servo of half the assumed stiffness also exerts its limit.
 LEAD_FACTOR = 2.0
 #: Ratio of measured to assumed servo stiffness, or inverse ratio, above which the user is warned.
 MISMATCH = 1.5
@@ -51,8 +51,8 @@ def wait_for_all(io: ArmIO, rate: float) -> None:
 def check_within_limits(io: ArmIO, on: Mask) -> None:
     """Check before torque is switched on that every joint of the chain is within its limits.
 
-    A position far outside the position limits means that the zero of the joint is wrong, and that
-    gravity torques and paths would be wrong too. `on` is the mask (n,) of joints with torque on.
+    A position far outside the limits means that the zero of the joint is wrong, and with it gravity
+    torques and paths. `on` is the mask (n,) of joints with torque on.
 
     Raises:
         ServoError: Joints are outside their limits; the message names each, with the remedy.
@@ -100,9 +100,9 @@ def initial_commands(io: ArmIO, on: Mask) -> tuple[Array, Array, Mask]:
 def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
     """Return a warning about joints whose lead does not match the assumed stiffness, or None.
 
-    The lead (goal minus position) that carries a joint is gravity torque over servo stiffness.
-    Joints are ignored unless gravity torque is large against friction, and the lead against the
-    encoder step and a fiftieth of the lead that is expected.
+    The lead (goal minus position) that carries a joint is gravity torque over servo stiffness. A
+    joint is compared if its gravity torque is large against friction, and its lead large against
+    the encoder step and a fiftieth of the expected lead.
 
     Args:
         io: Read access to the arm, at rest.
@@ -129,6 +129,6 @@ def stiffness_mismatch(io: ArmIO, leads: Array) -> str | None:
     return (f"{reversed_leads}; " if wrong else "") + (
         f"servos are stiffer or softer than their table, or weights differ from the model: "
         f"{', '.join(found)} the assumed k_p; forces are wrong by as much: "
-        "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload tells of "
-        "a load"
+        "pliant.identify.identify_servos(arm, model) measures k_p, controller.set_payload(...) "
+        "sets a load"
     )

@@ -38,12 +38,12 @@ class Supervisor:
         reason: Reason for which the watchdog thread has called `leave`; None if it has not. `Arm`
             also sets it when the program ends.
         abort: Event that aborts a running descent in any thread.
-        heartbeat: Two numbers that the guardian reads: time of the last access to the drive [s],
-            and time without an access after which the program hangs [s], 0: no such time.
+        heartbeat: Two times [s] that the guardian reads: the last access to the drive, and the
+            timeout after which the program counts as hanging (0: no timeout).
     """
 
     def __init__(self, leave: Callable[[], None]) -> None:
-        """Store `leave`, a function that lowers the arm or leaves it enabled, with `lock` held."""
+        """Store `leave`, which lowers the arm or leaves it on; it is called with `lock` held."""
         self.lock = threading.RLock()
         self.abort = threading.Event()
         self.reason: str | None = None
@@ -86,8 +86,8 @@ class Supervisor:
         if self.is_owned_elsewhere:
             raise ServoError(
                 f"this arm belongs to process {self.owner}, which switched its torque on; this is "
-                f"process {os.getpid()}, forked from it: read and write there, and pass on what "
-                "this one needs"
+                f"process {os.getpid()}, forked from it: read and write there, and send the data "
+                "to this process"
             )
         if self.reason is not None:
             raise ServoTimeoutError(f"{self.reason}; arm.enable() starts again")
@@ -126,9 +126,10 @@ class Supervisor:
     def supervised(self, timeout: float | None) -> Iterator[Callable[[], None]]:
         """Run a watchdog thread that calls `leave` after `timeout` [s] without access to the drive.
 
-        If `timeout` is None, no thread runs. The context yields the method `check`. An exception in
-        the context does not stop the thread, because the program may block before it lowers the
-        arm. `end_supervision`, the next `supervised` or the call of `leave` then ends the thread.
+        The context yields the method `check`; with `timeout` None, no thread runs. The thread
+        survives an exception in the context, because the program may block before it lowers the
+        arm. It ends with `end_supervision`, with the next `supervised`, or after the call of
+        `leave`.
         """
         if timeout is None:
             yield self.check
@@ -159,7 +160,7 @@ class Supervisor:
             self.heartbeat[1] = 0.0
 
     def beat(self) -> None:
-        """Tell the guardian that the program runs, without an access to the drive."""
+        """Show the guardian that the program runs, without an access to the drive."""
         self.heartbeat[0] = time.perf_counter()
 
     def _run(self, timeout: float, done: threading.Event) -> None:

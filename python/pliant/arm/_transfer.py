@@ -1,4 +1,4 @@
-"""Transfer of the weight of a standing arm to its servos when torque comes on.
+"""Transfer of the weight of a standing arm to its servos while torque comes on.
 
 The lead of a joint is goal minus position [rad]; a servo turns it into torque.
 """
@@ -22,26 +22,25 @@ if TYPE_CHECKING:
     from pliant.arm._io import ArmIO
 
 
-#: Lead beyond that of `LEAD_FACTOR`, for the motion until the next goal [rad], and largest lead
-#: [rad].
+#: `FIRST_LEAD` is added to the lead of `LEAD_FACTOR`, for the motion until the next goal [rad];
+#: `LARGEST_LEAD` bounds the sum [rad].
 FIRST_LEAD, LARGEST_LEAD = 0.03, 0.8
-#: Smallest rate of the loop of the transfer [Hz].
+#: Minimum loop rate of the transfer [Hz].
 LOOP_RATE = 250.0
-#: Distances by which the tool must sink or rise before the balance begins [m], in addition to half
-#: an encoder step of the joint that moves the tool most.
+#: The balance begins once the tool has sunk by `SINK` or risen by `RISE` [m], each plus half an
+#: encoder step of the joint that moves the tool most.
 SINK, RISE = 0.001, 0.005
-#: Smallest and largest load at the tool that the inertia matrix includes [kg], and time constant of
-#: the estimated load [s].
+#: Bounds of the estimated load at the tool [kg], and time constant of this estimate [s].
 LEAST_LOAD, LARGEST_LOAD, LOAD_TIME = 0.1, 0.5, 0.02
-#: Smallest norm of the joint torques that carry 1 kg at the tool for which a load is estimated
-#: [N·m].
+#: Lower bound of the norm of the joint torques that carry 1 kg at the tool, in the estimate of the
+#: load [N·m].
 MIN_WEIGHT = 0.1
-#: Pole of the observer [1/s]: its product with the delay of the loop, and its largest value.
+#: The observer pole is `POLE_DELAY` over the delay of the loop, at most `MAX_POLE` [1/s].
 POLE_DELAY, MAX_POLE = 1.0, 45.0
-#: Assumed disturbance over the error of a position, before the first reading [1/s²]. More makes an
-#: unknown load known earlier, but takes an encoder step of a joint at rest for a fall.
+#: Assumed ratio of disturbance to position error before the first reading [1/s²]. A larger ratio
+#: finds an unknown load earlier, but takes an encoder step of a joint at rest for a fall.
 FIRST_DISTURBANCE = 3e3
-#: Weight of the last period in the mean period of the loop, and longest period [s].
+#: Weight of the last period in the mean loop period, and longest period that is averaged [s].
 PERIOD_SHARE, MAX_PERIOD = 0.2, 0.1
 #: Time constant with which a long period and delay of the past is forgotten [s]: poles for a mean
 #: period are unstable where some periods are much longer.
@@ -51,43 +50,42 @@ FORGET_TIME = 0.5
 BOUND_LOAD, BOUND_SHARE, BOUND_FRICTION = 0.6, 0.6, 2.0
 #: Ratio of the poles of the position control to that of the observer.
 CONTROL_SHARE = 0.4
-#: Shortest and longest duration of the balance [s]; it ends when all joints have been slower than
-#: `STILL_SPEED` [rad/s] and nearer than `STILL_AWAY` [rad] for `STILL_TIME` [s].
+#: The balance takes `MIN_BALANCE` to `MAX_BALANCE` [s]. It ends once all joints were slower than
+#: `STILL_SPEED` [rad/s] and within `STILL_AWAY` [rad] of the start for `STILL_TIME` [s].
 MIN_BALANCE, MAX_BALANCE, STILL_SPEED, STILL_AWAY, STILL_TIME = 0.2, 1.5, 0.02, 0.01, 0.1
-#: Time constant of the mean torque of the balance [s], and ratio to friction below which the sign
-#: of this torque is not known.
+#: Time constant of the mean torque of the balance [s]. Below `LIGHT` times friction, the sign of
+#: this torque is unknown.
 TORQUE_TIME, LIGHT = 0.1, 2.0
-#: Time constant with which leads shrink [s], largest speed at which they do [rad/s], and lead that
+#: Time constant [s] and largest speed [rad/s] of shrinking leads; a smaller lead than `MIN_LEAD`
 #: counts as zero [rad].
 SHRINK_TIME, SHRINK_SPEED, MIN_LEAD = 0.4, 0.15, 0.002
-#: Change of a position that is above rounding [rad], and largest encoder step that is concluded
-#: from the changes of a position [rad].
+#: Smallest change of a position that is not rounding [rad], and largest encoder step that is
+#: estimated from such changes [rad].
 MIN_CHANGE, MAX_COUNT = 1e-6, 0.006
-#: Displacement below which a joint counts as sinking [rad] (at least two encoder steps).
+#: A joint that is displaced by more than this [rad], and two encoder steps, counts as sinking.
 SINKING = 0.002
-#: Torque beyond that of the balance at which a sinking joint counts as carried by its lead: shares
-#: of friction and of the torque of the balance; and share of the usable torque that suffices.
+#: The lead of a sinking joint carries it at a torque of ``(1 + FOUND_SHARE) τ + FOUND_FRICTION f``,
+#: with the torque τ of the balance and the friction f, or at `USABLE_SHARE` of the usable torque.
 FOUND_FRICTION, FOUND_SHARE, USABLE_SHARE = 2.5, 0.1, 0.98
-#: Time for which the lead of a sinking joint waits for this torque [s], and speed at which it
-#: shrinks afterwards [rad/s].
+#: Longest wait of the lead of a sinking joint for this torque [s], and the speed at which the lead
+#: shrinks after the wait [rad/s].
 MAX_WAIT, SLOW_SHRINK_SPEED = 0.3, 0.02
-#: Largest rise of the lead of a joint that was found to sink [rad].
+#: Largest increase of the lead once a joint was found to sink [rad].
 MAX_BACK = 0.005
-#: Time in which the torque limit of a joint that sinks further rises from zero to the servo's
-#: maximum [s].
+#: Time in which the torque limit of a joint that continues to sink rises from zero to the maximum
+#: of the servo [s].
 LIMIT_RISE = 0.1
-#: Time in which the limits of joints with torque rise to their holding torque, and before which no
-#: joint is drawn back [s].
+#: Time in which limits of joints that had torque rise to their holding torque [s]; displaced joints
+#: return only afterwards.
 SETTLE_TIME = 0.2
-#: Gain [1/s] and largest speed [rad/s] of the goal of a joint that returns to its first position,
-#: and speed of the joint above which its goal waits [rad/s]: the goal of a joint that sticks moves
-#: ahead of it.
+#: Return of a joint to its first position: gain [1/s] and largest speed [rad/s] of its goal. The
+#: goal waits while the joint is faster than `RETURNING` [rad/s].
 RETURN_GAIN, RETURN_SPEED, RETURNING = 8.0, 0.1, 0.03
-#: Time constant of the mean position that is drawn back [s]: drawing back an arm that swings on its
-#: servos would swing it further.
+#: Time constant of the mean position that returns [s]: the return of the present position would
+#: increase the swing of an arm on its servos.
 MEAN_TIME = 0.3
-#: Displacement below which a joint has returned [rad] (at least 0.6 counts), time after which leads
-#: no longer shrink, and further time for joints to return [s].
+#: A joint has returned within `RETURNED` [rad] (at least 0.6 encoder steps) of its first position.
+#: Leads stop shrinking after `MAX_TIME` [s]; joints may return for another `RETURN_TIME` [s].
 RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
 #: Time without a position of a joint after which the arm is sent what holds it at rest, and after
 #: which the weight transfer ends with an error [s].
@@ -99,8 +97,8 @@ def transfer_weight(
 ) -> Array:
     """Transfer the weight of a standing arm to its servos, and measure the leads that carry it.
 
-    The arm is first balanced by its torque limits, with an unknown load too, and then given to the
-    stiffness of its servos; see `_WeightTransfer`.
+    The torque limits first balance the arm, also with an unknown load. Then the stiffness of the
+    servos takes over, see `_WeightTransfer`.
 
     Args:
         io: Read and write access to the arm, with torque on.
@@ -123,9 +121,9 @@ class _DisturbanceObserver:
     """Motion of the joints, and the acceleration that the model does not explain.
 
     Each joint is ``ẍ = u + d`` with a known input u [rad/s²] and an unknown constant d. The
-    estimate belongs to the time of the last reading; `predict` continues it with later inputs.
-    The gains are those of the critically damped filter of third order (Brookner 1998, 2.4), or, if
-    larger, those of least squares over all readings since the joint was at rest with d unknown.
+    estimate is that at the last reading; `predict` extrapolates it with later inputs. The gains are
+    those of the critically damped filter of third order (Brookner 1998, 2.4), or those of least
+    squares over all readings since the start at rest with d unknown, whichever are larger.
 
     Attributes:
         x, v, d: Displacement (n,) [rad], speed (n,) [rad/s] and disturbance (n,) [rad/s²].
@@ -144,9 +142,9 @@ class _DisturbanceObserver:
         self._inputs.append((time, u))
 
     def update(self, time: float, x: Array, pole: float) -> None:
-        """Correct the estimate by displacements x (n,) [rad] that show the inputs up to `time` [s].
+        """Correct the estimate by displacements x (n,) [rad] measured at `time` [s].
 
-        `pole` is the pole of the error of the estimate [1/s].
+        `pole` is the pole of the estimation error [1/s].
         """
         dt = time - self._time
         if dt <= 0.0:
@@ -155,7 +153,7 @@ class _DisturbanceObserver:
         self._time = time
         while len(self._inputs) > 1 and self._inputs[1][0] <= time:
             self._inputs.popleft()
-        # A position within half an encoder step of the reading agrees with it.
+        # The quantized reading agrees with every position within half an encoder step.
         error = x - self.x
         error = error - np.clip(error, -0.5 * self.step, 0.5 * self.step)
         z = np.exp(-pole * dt)
@@ -168,7 +166,7 @@ class _DisturbanceObserver:
         self.d = self.d + max(first, (1.0 - z) ** 3 / dt**2) * error
 
     def predict(self, time: float) -> tuple[Array, Array]:
-        """Return displacement [rad] and speed [rad/s] (n,) once inputs up to `time` [s] show."""
+        """Return displacement [rad] and speed [rad/s] (n,) extrapolated to `time` [s]."""
         x, v, at = self.x, self.v, self._time
         ends = [*(sent for sent, _ in self._inputs), time][1:]
         for (_, u), end in zip(self._inputs, ends, strict=True):
@@ -178,19 +176,18 @@ class _DisturbanceObserver:
 
 
 class _WeightTransfer:
-    """Transfer of the weight of a standing arm to its servos, and measurement of what carries it.
+    """Transfer of the weight of a standing arm to its servos, and measurement of the leads.
 
     The lead of a joint is goal minus position. With a large lead, a servo exerts its torque limit,
-    independent of its stiffness. The limits and the signs of the leads are first those of
+    whatever its stiffness. Torque limits and signs of the leads first follow
 
     ``τ = w - M (d + 2 ω v + ω² x)``
 
     with the model's weight w and inertia M, the displacement x from the first position, its speed v
-    and the disturbance d of a `_DisturbanceObserver`; until the tool moves, τ is w. Once the arm
-    stands, τ carries it, an unknown load included. Then the leads shrink. A servo whose lead no
-    longer suffices for τ lets its joint sink, whatever its limit: this lead carries the joint. A
-    joint that does not sink rests on an object. In the end limits have the margin of
-    `torque_margin`, and joints that sank return slowly.
+    and the disturbance d of a `_DisturbanceObserver`. Until the tool moves, τ is w. When the arm
+    stands still, τ carries it with its load. Then the leads shrink: a joint begins to sink at the
+    lead that just carries it. A joint that does not sink rests on an object. Finally, limits get
+    the margin of `torque_margin`, and joints that sank return slowly.
     """
 
     def __init__(
@@ -218,7 +215,7 @@ class _WeightTransfer:
         )
         self._set_load(LEAST_LOAD)
         self._first = io.limit
-        # Joints that are taken over hold positions: they do not exert the torque of the balance.
+        # Joints that were taken over hold positions and do not exert the torque of the balance.
         self._follows = ~taken
         self._heard = self._tick = io.clock.now()
         self._observer = _DisturbanceObserver(
@@ -229,7 +226,7 @@ class _WeightTransfer:
         self._found = self._weight / self._kp if servos.stiffness_known else self._x * np.nan
 
     def run(self) -> Array:
-        """Carry out the transfer, see `transfer_weight`."""
+        """Run the transfer; return the leads as `transfer_weight` does."""
         carried = self._taken.all() or self._io.servos.stiffness_known
         try:
             return self._shrink(self._weight if carried else self._balance())
@@ -259,7 +256,7 @@ class _WeightTransfer:
             clock.wait_until(self._tick)
             if (ok := io.sample()).all():
                 break
-            # Without positions, sinking and rising cannot be told apart: keep goals and limits.
+            # Without positions, a sinking joint looks like a rising one: keep goals and limits.
             if clock.now() - self._heard > MAX_SILENCE:
                 raise ServoTimeoutError(
                     f"no position of {_joint_names(io, ~ok)} for {MAX_SILENCE:g} s while torque "
@@ -289,7 +286,7 @@ class _WeightTransfer:
         pole = min(POLE_DELAY / max(age + self._period, self._slowest), MAX_POLE)
         observer.update(now - age, io.q - self._start, pole)
         self._x, self._v = observer.predict(now)
-        # The load whose weight is nearest to the torque that answers d.
+        # Least-squares load at the tool whose weight explains the disturbance torque.
         weight = self._load_weight
         load = float(-weight @ self._inertia @ observer.d) / max(
             float(weight @ weight), MIN_WEIGHT**2
@@ -308,22 +305,22 @@ class _WeightTransfer:
         self._inverse = np.linalg.inv(self._inertia)
 
     def _is_moving(self) -> bool:
-        """Return True if the tool has sunk or risen further than encoder steps can pretend."""
+        """Return True if the tool has sunk or risen by more than encoder steps explain."""
         lever = self._load_weight / max(float(np.linalg.norm(self._io.model.gravity_vector)), 1e-9)
         height, step = lever @ self._x, 0.5 * np.abs(lever * self._observer.step).max()
         return not -SINK - step <= height <= RISE + step
 
     def _apply(self, goal: Array, torque: Array, limit: Array) -> None:
-        """Send goals and limits (n,), except to joints that are taken over, and store the torques.
+        """Send goals and limits (n,), except to joints taken over; pass torques to the observer.
 
-        `torque` are the torques that the observer takes as exerted (n,) [N·m].
+        `torque` are the torques (n,) [N·m] that the joints are assumed to exert.
         """
         io, taken = self._io, self._taken
         io.send(np.where(taken, io.goal, goal), np.where(taken, io.limit, limit))
         self._observe(torque)
 
     def _observe(self, torque: Array) -> None:
-        """Tell the observer the torques (n,) [N·m] of the joints that follow; the others stand."""
+        """Pass the torques (n,) [N·m] to the observer; joints that were taken over stand still."""
         u = self._inverse @ (torque - self._weight)
         self._observer.send(self._heard, np.where(self._follows, u, -self._observer.d))
 
@@ -337,7 +334,7 @@ class _WeightTransfer:
         """Balance the joints by their torque limits until they stand; return their torques (n,)."""
         torque, passed, still = self._weight, 0.0, 0.0
         mean, moves = torque.copy(), False
-        # Less than friction: keeps a joint in place, and does not lift it.
+        # Below friction, so that it holds a joint in place without lifting it.
         spare = 0.5 * self._friction
         while passed < MIN_BALANCE or (still < STILL_TIME and passed < MAX_BALANCE):
             goal = self._start + self._full_lead(torque)
@@ -345,7 +342,7 @@ class _WeightTransfer:
             dt = self._step()
             passed += dt
             torque = self._control()
-            # An arm that rests on an object does not sink: the balance would make it bounce.
+            # Do not balance an arm that rests on an object: it would bounce.
             moves = moves or self._is_moving()
             torque = torque if moves else self._weight
             mean += min(dt / TORQUE_TIME, 1.0) * (torque - mean)
@@ -366,7 +363,7 @@ class _WeightTransfer:
         margin = torque_margin(servos, weight)
         lead = np.where(taken, io.goal - start_q, self._full_lead(weight))
         found = np.where(taken, lead, np.nan)
-        # Stiffness alone holds a joint whose torque may have either sign.
+        # If the torque may have either sign, the stiffness at lead 0 holds the joint.
         light = ~taken & (np.abs(weight) < LIGHT * self._friction)
         lead, found = np.where(light, 0.0, lead), np.where(light, 0.0, found)
         if servos.stiffness_known:
@@ -384,11 +381,11 @@ class _WeightTransfer:
             mean = mean + min(dt / MEAN_TIME, 1.0) * (q - mean)
             sunk = (start_q - q) * up
             shrinking = np.isnan(found) & (lead != 0.0)
-            # The servo may exert much more than carried the joint before, but the joint sinks.
+            # The torque limit exceeds the weight, but the joint sinks: its lead is too small.
             carried = (sunk > sinking) & (torque * up > enough)
             late = late | (shrinking & ~carried & (passed > MAX_TIME))
             held = shrinking & (carried | late)
-            # Return to the lead before the joint began to sink.
+            # Increase the lead to that before the joint began to sink.
             back = np.minimum(np.abs(carrying - lead), MAX_BACK)
             lead = np.where(held, lead + up * back, lead)
             found = np.where(held, lead, found)
@@ -400,17 +397,17 @@ class _WeightTransfer:
             carrying = np.where(sunk > returned, carrying, lead)
             lead = np.where(shrinking & ~held, left, lead)
             lead = np.where(np.isnan(found) & (np.abs(lead) < MIN_LEAD), 0.0, lead)
-            # A joint that sank earlier is held by the stiffness of its servo at lead 0.
+            # At lead 0, the stiffness of its servo holds a joint that sank earlier.
             found = np.where(np.isnan(found) & (lead == 0.0) & (sunk > 0.5 * sinking), 0.0, found)
             known = np.isfinite(found) | (lead == 0.0)
-            # Give a joint that is carried, but sinks further, more torque.
+            # Raise the limit of a joint that continues to sink although its lead is known.
             falls = known & (sunk > 2.0 * sinking) & ((before - q) * up > 0.0)
             more += np.where(falls, usable * dt / LIMIT_RISE, 0.0)
             firm = np.abs(weight) + margin + more
             limit = np.where(known, firm, np.maximum(torque * up, 0.0) + 0.5 * self._friction)
             rise = min(passed / SETTLE_TIME, 1.0) * np.maximum(firm - self._first, 0.0)
             limit = np.minimum(np.where(taken, self._first + rise, limit), usable)
-            # The smaller of displacement and its mean, 0 if their signs differ.
+            # Smaller of present and mean displacement; 0 if their signs differ.
             away = np.where(
                 (q - start_q) * (mean - start_q) > 0.0,
                 np.sign(start_q - q) * np.minimum(np.abs(start_q - q), np.abs(start_q - mean)),
@@ -422,7 +419,7 @@ class _WeightTransfer:
             if passed > SETTLE_TIME:
                 pull += np.where(returning & ~waits, speed * dt, 0.0)
             goal = start_q + lead + pull
-            # Anti-windup: bound the lead, because a larger one would not increase the torque.
+            # Anti-windup: a larger lead would not increase the torque.
             largest = np.maximum(LEAD_FACTOR * limit / kp, np.abs(lead))
             goal = np.clip(goal, q - largest, q + largest)
             pull = goal - start_q - lead

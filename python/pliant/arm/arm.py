@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     Exit = Literal["lower", "leave_enabled"]
 
 
-#: Longest time for torque on until the guardian takes the program for hanging [s]; on a bad line,
-#: retries take seconds.
+#: Time for torque on after which the guardian takes the program for hanging [s]; retries on a bad
+#: line take seconds.
 ENABLE_TIME = 10.0
 
 
@@ -76,19 +76,19 @@ class Arm:
             ``g/k_p`` [rad], gravity torque over stiffness of the servo.
         handle_signals: True if SIGINT, SIGTERM, SIGHUP and SIGQUIT lower the arm.
         table: Height of the table in base axes [m]; None: no table, or its height is unknown.
-        guardian: True: a process beside the program lowers the arm, or leaves it enabled, if the
-            program ends by SIGKILL or a crash, or hangs, with torque on. It kills a program that
-            hangs or is stopped. It needs a drive whose servos outlive the program, such as
-            `ServoBus`; other drives have none.
+        guardian: True: a separate process performs `on_exit` if the program is killed, crashes or
+            hangs with torque on. It kills a program that hangs or is stopped. The drive must have
+            servos that keep their torque without the program, as `ServoBus` has; other drives get
+            no guardian.
 
     Attributes:
         model: The robot, with the servo parameters of the drive.
         drive, rate, rest_q, comm_timeout, table: The arguments of the same names.
-        detour: Reason for which the last lowering skipped the rest pose; None if it did not.
+        detour: Reason why the last lowering skipped the rest pose; None if it did not.
         servos: Servo parameters of the chain, n entries; updated when the drive opens.
         grippers: Grippers by joint name; created again when the drive opens.
-        leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN if unknown,
-            because the joint rested on an object or torque was never on.
+        leads: Goal minus position that carried each joint at torque on (n,) [rad]; NaN for a joint
+            that rested on an object, and before the first torque on.
 
     Raises:
         ConfigError: The drive lacks a joint of the model, or an argument is out of range.
@@ -126,8 +126,8 @@ class Arm:
         self._signals = Signals(self._supervisor.abort.set) if handle_signals else None
         self._has_guardian = instance(guardian, bool, "guardian") and is_available(drive)
         self._guardian: Guardian | None = None
-        #: True from the begin of a descent until it has ended as it should: with torque off, or
-        #: left on deliberately. After another end, the guardian takes the arm over.
+        #: True from the begin of a descent until torque is off or was left on deliberately. If a
+        #: descent fails, it stays True, and the guardian takes the arm over.
         self._is_unfinished = False
         self._exit_message: str | None = None
         self._build()
@@ -140,7 +140,7 @@ class Arm:
         self.leads: Array = np.full(model.n, np.nan)
 
     def _build(self) -> None:
-        """Create the parts that depend on servo parameters; `open` calls this method again."""
+        """Create the parts that depend on servo parameters; `open` calls this again."""
         self._io = ArmIO(self.model, self.drive, self._budget)
         self.servos = self._io.servos
         # Replace the servo parameters of the model, which may differ from those of the drive.
@@ -167,10 +167,10 @@ class Arm:
     def enable(self) -> None:
         """Switch torque on at the present positions, and let the servos take up the weight.
 
-        The first torque limits are close to the gravity torques. Where k_p is not known, the arm is
-        then balanced and its leads are measured, in 7.5 s at most; then all limits rise within
-        0.5 s. Joints whose torque is on already keep their goals and limits, and an arm that lies
-        on a table stays there. Signal handlers are installed before torque comes on.
+        The first torque limits are close to the gravity torques. If k_p is unknown, the arm is
+        balanced and its leads are measured, which takes at most 7.5 s. Then the limits rise within
+        0.5 s. Joints with torque on keep their goals and limits, and an arm that lies on a table
+        stays there. Signal handlers are installed before torque comes on.
 
         Raises:
             ServoTimeoutError: Joints do not answer; the message names them.
@@ -184,7 +184,7 @@ class Arm:
     def _enable(self) -> None:
         """Do the work of `enable`; the caller holds the supervisor's lock."""
         if self._has_guardian and (self._guardian is None or not self._guardian.is_ours):
-            # The process imports its modules while the bus is opened.
+            # The guardian imports its modules while the bus opens.
             self._guardian = Guardian(self._supervisor)
         self.open()
         self._supervisor.reason = None
@@ -204,7 +204,7 @@ class Arm:
             atexit.register(self._at_exit)
             self._start_guardian()
             self._is_unfinished = False
-            # Until the end of this method no access to the drive restarts this time.
+            # Accesses to the drive do not restart this timeout until this method returns.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
             io.start(start, limit)
@@ -212,8 +212,8 @@ class Arm:
             self._release()
             raise
         except BaseException:
-            # After a signal that came before torque on, no descent follows that would remove the
-            # signal handlers: remove them here.
+            # A signal came before torque on, so no descent will follow that removes the signal
+            # handlers.
             if not self.enabled:
                 self._release()
             raise
@@ -224,7 +224,7 @@ class Arm:
         self._supervisor.heartbeat[1] = 0.0
 
     def lower(self) -> None:
-        """Move to the rest pose if set, descend at 0.15 m/s until the arm rests, torque off.
+        """Move to the rest pose if set, descend at 0.15 m/s until the arm rests, switch torque off.
 
         If the table blocks the path to the rest pose, the arm descends from the present pose.
 
@@ -352,13 +352,13 @@ class Arm:
                     self._io.set_watchdog(0.0)
                 self.drive.disable(self._io.joints.names)
         except BaseException as error:
-            # SystemExit after an abort comes from a third Ctrl-C, during a bus call that hung: make
-            # no more bus calls.
+            # After an abort, SystemExit comes from a third Ctrl-C while a bus call hangs: make no
+            # more bus calls.
             hangs = isinstance(error, SystemExit) and self._supervisor.abort.is_set()
             self._is_unfinished = not hangs
             if not down and not hangs:
                 self._hold()
-            # If the bus failed before the arm was down, the torque state of the servos is unknown.
+            # If the bus failed before the arm was down, its torque state is unknown.
             is_answering = isinstance(error, ServoFaultError)
             is_unknown = isinstance(error, ServoError) and not is_answering and not down
             self._exit_message = messages.failed(
@@ -404,10 +404,10 @@ class Arm:
         return rest if self.detour is None else None
 
     def _start_guardian(self) -> None:
-        """Let the guardian watch the program, if the arm has one.
+        """Start the guardian's watch over the program, if the arm has a guardian.
 
         Raises:
-            ServoError: It did not start; torque stays as it is.
+            ServoError: The guardian did not start; torque stays as it is.
         """
         if self._guardian is None:
             return
@@ -424,12 +424,12 @@ class Arm:
         self._guardian.watch(self.drive, arguments)
 
     def _resume(self, cause: str) -> None:
-        """Lower the arm or leave it enabled, in the guardian, for a program that has ended.
+        """Lower the arm of an ended program, or leave it enabled; the guardian calls this.
 
-        If no joint has torque, only restore the registers that the program found.
+        If no joint has torque, only restore the registers that the program changed.
 
         Args:
-            cause: What has happened to the program.
+            cause: Reason for taking the arm over, for messages.
 
         Raises:
             ServoError: The ports cannot be opened, or the arm was not lowered.
@@ -444,7 +444,7 @@ class Arm:
         """Lower the arm or leave it enabled, after the program stalled or ended.
 
         The watchdog thread or the guardian calls this method. `abort` is the beginning of the
-        message that tells how to abort the descent; None: by Ctrl-C.
+        message on how to abort the descent; None: by Ctrl-C.
         """
         try:
             if not self.enabled:
@@ -461,9 +461,9 @@ class Arm:
             self._rest_guardian()
 
     def _rest_guardian(self) -> None:
-        """Tell the guardian that the program is done with the arm, with torque off or left on.
+        """Tell the guardian that torque is off or was left on deliberately.
 
-        After a descent that failed, the guardian continues to watch.
+        After a failed descent, the guardian continues to watch.
         """
         if self._is_unfinished:
             return
@@ -515,8 +515,8 @@ class Arm:
             error.add_note(f"while the arm was being lowered: {worse}")
         else:
             if error is not None and self._exit_message is not None:
-                # Repeat the exit message as a note of the error: Python prints the traceback last,
-                # after the message, and the note below it.
+                # Repeat the exit message as a note: Python prints the traceback last, the note
+                # below it.
                 error.add_note(f"pliant: {self._exit_message}")
         finally:
             if isinstance(error, KeyboardInterrupt):
@@ -547,9 +547,8 @@ class Arm:
         """Send goals and torque limits, bounded by position limits and by the power budget.
 
         Low limits are sent unchanged: with limits below the gravity torques the arm sinks, with 0
-        it falls.
-        A `RuntimeWarning` is issued once if a limit stays below half of the gravity torque for
-        0.2 s, but not for commands of a `Controller`.
+        it falls. A `RuntimeWarning` is issued once if a limit stays below half of the gravity
+        torque for 0.2 s, except for commands of a `Controller`.
 
         Args:
             goal: Joint goals (n,) [rad]. They are clipped to the position limits, extended by the
@@ -589,10 +588,10 @@ class Arm:
         return self._supervisor.supervised(seconds if real_time else None)
 
     def ramp_limits(self) -> None:
-        """Bound torque limits for 0.5 s by a ramp from holding torques to usable torques.
+        """Limit torque for 0.5 s by a ramp from holding torques to usable torques.
 
-        A holding torque is the torque that keeps a joint in its pose. `Loop` calls this method
-        after missed cycles, when goals may be far from the present positions.
+        A holding torque keeps a joint in its pose. `Loop` calls this method after missed cycles,
+        because goals may then be far from the present positions.
         """
         self._io.ramp_limits()
 
@@ -639,7 +638,7 @@ class Arm:
 
 
 def _end_at_the_caller(error: KeyboardInterrupt) -> None:
-    """Remove this package's frames from the traceback of a Ctrl-C, which do not help the user."""
+    """Remove frames of this package from the traceback of a Ctrl-C."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         module = trace.tb_next.tb_frame.f_globals.get("__name__", "")

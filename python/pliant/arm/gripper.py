@@ -52,7 +52,7 @@ class GripperConfig:
 class Gripper:
     """Gripper: a joint off the chain that opens and closes with a bounded torque.
 
-    The goal of `close` is the closed position. The torque limit bounds the grip force on an object
+    `close` sends the closed position as goal; the torque limit bounds the grip force on an object
     between the fingers.
 
     Attributes:

@@ -12,7 +12,7 @@ from pliant._core import ThermalModel
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-#: Used share of a servo's thermal budget above which a fault is reported; 1 is the whole budget.
+#: Used share of a servo's thermal budget above which a fault is reported; 1: all is used.
 TOO_HOT = 1.3
 
 
@@ -21,7 +21,7 @@ class Budget:
     """Thermal and electrical budget of an arm.
 
     Attributes:
-        continuous: Share of the usable torque that a servo can exert continuously, in (0, 1].
+        continuous: Share of the usable torque that a servo can exert without end, in (0, 1].
         seconds: Thermal time constant of a servo's winding [s]. At full torque the budget is used
             up after ``−seconds ln(1 − continuous²)``: 5.2 s by default.
         supply: Largest current of the power supply [A]; None: no limit.
@@ -38,7 +38,7 @@ class Budget:
         self.thermal_model((), ())
 
     def thermal_model(self, max_torque: ArrayLike, stall_current: ArrayLike | None) -> ThermalModel:
-        """Return a thermal model of N cold servos.
+        """Return a thermal model of N servos, which starts cold.
 
         Args:
             max_torque: Usable torques (N,) [N·m].

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 #: Maximum number of existing files that the error about a missing file lists.
 MAX_LISTED_FILES = 8
-#: Module and summary of each command, in the groups that --help shows. The module is imported only
-#: when the command is called; the arguments of the module's function `run` are the command's flags.
+#: Module and summary of each command, in the groups that --help shows. A command's module is
+#: imported when the command is called; the arguments of its function `run` are the flags.
 GROUPS = {
     "control an arm": {
         "run": ("pliant.cli.run", "hold an arm compliantly, or let it follow targets"),
@@ -123,7 +123,7 @@ def _run(words: list[str]) -> int:
     if name not in COMMANDS:
         kind = "flag" if first.startswith("-") else "command"
         return _print_error(f"there is no {kind} {name!r}{_hint(name)} (pliant --help lists them)")
-    # For a simulated arm, only debug messages tell if it was lowered or left with torque on.
+    # Only debug messages tell whether a simulated arm was lowered or left with torque on.
     logging.getLogger("pliant.arm").setLevel(logging.DEBUG)
     module, summary = COMMANDS[name]
     return _call(lambda: import_module(module).run, f"pliant {name}", summary, words[word_count:])
@@ -144,7 +144,7 @@ def _call(
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
         )
     except OSError as error:
-        # A closed terminal raises an OSError too, but the exit code must be that of SIGHUP.
+        # A closed terminal also raises an OSError; the exit code must then be that of SIGHUP.
         if (code := _signal_exit_code(error)) is not None:
             return code
         if isinstance(error, BrokenPipeError):
@@ -195,7 +195,7 @@ def _hint(name: str) -> str:
 
 
 def _describe_missing_file(error: FileNotFoundError) -> str:
-    """Return an error text: the missing folder; or the missing file and files with its suffix."""
+    """Return an error text about a missing folder, or a missing file with similar files."""
     if error.filename is None:
         return str(error)
     path = Path(os.fsdecode(error.filename))

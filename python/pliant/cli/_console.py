@@ -36,7 +36,7 @@ def print_summary(arm: Arm, loop: Loop, notes: Sequence[str] = ()) -> None:
 
 
 class Keyboard:
-    """Lines typed on standard input; a separate thread reads it, so nothing blocks."""
+    """Lines from standard input; a thread reads them, so no method blocks."""
 
     def __init__(self) -> None:
         """Start the thread that reads standard input."""
@@ -44,7 +44,7 @@ class Keyboard:
         threading.Thread(target=self._read, daemon=True, name="pliant-keys").start()
 
     def _read(self) -> None:
-        # A stream that cannot be read has ended.
+        # An unreadable stream counts as ended.
         with contextlib.suppress(OSError, ValueError):
             for line in sys.stdin or ():
                 self._lines.put(line)
@@ -61,7 +61,7 @@ class Keyboard:
         return pressed
 
     def discard(self) -> None:
-        """Drop what a person has typed too early; lines of a script are kept."""
+        """Drop what a person has typed before a question; lines of a script are kept."""
         if sys.stdin is not None and sys.stdin.isatty():
             self.pressed()
 

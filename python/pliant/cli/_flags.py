@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pliant.log import Recorder
 
 
+#: Maximum TCP port number.
+MAX_PORT = 65535
 #: Path of an arm's configuration file, or the name of a configuration file in the package.
 ArmName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ARM")]
 #: Path of a motion file written by `pliant teach`, or of a log.
@@ -30,7 +32,7 @@ MotionFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MOTION
 LogFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 #: Optional path of a file to read or write.
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-#: TCP port of the browser page.
+#: TCP port of a server.
 HttpPort = Annotated[int, tyro.conf.arg(metavar="PORT")]
 #: Present and new id of a servo, as text "OLD:NEW"; None: no id is changed.
 Ids = Annotated[str | None, tyro.conf.arg(metavar="OLD:NEW")]
@@ -44,10 +46,6 @@ Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
 Duration = Annotated[float, tyro.conf.arg(metavar="SECONDS")]
 #: Names of task axes, separated by spaces.
 Axes = Annotated[str, tyro.conf.arg(metavar="AXES")]
-#: Names of task axes, separated by spaces; None if the flag is not given.
-OtherAxes = Annotated[str | None, tyro.conf.arg(metavar="AXES")]
-#: Path or name of an arm's configuration, for an optional flag; None if the flag is not given.
-OtherArm = Annotated[str | None, tyro.conf.arg(metavar="ARM")]
 #: Name of a frame of the URDF; None if the flag is not given.
 Frame = Annotated[str | None, tyro.conf.arg(metavar="FRAME")]
 
@@ -114,6 +112,16 @@ def check_duration(seconds: float | None) -> None:
         raise ConfigError(f"--duration must be above 0 s, got {seconds:g}")
 
 
+def check_port(port: int) -> None:
+    """Check the value of `--http-port`.
+
+    Raises:
+        ConfigError: The value is not a TCP port.
+    """
+    if not 1 <= port <= MAX_PORT:
+        raise ConfigError(f"--http-port is a port from 1 to {MAX_PORT}, got {port}")
+
+
 def check_writable(path: Path, kind: str, inputs: Iterable[Path | str | None] = ()) -> None:
     """Check that a file can be written; print a warning if an existing file will be replaced.
 
@@ -127,7 +135,7 @@ def check_writable(path: Path, kind: str, inputs: Iterable[Path | str | None] = 
 
 
 def check_log(path: Path | None, inputs: Iterable[Path | str | None] = ()) -> None:
-    """Check that the file of `--log` can be written, so that an error is raised before torque on.
+    """Check that the file of `--log` can be written; called before torque is switched on.
 
     Raises:
         ConfigError: The name does not end in .mcap, or the file cannot be written.

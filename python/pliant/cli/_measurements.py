@@ -67,7 +67,7 @@ class Measurements:
                 is_good = False
             if not is_good:
                 raise ConfigError(
-                    f"{path} cannot be continued: it is not as {FORMAT!r} is; name another file"
+                    f"{path} cannot be continued: its format is not {FORMAT!r}; name another file"
                 )
 
     def add(self, step: str, values: Any) -> None:
@@ -93,7 +93,7 @@ class Measurements:
         chain = arm.drive
         if not isinstance(chain, ServoBus):
             raise ConfigError(
-                f"a measurements file is of servos on a bus, and backend {config.backend!r} has "
+                f"a measurements file is about servos on a bus, and backend {config.backend!r} has "
                 "none: use backend bus, or emulator for a rehearsal"
             )
         torque = dict(zip(chain.names, chain.servos.max_torque, strict=True))
@@ -167,7 +167,7 @@ class Measurements:
         self.add("servos", values)
 
     def table(self) -> Table:
-        """Return a table of assumed and promised values beside measured ones, for people."""
+        """Return a table of assumed, promised and measured values, for people."""
         out = Table("", "assumed", "measured", "ratio", box=SIMPLE_HEAD, pad_edge=False)
         for step, how in (("servos", ""), ("weight", " by weight")):
             for joint in self.steps.get(step, {}).get("joints", ()):
@@ -194,7 +194,7 @@ class Measurements:
         return out
 
 
-#: Fields of `pliant.Servos` in the file, besides the friction at the load of the pose.
+#: Fields of `pliant.Servos` in the file, apart from the friction at the load of the pose.
 KEYS = ("kp", "load_friction", "damping", "kv")
 
 

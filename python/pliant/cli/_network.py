@@ -43,8 +43,8 @@ class NetworkFlags:
         """Switch torque on, let the network control the arm until Ctrl-C, and lower it.
 
         Args:
-            open_link: Function that starts the process of the network.
-            ready: Text that is printed with the address of the process in place of {address}.
+            open_link: Function that starts the network process.
+            ready: Text to print; {address} is replaced by the address of the process.
         """
         config, settings = load(
             self.arm, self.override, self.soft, duration=self.duration, log=self.log

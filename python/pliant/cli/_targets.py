@@ -125,7 +125,7 @@ def _short(text: str) -> str:
 
 #: Maximum size of one target, a line or a datagram [bytes].
 MAX_LINE = 4096
-#: Maximum number of bytes of one read of a pipe, and pause after each read [s].
+#: Maximum number of bytes per read of a pipe, and pause after each read [s].
 READ_SIZE, READ_PAUSE = 65536, 0.001
 #: Maximum number of datagrams read per control cycle.
 MAX_DATAGRAMS = 256
@@ -135,7 +135,7 @@ class Targets(Protocol):
     """Protocol of a source of targets.
 
     Attributes:
-        done: True once the source has ended, so that the command may end too.
+        done: True once the source has ended.
     """
 
     done: bool
@@ -197,7 +197,7 @@ class FileTargets(NoTargets):
 
 
 class RejectedTargets:
-    """Parser of targets; prints at most one error on invalid targets per period of `Refusals`."""
+    """Parses targets; prints at most one error on invalid targets per period of `Refusals`."""
 
     def __init__(self) -> None:
         self._refusals = Refusals("target")
@@ -213,7 +213,7 @@ class RejectedTargets:
             return None
 
     def close(self) -> None:
-        """Print how many invalid targets were not reported, because of the bounded rate."""
+        """Print the number of invalid targets that the limited rate kept from being reported."""
         self._refusals.close()
 
 
@@ -221,8 +221,8 @@ class StreamTargets(NoTargets):
     """Targets of a pipe, such as standard input; a thread reads it and keeps the newest line.
 
     Args:
-        pipe: File descriptor. The thread reads it without Python's buffered reader: a thread that
-            waits in that reader holds the reader's lock, which blocks the end of the program.
+        pipe: File descriptor. It is read without Python's buffered reader, whose lock would be held
+            while the thread waits and would block the end of the program.
         model: The arm.
     """
 
@@ -240,7 +240,7 @@ class StreamTargets(NoTargets):
         try:
             while data := os.read(pipe, READ_SIZE):
                 *lines, rest = (rest + data).split(b"\n")
-                # Bound the memory for an unfinished line; one byte more marks it as too long.
+                # Bound the memory of an unfinished line; one extra byte marks it as too long.
                 rest = rest[: MAX_LINE + 1]
                 self._newest.extend(line for line in lines if line.strip())
                 # Without a pause, a fast sender would take the CPU time of the control loop.

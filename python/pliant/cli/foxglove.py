@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import tyro
-
-from pliant._core import ConfigError
+from pliant.cli._flags import HttpPort, check_port
 from pliant.cli._network import NetworkFlags
 from pliant.ros.links import foxglove_link
-
-#: TCP port of the WebSocket server.
-Port = Annotated[int, tyro.conf.arg(metavar="PORT")]
-#: Maximum TCP port number.
-MAX_PORT = 65535
 
 
 def run(
     control: NetworkFlags,
     *,
     host: str = "127.0.0.1",
-    http_port: Port = 8765,
+    http_port: HttpPort = 8765,
     allow_commands: bool = False,
 ) -> None:
     """Switch torque on, show the arm in Foxglove until Ctrl-C, and lower it.
@@ -35,8 +26,7 @@ def run(
         http_port: TCP port to listen on.
         allow_commands: Take targets and parameters from clients.
     """
-    if not 1 <= http_port <= MAX_PORT:
-        raise ConfigError(f"--http-port is a port from 1 to {MAX_PORT}, got {http_port}")
+    check_port(http_port)
     control.run(
         lambda: foxglove_link(host=host, port=http_port, allow_commands=allow_commands),
         ready="Foxglove WebSocket: {address}. Ctrl-C lowers the arm.",

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pliant.config import Config
 
 Procedure = Literal["servos", "gravity", "payload"]
-#: For each procedure, a phrase that tells the user its motion and duration before it starts.
+#: Motion and duration of each procedure, printed before it starts.
 PROCEDURE_TEXTS = {
     "servos": "swings every joint about this pose and jumps its goal, about 2 minutes",
     "gravity": "holds the arm where it is, 4 to 9 seconds",

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 TABLE_RATE = 5.0
 #: Without --duration, the command ends this long after the last target [s].
 HOLD_TIME = 2.0
-#: Final distance of the tool from its target above which the target is reported as missed [m], and
-#: distance from a position limit below which a joint is reported as at its limit [rad].
+#: A target is reported as missed if the tool ends farther than `TARGET_TOLERANCE` from it [m]. A
+#: joint counts as at its limit within `LIMIT_MARGIN` of a position limit [rad].
 TARGET_TOLERANCE, LIMIT_MARGIN = 0.02, 0.05
 
 
@@ -84,8 +84,8 @@ def _follow(
 ) -> None:
     """Run the control loop, in which the tool follows the targets.
 
-    The tuple (arm, loop, notes) is appended to `runs` at the start, so that a summary can be
-    printed after an error too.
+    `runs` gets the tuple (arm, loop, notes) at the start, for a summary that is also printed after
+    an error.
     """
     notes: list[str] = []
     runs.append((arm, loop, notes))

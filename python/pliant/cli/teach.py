@@ -50,8 +50,8 @@ def run(
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).
         motion: Motion file. The command writes it; its name ends with .json.
-        by: Start and end of the recording: rest starts at once and ends when the arm has rested for
-            3 s; enter uses the Enter key; gripper uses a gripper that is pressed shut.
+        by: Start and end of the recording. rest: it starts at once and ends when the arm has rested
+            for 3 s. enter: the Enter key. gripper: a gripper that is pressed shut.
         duration: Time after which the command ends [s]. It counts from the start of the recording.
         scripted_hand: On a simulated arm (sim, emulator), let a scripted hand lead the tool.
         bounds: Maximum speed [rad/s], acceleration [rad/s²] and jerk [rad/s³] of every joint (needs
@@ -87,7 +87,7 @@ def run(
 
     def save(recorded: Motion) -> None:
         recorded = replace(recorded, note=note)
-        # Save the motion before `retime` applies the bounds, so that an error loses nothing.
+        # Save before `retime` applies the bounds: after an error there, the motion is not lost.
         recorded.save(motion)
         if bounds is not None:
             teach.retime(recorded, bounds).save(motion)

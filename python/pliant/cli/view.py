@@ -10,15 +10,13 @@ from rich.console import Console
 import pliant.robots
 from pliant._core import ConfigError, PliantError
 from pliant._extras import missing
-from pliant.cli._flags import ArmName, ConfigFlags, File, HttpPort, check_log
+from pliant.cli._flags import ArmName, ConfigFlags, File, HttpPort, check_log, check_port
 
 if TYPE_CHECKING:
     from pliant.view.source import Source
 
 #: Name of a simulated scene; None: the arm of the configuration, without a scene.
 Scene = Annotated[str | None, tyro.conf.arg(metavar="SCENE")]
-#: Maximum TCP port number.
-MAX_PORT = 65535
 
 
 def run(
@@ -50,8 +48,7 @@ def run(
         log: MCAP file to write (needs the extra log).
         override: Values that replace those of the configuration file.
     """
-    if not 1 <= http_port <= MAX_PORT:
-        raise ConfigError(f"--http-port is a port from 1 to {MAX_PORT}, got {http_port}")
+    check_port(http_port)
     is_simulated = not arm or scene is not None
     check_log(log, [] if is_simulated else override.inputs(arm, override.load(arm)))
     _check_extra()
@@ -75,7 +72,7 @@ def run(
         if not is_loopback(host):
             console.print(
                 f"[bold]Open to the network on {host}:[/bold] anyone with this link can move the "
-                "arm, and what they send passes unencrypted.",
+                "arm, and the data are not encrypted.",
                 highlight=False,
             )
         if browser:

@@ -56,7 +56,7 @@ def resolve(
     """Return the settings of a configuration file, and all errors in them.
 
     An invalid field is removed and the remaining fields are validated again, until they are valid
-    or the error names no field that can be removed.
+    or the error does not name a field that can be removed.
 
     Args:
         fields: The table `settings` of the file.
@@ -179,7 +179,7 @@ def _leave_out(left: dict[str, Any], message: str) -> bool:
     axes = left.get("axes")
     if name == "axes" and axes:
         key = re.split(r"[:.]", rest)[0]
-        # If a key names several axes, it differs from the single axis in the error: remove all.
+        # A key for several axes differs from the single axis in the error: then remove all axes.
         left["axes"] = {k: v for k, v in axes.items() if k != key} if key in axes else {}
         return True
     found = re.match(r"\w+", message)

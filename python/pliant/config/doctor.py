@@ -36,7 +36,7 @@ CYCLES, CLOCK_TEST_TIME = 200, 1.0
 #: Largest acceptable 99.9th percentile of the lateness of control cycles, as a share of the control
 #: period [1].
 MAX_LATENESS = 0.2
-#: Task axes for the check that the servos can carry the arm; for n < 3 joints, the first n of them.
+#: Task axes of the check whether the servos can carry the arm; for n < 3 joints, the first n axes.
 ANY_TASK = "xyz"
 
 
@@ -134,7 +134,7 @@ def _controllable(config: Config, model: Model) -> Iterator[Diagnosis]:
         yield Diagnosis(
             "note", "settings", f"{error}; `pliant run` needs `task` in [settings] of the file"
         )
-        # Replace the invalid task, so that the check whether servos carry the arm still runs.
+        # Use a valid task, so that the check whether the servos carry the arm still runs.
         with contextlib.suppress(PliantError):
             settings = settings.replace(task=ANY_TASK[: model.n])
         try:

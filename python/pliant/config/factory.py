@@ -412,8 +412,8 @@ def start_pose(config: Config, model: Model) -> Any:
 
 #: Minimum timeout for replies of emulated servos [s]; the emulator shares the CPU with the program.
 REPLY_TIMEOUT_MIN = 0.05
-#: Calibration registers that have another name in the emulator than in the driver: name in the
-#: driver to name in the emulator, for most servos and for servos with Protocol 1.0.
+#: Name in the emulator of each calibration register that has another name in the driver, for most
+#: servos and for servos with Protocol 1.0.
 REGISTERS = {"position_min": "min_position_limit", "position_max": "max_position_limit"}
 REGISTERS_P1 = {"position_min": "cw_angle_limit", "position_max": "ccw_angle_limit"}
 

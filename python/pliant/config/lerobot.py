@@ -57,7 +57,7 @@ def read_calibration(path: str | Path) -> dict[str, Calibration]:
     except ValueError as error:  # also an integer of more digits than Python reads
         raise ConfigError(f"{file} is no calibration file: {error}") from error
     if not isinstance(data, dict) or not data:
-        raise ConfigError(f"{file} is no calibration file: it holds no table of motors")
+        raise ConfigError(f"{file} is no calibration file: it contains no table of motors")
     if not any(isinstance(entry, dict) for entry in data.values()):
         raise ConfigError(
             f"{file} is no calibration file: LeRobot's has a table of {', '.join(_FIELDS)} for "

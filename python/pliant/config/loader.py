@@ -93,7 +93,7 @@ def _override(
         if "builtin" in robot:
             raise ConfigError(
                 f"{source} is written for the built-in model {robot['builtin']!r}: its signs and "
-                f"zeros are wrong for {urdf}, which may count joints the other way round. Write a "
+                f"zeros are wrong for {urdf}, whose joint angles may have opposite signs. Write a "
                 "file with urdf, base and tip in [robot] and the signs of that URDF "
                 "(docs/robots/so101.md has one), without --urdf"
             )
@@ -110,8 +110,8 @@ def _override(
         return
     if data.get("backend", "bus") in {"sim", "emulator"}:
         raise ConfigError(
-            f"port {port} is for servos on a bus, and backend {data['backend']!r} opens none of "
-            "yours: leave the port out, or say backend 'bus'"
+            f"port {port} is for servos on a bus, and backend {data['backend']!r} opens no serial "
+            "port: leave the port out, or use backend 'bus'"
         )
     ports: Any = data.get("port", [{}])
     if not isinstance(ports, list) or len(ports) != 1:

@@ -19,8 +19,7 @@ FAST_BAUDS = {250: 2_250_000, 251: 2_500_000, 252: 3_000_000}
 class Dxl1Servo(Servo):
     """Emulated Protocol 1.0 servo; the register Torque Limit bounds the motor duty.
 
-    A shutdown (a condition that the register Shutdown enables) sets Torque Limit to 0.
-
+    A shutdown sets Torque Limit to 0; the register Shutdown selects the conditions that cause it.
 
     Assumptions: writing a goal switches torque on; the EEPROM is locked while torque is on; three
     seconds at the torque limit without motion count as an overload.
@@ -100,7 +99,7 @@ class Dxl1Servo(Servo):
     def check_write(self, address: int, data: bytes) -> int:
         """Return the error bit of a write, 0 if it is accepted.
 
-        Addresses, access rights, EEPROM lock and values must fit, and goals the angle limits.
+        Checked are address, access rights, EEPROM lock and range, and for goals the angle limits.
         """
         end = address + len(data)
         if not data or end > self.table.size:
@@ -191,7 +190,7 @@ class Dxl1Servo(Servo):
         self.put("present_position", self.position)
         sign = self.direction
         self.put("present_speed", sign * self.shaft.speed / self._rpm)
-        # Bit 10 of the registers load and speed is their sign: set in the direction of falling
+        # Bit 10 of the registers load and speed is the sign: it is set in the direction of falling
         # counts.
         self.put("present_load", sign * 1023.0 * self.duty)
         self.put("present_voltage", self.supply * 10.0)

@@ -8,18 +8,18 @@ from pliant.emulator.servo import BIT_OVERLOAD, OFF, Drive, Servo
 
 BIT_CURRENT = 0x08
 _BAUDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400, 19_200)
-#: Motor duty [1] per radian of position error and per unit of P gain, and the largest duty [1];
-#: from published measurements.
+#: Motor duty [1] per radian of position error and per unit of P gain, and largest duty [1], from
+#: published measurements.
 DUTY_PER_P, FULL_DUTY = 0.166, 0.97
-#: One count of the speed registers [rad/s]: an encoder step per second, as the factory value of the
-#: register Phase sets it.
+#: Unit of the speed registers [rad/s]: one encoder step per second, with the factory value of the
+#: register Phase.
 STEP = 2.0 * math.pi / 4096
-#: Value of the register Torque Enable that makes the present position count 2048, the middle.
+#: Value of Torque Enable that sets Homing Offset so that the present position reads 2048.
 SET_MIDDLE = 128
 
 
 class StsServo(Servo):
-    """Emulated STS servo; Torque Limit bounds the motor duty, an overload lowers this bound.
+    """Emulated STS servo: Torque Limit bounds the motor duty, and an overload lowers this bound.
 
     The error byte of a reply reports only conditions such as overheating. A write that the servo
     rejects has no effect and gives no error. Assumptions: writing a goal or Torque Enable ends the
@@ -63,7 +63,7 @@ class StsServo(Servo):
         return self.faults() | self._latched
 
     def check_read(self, address: int, length: int) -> int:
-        """Return 0, for every read is accepted; `resolve` handles addresses beyond the table."""
+        """Return 0: every read is accepted; `resolve` handles addresses beyond the table."""
         return 0
 
     def resolve(self, address: int, length: int) -> list[int]:
@@ -131,8 +131,9 @@ class StsServo(Servo):
     def protect(self, seconds: float) -> None:
         """Latch the bits of overload and over-current after their protection times.
 
-        Conditions that the register Unloading Condition enables switch torque off, except overload,
-        which lowers the torque limit, see `drive`. `seconds` is the time since the last call [s].
+        Conditions that the register Unloading Condition enables switch torque off; only the
+        overload lowers the torque limit instead, see `drive`. `seconds` is the time since the last
+        call [s].
         """
         if abs(self.duty) * 100.0 > self.get("overload_torque"):
             self._overload += seconds

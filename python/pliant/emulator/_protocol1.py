@@ -23,7 +23,7 @@ NAMES = {
     BULK_READ: "bulk_read",
 }  # fmt: skip
 
-#: Servos that send at the same time, with their replies; two or more replies collide on the wire.
+#: Servos that send at the same time, with their replies; several replies collide on the wire.
 Slot = list[tuple["Servo", bytes]]
 
 
@@ -78,8 +78,8 @@ def _single(servo: Servo, instruction: int, params: bytes) -> bytes:
     elif instruction == REBOOT and isinstance(servo, StsServo):
         servo.power_up()
     else:
-        # Reject other instructions, also factory reset: it would clear the id, and no driver needs
-        # it.
+        # Reject other instructions. These include the factory reset, which would clear the id and
+        # which no driver needs.
         error = BIT_INSTRUCTION
     if servo.level < level:
         return b""

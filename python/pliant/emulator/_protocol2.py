@@ -70,8 +70,8 @@ def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
     elif instruction == REBOOT:
         servo.power_up()
     else:
-        # Reject other instructions, also factory reset: it would clear the id, and no driver needs
-        # it.
+        # Reject other instructions. These include the factory reset, which would clear the id and
+        # which no driver needs.
         error = INSTRUCTION
     if servo.level < level:
         return b""
@@ -147,11 +147,11 @@ def _reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list
 
 
 def _fast_reads(servos: Sequence[XServo], wanted: list[tuple[int, int, int]]) -> list[Slot]:
-    """Return the reply to a fast read: one status packet, of which each servo sends a part in turn.
+    """Return the reply to a fast read: one status packet, to which the servos append in turn.
 
-    `wanted` is the id, address and length [bytes] of each block to read. Each part ends with the
-    CRC of all bytes sent so far. The packet has no byte stuffing. MX(2.0) servos do not support the
-    instruction.
+    `wanted` is the id, address and length [bytes] of each block to read. Each servo's part ends
+    with the CRC of all bytes sent so far. The packet has no byte stuffing. MX(2.0) servos do not
+    support the instruction.
     """
     length = 1 + sum(4 + size for _, _, size in wanted)
     if length > LONGEST:

@@ -24,8 +24,7 @@ _GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "velocity_p_g
 class XServo(Servo):
     """Emulated X-series servo; it limits current (operating mode 5) or duty (other modes).
 
-    A shutdown, a condition that the register Shutdown enables, lasts until reboot.
-
+    A shutdown lasts until reboot; the register Shutdown selects the conditions that cause it.
 
     Velocity, current and PWM modes accept their registers but do not drive the motor. Assumptions:
     a goal written with torque off is kept, and the servo moves to it at torque-on; three seconds at
@@ -71,7 +70,7 @@ class XServo(Servo):
     def raw_of(self, count: float) -> float:
         """Return the encoder count at which `count` is reported.
 
-        A report adds Homing Offset after the reversal of reverse mode.
+        Reverse mode inverts the count first; then Homing Offset is added.
         """
         raw = count - self.get("homing_offset")
         return raw if self.direction > 0 else 4096 - raw
@@ -91,7 +90,7 @@ class XServo(Servo):
         return ALERT if self.get("hardware_error_status") else 0
 
     def resolve(self, address: int, length: int) -> list[int]:
-        """Return the address of each byte; an indirect data byte gives the address it refers to."""
+        """Return the address of each byte; for an indirect data byte, the address it refers to."""
         places: list[int] = []
         for byte in range(address, address + length):
             register = self.table.at(byte)

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from pliant._core import Model
     from pliant.emulator.hand import JointHand
     from pliant.emulator.servo import Drive, Servo
     from pliant.sim import Plant
-    from pliant.sim._model_builder import Robot
 
-#: Keywords of `pliant.sim.Plant` that an emulated arm rejects: its servos and its bus are emulated,
-#: so that these keywords would have no effect.
+#: Keywords of `pliant.sim.Plant` that an emulated arm rejects: they set properties of servos and
+#: bus, which the emulator provides.
 REJECTED = frozenset(
     [
         "servos",
@@ -97,8 +97,7 @@ class Coupling:
         servo: The servo.
         ratio: Shaft angle per joint angle q.
         offset: Shaft angle at joint angle 0 [rad].
-        reference: Goal angle after the servo's velocity profile [rad]; None for a motor without
-            power.
+        reference: Goal angle of the servo's velocity profile [rad]; None for a motor without power.
         share: Share of the joint's torque that this servo exerts, 0 to 1.
         slope: Present torque loss per speed (back-EMF) [N·m·s/rad].
     """
@@ -163,7 +162,7 @@ class ArmPhysics:
         self._update_shafts()
 
     def _set_inertia(self) -> None:
-        """Set the load inertia of each servo to that of the arm in its present pose.
+        """Set the load inertia of each servo from the inertia of the arm in its present pose.
 
         Current-controlled servos compute their damping from it.
         """
@@ -183,7 +182,7 @@ class ArmPhysics:
     def step(self, count: int) -> None:
         """Apply the servos' motor requests to the plant, and run `count` physics steps.
 
-        The shafts of the servos then have the new angles, speeds and torques of the joints.
+        Afterwards, copy the new angles, speeds and torques of the joints to the servos' shafts.
         """
         goals, limits = self.plant.q, np.zeros(self.plant.n)
         extra: dict[str, tuple[float, float]] = {}
@@ -279,14 +278,14 @@ class ArmEmulator(Emulator):
     def __init__(
         self, plant: Plant, mounts: Sequence[Mount], *, held: bool = False, **options: Any
     ) -> None:
-        """Mount the servos on the plant; `held`: see `ArmPhysics`, `options`: see `Emulator`."""
+        """Mount the servos on the plant; see `ArmPhysics` for `held`, `Emulator` for `options`."""
         self.plant = plant
         devices = [device for mount in mounts for device in mount.devices()]
         super().__init__(devices, physics=ArmPhysics(plant, mounts, held=held), **options)
 
 
 def emulate(
-    model: Robot,
+    model: Model,
     mounts: Sequence[Mount],
     q: ArrayLike,
     *,
@@ -306,8 +305,8 @@ def emulate(
             emulated servos and bus take their place.
         held: True: the arm is held until all joints of the chain have torque; otherwise it falls
             from the start.
-        hand: A hand that moves the joints, also without torque; it carries the arm in place of
-            `held`.
+        hand: Simulated hand that moves the joints, also without torque. It carries the arm, so
+            `held` has no effect.
         **options: Keywords of `Emulator`: `timing`, `faults`, `clock`, `baud`, `log`.
 
     Returns:
@@ -329,7 +328,7 @@ def emulate(
     return ArmEmulator(arm, mounts, held=held and hand is None, **options)
 
 
-def _servos(model: Robot, mounts: Sequence[Mount]) -> Servos:
+def _servos(model: Model, mounts: Sequence[Mount]) -> Servos:
     """Return the servo parameters of the chain, from `pliant.emulator.models` and gear ratios."""
     by_joint = {mount.joint: mount for mount in mounts}
     missing = [name for name in model.joint_names if name not in by_joint]
@@ -343,8 +342,8 @@ def _servos(model: Robot, mounts: Sequence[Mount]) -> Servos:
         friction.append(pair * gear * motor.friction)
         damping.append(pair * gear**2 * motor.damping)
         armature.append(pair * gear**2 * motor.inertia)
-    # `kp` is a placeholder: `ArmPhysics` sets it at every step. `max_torque` is 1.5 times the stall
-    # torque, so that it does not bind at a higher supply voltage.
+    # `kp` is a placeholder that `ArmPhysics` replaces at every step. `max_torque` is 1.5 times the
+    # stall torque, so that it does not bind at a higher supply voltage.
     return Servos(
         kp=[1.0] * len(torque),
         max_torque=torque,

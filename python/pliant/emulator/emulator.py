@@ -125,7 +125,7 @@ class Emulator:
 
     @property
     def lag(self) -> float:
-        """Time that the emulation skipped because the computer was too slow for the physics [s]."""
+        """Time that the emulation skipped because the computer was too slow [s]."""
         return self._server.lag
 
     @property
@@ -200,7 +200,7 @@ class Emulator:
                 servo.power_up()
 
     def supply(self, volts: float) -> None:
-        """Set the supply voltage of all servos [V]; a servo reports a voltage out of its limits."""
+        """Set the supply voltage of all servos [V]; a servo reports one outside its limits."""
         with self._server.lock:
             for servo in self.servos:
                 servo.supply = float(volts)
@@ -217,33 +217,24 @@ class Emulator:
             servo.trip(_CONDITIONS[condition])
 
     def stick(self, id: int, register: str, value: int | None) -> None:
-        """Make a register of servo `id` read as the fixed `value`; None ends this fault."""
+        """Make a register of servo `id` always read as `value`; None ends this fault."""
         with self._locked(id) as servo:
             servo.table[register]
             servo.stuck.pop(register, None)
             if value is not None:
                 servo.stuck[register] = value
 
-    def short(self, shorted: bool = True, port: str | None = None) -> None:
-        """Short-circuit the line of a port, so that no data pass; False ends the fault.
+    def short(self, shorted: bool = True) -> None:
+        """Short-circuit the lines of all ports, so that no data pass; False ends the fault."""
+        self._set_lines("dead", shorted)
 
-        `port` is the name of the port; None: all ports.
-        """
-        self._set_lines(port, dead=shorted)
+    def echo(self, echoing: bool = True) -> None:
+        """Make the adapters of all ports echo requests, as half-duplex ones may; False ends it."""
+        self._set_lines("echo", echoing)
 
-    def echo(self, echoing: bool = True, port: str | None = None) -> None:
-        """Make the adapter of a port echo requests, as half-duplex adapters may do; False ends it.
-
-        `port` is the name of the port; None: all ports.
-        """
-        self._set_lines(port, echo=echoing)
-
-    def hum(self, noisy: bool = True, port: str | None = None) -> None:
-        """Start (True) or stop continuous noise from a port to the host, 3 bytes every 5 ms.
-
-        `port` is the name of the port; None: all ports.
-        """
-        self._set_lines(port, noisy=noisy)
+    def hum(self, noisy: bool = True) -> None:
+        """Start (True) or stop continuous noise from all ports to the host, 3 bytes every 5 ms."""
+        self._set_lines("noisy", noisy)
         self._server.wake()
 
     def pull(self, port: str | None = None) -> None:
@@ -267,10 +258,8 @@ class Emulator:
         with self._server.lock:
             yield servo
 
-    def _set_lines(self, port: str | None, **state: bool) -> None:
-        """Set attributes of the bus of a port; None: of all buses."""
+    def _set_lines(self, attribute: str, value: bool) -> None:
+        """Set an attribute of all buses."""
         with self._server.lock:
-            for name, line in self.lines.items():
-                if port in {None, name}:
-                    for attribute, value in state.items():
-                        setattr(line, attribute, value)
+            for line in self.lines.values():
+                setattr(line, attribute, value)

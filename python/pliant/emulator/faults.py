@@ -16,7 +16,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 @dataclass(slots=True)
 class InjectedFault:
-    """Fault that `Faults.inject` has set for the next requests or replies.
+    """Fault of the next requests or replies, set by `Faults.inject`.
 
     Attributes:
         kind: Kind of fault.
@@ -35,7 +35,7 @@ class InjectedFault:
     def affects(self, id: int) -> bool:
         """Return True if the fault affects this request or reply of servo `id`.
 
-        Each call counts as one request or reply, and changes `skip` or `count`.
+        Each call counts as one request or reply, so it decreases `skip` or `count`.
         """
         if self.count <= 0 or (self.id is not None and self.id != id):
             return False

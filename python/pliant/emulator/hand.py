@@ -10,12 +10,13 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
+    from pliant._core import Model
     from pliant.sim import Plant
-    from pliant.sim._model_builder import Build, Robot
+    from pliant.sim._model_builder import Build
 
     Motion = Callable[[float], Mapping[str, float]]
 
-#: Natural frequency of a joint's inertia on the spring of the hand's grip [rad/s].
+#: Stiffness of the hand's grip, as natural frequency of a joint's inertia on that spring [rad/s].
 GRIP = 30.0
 #: Largest torque of the hand on a joint, in addition to the torque that carries the arm [N·m].
 MAX_TORQUE = 1.0
@@ -24,8 +25,8 @@ MAX_TORQUE = 1.0
 AMPLITUDE, PERIOD, PERIOD_STEP = 0.3, 4.0, 0.7
 #: Time in which the hand moves the joints from their initial positions to those of the motion [s].
 TAKE_TIME = 3.0
-#: Motion `ranges`: time for which all joints stay in the middle of their ranges [s], and time in
-#: which one joint then moves through its range and back [s].
+#: Motion `ranges`: all joints stay in mid-range for `MIDDLE_TIME` [s]. Then each joint in turn
+#: moves through its range and back in `RANGE_TIME` [s].
 MIDDLE_TIME, RANGE_TIME = 20.0, 6.0
 
 
@@ -45,10 +46,10 @@ class JointHand:
         self._inertia: dict[str, float] = {}
 
     def add(self, build_spec: Build) -> None:
-        """Add nothing: a hand has no body."""
+        """Add nothing: the hand has no body."""
 
     def place(self, plant: Plant) -> None:
-        """Release the joints at a reset; the next step starts from their positions at that time."""
+        """Release the joints at a reset; the next step starts from their new positions."""
         self._start = {}
 
     def before(self, plant: Plant) -> None:
@@ -58,7 +59,7 @@ class JointHand:
         """Do nothing after a physics step."""
 
     def during(self, plant: Plant) -> None:
-        """Apply the hand's torques to the joints in a physics step, including their weight."""
+        """Apply the hand's torques to the joints in a physics step; they also carry the weight."""
         model, data = plant.mj_model, plant.mj_data
         wanted = self._motion(data.time)
         if not self._start:
@@ -75,7 +76,7 @@ class JointHand:
     def _take_hold(self, plant: Plant, names: Iterable[str]) -> None:
         """Store the present position and inertia of each joint.
 
-        A spring stiffness in proportion to the inertia keeps the simulation stable.
+        The grip's stiffness is proportional to the inertia, which keeps the simulation stable.
         """
         from pliant.sim._mujoco import mujoco
 
@@ -87,8 +88,8 @@ class JointHand:
             self._start[name], self._inertia[name] = float(data.joint(name).qpos[0]), mass[at, at]
 
 
-def wave(model: Robot, start: Mapping[str, float]) -> Motion:
-    """Return a motion in which every joint swings about its start with a period of its own.
+def wave(model: Model, start: Mapping[str, float]) -> Motion:
+    """Return a motion in which every joint swings about its start, each with its own period.
 
     Args:
         model: The robot, for the position limits.
@@ -108,8 +109,8 @@ def wave(model: Robot, start: Mapping[str, float]) -> Motion:
     return motion
 
 
-def ranges(model: Robot, start: Mapping[str, float]) -> Motion:
-    """Return a motion for calibration: all joints in mid-range, then one by one end to end.
+def ranges(model: Model, start: Mapping[str, float]) -> Motion:
+    """Return a motion for calibration: all joints in mid-range, then each joint end to end.
 
     Args:
         model: The robot, for the position limits.
@@ -130,7 +131,7 @@ def ranges(model: Robot, start: Mapping[str, float]) -> Motion:
     return motion
 
 
-def _limits(model: Robot) -> dict[str, tuple[float, float]]:
+def _limits(model: Model) -> dict[str, tuple[float, float]]:
     """Return lower and upper position limit by joint name, for joints with finite limits."""
     return {
         joint.name: (joint.lower, joint.upper)

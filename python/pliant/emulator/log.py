@@ -43,7 +43,7 @@ class Write:
 
     @property
     def values(self) -> dict[str, int]:
-        """Written values by register name, in order of address, of registers written completely."""
+        """Values of completely written registers by name, in order of address."""
         found: dict[str, int] = {}
         for register in self._table.span(self.address, len(self.data)):
             start = register.address - self.address
@@ -59,7 +59,7 @@ class Write:
 
 @dataclass(frozen=True, slots=True)
 class Transaction:
-    """A request and its replies.
+    """Request from the host and the replies to it.
 
     Attributes:
         time: Emulator time of the request [s].
@@ -90,7 +90,7 @@ class Log:
     Attributes:
         count: Number of transactions since the start or `clear`.
         faulty: Number of transactions with an injected or random fault.
-        watch: Function that the emulator's thread calls with every transaction as it ends, for runs
+        watch: Function that the emulator's thread calls with every completed transaction, for runs
             that exceed the capacity of the log; None: no call.
     """
 
@@ -147,14 +147,14 @@ class Log:
         return [write for write in self.writes() if write.eeprom]
 
     def goals_while_disabled(self) -> list[Write]:
-        """Return the writes of goals while torque was off; switching torque on starts with one."""
+        """Return the writes of goals while torque was off, such as the goal before torque on."""
         return [w for w in self.writes() if not w.enabled and GOALS & w.values.keys()]
 
     def order(self, id: int) -> list[str]:
         """Return the order in which servo `id` accepted limits, goals and torque switches.
 
-        Entries are `limit`, `goal`, `torque on` and `torque off`. A block write with several of
-        these gives them in this order. Consecutive repetitions are one entry.
+        Entries are `limit`, `goal`, `torque on` and `torque off`; consecutive equal entries are
+        merged. A block write of several of these yields them in this order.
         """
         steps: list[str] = []
         for write in self.writes(id=id, refused=False):

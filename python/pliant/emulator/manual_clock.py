@@ -1,4 +1,4 @@
-"""Clock for a host program that advances the emulated time instead of waiting."""
+"""Clock of a host program whose waits advance the emulated time."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ if TYPE_CHECKING:
 class ManualClock:
     """Clock for `ServoBus(..., clock=...)` on an emulator with the clock `steps`.
 
-    Waiting advances the emulated time, so a program on the emulated bus runs as fast as the
-    computer allows. A busy computer affects the program only if a reply takes longer than the
-    host's reply timeout.
+    A wait advances the emulated time at once, so the program runs as fast as the computer allows. A
+    busy computer matters only if a reply takes longer than the host's reply timeout.
 
     Args:
         bus: The emulator, in the same process as the program.

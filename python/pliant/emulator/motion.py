@@ -32,8 +32,9 @@ class Joints:
 
     ``J dω/dt = clip(k e − kv ω, ±ceiling) − slope ω + τ − d ω`` is integrated with step `dt`. J is
     the inertia of rotor and load [kg·m²], ω the shaft speed [rad/s], e the position error outside
-    the dead zone [rad], k (`stiffness`), kv, ceiling and slope are attributes of `Drive`, τ is the
-    load torque [N·m], d the gear damping [N·m·s/rad]. Dry friction reduces the speed of each step.
+    the dead zone [rad]. `stiffness` k, `kv`, `ceiling` and `slope` are attributes of `Drive`. τ is
+    the load torque [N·m], d the gear damping [N·m·s/rad]. Dry friction reduces the speed of each
+    step.
     """
 
     def __init__(self, dt: float = 0.001) -> None:
@@ -82,7 +83,7 @@ class Joints:
 def profile_reference(
     drive: Drive, reference: float | None, angle: float, seconds: float
 ) -> float | None:
-    """Return the goal angle that the servo's velocity profile reaches after `seconds` [rad].
+    """Return the goal angle [rad] of the servo's velocity profile after `seconds` [s].
 
     Args:
         drive: Motor request with goal angle and profile speed.

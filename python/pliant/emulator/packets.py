@@ -1,6 +1,6 @@
 """Packets on the bus: checksum, CRC, byte stuffing, and splitting a byte stream into frames.
 
-This code follows the makers' protocol documents and is independent of the drivers, to test them.
+This code follows the makers' protocol documents and shares nothing with the drivers that it tests.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ BROADCAST = 0xFE
 STATUS = 0x55
 HEADER_1 = b"\xff\xff"
 HEADER_2 = b"\xff\xff\xfd\x00"
-#: Length of the longest packet of Protocol 2.0 that a servo accepts [bytes after the length field].
+#: Largest length field of a Protocol 2.0 packet that a servo accepts [bytes].
 LONGEST = 2048
 
 _POLYNOMIAL = 0x8005
@@ -30,16 +30,9 @@ def _crc_row(byte: int) -> int:
 _CRC_TABLE = [_crc_row(byte) for byte in range(256)]
 
 
-def crc16(data: bytes, crc: int = 0) -> int:
-    """Return the CRC-16 of Protocol 2.0: polynomial 0x8005, initial value 0, no reflection.
-
-    Args:
-        data: Bytes to check.
-        crc: CRC of the bytes before `data`, to continue from.
-
-    Returns:
-        The 16-bit CRC of all bytes.
-    """
+def crc16(data: bytes) -> int:
+    """Return the CRC-16 of Protocol 2.0: polynomial 0x8005, initial value 0, no reflection."""
+    crc = 0
     for byte in data:
         crc = ((crc << 8) & 0xFF00) ^ _CRC_TABLE[(crc >> 8) ^ byte]
     return crc
@@ -135,7 +128,7 @@ class Framer:
     def _length(buffer: bytes, at: int) -> int | None:
         """Return the length of the packet that starts at index `at` of `buffer` [bytes].
 
-        None: more bytes are needed to know it. 0: no valid packet starts there.
+        None: the length is not known yet. 0: no valid packet starts there.
         """
         have = len(buffer) - at
         if have < 4:

@@ -114,9 +114,9 @@ class EmulatorProcess:
 
 @contextmanager
 def _without_main(factory: Callable[..., Emulator]) -> Iterator[None]:
-    """Context manager: a child process started in it does not import the host's main script.
+    """Return a context in which a new child process does not import the host's main script.
 
-    If the main script defines `factory`, the child process must and does import it.
+    If the main script defines `factory`, the child process imports it nevertheless.
     """
     main = sys.modules["__main__"]
     hidden = {} if factory.__module__ == "__main__" else {"__spec__": None, "__file__": None}
@@ -134,7 +134,7 @@ def _serve(
     pipe: Connection, factory: Callable[..., Emulator], args: Any, kwargs: dict[str, Any]
 ) -> None:
     """Run the emulator in the child process, and execute the calls that `pipe` delivers."""
-    # Ignore these signals: a terminal sends them to all its processes, and the host still needs the
+    # Ignore these signals: a terminal sends them to all its processes, but the host needs the
     # emulated servos to lower the arm.
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):
         if hasattr(signal, name):

@@ -19,8 +19,8 @@ try:
 except ImportError:  # Windows
     fcntl = termios = tty = None  # type: ignore[assignment]
 
-#: Linux' `struct termios2` as a format of `struct` (four flags, line discipline, 19 characters, two
-#: speeds), and the number of the ioctl TCGETS2 that reads it.
+#: Linux' `struct termios2` in the format of `struct` (four flags, line discipline, 19 characters,
+#: two speeds), and the ioctl number TCGETS2, which reads it.
 _TERMIOS2, _TCGETS2 = "=4IB19B2I", 0x802C542A
 
 
@@ -39,7 +39,7 @@ class Pty:
             ServoError: This system has no pseudo-terminals.
         """
         if termios is None:
-            raise ServoError("the emulator needs pseudo-terminals, which Windows has not")
+            raise ServoError("the emulator needs pseudo-terminals, which Windows lacks")
         self._folder = Path(tempfile.mkdtemp(prefix="pliant-emulator-"))
         self.path = str(self._folder / f"tty-{name}")
         self.master: int | None = None
@@ -88,8 +88,8 @@ class Pty:
             if error.errno in {errno.EIO, errno.EAGAIN}:
                 return b""
             raise
-        # A real port is no longer exclusive once its program has been killed. Here the slave end
-        # above keeps the flag, and only the lock of the port ends with the program.
+        # Clear the flag for exclusive use: the open slave end would keep it after the host was
+        # killed. On a real port, the flag ends with the host.
         with suppress(OSError):
             fcntl.ioctl(self._slave or 0, termios.TIOCNXCL)
         return data
@@ -103,6 +103,6 @@ class Pty:
                 return
 
     def mark(self, marker: bytes) -> None:
-        """Append `marker` to the host's bytes: it is read after all bytes sent so far."""
+        """Append `marker` to the bytes that the host has sent; `read` returns it after them."""
         if self._slave is not None:
             os.write(self._slave, marker)

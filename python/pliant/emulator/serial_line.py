@@ -48,8 +48,8 @@ class SerialLine:
         echo: True if the adapter returns every request before the reply.
         noisy: True if the host receives noise bytes continuously.
         occupied: Time for which the transactions of the last `feed` keep the bus busy [s].
-        answered: Time from the last `feed` until the host has received the last of the replies that
-            no fault delays [s].
+        answered: Time from the last `feed` to the arrival of its last reply, without replies that a
+            fault delays [s].
         faults, timing, log: Injected faults, latencies and log of the bus.
     """
 
@@ -85,7 +85,7 @@ class SerialLine:
         deliveries: list[Delivery] = []
         self.occupied = self.answered = 0.0
         for frame in self._framer.feed(data):
-            # Start each transaction after the previous one has left the bus.
+            # Each transaction starts when the previous one has left the bus.
             start, made = self.occupied, self._transact(frame, baud, now)
             for one in made:
                 after = None if one.after is None else start + one.after

@@ -24,7 +24,7 @@ Clock = Literal["real", "steps"]
 
 #: Period of the physics updates while no request arrives, with the clock `real` [s].
 TICK = 0.005
-#: Largest lag of the physics behind the wall clock [s]; the emulated time skips the excess.
+#: Largest lag of the physics behind the wall clock [s]; a larger lag is skipped.
 LARGEST_LAG = 0.1
 #: Bytes that a noisy line sends to the host every `TICK`; they contain no packet header.
 NOISE = b"\x55\x12\xfd"
@@ -46,8 +46,8 @@ class Port:
         held: Bytes from the host that may be the beginning of the marker.
         last: Time of the last bytes from the host [s].
         busy: Time until which the transactions occupy the bus [s].
-        due: Time at which to send, and bytes, of each delayed reply.
-        stale: Replies to send just before the replies to the next request.
+        due: Time to send and bytes of each delayed reply.
+        stale: Replies that are sent just before those to the next request.
     """
 
     line: SerialLine
@@ -134,7 +134,7 @@ class Server:
         Raises:
             ServoError: The server's thread does not answer.
         """
-        # Admit only one caller at a time: a second marker would overwrite the first.
+        # One caller at a time: a second marker would overwrite the first.
         with self._marking:
             for port in list(self._ports.values()):
                 with self.lock:
@@ -174,7 +174,7 @@ class Server:
         self._run_in_thread(put)
 
     def _run_in_thread(self, errand: Callable[[], None]) -> None:
-        """Run the function `errand` in the server's thread, and wait for its end.
+        """Run the function `errand` in the server's thread, and wait until it has returned.
 
         Only that thread may close a port, because it polls the ports.
 
@@ -229,7 +229,7 @@ class Server:
                         port.pty.write(NOISE)
 
     def _record_latency(self, looked: float, pause: float | None) -> None:
-        """Update `late` by the delay of the request that has ended the wait for data.
+        """Update `late` with the delay of the request that ended the wait for data.
 
         Args:
             looked: Start of the wait for data [s].
@@ -283,16 +283,16 @@ class Server:
     def _feed(self, port: Port, data: bytes) -> None:
         if not data:
             return
-        # Measure the pause in emulated time: with the clock `steps`, a busy computer then cannot
-        # make the servos discard half a packet.
+        # Measure the pause in emulated time: on a busy computer with the clock `steps`, servos must
+        # not discard half a packet.
         if self._now() - port.last > GAP:
             port.line.reset()
         port.last = self._now()
         baud, start = port.pty.baud(), max(self._now(), port.busy)
         deliveries = port.line.feed(data, baud, self._world.time)
         port.busy = start + port.line.occupied
-        # Advance the time before the replies are sent, so that a host that has received them reads
-        # the time of their arrival.
+        # Advance the time before the replies are sent: a host that has received them then reads the
+        # time of their arrival.
         if self._clock == "steps":
             self._world.advance(max(port.line.occupied, port.line.answered))
         stale, port.stale = port.stale, []

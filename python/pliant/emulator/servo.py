@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from pliant.emulator.packets import Protocol
 
 #: Temperature rise above ambient at continuous stall [K] and its time constant [s]. Both are
-#: assumed, so that a stalled servo overheats in half a minute, and at 30 % of its stall torque
-#: never.
+#: assumed: a stalled servo overheats within half a minute, one at 30 % of its stall torque never.
 HEAT_AT_STALL, HEAT_TIME = 400.0, 200.0
 #: Time at standstill with the torque at its limit that counts as overload [s]; assumed, because
 #: makers do not publish it.
@@ -72,7 +71,7 @@ class Drive:
         stiffness: Torque per position error [N·m/rad].
         ceiling: Largest torque at standstill [N·m].
         speed: Speed of the motion profile [rad/s].
-        dead: Dead zone: position error below which the torque is 0 [rad].
+        dead: Dead zone: the torque is 0 for a smaller position error [rad].
         slope: Torque loss per speed (back-EMF), which the ceiling does not clip [N·m·s/rad].
         kv: Damping of the current loop, which the ceiling clips [N·m·s/rad].
     """
@@ -101,9 +100,9 @@ class Servo(ABC):
         temperature: Winding temperature [°C].
         plugged: True if bus and power are connected.
         now: Time of the emulator [s].
-        registered: Address and bytes of a REG_WRITE that waits for ACTION; None: no such write.
-        stuck: Fixed values that registers read as, by register name, for tests.
-        journal: Register writes that the log of the bus does not contain yet.
+        registered: Address and bytes of a REG_WRITE that waits for ACTION; None: there is none.
+        stuck: Fixed readings of registers by register name, for tests.
+        journal: Register writes that are not in the log of the bus yet.
     """
 
     protocol: ClassVar[Protocol]
@@ -154,11 +153,11 @@ class Servo(ABC):
     def __repr__(self) -> str:
         return f"<{self.model.name} id {self.id}>"
 
-    # Access to the control table.
+    # Methods for access to the control table.
 
     def get(self, name: str) -> int:
         """Return the present value of the register `name`."""
-        # Decode unsigned registers without `Table`: this is called thousands of times a second.
+        # Without `Table` for unsigned registers: this runs thousands of times a second.
         start, stop, sign = self._fields[name]
         raw = int.from_bytes(self.memory[start:stop], "little")
         return raw if sign is None else self.table[name].decode(self.memory[start:stop])
@@ -206,7 +205,7 @@ class Servo(ABC):
         """Return the shaft angle at which the servo reports `count`, within one turn [rad]."""
         return self.raw_of(count) * self.model.count
 
-    # Requests from the bus.
+    # Methods that execute requests from the bus.
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Return error code and bytes of a read of `length` bytes; no bytes after an error."""
@@ -285,7 +284,7 @@ class Servo(ABC):
 
         Args:
             seconds: Time since the last call [s].
-            threshold: Motor torque from which on the time counts [N·m].
+            threshold: Motor torque above which time counts toward an overload [N·m].
         """
         at_limit = self.enabled and abs(self.shaft.torque) >= threshold > 0.0
         still = abs(self.shaft.speed) < STANDSTILL
@@ -374,9 +373,9 @@ class Servo(ABC):
 
 
 def _runs(places: list[int], data: bytes) -> list[tuple[int, bytes]]:
-    """Group `data`, whose bytes have the addresses `places`, into blocks (first address, bytes).
+    """Group `data` into blocks (first address, bytes) of contiguous addresses.
 
-    Addresses within a block are contiguous.
+    `places` are the addresses of the bytes.
     """
     runs: list[tuple[int, bytearray]] = []
     for place, byte in zip(places, data, strict=True):

@@ -40,11 +40,11 @@ class Simulation:
             servo.wake()
 
     def advance(self, seconds: float, *, settle: bool = True) -> None:
-        """Run the physics; a remainder below one physics step is kept for the next call.
+        """Run the physics; keep a remainder below one physics step for the next call.
 
         Args:
             seconds: Emulated time to add [s].
-            settle: True: update the servos' protections at the end too, not only every `SLICE`.
+            settle: True: also update the servos' protections at the end, not only every `SLICE`.
 
         Raises:
             ConfigError: `seconds` is negative or not finite.

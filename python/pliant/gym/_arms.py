@@ -1,4 +1,4 @@
-"""Simulated arms at one task: physics, controller, contact estimation and reward, row by row."""
+"""Simulated arms at one task: physics, controllers, contact estimation and rewards of N arms."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 #: Rate of the controller [Hz].
 RATE = 100.0
-#: Largest distance of the target from the tool [m], [rad]: it does not run away from a blocked arm.
+#: Largest distance of the target from the tool [m], [rad], also while the arm is blocked.
 LEASH = (0.08, 0.5)
-#: Bounds of the observed force [N] and torque [N·m], which is unknown in the first tick.
+#: Bounds of the observed force [N] and torque [N·m]; the estimate is infinite in the first tick.
 MAX_WRENCH = np.array([100.0] * 3 + [20.0] * 3)
 
 
@@ -59,7 +59,7 @@ class Arms:
         self._state = self._controller.batch_state(count)
         self._scales = self.action.scales(axes)
         self._ticks = round(RATE / task.decision_rate)
-        # Joint targets are also the rest posture of a step, which a batch does not take.
+        # `step_joints` also uses the joint target as rest posture, which a batch does not support.
         joints = self.action.motion == "joints"
         self._own = [Controller(self.model, self._settings) for _ in range(count * joints)]
         self._contact = [ContactEstimator(self._controller) for _ in range(count)]
@@ -78,12 +78,12 @@ class Arms:
         self._has_command = np.zeros(count, dtype=bool)
         self._goal, self._limit, self._speed = (np.zeros((count, n)) for _ in range(3))
         self._progress, self._force, self._place = np.zeros((3, count))
-        # Views of the rows, because indexing costs as much as a control step.
+        # Views of the rows: indexing an array costs as much as a control step.
         self._q_of, self._sent_of = list(self._q), list(zip(self._goal, self._limit, strict=True))
         self.force = np.zeros(count)
 
     def reset(self, row: int, rng: np.random.Generator) -> None:
-        """Start an episode with new random parameters."""
+        """Start an episode of an arm with new random parameters."""
         episode = self.episodes[row] = self._task.episode(rng)
         seed = int(rng.integers(2**31))
         plant = self.plants[row] = Plant(self.model, scene=episode.scene, rate=RATE, seed=seed)
@@ -95,7 +95,7 @@ class Arms:
         if self._own:
             self._own[row].update(self._settings)
             self._own[row].reset(q)
-        # A new estimator: the low-passes of a reset one keep a rounding error of the last episode.
+        # A new estimator: the filters of a reset one keep rounding errors of the last episode.
         self._contact[row] = ContactEstimator(self._controller)
         self._target[row] = self.model.forward_kinematics(q)
         self._softness[row], self._dq[row], self._felt[row] = self._softest, 0.0, 0.0
@@ -110,7 +110,7 @@ class Arms:
             rows: Mask (N,) of the arms that move; each has an episode.
 
         Returns:
-            Rewards, success and failure (N,); meaningless for other arms.
+            Rewards, success and failure (N,); undefined for other arms.
 
         Raises:
             PliantError: The physics diverged.
@@ -141,7 +141,7 @@ class Arms:
         return self._progress - before - cost + success - failure, success, failure
 
     def observation(self) -> dict[str, Array]:
-        """Return the observations, arrays (N, size)."""
+        """Return the observations by key, arrays (N, size)."""
         tool = self.model.forward_kinematics_batch(self._q)
         difference = self._target[:, :3, :3] @ tool[:, :3, :3].transpose(0, 2, 1)
         caps, _ = self.action.caps(self._hold, self._softness)
@@ -158,7 +158,7 @@ class Arms:
         }
 
     def info(self, row: int) -> dict[str, Any]:
-        """Return what the policy of an arm does not see."""
+        """Return the `info` of an arm: true values that its policy does not observe."""
         episode = self.episodes[row]
         assert episode is not None
         return {
@@ -169,11 +169,11 @@ class Arms:
         }
 
     def progress(self) -> Array:
-        """Return the progress of each episode (N,); 0 for an arm without one."""
+        """Return the progress of each episode (N,); 0 for an arm without an episode."""
         return self._progress.copy()
 
     def _start(self, moved: Array, rows: Mask) -> Callable[[float], None]:
-        """Return the function that steps all controllers in each tick of this action."""
+        """Return the function that steps all controllers once per tick of this action."""
         if self.action.motion == "joints":
             reach = 0.1 * self.action.max_speed[1]
             wanted = np.clip(self._q + reach * moved, self.model.lower, self.model.upper)
@@ -222,10 +222,10 @@ class Arms:
         return step
 
     def _move(self, change: Array, turn: Array, tool: Array, rows: Mask) -> None:
-        """Move targets along the base axes (N, 6) [m, rad], no farther than the leash.
+        """Move targets along the base axes, up to the distance `LEASH` from the tool.
 
         Args:
-            change: Displacements, with rotation vectors.
+            change: Displacements (N, 6) [m, rad]; the last three entries are a rotation vector.
             turn: Rotation matrices of these rotation vectors (N, 3, 3).
             tool: Poses of the tools (N, 4, 4).
             rows: Mask of the arms whose targets move.
@@ -234,7 +234,7 @@ class Arms:
         offset = self._target[:, :3, 3] + change[:, :3] - place
         np.maximum(np.minimum(offset, LEASH[0], out=offset), -LEASH[0], out=offset)
         turned = turn @ np.ascontiguousarray(target)
-        # The trace of their relative rotation is 1 + 2 cos(angle).
+        # The trace of the relative rotation is 1 + 2 cos(angle).
         near = (turned * tool[:, :3, :3]).sum(axis=(1, 2)) >= 1.0 + 2.0 * np.cos(LEASH[1])
         np.copyto(self._target[:, :3, 3], place + offset, where=rows[:, None])
         np.copyto(target, turned, where=(near & rows)[:, None, None])

@@ -25,16 +25,16 @@ class SoftAction:
 
     The first entries move the target: its velocity along the task axes (`twist`), its displacement
     from the present pose (`pose`), or joint targets relative to the present positions (`joints`).
-    The others are the softness s of the axes `soft`. The force cap of an axis is
+    The other entries are the softness s of the axes `soft`. The force cap of an axis is
     ``hold 0.02^((1 - s) / 2)``, with the force `hold` of a firm axis, and its adaptation is
-    ``0.9 (1 - s) / 2``. Both change together, because a large adaptation leaves the cap without
-    effect.
+    ``0.9 (1 - s) / 2``. Both change together, because with a large adaptation the force does not
+    reach the cap.
 
     Attributes:
         soft: Axes whose softness is part of the action, as "y yaw"; "" for none.
         motion: Meaning of the first entries.
-        max_speed: Velocity of the target at 1 [m/s], [rad/s] for `twist`; for `pose` and `joints`
-            the displacement at 1 is that of 0.1 s at this speed.
+        max_speed: Velocity of the target for an entry of 1 [m/s], [rad/s]. For `pose` and `joints`,
+            an entry of 1 is the displacement in 0.1 s at this speed.
     """
 
     soft: str = "y yaw"
@@ -42,17 +42,17 @@ class SoftAction:
     max_speed: tuple[float, float] = (0.1, 0.5)
 
     def __post_init__(self) -> None:
-        """Check the fields."""
+        """Raise `ConfigError` unless all attributes have valid values."""
         if self.motion not in ("twist", "pose", "joints"):
             raise ConfigError(f"motion {self.motion!r}; choose from twist, pose, joints")
         if not all(speed > 0.0 for speed in self.max_speed):
             raise ConfigError(f"max_speed must be above 0 m/s, rad/s, got {self.max_speed!r}")
 
     def axes(self, task: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the soft axes.
+        """Return the names of the soft axes.
 
         Raises:
-            ConfigError: One is no axis of the task.
+            ConfigError: A name is no axis of the task.
         """
         names = tuple(self.soft.split())
         for name in names:
@@ -100,6 +100,6 @@ class SoftAction:
 
 
 def holding_forces(model: Model, settings: Settings) -> dict[str, float]:
-    """Return the force with which each task axis holds where it does not yield [N, N·m]."""
+    """Return the force with which each task axis holds if it does not yield [N, N·m]."""
     firm = Controller(model, Settings.firm(task=settings.task)).axes
     return {name: float(axis.hold) for name, axis in firm.items() if axis.hold is not None}

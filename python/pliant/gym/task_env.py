@@ -24,25 +24,24 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
     """A policy moves the target of `arm7` and chooses the softness of some axes.
 
     Each step runs the compliant controller at 100 Hz for one period of the task's decision rate.
-    Observations are a `Dict` of float64 arrays: `q` (7,) [rad], `dq` (7,) [rad/s], `tool` (9,):
-    position in base axes [m] and the first two columns of the rotation matrix, `deviation` of the
-    target from the tool (6,) [m, rad], `force` (6,) and its `uncertainty` (6,) [N, N·m] as the
-    contact estimator sees them, without a force sensor, and the present `caps` of the soft axes
-    [N, N·m]. `info` holds the true `force` [N], `progress`, `is_success` and the scene's random
-    parameters.
+    Observations are a `Dict` of float64 arrays: `q` (7,) [rad]; `dq` (7,) [rad/s]; `tool` (9,), the
+    position in base axes [m] and the first two columns of the rotation matrix; `deviation` of the
+    target from the tool (6,) [m, rad]; `force` (6,) and its `uncertainty` (6,) [N, N·m], estimated
+    without a force sensor; and `caps`, the present caps of the soft axes [N, N·m]. `info` contains
+    the true `force` [N], `progress`, `is_success` and the random parameters of the scene.
 
     Args:
         task: The task.
         action: Mapping of actions; None: twist and the softness of the task's axes.
-        render_mode: "rgb_array": `render` returns pictures; None: it does not.
+        render_mode: "rgb_array": `render` returns pictures; None: no pictures.
         width, height: Size of the pictures [pixel].
 
     Attributes:
         picture_size: Height and width of the pictures [pixel].
 
     Raises:
-        ConfigError: `action` names an axis twice or one that does not exist, or there is no such
-            render mode.
+        ConfigError: `action` names an axis twice or an axis that does not exist, or there is no
+            such render mode.
     """
 
     metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 - the name and the type are Gymnasium's
@@ -76,7 +75,7 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
         return self._observation(), self._arms.info(0)
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        """Run the controller for one period of the decision rate."""
+        """Run the controller for one period of the decision rate; return as Gymnasium defines."""
         assert self._arms.episodes[0] is not None, "call reset() first"
         rewards, success, failure = self._arms.step(np.asarray(action)[None], np.array([True]))
         end = bool(success[0] or failure[0])
@@ -85,7 +84,7 @@ class TaskEnv(gymnasium.Env[dict[str, "Array"], "Array"]):
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture (height, width, 3) of arm and scene; None without a render mode.
 
-        Walls and surfaces, which are forces only, are not in it.
+        Walls and surfaces are not visible, because they only exert forces.
         """
         if self.render_mode is None:
             return None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 #: Angle of an open door [rad].
 OPEN = float(np.deg2rad(60.0))
-#: Force band in which a surface counts as touched well [N].
+#: Force band in which a touch of a surface counts as progress [N].
 TOUCH = (2.0, 10.0)
 
 
@@ -38,16 +38,16 @@ class Episode:
 
 @dataclass(frozen=True, kw_only=True)
 class Task(ABC):
-    """A task: what the arm meets, and what counts as progress.
+    """A task: the scene of an episode, its start and its measure of progress.
 
-    The reward of a step is the progress in it, less `force_weight` times the force beyond
-    `free_force` over `free_force` times the time, and 1 at success.
+    The reward of a step is its progress, minus ``force_weight (F / free_force - 1)`` per second
+    while the force F on the tool exceeds `free_force`, plus 1 at success.
 
     Attributes:
         seconds: Length of an episode [s].
         decision_rate: Steps of the environment per second [Hz].
-        free_force: Force on the tool that costs nothing [N].
-        force_weight: Cost per second of a force of twice that [1/s].
+        free_force: Force on the tool that does not reduce the reward [N].
+        force_weight: Reduction of the reward per second at twice this force [1/s].
         max_force: Force at which an episode ends in failure [N].
     """
 
@@ -60,8 +60,8 @@ class Task(ABC):
     soft: ClassVar[str] = "y yaw"
     #: Initial joint positions of `arm7` (7,) [rad].
     start: ClassVar[Array] = VERTICAL
-    #: True if the scene is one object on a joint, in the arm's grip, whose forces MuJoCo alone
-    #: computes: a control period is one call of it, and `measure` is not called.
+    #: True if the scene is one object on a joint in the arm's grip, whose forces MuJoCo computes
+    #: without Python: one MuJoCo call then runs a whole control period, without `measure`.
     native: ClassVar[bool] = False
 
     @abstractmethod
@@ -75,13 +75,14 @@ class Task(ABC):
         Args:
             before: Progress before the tick (N,), 0 at the start and 1 at success.
             move: Change of `place` in the tick (N,).
-            place: What `measure` returns (N,); position of the grasped object's joint if `native`.
+            place: First value of `measure` (N,); if `native`, position of the grasped object's
+                joint.
             force: Force on the tool (N,) [N].
             dt: Length of the tick [s].
         """
 
     def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
-        """Return place of the tool or the object, and force on the tool [N], of one arm."""
+        """Return the place of the tool or the object, and the force on the tool [N], of one arm."""
         raise NotImplementedError
 
 
@@ -113,7 +114,7 @@ class Door(Task):
         return Episode([door], {"radius": radius, "friction": friction})
 
     def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
-        """Count the opening."""
+        """Return the progress from the opening angle."""
         return np.maximum(before, np.minimum(place / OPEN, 1.0))
 
 
@@ -139,7 +140,7 @@ class Drawer(Task):
         )
 
     def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
-        """Count the opening."""
+        """Return the progress from the opening."""
         return np.minimum(place / 0.2, 1.0)
 
     def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
@@ -162,14 +163,14 @@ class Wall(Task):
     soft: ClassVar[str] = "x"
 
     def episode(self, rng: np.random.Generator) -> Episode:
-        """Return a wall across x."""
+        """Return a wall perpendicular to x."""
         distance = rng.uniform(*self.distance)
         stiffness = float(np.exp(rng.uniform(*np.log(self.stiffness))))
         wall = sim.Wall(distance=distance, stiffness=stiffness)
         return Episode([wall], {"distance": distance, "stiffness": stiffness})
 
     def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
-        """Count the time within the force band."""
+        """Return the progress from the time within the force band."""
         return _count_touch(force, before, dt / 2.0)
 
     def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
@@ -197,7 +198,7 @@ class Wipe(Task):
         return Episode([surface], {"unevenness": unevenness, "below": below})
 
     def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
-        """Count the distance along y within the force band."""
+        """Return the progress from the distance along y within the force band."""
         return _count_touch(force, before, np.abs(move) / 0.3)
 
     def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:
@@ -226,7 +227,7 @@ class Plug(Task):
         return Episode([hole], {"x": x, "y": y, "roll": float(roll), "pitch": float(pitch)})
 
     def progress(self, before: Array, move: Array, place: Array, force: Array, dt: float) -> Array:
-        """Count the depth."""
+        """Return the progress from the depth."""
         return np.clip(place / 0.028, 0.0, 1.0)
 
     def measure(self, episode: Episode, plant: Plant) -> tuple[float, float]:

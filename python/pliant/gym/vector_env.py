@@ -1,4 +1,4 @@
-"""Environment of many simulated arms at one task, with the softness of each arm in one batch."""
+"""Environment of many simulated arms at one task; one batch steps their controllers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]):
-    """Many arms of `TaskEnv` in one process: `Controller.step_batch` steps them, MuJoCo in threads.
+    """Many arms of `TaskEnv` in one process: threads run MuJoCo, `step_batch` the controllers.
 
     Spaces, rewards, episodes and `info` are those of `gymnasium.vector.SyncVectorEnv` over
     `TaskEnv`, bit for bit: ``reset(seed=s)`` gives arm i the seed ``s + i``.
@@ -35,12 +35,12 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
         task: The task.
         num_envs: Number of arms.
         action: Mapping of actions; None: twist and the softness of the task's axes.
-        autoreset_mode: Time at which an arm whose episode ended starts the next one: `NextStep` or
-            `SameStep`. `Disabled`: it stands still with reward 0, and its flags stay, until a
-            `reset` of all arms or of those of ``options={"reset_mask": mask}``.
+        autoreset_mode: Step in which an arm starts its next episode: `NextStep` or `SameStep`.
+            `Disabled`: the arm stands still with reward 0 and unchanged flags, until a `reset` of
+            all arms or of those in ``options={"reset_mask": mask}``.
         max_episode_steps: Steps after which an episode is truncated; None: no limit.
         threads: Number of threads; None: one per core.
-        render_mode: None: there are no pictures.
+        render_mode: Must be None: there are no pictures.
 
     Raises:
         ConfigError: A number is out of range, or `action` names an axis that does not exist.
@@ -70,7 +70,8 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
         self.task, self.num_envs, self.render_mode = task, num_envs, render_mode
         self._max_steps = max_episode_steps
         count = min(threads or os.cpu_count() or 1, num_envs)
-        # Each thread steps a block of arms by itself, so that threads wait once per step only.
+        # Each thread steps its own block of arms, so that threads wait for each other once per
+        # step.
         bounds = [num_envs * i // count for i in range(count + 1)]
         self._blocks = [slice(a, b) for a, b in itertools.pairwise(bounds)]
         self._arms = [Arms(task, action, block.stop - block.start) for block in self._blocks]
@@ -94,8 +95,8 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
         """Start new episodes: of all arms, or of those in the mask ``options["reset_mask"]``.
 
         Args:
-            seed: Seed of the first arm; the following arms have the following numbers. Or one seed
-                per arm; None: the random generators continue.
+            seed: Seed of the first arm, from which the other arms count on; or one seed per arm.
+                None: the random generators continue.
             options: ``{"reset_mask": mask}`` with a mask (N,), not all False.
         """
         mask = self._reset_mask(options)
@@ -165,7 +166,7 @@ class VectorTaskEnv(gymnasium.vector.VectorEnv[dict[str, "Array"], "Array", Any]
         return rewards, success, failure
 
     def _restart(self, rows: Mask, infos: dict[str, Any]) -> None:
-        """Start new episodes of the arms `rows` (N,), and add what their `info` holds."""
+        """Start new episodes of the arms `rows` (N,), and add their `info` to `infos`."""
         for row in np.flatnonzero(rows).tolist():
             arms, own = self._place(row)
             arms.reset(own, self._rngs[row])

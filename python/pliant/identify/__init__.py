@@ -7,9 +7,9 @@
     >>> pliant.identify.estimate_payload(arm, controller)                      # 30 s
 
 The procedures need only joint positions, goals and torque limits, so they accept any real or
-simulated arm with `read` and `write`. To use another control loop, call the attribute `procedure`
-of a function, as in `capture_gravity.procedure(controller)`: it returns a `Procedure`, whose
-`step(q)` is called once per cycle.
+simulated arm with `read` and `write`. For your own control loop, call the attribute `procedure` of
+a function, as in `capture_gravity.procedure(controller)`: it returns a `Procedure`, whose `step(q)`
+is called once per cycle.
 """
 
 from pliant.identify.gravity import GravityCapture, capture_gravity

@@ -27,7 +27,7 @@ REVERSAL_SHARE = 0.2
 #: A joint counts as blocked if it lags behind its planned position by `tracking_tolerance` plus
 #: this angle [rad].
 BLOCKED_LAG = 0.2
-#: While a torque limit drives a joint, it includes a spring toward the planned position: stiffness
+#: The torque limit that drives a joint includes a spring toward the planned position: stiffness
 #: of this spring, as a share of the servo's stiffness k_p [1].
 SPRING_SHARE = 0.15
 #: Share of the assumed friction that is fed forward while a joint is driven by its torque limit.
@@ -81,7 +81,8 @@ class Excitation:
     Attributes:
         extra_torque: Gravity torque of a payload that the model lacks (n,) [N·m].
         records: Records of all motions.
-        undriven: Indices of joints whose motion by torque limit was stopped; see `drive_by_limit`.
+        undriven: Indices of joints that could not be driven by their torque limit, see
+            `drive_by_limit`.
     """
 
     def __init__(
@@ -259,7 +260,8 @@ class Excitation:
 
         The goal is so far from the position that the servo's torque equals its limit. The limit is
         the modelled torque of gravity, friction and damping, plus a soft spring toward the planned
-        position. `size` is the amplitude [rad]; `timing` is the period [s] and number of swings.
+        position. `size` is the amplitude [rad]; `timing` is the period [s] and the number of
+        swings.
         """
         seconds, swings = timing
         time = np.arange(1, round(swings * seconds / self.period) + 1) * self.period

@@ -1,12 +1,13 @@
 """Leads (goal minus position) that hold an arm, from slow swings; stiffness by a known mass.
 
-The mean of the leads in motion up and down is free of friction. Joint i has the lead λ before, and
-λ' after the mass m was hung on:
+The mean of the leads in upward and downward motion is free of friction. Joint i has the lead λ
+before, and λ' after the mass m was hung on the tool:
 
     k_p λ = g + y M,        k_p λ' = g' + y' (M + m)
 
 with the gravity torque g of the model and the torque y per mass at the tool, both at the measured
-positions. Unknown are k_p of each joint and the mass M that the model lacks, common to all joints.
+positions. The unknowns are k_p of each joint, and the mass M that the model lacks, common to all
+joints.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 #: Amplitude of the joints [rad]; period [s] and number of the swings.
 AMPLITUDE, SWINGS = 0.05, (2.6, 2.75)
-#: k_p of a joint is given if its change of lead exceeds this many standard deviations [1].
+#: k_p of a joint is estimated if its change of lead exceeds this many standard deviations [1].
 SIGNIFICANCE = 4.0
 #: Iterations for k_p and M; each reduces the error about tenfold.
 ITERATIONS = 8
@@ -37,7 +38,8 @@ class Leads(NamedTuple):
     """Leads near a pose; NaN for a joint that did not swing steadily.
 
     Attributes:
-        pose, size: Middle of the planned swings and amplitude of the goals (n,) [rad].
+        pose: Middle of the planned swings (n,) [rad].
+        size: Amplitude of the goals (n,) [rad].
         lead, sigma: Lead of each joint and its standard deviation (n,) [rad].
         gravity: Gravity torque of the model (n,) [N·m].
         row: Torque per mass at the tool (n,) [N·m/kg].
@@ -54,7 +56,7 @@ class Leads(NamedTuple):
 def lead_procedure(
     model: Model, servos: Servos, *, period: float, like: Leads | None = None
 ) -> Procedure[Leads]:
-    """Return a procedure that measures leads in the present pose, or in that of `like`; 7 to 20 s.
+    """Return a procedure that measures leads in 7 to 20 s, in the present pose or that of `like`.
 
     `period` is the control period [s].
     """
@@ -95,7 +97,7 @@ def solve_weight(before: Leads, after: Leads, mass: float) -> tuple[Array, Array
     """Return k_p, its standard deviation (n,) [N·m/rad], and the mass M [kg] that the model lacks.
 
     `mass` [kg] was hung on the tool between the two measurements. k_p is NaN for joints on which it
-    has no clear effect; M is NaN if that are all.
+    has no clear effect; M is NaN if this holds for all joints.
     """
     change, sigma = after.lead - before.lead, np.hypot(before.sigma, after.sigma)
     change = np.where(np.abs(change) > SIGNIFICANCE * sigma, change, np.nan)

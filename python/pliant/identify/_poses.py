@@ -78,10 +78,10 @@ def pose_list(
 def choose_poses(rig: Excitation, q: Array, count: int, span: float, size: Array) -> list[Array]:
     """Return `count` poses within ±span [rad] of q, q first, that determine stiffness and payload.
 
-    Poses are added one by one from random candidates: each time the one that raises the determinant
-    of the information matrix of stiffness and payload most. Candidates are excluded if they lower
-    the tool by more than `MAX_DROP` or load a servo with more than `MAX_HOLDING_SHARE` of its
-    maximum torque. The poses are sorted so that the path through them is short.
+    Poses are added one by one: each time, the random candidate that increases the determinant of
+    the information matrix of stiffness and payload most. Candidates are excluded if they lower the
+    tool by more than `MAX_DROP` or load a servo with more than `MAX_HOLDING_SHARE` of its maximum
+    torque. The poses are sorted for a short path through them.
     """
     model, rng = rig.model, np.random.default_rng(0)
     low = np.maximum(q - span, model.lower + LIMIT_MARGIN + size)
@@ -126,7 +126,7 @@ def _information(rig: Excitation, q: Array) -> Array:
 
 
 def _ordered(poses: Sequence[Array]) -> list[Array]:
-    """Return the poses in a new order: the first one, then always the nearest remaining one."""
+    """Return the poses in a new order: the first one, then always the nearest remaining pose."""
     remaining, path = list(poses[1:]), [poses[0]]
     while remaining:
         nearest = int(np.argmin([np.abs(pose - path[-1]).max() for pose in remaining]))

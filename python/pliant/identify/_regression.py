@@ -232,8 +232,8 @@ def _prior(
     return mean, sd
 
 
-#: For the fit of the delay: largest delay tried, time step of the simulation and of the tried
-#: delays, and duration over which simulated and measured step responses are compared, all [s].
+#: The fit of the delay tries delays up to `MAX_DELAY` in steps of `TIME_STEP`, which is also the
+#: step of its simulation. It compares step responses for `COMPARED_TIME` [s each].
 MAX_DELAY, TIME_STEP, COMPARED_TIME = 0.08, 0.001, 0.06
 #: Joint inertias that are tried in the fit of the delay, divided by the stiffness k_p [s²].
 INERTIAS = np.geomspace(0.008, 0.12, 28) ** 2

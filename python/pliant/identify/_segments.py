@@ -5,10 +5,11 @@ While joint i moves with speed v, direction s = ±1 and acceleration a, its serv
     k_p,i (lead_i − b_i sign τ_i) = τ_i = τ_e,i + s (f_i + l_i |τ_e,i| + m_i |τ_i|) + D_i v + M_i a,
 
 with the servo stiffness k_p, lead = goal − q (joint positions) averaged over the segment, the dead
-band b, the load τ_e = g(q) + Y(q) φ of gravity g and payload φ = (mass, mass times centre), the dry
-friction f, its growth l with load and m with motor torque, the inertia M, and D, the resistance per
-speed of gears, back-EMF, the servo's own damping, and k_p T_d for the delay T_d of the bus. If the
-torque limit drives the joint, τ_i is that limit, and D lacks the servo's damping and the delay.
+band b, and the load τ_e = g(q) + Y(q) φ of gravity g and payload φ = (mass, mass times centre). f
+is the dry friction, l its growth with load, m its growth with motor torque, M the inertia. D is the
+resistance per speed: of gears, back-EMF, the servo's own damping, and k_p T_d for the delay T_d of
+the bus. If the torque limit drives the joint, τ_i is that limit, and D has neither the servo's
+damping nor the delay.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ if TYPE_CHECKING:
     from pliant.identify._excitation import Excitation, Record
 
 
-#: Length of the time window in which a speed is measured, and minimum duration of a segment [s].
+#: Length of the time window of a speed measurement, and minimum duration of a segment [s].
 SPEED_WINDOW, MIN_LENGTH = 0.12, 0.16
 #: A motion counts as steady if measured over planned speed is between these bounds [1].
 STEADY_RATIO = (0.5, 1.6)
-#: Segments are dropped if the torque exceeds this share of its limit: it may have been limited [1].
+#: Segments whose torque exceeds this share of its limit are dropped, as it may have been limited
+#: [1].
 LIMIT_SHARE = 0.7
 
 

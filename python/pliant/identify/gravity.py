@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 #: Integral gain of the goals while the arm is held [1/s]. Positions and goals are averaged over the
-#: last part of the holding time, of this share [1].
+#: last share `AVERAGED_SHARE` of the holding time [1].
 INTEGRATION_RATE, AVERAGED_SHARE = 4.0, 0.25
-#: If the check fails: shares of the friction and damping feed-forward that are tried instead [1],
-#: and time for which the arm is held stiffly before each try [s].
+#: If the check fails, it is repeated with these shares of the friction and damping feed-forward
+#: [1]. Before each repetition, the arm is held stiffly for `HOLD_TIME` [s].
 REDUCED_SHARES, HOLD_TIME = (0.5, 0.0), 0.5
 #: Speed of the tool below which the arm counts as at rest [m/s].
 REST_SPEED = 2e-3

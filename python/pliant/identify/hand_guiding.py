@@ -13,9 +13,9 @@ each joint with predicted position q̂ and filtered speed v:
 with gravity torque g, viscous damping d [N·m·s/rad], the shares b_f, b_d = 0.8 of friction and
 damping that are fed forward, v₀ = 0.05 rad/s, and the least play w₀ of the joint (at least 2 mrad).
 [c_low, c_high] is the interval of possible compliances 1/k_p [rad/(N·m)], and c its middle. The
-play grows with the possible error of the lead, so a wrong k_p can let the arm sag within the play
-but cannot make it drift. When the arm rests after a motion, its lead is right within ρ; that
-narrows the interval, and so the play.
+play covers the possible error of the lead: with a wrong k_p the arm can sag within the play, but
+not drift. When the arm rests after a motion, its lead is right within ρ; this narrows the
+interval, and with it the play.
 """
 
 from __future__ import annotations
@@ -38,9 +38,13 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Steps
 
 
-#: Factor by which the assumed stiffness may be too small or too large [1]: if `stiffness_known` of
-#: the servo parameters is True, and if it is False.
+#: Factor by which the assumed stiffness may be wrong in either direction [1], with
+#: `stiffness_known` True and False.
 KNOWN_STIFFNESS_FACTOR, UNKNOWN_STIFFNESS_FACTOR = 1.1, 2.2
+#: Amplitude of the joints in the first swing [rad].
+SWING = 0.04
+#: Torque with which a joint can resist a hand, as a share of the maximum torque [1].
+TORQUE_SHARE = 0.3
 #: Time for which the arm rests after the first swing [s].
 REST_TIME = 0.4
 #: Value of `HandGuiding.play`, the backlash between arm and goal, before the first swing [rad].
@@ -57,10 +61,6 @@ class HandGuiding:
         rate: Control rate [Hz] if `step` gets no `dt`.
         delay: Time from reading the positions to the arrival of the goal at the servos [s].
         payload: Payload in addition to that of the model: a `pliant.Payload` or (mass, com).
-        swing: Amplitude of the joints in the first swing [rad]; the goals swing more, because
-            friction absorbs a part.
-        torque_share: Torque allowed in addition to gravity, as a share of the maximum torque [1].
-            It bounds the torque with which a joint can resist a hand.
 
     Raises:
         ConfigError: There are no servo parameters, or `payload` is invalid.
@@ -81,8 +81,6 @@ class HandGuiding:
         rate: float = 100.0,
         delay: float = 0.0,
         payload: Payload | tuple[float, ArrayLike] | None = None,
-        swing: float = 0.04,
-        torque_share: float = 0.3,
     ) -> None:
         known = instance(model, Model, "model").servos
         table = known if servos is None else instance(servos, Servos, "servos")
@@ -92,12 +90,10 @@ class HandGuiding:
             number(rate, "rate", 10.0, 1000.0, "Hz"),
             number(delay, "delay", 0.0, 0.5, "s"),
         )
-        swing = number(swing, "swing", 0.01, 0.3, "rad")
-        torque_share = number(torque_share, "torque_share", 0.05, 1.0)
         self._n = model.n
-        self._model, self._period, self._delay, self._share = model, 1.0 / rate, delay, torque_share
+        self._model, self._period, self._delay = model, 1.0 / rate, delay
         self._dt = self._period
-        self._table, self._swing = table, swing
+        self._table = table
         self._stiffness_factor = (
             KNOWN_STIFFNESS_FACTOR if table.stiffness_known else UNKNOWN_STIFFNESS_FACTOR
         )
@@ -174,7 +170,7 @@ class HandGuiding:
     def _swing_procedure(self, q: Array) -> Steps[Array]:
         """Swing all joints slowly, move back to the start and rest; return the last positions."""
         rig, home = self._rig, q
-        _, q = yield from widen_swing(rig, q, self._swing)
+        _, q = yield from widen_swing(rig, q, SWING)
         for _ in range(round(REST_TIME / rig.period)):
             q = yield from rig.send(
                 q, home + rig.gravity_lead(home), rig.limits(home), np.zeros(self._n)
@@ -216,7 +212,7 @@ class HandGuiding:
             damping=self._damping,
             stiffness_error=factor,
             delay=self._delay,
-            torque_share=self._share,
+            torque_share=TORQUE_SHARE,
             payload_moments=self._moments.tolist(),
         )
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Assumed relative standard deviation of the servo stiffness [1]: if `stiffness_known` of the servo
-#: parameters is True, and if it is False.
+#: Assumed relative standard deviation of the servo stiffness [1], with `stiffness_known` True and
+#: False.
 KNOWN_STIFFNESS_SIGMA, UNKNOWN_STIFFNESS_SIGMA = 0.05, 0.3
 
 
@@ -39,7 +39,7 @@ def _make_procedure(
     servos = instance(controller, Controller, "controller").servos
     if servos is None:
         raise ConfigError(
-            "weighing needs to know the servos: Controller(model, settings, servos=…)"
+            "the estimate of a payload needs servos: Controller(model, settings, servos=…)"
         )
     rig = Excitation(controller.model, servos, 1.0 / controller.settings.rate)
     numbers = number(span, "span", 0.0, SPAN, "rad"), number(amplitude, "amplitude", *SWING, "rad")

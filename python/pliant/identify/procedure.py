@@ -132,7 +132,7 @@ class Procedure(Generic[T]):
 
 
 class Guided(Generic[P, Q, T_co]):
-    """Function that runs a procedure on an arm in a loop of its own.
+    """Function that runs a procedure on an arm in a control loop.
 
     The method `procedure` returns the procedure instead, to be run in any other loop.
     """

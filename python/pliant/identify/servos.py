@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from pliant.identify.procedure import Arm, Steps, Tick
 
 
-#: Difference between the amplitude of a goal and that of its joint, in units of friction over
-#: stiffness [1].
+#: Excess of a goal's amplitude over that of its joint, in units of friction over stiffness [1].
 FRICTION_SWING = 4.0
 #: Largest amplitude of a goal [rad], and largest number of times that the amplitude is widened.
 MAX_SWING, MAX_WIDENINGS = 0.4, 2
@@ -99,8 +98,8 @@ def identify_servos(
 ) -> Identification:
     """Identify stiffness, friction, damping, payload and delay on the arm, in about 2 minutes.
 
-    All joints swing slowly at a few poses; then each joint is moved by changing its torque limit;
-    then the goal of each joint makes small steps. Do not touch the arm.
+    All joints swing slowly at a few poses. Then each joint is moved by changing its torque limit.
+    Finally, the goal of each joint makes small steps. Do not touch the arm.
 
     Args:
         arm: The arm, at rest, simulated or connected and enabled.

@@ -1,7 +1,7 @@
 """Logs of runs in MCAP files with ROS 2 messages: recording, reading, and verification.
 
-A log holds every call of the controller, so that `verify` can recompute the commands with the same
-version of pliant, unless the writer process was too slow and dropped calls (`Log.missing`).
+A log contains every call of the controller, from which `verify` recomputes the commands with the
+same version of pliant. If the writer process is too slow, calls are missing (`Log.missing`).
 
 >>> for tick in pliant.Loop(arm, controller, recorder=pliant.log.Recorder("run.mcap")):
 ...     tick.step(target)

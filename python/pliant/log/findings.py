@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from pliant.log.reader import Log
 
 
-#: Compliance (1 at a small deviation, 0 at a large one) above which an axis counts as soft, and
-#: below which it counts as firm.
+#: An axis counts as soft above `SOFT_COMPLIANCE`, and as firm below `FIRM_COMPLIANCE` (compliance:
+#: 1 at a small deviation, 0 at a large one).
 SOFT_COMPLIANCE, FIRM_COMPLIANCE = 0.99, 0.01
 #: A tick (control cycle) is late if it follows the previous one by more than this many periods.
 LATE_PERIODS = 1.5

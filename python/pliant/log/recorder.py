@@ -98,8 +98,8 @@ class Recorder:
         controller = controller if isinstance(controller, Controller) else None
         if controller is not None and controller.commands_made:
             raise ConfigError(
-                "the controller has made steps that the log would lack: give the recorder to the "
-                "loop in which it makes its first one, or make a new controller"
+                "the controller has made steps that would be missing from the log: give the "
+                "recorder to the loop of its first step, or make a new controller"
             )
         if controller is not None:
             check_same_robot(controller.model, arm.model)
@@ -202,6 +202,6 @@ class Recorder:
         try:
             code = process.wait(CLOSE_TIMEOUT)
         except subprocess.TimeoutExpired:
-            raise OSError(f"{self.path}: the disk is slow; the writer goes on by itself") from None
+            raise OSError(f"{self.path}: the disk is slow; the writer process continues") from None
         if code != 0:
             raise OSError(f"{self.path}: the log could not be written to its end")

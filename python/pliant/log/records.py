@@ -1,7 +1,7 @@
 """Reader of MCAP records that checks all lengths, checksums and counts.
 
 The reader of the `mcap` package trusts lengths, skips unknown records and does not check the CRCs
-of attachments, so a damaged byte could become a wrong number in a log.
+of attachments. With it, a damaged byte could become a wrong number in a log.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def _bodies(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
                 raise DamagedError(f"the record at byte {offset} is longer than the file")
             raise CutShortError(f"it ends within the record at byte {offset}")
         if opcode not in _OPCODES:
-            raise DamagedError(f"the record at byte {offset} is of no kind, {opcode}")
+            raise DamagedError(f"the record at byte {offset} has an unknown kind, {opcode}")
         yield offset, opcode, stream.read(length)
 
 

@@ -46,7 +46,7 @@ def report(log: Log, folder: Path, *, title: str = "a run") -> Path:
         raise ConfigError("the log has no ticks: nothing to report")
     if not log.run["axes"]:
         raise ConfigError(
-            "the log was made without a controller (hand guiding): nothing was soft or firm; "
+            "the log was made without a controller (hand guiding): it has no softness to report; "
             "`pliant log plot` draws its joints"
         )
     notes = _notes(log)

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 #: Time span of the ticks in one chunk of the MCAP file [s].
 CHUNK_TIME = 0.5
-#: Number of messages per tick, and size of a message without its numbers [bytes]; both serve to
-#: estimate the size of a chunk.
+#: For the estimate of the chunk size: number of messages per tick, and size of a message without
+#: its numbers [bytes].
 MESSAGES, OVERHEAD = 8, 150
 #: Standard ROS 2 messages of a log.
 STANDARD = (JOINT_STATE, POSE_STAMPED, TF_MESSAGE, STRING)

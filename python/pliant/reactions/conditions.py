@@ -211,8 +211,8 @@ class Joined(Condition):
 
 
 @dataclass(frozen=True, repr=False)
-class Not(Condition):
-    """The negation of a condition."""
+class _Modified(Condition):
+    """Base class of conditions that modify another condition, `inner`."""
 
     inner: Condition
 
@@ -224,6 +224,11 @@ class Not(Condition):
     def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
         """Check the inner condition."""
         self.inner.validate(contact, controller)
+
+
+@dataclass(frozen=True, repr=False)
+class Not(_Modified):
+    """The negation of a condition."""
 
     def evaluator(self) -> Evaluator:
         """Return a function that evaluates the negation."""
@@ -235,27 +240,17 @@ class Not(Condition):
 
 
 @dataclass(frozen=True, repr=False)
-class Lasting(Condition):
+class Lasting(_Modified):
     """True if the condition `inner` has been true without a break for `seconds` [s].
 
     In the first tick in which `inner` is true, the duration is 0.
     """
 
-    inner: Condition
     seconds: float
 
     def __post_init__(self) -> None:
         """Check that `seconds` is a number and not negative."""
         number(self.seconds, "for_seconds", 0.0, unit="s")
-
-    @property
-    def needs_force(self) -> bool:
-        """True if the inner condition needs a force estimate."""
-        return self.inner.needs_force
-
-    def validate(self, contact: ContactEstimator | None, controller: Controller) -> None:
-        """Check the inner condition."""
-        self.inner.validate(contact, controller)
 
     def evaluator(self) -> Evaluator:
         """Return a function that measures for how long `inner` has been true."""

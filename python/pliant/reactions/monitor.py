@@ -166,7 +166,7 @@ class ReactionMonitor:
         if contact is None and any(reaction.needs_force for reaction in self.reactions):
             contact = ContactEstimator(controller)
         if contact is not None and contact.controller is not controller:
-            raise ConfigError("contact is another controller's: make it of this one")
+            raise ConfigError("contact belongs to another controller: create it with this one")
         if not (min(resume_speed) > 0.0 and np.isfinite(resume_speed).all()):
             raise ConfigError(f"resume_speed is two numbers > 0, got {resume_speed!r}")
         self.contact, self._resume_speed = contact, resume_speed

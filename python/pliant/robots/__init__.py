@@ -24,8 +24,6 @@ from pliant._core import ConfigError, Model, Servos
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pliant._typing import Array
-
 
 #: One encoder count of a 12-bit servo [rad].
 COUNT_12_BIT = 2.0 * np.pi / 4096
@@ -78,44 +76,6 @@ def names() -> tuple[str, ...]:
     return tuple(_ARMS)
 
 
-#: `_REST`: joint positions [rad] in which each built-in arm rests without torque. `_TABLE`: height
-#: of the table under each arm that stands on one, in base axes [m].
-_REST: dict[str, tuple[float, ...]] = {
-    "arm7": (0.0, 0.0, 0.0, -0.04, 0.0, 0.0, 0.0),
-    "so101": (0.0, -1.74, 1.57, 0.85, 0.0),
-    "koch": (0.0, -1.79, 1.6, 0.5, 0.0),
-}
-_TABLE: dict[str, float] = {"so101": 0.0, "koch": 0.0}
-
-
-def rest(name: str) -> Array:
-    """Return the joint positions (n,) [rad] in which a built-in arm rests without torque.
-
-    The arm is folded on its table, or hangs down if it has no table.
-
-    Raises:
-        ConfigError: The name is unknown.
-    """
-    _check(name)
-    return np.array(_REST[name])
-
-
-def table(name: str) -> float | None:
-    """Return the height of the table under a built-in arm [m]; None: the arm hangs without table.
-
-    Raises:
-        ConfigError: The name is unknown.
-    """
-    _check(name)
-    return _TABLE.get(name)
-
-
-def _check(name: str) -> None:
-    """Raise `ConfigError` unless `name` is a built-in arm."""
-    if name not in _ARMS:
-        raise ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
-
-
 def load(name: str, **options: Any) -> Model:
     """Return a built-in arm by name.
 
@@ -129,7 +89,8 @@ def load(name: str, **options: Any) -> Model:
     Raises:
         ConfigError: The name is unknown; the message lists the known ones.
     """
-    _check(name)
+    if name not in _ARMS:
+        raise ConfigError(f"no built-in arm {name!r}; there are {', '.join(_ARMS)}")
     return _ARMS[name](**options)
 
 

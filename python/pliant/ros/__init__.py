@@ -1,7 +1,7 @@
 """ROS 2 and Foxglove without ROS: publish an arm's state, take targets and softness.
 
-A process of its own talks to the network, so that the control loop never waits for it. `pliant ros`
-and `pliant foxglove` run a whole arm; `Bridge` connects a loop of one's own.
+A separate process talks to the network, so that the control loop never waits for it. `pliant ros`
+and `pliant foxglove` run a whole arm; `Bridge` connects your own loop.
 
 >>> with pliant.ros.ros_link() as link, pliant.connect("so101") as arm:
 ...     loop = pliant.Loop(arm, pliant.Controller(arm.model, settings, arm.servos))

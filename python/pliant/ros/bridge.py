@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Bridge:
     """Connects a control loop with the process of a ROS 2 node or of a Foxglove server.
 
-    The loop never waits for the network. Until the first target, the arm holds its pose; when
+    The loop never waits for the network. The arm holds its pose until the first target; when
     targets stop, it goes to the last one and holds it.
 
     Args:
@@ -56,7 +56,7 @@ class Bridge:
         self._loop, self._link = loop, link
         self._ticks_per_state = max(round(1.0 / (rate * loop.period)), 1)
         controller = loop.controller
-        # A recorder wraps the controller; the estimator reads the controller itself.
+        # The estimator needs the controller itself, not the wrapper of a recorder.
         self._contact = ContactEstimator(getattr(controller, "inner", controller))
         self._restarts = loop.restarts
         self._model, self._extra = arm.model, tuple(arm.grippers)
@@ -71,7 +71,7 @@ class Bridge:
         )
 
     def step(self, tick: Tick) -> Command:
-        """Apply what the network has sent, step the controller, write the command, publish.
+        """Apply messages of the network, step the controller, write the command, publish the state.
 
         Returns:
             The command of the tick.

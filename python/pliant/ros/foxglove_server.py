@@ -58,11 +58,11 @@ class Listener(ServerListener):
             self.description.log(wire.encode(ros.STRING, {"data": self.arm.urdf}))
 
     def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
-        """Note the topic of a channel that a client announces."""
+        """Store the topic of a channel that a client announces."""
         self._advertised[client.id, channel.id] = channel.topic, channel.encoding
 
     def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
-        """Forget a channel of a client."""
+        """Remove a channel that a client no longer announces."""
         self._advertised.pop((client.id, client_channel_id), None)
 
     def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
@@ -93,7 +93,7 @@ class Listener(ServerListener):
     def on_set_parameters(
         self, client: Client, parameters: list[Parameter], request_id: str | None = None
     ) -> list[Parameter]:
-        """Set each parameter that is accepted; return the values in force."""
+        """Set the parameters that are accepted; return the resulting values."""
         if self.arm is not None:
             for parameter in parameters:
                 try:

@@ -62,7 +62,7 @@ CRISP_STIFFNESS = {
 
 
 class ArmInterface:
-    """Topics and parameters of an arm; a second controller checks changes of the settings.
+    """Topics and parameters of an arm; a second controller validates changes of the settings.
 
     Args:
         info: Description of the arm.
@@ -73,7 +73,7 @@ class ArmInterface:
     """
 
     def __init__(self, info: RobotInfo, send: Callable[[Message], None]) -> None:
-        """Create the controller that checks the settings."""
+        """Create the controller that validates the settings."""
         self._model, self._extra, self._send = info.model, info.extra, send
         self._controller = Controller(info.model, info.settings, info.servos)
         self._editor = SettingsEditor(info.settings.task.axes, info.settings.rate, info.settings)
@@ -82,7 +82,7 @@ class ArmInterface:
         self._refusals = {topic: Refusals(topic) for topic in (*SUBSCRIBED, "parameters")}
         self.urdf: str = info.model.source[0]
 
-    # State of the arm.
+    # Methods that publish the state of the arm.
 
     def publish(self, state: ArmState) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield the topics of `PUBLISHED` with the messages of a state."""
@@ -93,7 +93,7 @@ class ArmInterface:
         yield "joint_states", ros.joint_state(state.time, names, position, state.dq, state.load)
         yield "/tf", ros.tf_message(state.time, self._transforms(state))
         yield "~/current_pose", ros.pose_stamped(state.time, base, tool)
-        # ROS reads a wrench in the axes of its frame, and at the origin of that frame.
+        # ROS expects a wrench in the axes of its frame, at the origin of that frame.
         wrench = (state.wrench.reshape(2, 3) @ tool[:3, :3]).reshape(6)
         yield "~/external_wrench", ros.wrench_stamped(state.time, tip, wrench)
 
@@ -117,12 +117,12 @@ class ArmInterface:
         position = extra.get(joint.name, math.nan)
         return position if math.isfinite(position) else float(joint.locked_at or 0.0)
 
-    # Targets and softness from the network.
+    # Methods that handle targets and softness from the network.
 
     def receive(self, topic: str, message: Any) -> None:
-        """Handle a message of a topic of `SUBSCRIBED`; report it if it is refused.
+        """Handle a message of a topic of `SUBSCRIBED`; report it if it is rejected.
 
-        A refused message changes nothing: the arm keeps its target and its settings.
+        A rejected message changes nothing: the arm keeps its target and its settings.
         """
         handlers: dict[str, Callable[[Any], None]] = {
             "~/target_pose": self._target_pose,
@@ -136,7 +136,7 @@ class ArmInterface:
             self.refuse(topic, error)
 
     def refuse(self, topic: str, error: Exception) -> None:
-        """Report a message of a topic that is refused."""
+        """Report a rejected message of a topic."""
         self._refusals[topic].report(error)
 
     def _target_pose(self, message: Any) -> None:
@@ -177,7 +177,7 @@ class ArmInterface:
         self._change(changes)
 
     def _six(self, message: Any) -> Iterator[tuple[str, float]]:
-        """Yield task axis and value of the numbers of a message that are not NaN."""
+        """Yield task axis and value for each number of a message that is not NaN."""
         values = [float(value) for value in message.data]
         if len(values) != len(AXES):
             raise ConfigError(f"it has {len(values)} numbers: send 6, for {' '.join(AXES)}")
@@ -189,7 +189,7 @@ class ArmInterface:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Values of the parameters by name; a list has the values for pushes to − and +."""
+        """Values of the parameters by name; a list contains the values for pushes to − and +."""
         law = self._controller.settings.law
         out: dict[str, Parameter] = {}
         name: str
@@ -205,10 +205,10 @@ class ArmInterface:
         return out
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Change parameters, all of them or none.
+        """Change all parameters, or none of them if one is invalid.
 
         Raises:
-            ConfigError: A name is unknown, or the controller refuses a value; also reported.
+            ConfigError: A name is unknown, or the controller rejects a value; also reported.
         """
         try:
             changes: dict[str, dict[str, Any]] = {}
@@ -266,7 +266,7 @@ def _check_age(stamp: Any) -> None:
 
 
 def _fields(axis: str, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values of parameters as fields of `pliant.Axis`."""
+    """Convert values of parameters to fields of `pliant.Axis`."""
     out: dict[str, Any] = {}
     for field, value in fields.items():
         if field == "yields":
@@ -285,7 +285,7 @@ def _fields(axis: str, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parameter(value: Any) -> Parameter:
-    """Return a field of `pliant.Axis` as a parameter; two equal numbers become one."""
+    """Convert a field of `pliant.Axis` to a parameter; two equal numbers become one."""
     if isinstance(value, str):
         return value
     numbers: list[float] = np.atleast_1d(np.asarray(value, dtype=float)).tolist()

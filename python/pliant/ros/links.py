@@ -29,7 +29,7 @@ def ros_link(
 
     Args:
         name: Name of the node.
-        namespace: Namespace of the node and its topics; "/tf" has none.
+        namespace: Namespace of the node and its topics, except for "/tf".
         domain: ROS domain id.
         listen: zenoh address on which the node listens as a router, "tcp/HOST:PORT".
         connect: zenoh address of a router that runs already; the node then does not listen.
@@ -64,7 +64,7 @@ def foxglove_link(
     Args:
         host: Address on which to listen.
         port: TCP port; 0: a free one.
-        allow_commands: Take targets and parameters. The server does not ask who a client is: any
+        allow_commands: Accept targets and parameters. The server does not authenticate clients: any
             program, and any web page that is open in a browser on this computer, can then move the
             arm.
 

@@ -1,6 +1,6 @@
 """Process of the ROS 2 node: ``python -m pliant.ros.node DESCRIPTOR OPTIONS``, OPTIONS in JSON.
 
-It speaks zenoh as rmw_zenoh does, and needs no ROS. `ros_link` starts it.
+It implements the protocol of rmw_zenoh on zenoh, and needs no ROS. `ros_link` starts it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ except ImportError as error:
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-#: Minimum time between two handled messages of one topic [s]; of those between, the last counts.
+#: Minimum time between two handled messages of one topic [s]; of those in between, the last is
+#: kept.
 PERIOD = 0.005
 
 
@@ -42,7 +43,7 @@ class Node:
     """
 
     def __init__(self, session: zenoh.Session, name: wire.NodeName) -> None:
-        """Announce the node."""
+        """Announce the node in the network."""
         self._session, self._name = session, name
         self._zid = str(session.info.zid())
         self._numbers = itertools.count(1)
@@ -51,9 +52,9 @@ class Node:
         self._announce(name.token(self._zid))
 
     def close(self) -> None:
-        """Undeclare everything, and wait for the threads that handle messages.
+        """Undeclare all entities, and wait for the threads that handle messages.
 
-        A thread that still waits in zenoh while Python ends would abort the process.
+        Python would abort the process if a thread still waited in zenoh at the end.
         """
         for declared in reversed(self._kept):
             declared.undeclare()
@@ -78,7 +79,7 @@ class Node:
         Args:
             topic: Topic: absolute, relative to the namespace, or "~/...".
             type_name: Message type.
-            latched: Keep the last message for subscribers that come later (transient local).
+            latched: True: keep the last message for late subscribers (transient local).
         """
         key = self._declare("MP", topic, type_name, wire.LATCHED_QOS if latched else wire.QOS)
         drop = zenoh.CongestionControl.DROP
@@ -103,9 +104,9 @@ class Node:
         return publish
 
     def subscribe(self, topic: str, type_name: str, handle: Callable[[bytes], None]) -> None:
-        """Call `handle` in a thread with the bytes of each message, at most every `PERIOD`.
+        """Call `handle` in a thread with the bytes of each message, at most once per `PERIOD`.
 
-        A message that arrives meanwhile replaces an older one that has not been handled.
+        A new message replaces an older one that has not been handled yet.
         """
         key = self._declare("MS", topic, type_name, wire.QOS)
         newest: Any = zenoh.handlers.RingChannel(1)
@@ -127,8 +128,8 @@ class Node:
         """Answer the requests of a service.
 
         Args:
-            service: Name of the service, as that of a topic.
-            type_name: Type of the service, of `wire.SERVICES`.
+            service: Name of the service, in the form of a topic.
+            type_name: Service type, a key of `wire.SERVICES`.
             answer: Function that returns the response to a request.
         """
         key = self._declare("SS", service, type_name, wire.QOS)
@@ -161,7 +162,7 @@ def open_session(listen: str, connect: str) -> zenoh.Session:
     """
     config = zenoh.Config()
     config.insert_json5("scouting/multicast/enabled", "false")
-    # Keeping the last message for later subscribers needs time stamps.
+    # zenoh keeps the last message for late subscribers only with time stamps.
     config.insert_json5("timestamping/enabled", "true")
     config.insert_json5("mode", json.dumps("client" if connect else "router"))
     config.insert_json5("listen/endpoints", json.dumps([] if connect else [listen]))
@@ -171,7 +172,7 @@ def open_session(listen: str, connect: str) -> zenoh.Session:
 
 
 def run_arm(node: Node, arm: ArmInterface, endpoint: PageEndpoint) -> None:
-    """Publish the states that the control loop sends until it ends; handle what arrives."""
+    """Publish the states from the control loop until it ends; handle messages from the network."""
     published = {topic: node.publisher(topic, kind) for topic, kind in PUBLISHED.items()}
     node.publisher(DESCRIPTION, "std_msgs/msg/String", latched=True)({"data": arm.urdf})
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 #: Values of rcl_interfaces/msg/ParameterType: no value, a double, a text, a list of doubles.
 NOT_SET, DOUBLE, TEXT, DOUBLES = 0, 3, 4, 8
-#: Field of a ParameterValue that holds the value, by type; bool (1) and lists of bytes, bools or
-#: texts are refused as they are of no use here.
+#: Field of a ParameterValue that holds the value, by type. Bool (1) and lists of bytes, bools or
+#: texts are rejected: no parameter has these types.
 VALUE_FIELDS = {
     2: "integer_value",
     DOUBLE: "double_value",
@@ -37,7 +37,7 @@ class ParameterServices:
     """
 
     def __init__(self, arm: ArmInterface) -> None:
-        """Collect the services."""
+        """Create the table of services."""
         self._arm = arm
         answers: dict[str, Answer] = {
             "GetParameters": lambda request: {"values": self._values(request.names)},
@@ -57,12 +57,12 @@ class ParameterServices:
         }
 
     def _values(self, names: list[str]) -> list[dict[str, Any]]:
-        """Return a ParameterValue for each name; that of an unknown name is not set."""
+        """Return a ParameterValue for each name; an unknown name gives the type "not set"."""
         known = self._arm.parameters
         return [_value(known.get(name)) for name in names]
 
     def _list(self, request: Any) -> dict[str, Any]:
-        """Return the names that begin with one of the prefixes; the depth is not limited."""
+        """Return the names that begin with one of the prefixes, at any depth."""
         names = [
             name
             for name in self._arm.parameters

@@ -1,7 +1,7 @@
 """Bytes and names of ROS 2 messages on a zenoh network, as rmw_zenoh defines them.
 
-The functions follow the design document of rmw_zenoh: key expressions, liveliness tokens, QoS text
-and attachments; CDR and type hashes (REP 2016) come from `rosbags`.
+The functions follow the design document of rmw_zenoh for key expressions, liveliness tokens, QoS
+texts and attachments. CDR and type hashes (REP 2016) come from `rosbags`.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _make_store() -> Any:
         for name, definition in jazzy.items()
         if name.startswith((*packages, "tf2_msgs"))
     }
-    # rosbags hashes `char` as another type than ROS 2, where it is uint8.
+    # rosbags does not hash `char` as uint8, which it is in ROS 2.
     types |= get_types_from_msg(_EVENT_INFO, "service_msgs/msg/ServiceEventInfo")
     for name, (request, response) in SERVICES.items():
         types |= service_types(name, request, response)
@@ -76,7 +76,7 @@ def _make_store() -> Any:
 
 
 def service_types(name: str, request: str, response: str) -> dict[str, Any]:
-    """Return the types of a service: request, response, event and the service, which is hashed.
+    """Return the types of a service: request, response, event, and the service type to hash.
 
     Args:
         name: Name of the service type, such as "example_interfaces/srv/AddTwoInts".
@@ -123,7 +123,8 @@ def decode(name: str, data: bytes) -> Any:
     """
     try:
         return STORE.deserialize_cdr(data, name)
-    # rosbags trusts the bytes: invalid ones may raise any error of struct, NumPy or Unicode.
+    # rosbags does not check the bytes: invalid ones may raise any error of struct, NumPy or
+    # Unicode.
     except Exception as error:
         raise ValueError(f"{len(data)} bytes are not a {name}: {error}") from error
 
@@ -192,7 +193,7 @@ class NodeName(NamedTuple):
         return f"{self.namespace.rstrip('/')}/{inside}"
 
     def token(self, session: str, number: int = 0, entity: str = "NN") -> str:
-        """Return the liveliness token of the node, or the start of that of an entity.
+        """Return the liveliness token of the node, or the start of the token of an entity.
 
         Args:
             session: Id of the zenoh session.

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 #: Longest undervoltage that is not reported as a fault [s].
 UNDERVOLTAGE_GRACE = 0.5
-#: A goal or limit register that does not read back as written is a fault after `MISMATCH_TIME` [s]
-#: and `MISMATCHES` packets.
+#: A goal or limit register that does not read back as written is a fault after `MISMATCHES` packets
+#: and `MISMATCH_TIME` [s].
 MISMATCH_TIME, MISMATCHES = 0.5, 3
 #: Number of consecutive implausible positions that is reported as a fault.
 MAX_JUMPS = 3
 #: Value of the register Bus Watchdog after it has tripped.
 TRIPPED = 255
 SEAM_TEXT = (
-    "it stands past the seam of its encoder, where goals would send it the long way round: "
+    "it stands past the end of its encoder's range, and a goal would turn it the long way round: "
     "move it back by hand"
 )
 
@@ -38,9 +38,9 @@ class ReadBack:
     """Result of reading a register back and comparing it with the value written.
 
     Attributes:
-        wrong: Number of write packets in a row after which the register had another value.
-        matched: Time at which the register last had the value written [s].
-        write: Sequence number of the last write packet after which it had another value.
+        wrong: Number of consecutive write packets after which the register had another value.
+        matched: Time at which the register last had the written value [s].
+        write: Sequence number of the last write packet that the register did not match.
     """
 
     wrong: int = 0
@@ -60,13 +60,13 @@ class Device:
     Attributes:
         units: Unit conversions at the latest supply voltage.
         ceiling: Largest value of the limit register that the servo accepts.
-        gain: Gain register of the position loop as read.
-        low, high: Smallest and largest goal [counts].
+        gain: Gain register of the position loop, as read.
+        low, high: Range of goals [counts].
         min_voltage: Lowest supply voltage at which the servo can be driven [V].
-        alerts: Number of replies with a new error in the status byte, even if brief.
+        alerts: Number of replies in which an error bit of the status byte appeared.
         multi_turn: True if goals may exceed one turn.
         overload: Share of the full torque above which overload protection acts; None: never.
-        wraparound: Counts per turn after which positions wrap around; None if they do not.
+        wraparound: Counts per turn, if positions wrap around after a turn; else None.
         enabled: True if this program switched the torque on, or took over a servo with torque on.
         torque_on: True if torque was on at the last reading of Torque Enable.
         torque_unknown: True if torque may be on, because the servo has not answered since a program
@@ -77,18 +77,18 @@ class Device:
         limit_read: Limit register as last read.
         conditions: Errors in the status of the last reply.
         hardware: Errors in the hardware error register (Protocol 2.0).
-        other_faults: Other faults, by topic.
+        other_faults: Texts of other faults, by topic.
         watchdog: Bus watchdog as last read [units of 20 ms].
         tripped: True if the bus watchdog has tripped, so that the servo rejects goals.
         trips: Number of trips of the bus watchdog.
         initial_values: Values at open of the RAM registers that this program writes.
         stored_command: Goal and limit registers of a servo whose torque was on at open; None
             otherwise.
-        drive_values: Registers that bound torque or motion, and the values that `enable` writes.
+        drive_values: Registers that bound torque or motion, with the values that `enable` writes.
         mismatches: Number of times a register did not read back as written.
         has_mismatch: True if goal or limit did not read back as written the last time.
-        has_new_status: True if a reading has contained all status registers since `StatusPoller`
-            last took them.
+        has_new_status: True if a reading contained all status registers and `StatusPoller` has not
+            taken them yet.
     """
 
     def __init__(self, spec: ServoSpec, joint: int, id: int, sign: int) -> None:
@@ -129,14 +129,14 @@ class Device:
         self._last_reading = [nan, 0.0, 0.0]
 
     def attach(self, codec: ServoCodec, index: int) -> None:
-        """Decode and encode with `codec` from now on, as servo `index`; keep the last reading."""
+        """Use `codec` from now on, as its servo `index`; keep the last reading."""
         last = self._reading()[:3]
         self._codec, self.index = codec, index
         self.configure()
         codec.accept_any(index, *last)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: the last reading, without the codec."""
+        """Return the state to pickle: the last reading, without the codec."""
         return {**self.__dict__, "_codec": None, "_last_reading": self._reading()}
 
     @property
@@ -146,7 +146,7 @@ class Device:
         return self._codec
 
     def configure(self) -> None:
-        """Pass registers, units and bounds to the codec, after one of them has changed."""
+        """Pass changed registers, units and bounds to the codec."""
         row, units, lost = self.row, self.units, self.spec.torque_offset
         uses_current = row.limit_type == "current"
         measured = (units.torque_per_unit, lost) if uses_current else (units.load(1), 0.0)
@@ -235,16 +235,17 @@ class Device:
         return self._reading()[2]
 
     def _reading(self) -> list[float]:
-        """Return the last accepted reading, see `ServoCodec.reading`; without codec 3 numbers."""
+        """Return the last accepted reading as `ServoCodec.reading`; without codec, 3 numbers."""
         if self._codec is None:
             return self._last_reading
         reading: list[float] = self._codec.reading(self.index).tolist()
         return reading
 
     def check_reading(self, is_accepted: bool, status_byte: int, time: float) -> bool:
-        """Look for faults in a reading that needs attention, and return `is_accepted`.
+        """Check a reading for faults, and return `is_accepted`.
 
-        `MAX_JUMPS` implausible positions in a row are a fault.
+        The codec calls for this check only in readings with an anomaly. `MAX_JUMPS` implausible
+        positions in a row are a fault.
 
         Args:
             is_accepted: Result of `ServoCodec.decode`: False if the position is implausible.
@@ -268,9 +269,9 @@ class Device:
         return True
 
     def note_status(self, reply: Reply) -> None:
-        """Store the values of status registers that a reading contains, as `note` does.
+        """Store the values of status registers in a reading, as `note` does.
 
-        In most cycles they are those last written, which takes little time to see.
+        In most cycles they equal the written values, which is tested first because it is fast.
         """
         block, data, _, time = reply
         self.has_new_status = block in self.family.read_with_status[:1]
@@ -285,7 +286,7 @@ class Device:
         self.note(reply)
 
     def note(self, reply: Reply) -> None:
-        """Store the values of status registers that a reply contains, and the faults they show."""
+        """Store the values of status registers in a reply, and update the faults that they show."""
         values = self.family.layout(reply.block).decode(reply.data)
         self._note(values, reply.status, reply.time)
 
@@ -312,8 +313,8 @@ class Device:
             if went_off or self.other_faults:
                 self.fault("torque", went_off, "its torque went off by itself")
             if went_off:
-                # Send no more goals: on some servos a goal switches torque on, and the joint may be
-                # far from it now.
+                # Send no more goals: on some servos a goal switches torque on, and the joint may
+                # have moved far.
                 self.enabled = False
         if "hardware_error" in values:
             self.hardware = status.hardware(values["hardware_error"])
@@ -325,7 +326,7 @@ class Device:
 
     @property
     def is_refusing(self) -> bool:
-        """True if the servo is known not to receive goals, or to reject them."""
+        """True if goals are known not to reach the servo, or to be rejected."""
         return self.enabled and (self.tripped or self._read_backs["goal"].wrong >= MISMATCHES)
 
     def set_voltage(self, volts: float, time: float) -> None:
@@ -372,16 +373,16 @@ class Device:
     def record_sent(self, goal: int, limit: int, packet: bytes = b"") -> None:
         """Record the values of goal and limit register in a packet that was sent.
 
-        `packet` are its bytes from the first register on, if it is the only packet of a cycle.
+        `packet` are its bytes from the first register on, if the cycle has only this packet.
         """
         self.goal, self.limit, self._packet = goal, limit, packet
         self._writes += 1
 
     def _compare(self, key: str, found: int, written: int, time: float) -> None:
-        """Compare a register with the value written, because a servo may reject packets silently.
+        """Compare a register with the written value, because a servo may reject packets silently.
 
-        Single packets also get lost. A mismatch is therefore a fault only after `MISMATCHES`
-        packets and `MISMATCH_TIME`.
+        Single packets also get lost, so a mismatch is a fault only after `MISMATCHES` packets and
+        `MISMATCH_TIME`.
 
         Args:
             key: Register: `goal` or `limit`.
@@ -402,7 +403,7 @@ class Device:
             self.fault(key, is_wrong, self._mismatch(key, found, written) if is_wrong else "")
 
     def _mismatch(self, key: str, found: int, written: int) -> str:
-        """Return the fault text for a register `goal` or `limit` that differs from that written."""
+        """Return the fault text for a register `goal` or `limit` that did not take its value."""
         if key == "limit":
             name, values = (
                 "torque limit",
@@ -411,6 +412,6 @@ class Device:
         else:
             name, values = "goal", [f"{self.angle(n):.3g} rad" for n in (found, written)]
         return (
-            f"its {name} reads {found} ({values[0]}), written was {written} ({values[1]}): it does "
-            "not hear, or refuses"
+            f"its {name} reads {found} ({values[0]}), written was {written} ({values[1]}): "
+            "writes do not arrive, or it rejects them"
         )

@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
     Ports = Mapping[int, Port]
 
-#: Largest motion of a joint while its torque comes on [rad], besides falling and settling; after a
-#: larger motion torque is switched off again.
+#: Largest motion of a joint while its torque comes on [rad], besides falling and settling; a larger
+#: motion switches the torque off again.
 MAX_MOTION = 0.05
-#: Largest distance between measured and expected position with which torque is switched on [rad].
+#: Largest difference of measured and expected position at which torque is switched on [rad].
 MAX_START_ERROR = 0.15
-#: Number of attempts to send goal and limit until they read back as written; and distance from its
-#: goal above which a joint without torque gets a new goal [rad].
+#: Number of attempts to send goal and limit until they read back as written; distance from its goal
+#: above which a joint without torque gets a new goal [rad].
 MAX_SENDS, MAX_DRIFT = 5, 0.01
-#: Time within which a servo must answer after a reboot [s].
+#: Longest time in which a servo must answer after a reboot [s].
 REBOOT = 2.0
 #: Time without a new answer after which `ServoBus.reopen` waits no longer for silent servos [s].
 RESUME_TIME = 3.0
 #: Registers that are read and checked before torque is switched on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
-#: Number of torque-off packets to send to a servo that does not reply, and largest number of
-#: attempts to send them; an attempt fails while the line is noisy.
+#: Number of torque-off packets to a servo that does not reply, and largest number of attempts to
+#: send them: on a noisy line, an attempt may fail.
 OFF_PACKETS, OFF_TRIES = 3, 30
 MAY_BE_ON = "torque may still be on: "
 #: Text about servos whose registers could not be restored after torque off.
@@ -80,7 +80,7 @@ def enable(
         for device in switched:
             goal_register = start[id(device)]["position"]
             commands[id(device)] = commands[id(device)]._replace(goal=goal_register)
-        # From here on a failure may leave torque on, because on some servos a goal switches it on.
+        # Failures from here on may leave torque on: on some servos a goal switches it on.
         is_sent = True
         for port in dict.fromkeys(ports[id(device)] for device in devices):
             served = [device for device in devices if ports[id(device)] is port]
@@ -98,8 +98,8 @@ def enable(
             _check_still(device, ports, start[id(device)])
     except BaseException as error:
         if is_sent and not isinstance(error, Exception):
-            # A signal: the arm may hang on its servos by now and would fall without them. The
-            # caller lowers it; a servo that has no torque yet stays without.
+            # After a signal the joints keep their torque, because the arm may hang on it; the
+            # caller lowers the arm. Servos without torque stay without.
             for device in devices:
                 device.enabled = device.torque_on = True
             raise
@@ -182,7 +182,7 @@ class FirstCommand(NamedTuple):
 
 
 def _encoded(device: Device, command: FirstCommand) -> tuple[int, int, int, bytes, bytes]:
-    """Return registers and packets of a command, as `ServoCodec.encode` does for each servo."""
+    """Return register values and packets of a command, in the format of `ServoCodec.encode`."""
     packets = [device.packet(names, *command) for names in device.family.write]
     return (*command, packets[0], packets[-1])
 
@@ -253,7 +253,7 @@ def _send_first_command(
 
 
 def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> RegisterImage:
-    """Return the present registers of a servo that its torque may be switched on with.
+    """Check that the torque of a servo may be switched on; return its present registers.
 
     Raises:
         ServoError: The servo has a fault, or its position differs from `goal` or is out of range.
@@ -270,8 +270,8 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
     expected = float(goal[device.joint])
     if abs(start - expected) > MAX_START_ERROR and not image["torque_enable"]:
         raise ServoError(
-            f"{device.name} is at {start:.2f} rad and not at {expected:.2f}: enable it with the "
-            "goal where it is, and move it afterwards"
+            f"{device.name} is at {start:.2f} rad and not at {expected:.2f}: enable it with its "
+            "present position as goal, and move it afterwards"
         )
     raw = round(device.position)
     if not device.multi_turn and not device.low <= raw <= device.high:
@@ -288,7 +288,7 @@ def _has_tripped(device: Device, before: Mapping[int, RegisterImage]) -> bool:
 
 
 def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
-    """Check that torque is on, and that the joint moved no farther than falling explains.
+    """Check that torque is on, and that the joint has moved no farther than falling explains.
 
     `before` contains position and speed of the servo before torque on.
     """
@@ -298,7 +298,7 @@ def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
     moved = abs(image["position"] - before["position"]) * device.units.count
     passed = image.time - before.time
     fall = 2.0 * abs(device.units.velocity(before["speed"])) * passed
-    # Accept also the position error at which the servo exerts its torque limit: limit / k_p.
+    # Allow also the position error with which the servo exerts its torque limit: limit / k_p.
     kp = device.spec.kp or device.units.stiffness(device.gain)
     sag = device.units.torque(device.limit) / kp
     if moved > MAX_MOTION + fall + sag:
@@ -394,7 +394,7 @@ def _send_off_blindly(device: Device, ports: Ports) -> str:
 
 
 def _restore_registers(device: Device, ports: Ports) -> None:
-    """Write the initial values of RAM registers back, because other programs rely on them."""
+    """Restore the initial values of RAM registers, on which other programs rely."""
     if not device.initial_values:
         return
     image = _image(device, ports, *device.initial_values)

@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from pliant.servo._port import Port
     from pliant.servo._transactions import Reply, TransactionGuard
 
-#: Highest id that is pinged if a servo is missing, to list the ids of servos that are present.
+#: Highest id that is pinged when a servo is missing, for the list of ids that answer.
 NEARBY = 20
 #: Number of the bit of the register Shutdown that enables overload protection.
 OVERLOAD_BIT = 5
-#: Delay of replies beyond the wire time above which the adapter seems to hold them back [s].
+#: Delay of replies beyond the wire time above which the adapter seems to delay them [s].
 MIN_HOLD_BACK = 0.008
 #: Number of the bit of Feetech's register Phase that is set if the unit of speed is 1 step/s.
 SPEED_UNIT_BIT = 2
 
 
-#: Remedy in error messages about a calibration file that differs from the servo's registers.
+#: Remedy in errors about a calibration file that differs from the registers of the servo.
 CALIBRATION_REMEDY = (
     "the file is of another arm, or older than its last calibration: name the file of this arm, or "
-    "run lerobot-calibrate, which writes file and servos alike"
+    "run lerobot-calibrate, which writes both file and servos"
 )
-#: Name in LeRobot's calibration file of each register that the file contains.
+#: LeRobot's name in the calibration file of each register that the file contains.
 LEROBOT_NAMES = {
     "homing_offset": "homing_offset",
     "position_min": "range_min",
@@ -170,28 +170,28 @@ def _adapter_note(port: Port) -> str:
         port.latency = guard.latency = round(guard.held_back, 3)
         return (
             f"every answer on {port.path} comes {guard.held_back * 1e3:.0f} ms later than the wire "
-            "takes: an adapter that holds short answers back (16 ms is FTDI's default), which cuts "
+            "takes: the adapter delays short answers (16 ms is FTDI's default), which reduces "
             "the rate of the loop: set its latency timer to 1 ms (docs/troubleshooting.md)"
         )
     if port.latency is not None and port.latency > 0.001:
         return (
-            f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which every answer "
-            "waits for: set it to 1 ms (docs/troubleshooting.md)"
+            f"the latency timer of {port.path} is {port.latency * 1e3:.0f} ms, which delays every "
+            "answer: set it to 1 ms (docs/troubleshooting.md)"
         )
     return ""
 
 
 def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: bool) -> list[str]:
-    """Return error texts for the servos whose replies are corrupt, with likely causes.
+    """Return error texts for servos whose replies are corrupt, with likely causes.
 
-    `all_of_them` is True if all replies on the port are corrupt: the line then has an error. If
-    only some are, two servos may have one id.
+    If all replies on the port are corrupt (`all_of_them`), the line has an error; if only some are,
+    two servos may have one id.
     """
     if all_of_them and len(broken) > 1:
         return [
-            f"{port.path}: every answer is broken ({broken[0][1]}). An adapter that hears its own "
-            "requests (switch its echo off) or adds bytes when it turns the line round, another "
-            "baud rate, or noise (cable, ground, termination)"
+            f"{port.path}: every answer is broken ({broken[0][1]}). Causes: an adapter that "
+            "receives its own requests (switch its echo off) or adds bytes when it changes "
+            "direction, another baud rate, or noise (cable, ground, termination)"
         ]
     return [
         f"{device.name}: {error}. Two servos on one id look like this: connect them one by one and "
@@ -201,7 +201,7 @@ def _broken(port: Port, broken: list[tuple[Device, BusError]], *, all_of_them: b
 
 
 def _missing(port: Port, missing: list[Device]) -> str:
-    """Return an error text with the servos that do not answer, and the ids that do answer."""
+    """Return an error text that names the servos without an answer, and the ids that answer."""
     expected = {device.id for device in port.devices}
     gone = {device.id for device in missing}
     nearby = [i for i in range(NEARBY + 1) if i not in expected and port.guard.ping(i)]
@@ -209,18 +209,18 @@ def _missing(port: Port, missing: list[Device]) -> str:
     answering = sorted(expected - gone | set(nearby))
     if not answering:
         return (
-            f"no servo answers on {port.path}: is the servos' power on, is it the right port, and "
-            "is the baud rate theirs? `pliant servos scan` tries all of them"
+            f"no servo answers on {port.path}: is their power on, is it the right port, and is the "
+            "baud rate right? `pliant servos scan` tries all of them"
         )
     return (
         f"no answer on {port.path} from {names}; ids that answer: "
-        f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; an id "
-        "that should not be there is set by `pliant servos setup ARM --set-id OLD:NEW`"
+        f"{', '.join(map(str, answering))}. The servos behind a loose plug are silent too; a wrong "
+        "id is changed by `pliant servos setup ARM --set-id OLD:NEW`"
     )
 
 
 def _check(device: Device, image: RegisterImage) -> list[str]:
-    """Return error texts for everything that prevents control of a servo; empty if nothing does."""
+    """Return error texts for all that prevents control of a servo; empty if the servo is usable."""
     row = device.row
     number = image["model"]
     if number != row.model_number:
@@ -250,10 +250,10 @@ def _check(device: Device, image: RegisterImage) -> list[str]:
 
 
 def _store_initial_values(device: Device, image: RegisterImage) -> None:
-    """Store in the device the register values to restore after torque off and to set at torque on.
+    """Store register values that torque off restores, and those that torque on writes.
 
-    If torque is on or the limit is 0, limit and speed cap stem from an earlier program or an
-    overload. The values to restore are then those after power-up.
+    If torque is on or the limit is 0, an earlier program or an overload has set limit and speed
+    cap; the values to restore are then those after power-up.
     """
     family = device.family
     device.drive_values = {
@@ -278,7 +278,7 @@ def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
 
 
 def _check_mode(device: Device, image: RegisterImage) -> list[str]:
-    """Return error texts for operating mode, drive mode and secondary id that must be changed."""
+    """Return error texts for operating mode, drive mode and secondary id that are not usable."""
     errors = []
     family = device.family
     if family.status == "p2":
@@ -327,8 +327,8 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     row, family = device.row, device.family
     device.ceiling = min(image[family.ceiling], device.units.full)
     if row.limit_type == "current" and image["pwm_limit"] < family.full_duty:
-        # Lower the ceiling to the torque at the register PWM Limit, which at standstill is in
-        # proportion to PWM.
+        # Lower the ceiling to the torque at the register PWM Limit; at standstill, torque is
+        # proportional to PWM.
         torque = image["pwm_limit"] / family.full_duty * device.units.usable(device.units.full)
         device.ceiling = min(device.ceiling, device.units.register(torque))
     device.gain = image["gain"]
@@ -351,11 +351,11 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
     if device.torque_on:
         notes.append(
             "its torque is on already: another program may be using the arm, or has left it up. "
-            "Enabling takes it over without switching it off; `pliant servos setup` wants it off"
+            "Enabling takes it over without switching it off; `pliant servos setup` needs it off"
         )
     if family.status != "feetech" and image["shutdown"] & 1 << OVERLOAD_BIT:
         notes.append(
-            "it shuts off on overload, and a compliant arm sits at its limit by design: "
+            "it shuts off on overload, but a compliant arm often pushes at its limit: "
             "`pliant servos setup` offers to clear bit 5 of Shutdown"
         )
     if "phase" in image and not image["phase"] & 1 << SPEED_UNIT_BIT:
@@ -390,8 +390,8 @@ def _store_registers(device: Device, image: RegisterImage) -> ServoInfo:
 def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
     """Return an error text for each register that differs from the joint's calibration file.
 
-    The text gives the values in file and servo and the resulting error of the joint's zero. A
-    secondary servo is not checked, because the file contains only the first servo of a joint.
+    The text gives both values and the resulting error of the joint's zero. Secondary servos are not
+    checked, because the file contains only the first servo of a joint.
     """
     file = device.spec.calibration
     if file is None or device.id != device.spec.id:
@@ -405,7 +405,7 @@ def _calibration_differences(device: Device, image: RegisterImage) -> list[str]:
         if name == "homing_offset":
             effect = f"its zero would be off by {_degrees(device, expected - have):.3g}°"
         elif name == "drive_mode":
-            effect = "it counts the other way round"
+            effect = "it counts in the opposite direction"
         else:
             middle = (image["position_min"] + image["position_max"]) / 2.0
             effect = f"its zero would be off by {_degrees(device, file.middle - middle):.3g}°"
@@ -424,11 +424,11 @@ def _calibration_notes(device: Device) -> list[str]:
     if "drive_mode" in device.family.registers:
         return []
     return [
-        "the calibration file has drive_mode 1: LeRobot turns this joint's values round, pliant "
-        "counts as its `sign` says; compare with `pliant servos doctor ARM --watch`"
+        "the calibration file has drive_mode 1: LeRobot inverts this joint's values, and only "
+        "`sign` counts here; compare with `pliant servos doctor ARM --watch`"
     ]
 
 
 def _degrees(device: Device, counts: float) -> float:
-    """Return the absolute joint angle [°] of a difference of `counts` encoder counts."""
+    """Return the joint angle [°], without sign, of a difference of `counts` encoder counts."""
     return abs(counts) * device.units.count * 57.29577951308232

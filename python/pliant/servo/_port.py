@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
-    #: Servos of one kind, and for each the registers of goal, limit and speed cap and its packets,
-    #: as `ServoCodec.encode` returns them.
+    #: Servos of one kind, and for each of them the values of goal, limit and speed cap register and
+    #: the packets, as `ServoCodec.encode` returns them.
     Packets = tuple["Group", Sequence[tuple[int, int, int, bytes, bytes]]]
 
-#: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, so that it
-#: does not cost a timeout in every cycle.
+#: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, because it
+#: costs a timeout in each cycle in which it is read.
 MAX_MISSES, PROBE_CYCLES = 3, 8
-#: Time without readings after which a servo may have restarted with torque off: the longer of
-#: `RESTART` [s] and `RESTART_CYCLES` control periods.
+#: After a time without readings, a servo may have restarted with torque off. The time is the longer
+#: of `RESTART` [s] and `RESTART_CYCLES` control periods.
 RESTART, RESTART_CYCLES = 0.1, 3.0
-#: Largest share of a control period that status registers of all servos may take: a request for
-#: their torque state, or the longer replies of readings that contain them.
+#: Largest share of a control period for reading status registers of all servos, by a request for
+#: their torque state or by longer readings.
 STATUS_SHARE = 0.2
 #: Register Bus Watchdog: its unit [s], its largest value, and the number of tries to set it.
 WATCHDOG_UNIT, MAX_WATCHDOG, WATCHDOG_TRIES = 0.02, 127, 4
@@ -46,7 +46,7 @@ class Group:
         family: Their family.
         ids: Ids of the servos.
         indices: Indices of the servos in the codec.
-        read_with_status: Blocks of a reading that contains the status; empty: status is read apart.
+        read_with_status: Blocks of a reading with status; empty: status is read separately.
     """
 
     def __init__(self, devices: Sequence[Device]) -> None:
@@ -57,10 +57,10 @@ class Group:
 
     @property
     def blocks(self) -> tuple[Block, ...]:
-        """Blocks of the next reading, with the status once it is due.
+        """Blocks of the next reading, with the status if it is due.
 
-        Status is due once `StatusPoller` has taken that of all these servos, of which the last has
-        its turn last. It saves the request for the status of one servo in each cycle.
+        Status is due once `StatusPoller` has taken that of all these servos. Reading it together
+        with the positions saves one request per cycle.
         """
         is_due = self.read_with_status and not self.devices[-1].has_new_status
         return self.read_with_status if is_due else self.family.read
@@ -128,13 +128,13 @@ class Port:
 
     @property
     def responsive(self) -> list[Device]:
-        """Servos that are not skipped at present because they did not reply."""
+        """Servos that are not skipped at present for missing replies."""
         return [device for device in self.devices if device.id not in self._silent]
 
     def can_read_all(self) -> bool:
-        """Return True if one request can read a byte of all servos fast enough in each cycle.
+        """Return True if one request per cycle can read a byte of all servos fast enough.
 
-        Fast enough is the share `STATUS_SHARE` of a control period.
+        Fast enough is `STATUS_SHARE` of a control period.
         """
         family = self.devices[0].family
         if not family.sync_read or family.status != "p2" or self.guard.is_gone:
@@ -157,7 +157,7 @@ class Port:
         """Read all servos with one request; if it fails, read them one by one.
 
         Args:
-            budget: Time after which the port makes no retries [s].
+            budget: Time after which the port stops retrying [s].
 
         Returns:
             Indices of the servos whose reading was received and is plausible.
@@ -202,8 +202,8 @@ class Port:
     def _check_restart(self, device: Device) -> bool:
         """Read torque state and watchdog of a servo that was silent; return False without a reply.
 
-        A servo that has restarted gets no more goals, because on some models a goal switches torque
-        on. A tripped watchdog is cleared, because the servo rejects goals until then.
+        A restarted servo gets no more goals, because a goal switches torque on in some models. A
+        tripped watchdog is cleared, because the servo rejects goals until then.
         """
         try:
             device.note(self.guard.read(device.id, device.family.block("torque_enable")))
@@ -234,10 +234,10 @@ class Port:
                 device.tripped = False
 
     def set_watchdog(self, seconds: float, budget: float) -> list[str]:
-        """Set the bus watchdog of all servos that have one, whether it has tripped or not.
+        """Set the bus watchdog of all servos that have one, tripped or not.
 
-        The value is written with packets without reply, so that silent servos cost little time,
-        and is then read back.
+        The value is written with packets without reply, which cost little time if servos are
+        silent, and is then read back.
 
         Args:
             seconds: Bus silence after which servos stop [s]; 0: never.
@@ -317,7 +317,7 @@ class Port:
     def _read_group(self, group: Group, accepted: list[int]) -> None:
         """Read several servos with one request; add the indices of plausible ones to `accepted`.
 
-        If the request fails, read the servos one by one, the servo that failed last.
+        If the request fails, read the servos one by one; the servo that failed comes last.
         """
         try:
             block, answers, time = self.guard.sync_read(group.ids, *group.blocks)
@@ -358,9 +358,14 @@ class Port:
     ) -> None:
         """Read each servo with a separate request; add indices of plausible ones to `accepted`.
 
-        The servo with the oldest reading comes first, so that a cycle that runs out of time does
-        not always miss the same servos. A servo that is silent repeatedly is skipped for some
-        cycles. `last` is the id of a servo to read last; `again` is True to retry after a failure.
+        The servo with the oldest reading comes first: a cycle that runs out of time then does not
+        always miss the same servos. A servo that is silent repeatedly is skipped for some cycles.
+
+        Args:
+            group: The servos.
+            accepted: List that gets the indices.
+            last: Id of a servo to read last.
+            again: True to retry after a failure.
         """
         replies = []
         missed = []
@@ -386,7 +391,7 @@ class Port:
             self._accept(device, reply, accepted)
 
     def _probe(self, accepted: list[int]) -> None:
-        """Read one of the skipped servos whose `PROBE_CYCLES` are over, if there is one."""
+        """Read one skipped servo that has been skipped for `PROBE_CYCLES`, if there is one."""
         for number in self._silent:
             self._silent[number] -= 1
         due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]
@@ -404,8 +409,8 @@ class Port:
 def latency_timer(path: str) -> float | None:
     """Return the latency timer of an FTDI adapter [s]; None for other adapters and systems.
 
-    The adapter holds short replies back for this time: 16 ms by default, 1 ms if configured. Only
-    Linux reports it.
+    The adapter delays short replies by this time: 16 ms by default, 1 ms if configured. Only Linux
+    reports it.
     """
     name = Path(path).resolve().name
     file = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
@@ -428,14 +433,14 @@ def write_groups(devices: Iterable[Device]) -> list[Group]:
     return _groups(devices, lambda device: device.family.write)
 
 
-#: Topics of faults after which the status of a servo is read before that of other servos.
+#: Topics of faults that move a servo to the front of the status readings.
 URGENT_FAULTS = frozenset({"torque", "jump", "port"})
 #: Number of control cycles per request for the torque state of all servos.
 TORQUE_PERIOD = 3
 
 
 class StatusPoller:
-    """Reads status registers of all servos in turn, one block per cycle; servos with faults first.
+    """Reads status registers of all servos in turn, one block per cycle, servos with faults first.
 
     A servo whose last reading contained all its status registers is not read again.
 
@@ -456,7 +461,7 @@ class StatusPoller:
     def step(self, ports: Mapping[int, Port]) -> ServoStatus | None:
         """Read one status block, and return the status of the servo's joint.
 
-        Servos with a new alert or an urgent fault come first, and servos whose goal or limit did
+        Servos with a new alert or an urgent fault come first. So do servos whose goal or limit did
         not read back as written: a second reading distinguishes a lost packet from a rejected one.
 
         Returns:
@@ -503,11 +508,11 @@ class StatusPoller:
             return True
         for device, (data, status) in zip(enabled, answers, strict=True):
             device.note(Reply(block, data, status, time))
-        # After False the caller reads the status of a servo that lost its torque in this cycle.
+        # False: the caller reads the status of a servo that lost its torque in the same cycle.
         return all(d.enabled for d in enabled)
 
     def _choose(self) -> tuple[Device, Block | None]:
-        """Return the next servo and the block to read; None: its last reading contained it."""
+        """Return the next servo and its block to read; None: its last reading contained it."""
         doubtful = [
             device
             for device in self._devices

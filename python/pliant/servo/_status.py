@@ -18,7 +18,7 @@ _P1 = {
     3: "a value out of range",
     4: "a request with a wrong checksum: noise on the line",
     5: f"{_OVERLOAD}; its torque limit is now 0. Take the load off and enable again, and clear "
-    "bit 5 of Shutdown with `pliant servos setup`: a compliant arm sits at its limit by design",
+    "bit 5 of Shutdown with `pliant servos setup`: a compliant arm often pushes at its limit",
     6: "an instruction it does not know",
 }
 _FEETECH = {
@@ -34,11 +34,11 @@ _HARDWARE = {
     3: "encoder fault: have it repaired",
     4: "electrical shock or a motor without enough power; check the supply, then reboot it",
     5: f"{_OVERLOAD}; its torque is off until a reboot. Clear bit 5 of Shutdown with `pliant "
-    "servos setup`: a compliant arm sits at its limit by design",
+    "servos setup`: a compliant arm often pushes at its limit",
 }
 _P2 = {
-    1: "it could not do as told",
-    2: "an instruction it does not know, or one not for now",
+    1: "it could not execute the request",
+    2: "an instruction that it does not know or accept now",
     3: "a request with a wrong CRC: noise on the line",
     4: "a value out of range",
     5: "too few bytes for the register",
@@ -73,8 +73,8 @@ def hardware(value: int) -> tuple[str, ...]:
 def refusal(family: Family, status: int) -> str | None:
     """Return the reason for the rejection of a request; None if the servo executed it.
 
-    `status` is the status byte of the reply. All bits of Feetech, and the bits of voltage,
-    temperature and overload in Protocol 1.0, report conditions: they do not mean rejection.
+    `status` is the status byte of the reply. Some bits report conditions and not a rejection: all
+    bits of Feetech, and those of voltage, temperature and overload in Protocol 1.0.
     """
     if family.status == "feetech":
         return None

@@ -1,15 +1,14 @@
 """Guarded transactions on one port: timeouts, retries, and rejection of late replies.
 
-The servo protocols have no sequence numbers. Only its length distinguishes a late reply to an
-earlier request from the reply to the present request. When a request fails, its reply is recorded
-as missing. Further requests to that servo ask for replies of another length, until such a reply
-arrives. Servos answer in order, so a reply proves that no older reply can still come. If possible,
-requests avoid the length of the missing reply until one second after its request, in case an
-adapter reorders data. A missing reply expires after two seconds, because an arm without positions
-for so long is being lowered.
+The servo protocols have no sequence numbers: only its length distinguishes a late reply to an
+earlier request from the present reply. When a request fails, its reply is recorded as missing, and
+further requests to that servo ask for another length until such a reply arrives. Servos answer in
+order, so this reply proves that no older one can still come. Some adapters reorder data: requests
+therefore avoid the length of a missing reply for one second in any case, if possible. A missing
+reply expires after two seconds; an arm without positions for so long is being lowered.
 
-A late reply also corrupts the next reply. After a failure the line is therefore drained: pings are
-sent to an unused id until the line has been silent for as long as a reply may take.
+A late reply also corrupts the next reply. After a failure the line is therefore drained: pings to
+an unused id discard data until the line has been silent for as long as a reply may take.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ BITS_PER_BYTE = 10
 RESPONSE_DELAY = 30e-6
 #: Largest accepted value of the argument `reply_timeout_min` [s].
 MAX_REPLY_TIMEOUT_MIN = 1.0
-#: Number of bytes of a read request or write request without data, and of a reply without data, by
+#: Number of bytes of a request to read or write, without data, and of a reply without data, by
 #: protocol.
 OVERHEAD = {"p1": (6, 6), "p2": (10, 11)}
 Kind = Literal["ping", "read", "write", "sync_read", "sync_write"]
@@ -99,7 +98,7 @@ def reply_timeout(
     """Return the reply timeout of a request [s].
 
     The timeout is twice the wire time, plus twice the latency timer of the adapter, plus 5 ms for
-    the host; at most three control periods, but at least `reply_timeout_min`.
+    the host. It is at most three control periods, but at least `reply_timeout_min`.
 
     Args:
         wire: Time that the transaction takes on the wire [s].
@@ -124,8 +123,8 @@ def check_reply_timeout(reply_timeout_min: float) -> float:
     return float(reply_timeout_min)
 
 
-#: Time after a failed request [s]: until `AVOID_TIME` later requests avoid the length of its reply
-#: if possible; until `EXPIRY` they avoid it always, unless the servo has answered since.
+#: After a failed request, later requests avoid the length of its reply: until `AVOID_TIME` [s] if
+#: possible, until `EXPIRY` [s] always, unless the servo has answered since.
 AVOID_TIME, EXPIRY = 1.0, 2.0
 
 
@@ -168,14 +167,14 @@ class PendingReplies:
                 reply.is_superseded = True
 
     def ambiguous_lengths(self, id: int) -> set[int]:
-        """Return the numbers of data bytes that a late reply of servo `id` may have."""
+        """Return the possible numbers of data bytes of a late reply of servo `id`."""
         return {reply.size for reply in self.missing.get(id, ()) if not reply.is_superseded}
 
     def choose(self, ids: Sequence[int], blocks: Sequence[Block], now: float) -> Block | None:
-        """Return the first of `blocks` whose length no missing reply of the servos `ids` has.
+        """Return the first of `blocks` whose length differs from those of missing replies of `ids`.
 
-        Lengths of recently superseded replies are avoided if possible. `now` is the present time
-        [s]. None: every block has the length of a missing reply.
+        None: every block has the length of a missing reply. Lengths of recently superseded replies
+        are avoided if possible. `now` is the present time [s].
         """
         for id in ids:
             self._expire(id, now)
@@ -203,24 +202,24 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 NOISE_MESSAGE = (
-    "the line is never silent: an adapter that hears its own requests (switch its echo off), or "
+    "the line is never silent: an adapter that receives its own requests (switch its echo off), or "
     "noise (cable, ground, termination)"
 )
 
-#: Part of the silence that ends a drain, as a share of `reply_timeout_min`: tolerance for a busy
-#: host, in addition to wire time and adapter latency.
+#: Share of `reply_timeout_min` that is added to wire time and adapter latency for the silence that
+#: ends a drain, because the host may be busy.
 SILENCE_SHARE = 0.2
-#: Outside of control cycles: factor by which reply timeouts are longer, and number of tries.
+#: Outside of control cycles: factor on reply timeouts, and number of tries.
 RELAXED_FACTOR, TRIES = 5.0, 6
-#: Outside of control cycles: longest drain of the line [s], and longest drain after a drain that
-#: has not found silence [s].
+#: Outside of control cycles: longest drain of the line, and longest one after a drain that found no
+#: silence [s].
 DRAIN, DRAIN_AGAIN = 0.5, 0.05
-#: Number of data bytes of a ping reply by protocol; and number of bytes from address 0 on that can
-#: be read from every servo.
+#: Number of data bytes of a ping reply by protocol; number of bytes from address 0 that every servo
+#: has.
 PING_SIZE, MIN_REGISTERS = {"p1": 0, "p2": 3}, 12
 #: Largest number of ids that are pinged to find an unused id.
 UNUSED_ID_TRIES = 8
-#: Name of the counter that each `BusError.reason` increments.
+#: Counter that is increased for each `BusError.reason`.
 _COUNTER_OF_REASON = {
     "timeout": "timeouts",
     "corrupt": "corrupt",
@@ -271,7 +270,7 @@ class Reply(NamedTuple):
 class TransactionGuard:
     """Requests on one port, with timeouts, retries, counters and rejection of late replies.
 
-    After a failure the line is drained: unused bytes are discarded until the line is silent.
+    After a failure the line is drained: the received bytes are discarded until the line is silent.
 
     Args:
         transport: Access to the port.
@@ -280,7 +279,7 @@ class TransactionGuard:
         latency: Latency timer of the USB adapter [s].
         cycle: Control period [s].
         reply_timeout_min: Minimum reply timeout [s].
-        unused_id: Id without a servo, which is pinged to drain the line.
+        unused_id: Id without a servo; pings to it drain the line.
         clock: Function that returns the time for timeouts [s].
         sample_clock: Function that returns the times in replies [s]; default: `clock`.
 
@@ -288,7 +287,7 @@ class TransactionGuard:
         counters: Event counters.
         response_delay: Longest time from request to reply of a servo [s].
         latency: Latency timer of the USB adapter [s].
-        held_back: Shortest time by which a reply came later than the wire time explains [s].
+        held_back: Shortest delay of a reply beyond its wire time [s].
         is_gone: True if the port has vanished; every request then fails at once.
         is_noisy: True if the last drain outside of a control cycle ended without silence.
     """
@@ -319,14 +318,13 @@ class TransactionGuard:
         self._timeout = self._reply_timeout = self._wire = 0.0
         self._reply_timeout_min = reply_timeout_min
         self._pending = PendingReplies()
-        # Wire time and reply timeout [s] of the kinds of requests made so far.
+        # Wire time and reply timeout [s] of each kind of request so far.
         self._times: dict[tuple[Kind, int, int, float, float], tuple[float, float]] = {}
 
     def start_cycle(self, budget: float = float("inf")) -> None:
         """Start a control cycle: retries and drains end within `budget` [s] from now.
 
-        An infinite budget is for requests outside of control cycles: they get longer timeouts and
-        more tries.
+        Outside of control cycles the budget is infinite, with longer timeouts and more tries.
         """
         self._deadline = self._clock() + budget
 
@@ -395,7 +393,7 @@ class TransactionGuard:
         Raises:
             BusError: The port is gone.
         """
-        # Do not drain the line: a packet without a reply does not need a silent line.
+        # No drain: a packet without a reply does not need a silent line.
         if self.is_gone:
             self.check_port()
         self._prepare("sync_write", len(ids), len(data[0]))
@@ -416,8 +414,8 @@ class TransactionGuard:
             self._note_failure(error)
             raise
         if not answered:
-            # Drain the line before the next request: a late servo, or two servos with one id,
-            # may still be sending.
+            # Drain before the next request: a late servo, or two servos with one id, may still be
+            # sending.
             self._is_dirty = True
             self._pending.add([id], PING_SIZE[self._protocol], started)
         return answered
@@ -437,7 +435,7 @@ class TransactionGuard:
     def find_unused_id(self, used: Iterable[int], highest: int) -> None:
         """Find the highest id without a servo, for the pings that drain the line.
 
-        Keep the present id if every id tried seems to answer, as on a line with echo.
+        Keep the present id if every id seems to answer, as on a line with echo.
 
         Args:
             used: Ids of the servos.
@@ -492,17 +490,17 @@ class TransactionGuard:
             raise
 
     def _choose(self, ids: Sequence[int], blocks: Sequence[Block]) -> Block:
-        """Return the first of `blocks` whose length no missing reply of the servos `ids` has.
+        """Return the first of `blocks` whose length differs from those of missing replies of `ids`.
 
         Raises:
-            BusError: Every block has the length of a missing reply, and the cycle has no time to
-                read the servo with another length first.
+            BusError: Every block has the length of a missing reply, and no time is left in the
+                cycle to read another length first.
         """
         found = self._pending.choose(ids, blocks, self._clock())
         if found is not None:
             return found
         if not isinf(self._deadline):
-            raise BusError(f"id {ids[0]} still owes an answer that looks like this one", "late")
+            raise BusError(f"id {ids[0]} may still send a late answer like this one", "late")
         for id in ids:
             self._resolve(id)
         return blocks[0]
@@ -514,13 +512,13 @@ class TransactionGuard:
                 (n for n in range(MIN_REGISTERS, 0, -1) if n not in ambiguous_lengths), None
             )
             if size is None:
-                raise BusError(f"id {id} owes too many answers to be asked again", "late")
+                raise BusError(f"id {id} has too many answers missing to be asked again", "late")
             self._read_block(id, Block(0, size))
 
     def _prepare(self, kind: Kind, servos: int, size: int, *, is_urgent: bool = False) -> float:
         """Set the reply timeout for a request, count the request, and return the present time [s].
 
-        An urgent request gets no longer timeout outside of control cycles.
+        An urgent request has the same timeout outside of control cycles as within.
         """
         key = (kind, servos, size, self.response_delay, self.latency)
         times = self._times.get(key)
@@ -609,9 +607,9 @@ class TransactionGuard:
     def _drain(self) -> bool:
         """Wait until the line has been silent for the time of a reply; return False on timeout.
 
-        Pings to an unused id discard the data on the line: a ping returns early if data arrive, and
-        after its timeout otherwise. In a control cycle, the drain ends with the cycle. Outside, the
-        silence must last as long as a reply timeout, and the drain ends after `DRAIN`.
+        Pings to an unused id discard the data on the line: a ping returns early if data arrive,
+        else after its timeout. In a control cycle, the drain ends with the cycle. Outside, the line
+        must be silent for a reply timeout, and the drain ends after `DRAIN`.
         """
         self.counters.drains += 1
         is_relaxed = isinf(self._deadline)
@@ -637,9 +635,9 @@ class TransactionGuard:
 
 
 def _mismatch(id: int, block: Block, data: bytes, status: int) -> BusError:
-    """Return the error for a reply that does not have the length of the block.
+    """Return the error for a reply whose length is not that of the block.
 
-    The servo rejected the request, or the reply belongs to an earlier request.
+    Either the servo rejected the request, or the reply belongs to an earlier request.
     """
     if not data and status:
         return BusError(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pliant.servo.transport import Transport
 
 
-#: Difference between the joint angles that two servos of one joint measure, above which a fault is
+#: Largest difference of the joint angles that two servos of one joint measure; above it, a fault is
 #: reported [rad].
 MAX_DISAGREEMENT = 0.1
 
@@ -64,8 +64,8 @@ def check_agreement(joint: Sequence[Device]) -> None:
     )
 
 
-#: Largest time for reading all servos with retries, as a multiple of the control period, or of
-#: `reply_timeout_min` if that is longer.
+#: Time limit for reading all servos with retries, in control periods, or in `reply_timeout_min` if
+#: that is longer.
 BUDGET = 3.0
 
 
@@ -133,7 +133,7 @@ class ServoBus:
         self._ports: list[Port] = []
         self._pool: ThreadPoolExecutor | None = None
         self._watchdog = 0.0
-        # By path, in a `closed_copy`: longest delay of a reply, and latency of the adapter [s].
+        # Timing of each path, for a `closed_copy`: longest delay of a reply, adapter latency [s].
         self._timing: dict[str, tuple[float, float]] = {}
         self.found: tuple[ServoInfo, ...] = ()
 
@@ -164,13 +164,13 @@ class ServoBus:
     def outlives_program(self) -> bool:
         """True if another process can drive the servos after the end of the program.
 
-        The ports must be serial ports, and not of a `transport` of your own, and in real time.
+        This requires real time, and serial ports without a `transport` of your own.
         """
         is_real = self.clock is None or bool(getattr(self.clock, "real_time", False))
         return is_real and self._transport is RustypotTransport
 
     def closed_copy(self) -> ServoBus:
-        """Return a closed bus of the same servos as identified, for `reopen` in another process."""
+        """Return a closed bus of the identified servos, for `reopen` in another process."""
         copy = ServoBus(
             self.specs,
             baudrate=self._baudrate,
@@ -187,16 +187,15 @@ class ServoBus:
         return copy
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled of a `closed_copy`; `reopen` makes the codec again."""
+        """Return the state to pickle of a `closed_copy`; `reopen` makes the codec again."""
         return {name: value for name, value in self.__dict__.items() if name != "_codec"}
 
     def reopen(self) -> tuple[Array, Array]:
         """Open the ports of a `closed_copy` after the program has ended with torque on.
 
-        The servos were identified before the copy was made, and are not identified again, so
-        that a servo that is missing by now does not prevent the descent of the others. `write`
-        sends goals to the servos whose torque is on. Torque does not change, and `disable`
-        restores the registers that the ended program found.
+        The servos are not identified again: a servo that is missing by now then does not prevent
+        the descent of the others. `write` sends goals to the servos whose torque is on. Torque does
+        not change. `disable` restores the registers that the ended program found.
 
         A servo that does not answer counts as `enabled`. Called again while the ports are open,
         this method asks only these servos, once each.
@@ -207,7 +206,7 @@ class ServoBus:
 
         Raises:
             ServoError: A port cannot be opened, for example because a program still uses it; or
-                servos do not answer, and no other has torque.
+                servos do not answer, and the others have no torque.
         """
         if self._ports:
             self._silent = sequences.resume(self._silent, self._port_of, self._budget, 0.0)
@@ -218,7 +217,7 @@ class ServoBus:
                 port = self._open_port(path)
                 port.guard.response_delay = response_delay
                 port.latency = port.guard.latency = latency
-                # The line may hold the reply to the last request of the ended program.
+                # The line may still hold the reply to the last request of the ended program.
                 port.guard.find_unused_id({device.id for device in port.devices}, port.highest)
             if len(self._ports) > 1:
                 self._pool = ThreadPoolExecutor(len(self._ports), "pliant-bus")
@@ -244,7 +243,7 @@ class ServoBus:
         return goals, limits
 
     def drop_ports(self) -> None:
-        """Give up the ports in a forked process, so that they close when their program ends."""
+        """Release the ports in a forked process; the parent alone then keeps them open."""
         for port in self._ports:
             drop_port(port.path)
 
@@ -430,7 +429,7 @@ class ServoBus:
         try:
             packets = [(port, port.encode(goal, limit, velocity, speed)) for port in self._ports]
         except (ShapeError, OutOfRangeError):
-            # Name the joint.
+            # Raises an error that names the joint.
             self._vector(goal, "goal")
             self._vector(limit, "limit", unit="N·m")
             if velocity is not None:
@@ -445,7 +444,7 @@ class ServoBus:
         self._report_lost_ports()
 
     def poll_status(self) -> ServoStatus | None:
-        """Read some of the status registers of one servo, the servos taking turns.
+        """Read status registers of one servo, in turn.
 
         Return voltage, temperature, faults and limit of its joint as last read; None without a
         reply. Call this method once per cycle, after `read` and `write`.
@@ -491,7 +490,7 @@ class ServoBus:
             self.watchdog(self._watchdog)
 
     def disable(self, names: Sequence[str] | None = None) -> None:
-        """Switch torque off, by default of all joints; all are tried even if one fails.
+        """Switch torque off, by default of all joints; after a failure, continue with the others.
 
         RAM registers get their initial values again; `unrestored` tells where this failed.
 
@@ -565,7 +564,7 @@ class ServoBus:
         self._attach()
 
     def _attach(self) -> None:
-        """Create the codec of all servos; their last readings stay."""
+        """Create the codec of all servos; keep their last readings."""
         self._codec = ServoCodec(len(self._devices), self.n)
         for i, device in enumerate(self._devices):
             device.attach(self._codec, i)
@@ -605,9 +604,10 @@ class ServoBus:
     def _vector(
         self, value: ArrayLike | None, name: str, *, unit: str = "", unlimited: bool = False
     ) -> list[float]:
-        """Validate and return a vector (n,) of finite numbers; with `unlimited`, also of inf.
+        """Validate and return a vector (n,) of finite numbers; with `unlimited`, inf is allowed.
 
-        If `unit` is given, every number must be at least 0; the error message contains the unit.
+        If `unit` is given, every number must be at least 0, and the error message contains the
+        unit.
         """
         array = np.asarray(value, dtype=np.float64)
         if array.shape != (self.n,):

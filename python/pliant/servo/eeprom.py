@@ -1,7 +1,7 @@
 """Setup of a servo's EEPROM: find the registers to change, write them, and restore them.
 
-This is the only module that writes EEPROM. It requires that torque is off, and reads every register
-back. Every change contains the former value, so that it can be undone.
+Only this module writes EEPROM. It requires that torque is off, and reads every register back. Every
+change contains the former value, with which it can be undone.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ OVERLOAD_BIT = 5
 CURRENT_POSITION, POSITION = 5, 3
 #: Value of the register Secondary ID that disables the secondary id.
 NO_SECONDARY = 255
-#: Mask of the bits of the register Drive Mode (Protocol 2.0) that a setup clears: follow another
+#: Mask of the bits of the register Drive Mode (Protocol 2.0) that a setup clears: slave of another
 #: servo (bit 1), time-based profile (bit 2), and torque on by a goal (bit 3).
 DRIVE_MODE_BITS_TO_CLEAR = 0b1110
-#: Mask of the bit of the register Drive Mode (Protocol 1.0) that makes a servo follow another one.
+#: Mask of the bit of the register Drive Mode (Protocol 1.0) for a slave of another servo.
 SLAVE_BIT = 0b10
 
 
@@ -119,7 +119,7 @@ def _differences(
 ) -> list[RegisterChange]:
     """Return a `RegisterChange` for each register whose value is not the required one.
 
-    `required` is the required value and the reason for it, by register name.
+    `required` contains the required value and its reason, by register name.
     """
     out = []
     for register, (new, why) in required.items():
@@ -144,23 +144,23 @@ def _required_values(
         out["return_delay"] = (0, "answers at once: the loop is up to four times as fast")
         if overload:
             mask = read(io, id, family, "shutdown") & ~(1 << OVERLOAD_BIT)
-            why = "a compliant arm sits at its limit; with this bit the servo drops the arm for it"
+            why = "a compliant arm often pushes at its limit; with this bit the servo then drops it"
             out["shutdown"] = (mask, why)
     if family.status == "p2":
         mode = CURRENT_POSITION if row.limit_type == "current" else POSITION
         out["mode"] = (mode, "position control whose torque the limit bounds")
         drive = read(io, id, family, "drive_mode") & ~DRIVE_MODE_BITS_TO_CLEAR
-        out["drive_mode"] = (drive, "follows goals of its own, at once, with torque as told")
+        out["drive_mode"] = (drive, "executes its own goals at once, with separate torque on")
         out["shadow_id"] = (NO_SECONDARY, "obeys its own id only")
     elif family.status == "feetech":
         out["mode"] = (0, "position control")
     else:
         if read(io, id, family, "position_min") == read(io, id, family, "position_max"):
-            why = "position control, and not a wheel or several turns"
+            why = "position control, not wheel or multi-turn mode"
             out["position_min"], out["position_max"] = (0, why), (row.max_position, why)
         if "drive_mode" in family.registers:
             drive = read(io, id, family, "drive_mode") & ~SLAVE_BIT
-            out["drive_mode"] = (drive, "follows goals of its own")
+            out["drive_mode"] = (drive, "follows its own goals, not those of another servo")
     return out
 
 

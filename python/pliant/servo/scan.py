@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 #: Baud rates to try [bit/s], the most common first.
 BAUDRATES = (1_000_000, 57_600, 115_200, 500_000, 2_000_000, 3_000_000, 4_000_000)
-#: Ids that a scan tries by default: ids in common use.
+#: Ids in common use, which a scan tries by default.
 USUAL = range(41)
 #: All ids that both protocols allow.
 ALL = range(253)
-#: Tolerance of the short reply timeout for a busy host, beside wire time and adapter latency [s].
+#: Part of the short reply timeout for a busy host, besides wire time and adapter latency [s].
 TIMEOUT_MARGIN = 0.005
-#: Minimum of the long reply timeout, for a request after data have arrived, and minimum silence of
-#: the line before such a request [s]. Adapters hold replies back for up to 16 ms.
+#: Minimum of the long reply timeout, and of the silence before a request with it [s]. Adapters
+#: delay replies by up to 16 ms.
 LONG_TIMEOUT = 0.05
-#: Number of preceding ids that the scan asks again when data arrive, as these may be a late reply.
+#: Number of preceding ids that are asked again when data arrive, as these may be a late reply.
 IDS_TO_REPEAT = 12
-#: Id that is assumed to have no servo, and is pinged to detect data on the line; number of such
-#: pings after which the line counts as never silent; number of requests to an id whose replies are
-#: corrupt.
+#: `UNUSED_ID` is assumed to have no servo; pings to it detect data on the line. After `MAX_PINGS`
+#: pings with data, the line counts as never silent. An id with corrupt replies gets `TRIES`
+#: requests.
 UNUSED_ID, MAX_PINGS, TRIES = 252, 20, 3
 #: Longest response delay of a servo [s]: 500 µs is the makers' default, plus a margin.
 MAX_RESPONSE_DELAY = 0.0006
@@ -42,8 +42,8 @@ SAME_ID_NOTE = (
     "`pliant servos setup ARM --set-id OLD:NEW`; else a bad cable"
 )
 BAD_LINE_NOTE = (
-    "broken answers from every id: an adapter that hears its own requests or adds bytes when it "
-    "turns the line round; noise; or another baud rate"
+    "broken answers from every id: an adapter that receives its own requests or adds bytes when it "
+    "changes direction; noise; or another baud rate"
 )
 #: Addresses of the register Model Number by protocol; `p1`: of Dynamixel 1.0, then of Feetech.
 MODEL_ADDRESSES = {"p1": (0, 3), "p2": (0,)}
@@ -169,8 +169,8 @@ class _IdScan:
     def _identify(self, number: int) -> ScannedServo | None:
         """Return the servo that answers to id `number` within the long timeout; None: no reply.
 
-        The request is a read, not a ping: after the ping replies of two servos at once, the
-        transport would report no servo.
+        The request is a read, because the transport does not report a servo if the ping replies of
+        two servos collide.
         """
         for _ in range(TRIES):
             self._wait_for_silence()

@@ -27,8 +27,8 @@ class Calibration:
 
     Attributes:
         id: Servo id.
-        drive_mode: 1 if LeRobot inverts normalised values. The value 1 also reverses the counts of
-            Dynamixel servos, but not those of Feetech servos.
+        drive_mode: 1 if LeRobot inverts normalised values. For Dynamixel servos, 1 also reverses
+            the counts.
         homing_offset: Offset that the servo adds to (Dynamixel) or subtracts from (Feetech) its
             encoder count [counts].
         range_min, range_max: Positions that the servo reports at the ends of the travel [counts].
@@ -62,7 +62,7 @@ class Calibration:
                 )
 
     def registers(self, known: Container[str]) -> dict[str, int]:
-        """Return the values by name of the registers that LeRobot writes from its calibration file.
+        """Return, by register name, the values that LeRobot writes from its calibration file.
 
         At each connection LeRobot compares these registers with the file. `known` are the names of
         the servo's registers; others are omitted, e.g. Drive Mode, which Feetech servos lack.
@@ -86,8 +86,8 @@ class ServoSpec:
     Attributes:
         name: Joint name.
         model: Servo model, as `pliant.servo.list_models()` lists them.
-        model_number: Content of the register Model Number of a servo that is not in the table of
-            models, but has the control table of `model`; None: that of `model`.
+        model_number: Register Model Number of a servo that is not in the table of models, but has
+            the control table of `model`; None: that of `model`.
         no_load: No-load speed at the rated voltage [rpm]; None: the value of the model.
         voltage: Lowest and highest supply voltage [V]; None: those of the model.
         id: Id on the bus.
@@ -188,7 +188,7 @@ class ServoSpec:
 
     @cached_property
     def row(self) -> ServoModel:
-        """Data of the servo model; of an unknown model, with the values of this spec."""
+        """Data of the servo model; values that this spec gives replace those of the table."""
         row = get_model(self.model)
         if all(value is None for value in (self.model_number, self.no_load, self.voltage)):
             return row
@@ -310,7 +310,7 @@ class Units:
 
     @cached_property
     def _usable(self) -> dict[int, float]:
-        """Results of `usable` so far."""
+        """Cached results of `usable`."""
         return {}
 
     @cached_property
@@ -349,7 +349,7 @@ class Units:
         maximum = self.full if ceiling is None else min(ceiling, self.full)
         if torque <= 0.0:
             return 0
-        # Add a rounding tolerance, so that `register(torque(n)) == n` for every value n.
+        # Tolerance for rounding: `register(torque(n)) == n` for every value n.
         counts = (torque + self.spec.torque_offset) / self.torque_per_unit
         return max(0, min(floor(counts * (1.0 + 1e-12) + 1e-9), maximum))
 
@@ -495,5 +495,5 @@ def servos_from_units(
 
 
 def _identified(table: Array, own: Sequence[float | None]) -> Array:
-    """Return `table` with each value replaced by the entry of `own`, unless that is None."""
+    """Return `table`, with each value replaced by that in `own` unless that is None."""
     return np.array([t if o is None else o for t, o in zip(table, own, strict=True)])

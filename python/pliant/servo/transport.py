@@ -83,7 +83,8 @@ class Transport(Protocol):
         """Close the serial port."""
 
 
-#: Instructions of Protocol 1.0, id of requests to all servos, and bytes of a reply without data.
+#: Protocol 1.0: instructions, id of requests to all servos, number of bytes of a reply without
+#: data.
 READ, SYNC_READ, SYNC_WRITE, BROADCAST, OVERHEAD = 0x02, 0x82, 0x83, 0xFE, 6
 
 
@@ -91,7 +92,7 @@ class RustypotTransport:
     """Transport that uses rustypot: one port, one protocol.
 
     Dynamixel Protocol 1.0 and Feetech servos can share a port, because their framing is the same.
-    Protocol 2.0 needs a port of its own. The GIL is released during waits.
+    Protocol 2.0 needs a separate port. The GIL is released during waits.
 
     Args:
         port: Path of the serial port.
@@ -120,10 +121,10 @@ class RustypotTransport:
             self._io: Any = kind(port, baudrate, timeout)
         except (OSError, RuntimeError) as error:
             raise ServoError(_cannot_open(port, str(error))) from error
-        # Packets of Protocol 1.0 go through the descriptor of the port, where that is known.
+        # Packets of Protocol 1.0 use the file descriptor of the port if it is known.
         opened = _descriptors(port) - before if protocol == "p1" else set()
         self._descriptor = opened.pop() if len(opened) == 1 else None
-        # A closed descriptor may become that of another file while a thread still uses it.
+        # Locked, because the number of a closed descriptor may be reused while a thread uses it.
         self._lock = threading.Lock()
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
@@ -198,7 +199,7 @@ class RustypotTransport:
     def _exchange(self, request: bytes, ids: Sequence[int], size: int) -> list[tuple[bytes, int]]:
         """Send a request of Protocol 1.0; return data and status byte of the reply of each servo.
 
-        The first reply with another number of data bytes is the last that is returned.
+        The returned list ends with the first reply that has another number of data bytes.
 
         Raises:
             BusError: A reply is missing or corrupt, or the port is gone.
@@ -281,7 +282,7 @@ def _cannot_open(port: str, text: str) -> str:
     if "exclusive" in lower or "busy" in lower or "in use" in lower:
         return (
             f"{port} is in use by another program: close it (a vendor's wizard, another run); a "
-            "guardian that lowers the arm after its program has ended is done within a minute"
+            "guardian that lowers the arm of an ended program takes less than a minute"
         )
     if "no such file" in lower or "not found" in lower or "no such device" in lower:
         there = ", ".join(serial_ports()) or "none: is the adapter plugged in?"
@@ -292,7 +293,7 @@ def _cannot_open(port: str, text: str) -> str:
 
 
 def _descriptors(path: str) -> set[int]:
-    """Return the descriptors of this process that are the serial port `path`; none on Windows."""
+    """Return the file descriptors of this process that refer to the serial port `path`."""
     found = set()
     with suppress(OSError):
         device = os.stat(path).st_rdev
@@ -306,8 +307,8 @@ def _descriptors(path: str) -> set[int]:
 def drop_port(path: str) -> None:
     """Replace descriptors of the serial port `path` by the null device, in a forked process.
 
-    A forked process shares the lock of the port, which would otherwise stay locked until the end of
-    both processes. Closing through the driver could wait for a thread that the fork does not have.
+    A forked process shares the lock of the port, which would stay locked until both processes end.
+    Closing through the driver could wait for a thread that does not exist after the fork.
     """
     for number in _descriptors(path):
         with suppress(OSError):

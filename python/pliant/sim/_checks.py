@@ -8,17 +8,18 @@ import numpy as np
 
 from pliant._core import ConfigError, Servos, ShapeError
 from pliant._servo_tables import spread
-from pliant._validation import format_value, instance
+from pliant._validation import format_value, instance, real
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from pliant._core import Model
     from pliant._typing import Array
 
 
 def physics_steps(dt: float, rate: float) -> int:
     """Return the number of physics steps of `dt` [s] per control period at `rate` [Hz]."""
-    dt, rate = (_float(value, name) for value, name in ((dt, "dt"), (rate, "rate")))
+    dt, rate = (real(value, name) for value, name in ((dt, "dt"), (rate, "rate")))
     if not (np.isfinite(dt) and 0.0 < dt <= 0.01):
         raise ConfigError(f"dt must be in (0, 0.01] s, got {dt!r}")
     if not (np.isfinite(rate) and rate > 0.0):
@@ -29,7 +30,7 @@ def physics_steps(dt: float, rate: float) -> int:
     return steps
 
 
-def extra(model: Any, servos: Any | None) -> dict[str, Servos]:
+def extra(model: Model, servos: Any | None) -> dict[str, Servos]:
     """Validate and return the servo tables of off-chain joints by name.
 
     Tables of joints that the model does not have are omitted.
@@ -63,14 +64,6 @@ def load(payload: Any) -> tuple[float, Array] | None:
             f"got {format_value(payload)}"
         )
     return mass, com
-
-
-def _float(value: Any, name: str) -> float:
-    """Return `value` as a float; the range is not checked."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise ConfigError(f"{name} must be a number, got {format_value(value)}") from None
 
 
 def per_joint(value: ArrayLike, n: int, name: str, *, low: float = -np.inf) -> Array:

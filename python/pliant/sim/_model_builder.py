@@ -8,7 +8,7 @@ tool frames. Meshes are not needed: the arm is drawn as capsules between its joi
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -19,13 +19,10 @@ from pliant.sim._parameters import DAMPING_SHARE, FULL_EFFORT_ERROR, resolve
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pliant._core import Joint, Model
     from pliant._typing import Array
     from pliant.sim._parameters import Gains
 
-
-#: Type of a robot: a `pliant.Model` with its tree (`links`, `joints`) and chain (`joint_names`,
-#: `base`, `tip`).
-Robot = Any
 
 OffChain = Literal["held", "welded"]
 
@@ -49,7 +46,7 @@ class Group:
     members: list[tuple[int, Array]] = field(default_factory=list)
 
 
-def rigid_groups(model: Robot, off_chain: OffChain) -> list[Group]:
+def rigid_groups(model: Model, off_chain: OffChain) -> list[Group]:
     """Return the groups of links without relative motion, each parent before its children.
 
     `off_chain` is `held` (grippers move) or `welded` (grippers are locked).
@@ -69,7 +66,7 @@ def rigid_groups(model: Robot, off_chain: OffChain) -> list[Group]:
             base_pose = pose
         for index in reversed(children.get(link, [])):
             joint = model.joints[index]
-            at = pose @ as_matrix(joint.origin)
+            at = pose @ joint.origin.matrix
             is_carried = carried or joint.q_index is not None
             if _is_joint(model, joint, carried, off_chain):
                 rigid_groups.append(Group(joint.child, index, group, at))
@@ -82,17 +79,16 @@ def rigid_groups(model: Robot, off_chain: OffChain) -> list[Group]:
     return rigid_groups
 
 
-def _is_joint(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> bool:
+def _is_joint(model: Model, joint: Joint, carried: bool, off_chain: OffChain) -> bool:
     """Return True if a joint can move in the simulation; False if it is locked.
 
     `carried` is True if a joint of the chain moves this joint, as it moves a gripper.
     """
-    kind = kind_of(joint)
-    if kind == "fixed":
+    if joint.kind == "fixed":
         return False
-    if kind not in {"revolute", "continuous", "prismatic"}:
+    if joint.kind == "other":
         raise ConfigError(
-            f"joint {joint.name!r} is {kind!r}; "
+            f"joint {joint.name!r} is {joint.kind!r}; "
             "the simulator knows revolute, continuous, prismatic and fixed"
         )
     if joint.q_index is not None:
@@ -102,49 +98,23 @@ def _is_joint(model: Robot, joint: Any, carried: bool, off_chain: OffChain) -> b
     return carried and off_chain == "held"
 
 
-def locked_angle(joint: Any) -> float:
-    """Return the position at which the model locks an off-chain joint [rad], 0 by default."""
-    return float(getattr(joint, "locked_at", None) or 0.0)
-
-
-def _locked_displacement(model: Robot, joint: Any) -> Array:
+def _locked_displacement(model: Model, joint: Joint) -> Array:
     """Return the displacement (4, 4) of a locked joint from its position 0."""
     pose = np.eye(4)
-    angle = locked_angle(joint)
+    angle = joint.locked_at or 0.0
     if joint.mimic is not None:
         driver = model.joints[joint.mimic.joint]
-        angle = joint.mimic.offset + joint.mimic.multiplier * locked_angle(driver)
-    if kind_of(joint) == "fixed" or angle == 0.0:
+        angle = joint.mimic.offset + joint.mimic.multiplier * (driver.locked_at or 0.0)
+    if joint.kind == "fixed" or angle == 0.0:
         return pose
-    axis = unit_vector(joint.axis)
-    if kind_of(joint) == "prismatic":
-        pose[:3, 3] = angle * axis
+    if joint.kind == "prismatic":
+        pose[:3, 3] = angle * joint.axis
     else:
         quat, matrix = np.zeros(4), np.zeros(9)
-        mujoco.mju_axisAngle2Quat(quat, axis, angle)
+        mujoco.mju_axisAngle2Quat(quat, joint.axis, angle)
         mujoco.mju_quat2Mat(matrix, quat)
         pose[:3, :3] = matrix.reshape(3, 3)
     return pose
-
-
-def as_matrix(pose: Any) -> Array:
-    """Return a pose as a (4, 4) array.
-
-    `pose` is an array, or an object with an attribute or method `matrix`.
-    """
-    value = getattr(pose, "matrix", pose)
-    return np.asarray(value() if callable(value) else value, dtype=np.float64).reshape(4, 4)
-
-
-def kind_of(joint: Any) -> str:
-    """Return the joint kind in lower case: revolute, continuous, prismatic, fixed or other."""
-    return str(joint.kind).rsplit(".", maxsplit=1)[-1].lower()
-
-
-def unit_vector(axis: Any) -> Array:
-    """Return `axis` (3,) divided by its norm."""
-    array = np.asarray(axis, dtype=np.float64)
-    return array / np.linalg.norm(array)
 
 
 def quat_of(pose: Array) -> Array:
@@ -154,23 +124,23 @@ def quat_of(pose: Array) -> Array:
     return quat
 
 
-def last_moving(model: Robot) -> str:
+def last_moving(model: Model) -> str:
     """Return the name of the child link of the chain's last joint, used as wrist centre."""
     link = next(i for i, item in enumerate(model.links) if item.name == model.tip)
-    while model.links[link].parent_joint is not None:
-        joint = model.joints[model.links[link].parent_joint]
+    while (parent := model.links[link].parent_joint) is not None:
+        joint = model.joints[parent]
         if joint.q_index is not None:
             break
         link = joint.parent
-    return str(model.links[link].name)
+    return model.links[link].name
 
 
 #: Smallest mass [kg] and inertia [kg·m²] of a moving body, because MuJoCo needs positive values.
 MIN_MASS, MIN_INERTIA = 1e-4, 1e-7
 #: Assumed effort limit of an off-chain joint without one in the URDF [N·m].
 OFF_CHAIN_EFFORT = 1.0
-#: Assumed armature (rotor inertia) of an off-chain servo per effort limit [s²]; and assumed
-#: armature of a mimic joint, which follows another joint [kg·m²].
+#: Assumed armature (rotor inertia): of an off-chain servo, per effort limit [s²]; and of a mimic
+#: joint [kg·m²].
 OFF_CHAIN_ARMATURE, FOLLOWER_ARMATURE = 2e-3, 1e-4
 #: Time constant of the constraint that makes a mimic joint follow its driving joint [s].
 MIMIC_TIME = 0.005
@@ -182,9 +152,9 @@ def add_joint(out: Build, body: mujoco.MjsBody, index: int, gains: Gains, creep:
     `creep` is the creep of a joint that friction holds, relative to MuJoCo's default.
     """
     joint = out.model.joints[index]
-    sliding = kind_of(joint) == "prismatic"
-    mj = body.add_joint(name=joint.name, axis=unit_vector(joint.axis))
-    mj.type = mujoco.mjtJoint.mjJNT_SLIDE if sliding else mujoco.mjtJoint.mjJNT_HINGE
+    mj = body.add_joint(name=joint.name, axis=joint.axis)
+    is_sliding = joint.kind == "prismatic"
+    mj.type = mujoco.mjtJoint.mjJNT_SLIDE if is_sliding else mujoco.mjtJoint.mjJNT_HINGE
     i = joint.q_index if joint.mimic is None else None
     if i is None:
         _limit(mj, joint.lower, joint.upper)
@@ -209,7 +179,7 @@ def friction_impedance(creep: float) -> tuple[float, float]:
     return d, max(d, 0.95)
 
 
-def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
+def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Joint) -> None:
     """Set up an off-chain joint, as a mimic joint or with a servo that holds its locked angle."""
     if joint.mimic is not None:
         mj.armature = FOLLOWER_ARMATURE
@@ -221,7 +191,7 @@ def _loose_joint(out: Build, mj: mujoco.MjsJoint, joint: Any) -> None:
     mj.armature = gains.armature[0]
     mj.frictionloss = gains.friction[0]
     set_damping(mj, gains.damping[0])
-    angle = locked_angle(joint)
+    angle = joint.locked_at or 0.0
     limited = mj.limited == mujoco.mjtLimited.mjLIMITED_TRUE
     out.held[joint.name] = float(np.clip(angle, *mj.range)) if limited else angle
 
@@ -250,7 +220,7 @@ def _limit(mj: mujoco.MjsJoint, lower: float | None, upper: float | None) -> Non
 
 
 def add_mass(
-    model: Robot,
+    model: Model,
     body: mujoco.MjsBody,
     group: Group,
     moving: bool,
@@ -279,7 +249,8 @@ def add_mass(
                 )
             )
         if model.links[index].name == model.tip:
-            loads = [payload, own_payload(model)]
+            own = model.payload
+            loads = [payload, own and (own.mass, own.com)]
             parts += [
                 (m, pose[:3, :3] @ c + pose[:3, 3], np.zeros((3, 3)))
                 for m, c in filter(None, loads)
@@ -303,16 +274,10 @@ def add_mass(
     body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def own_payload(model: Robot) -> tuple[float, Array] | None:
-    """Return mass [kg] and centre (3,) [m] in the tool frame of the model's payload, or None."""
-    load = getattr(model, "payload", None)
-    return None if load is None else (float(load.mass), np.asarray(load.com, dtype=np.float64))
-
-
-def add_capsules(model: Robot, body: mujoco.MjsBody, group: Group) -> None:
+def add_capsules(model: Model, body: mujoco.MjsBody, group: Group) -> None:
     """Add capsules from the joint of a group to its child joints, which draw the group."""
     members = dict(group.members)
-    ends = [members[j.parent] @ as_matrix(j.origin) for j in model.joints if j.parent in members]
+    ends = [members[j.parent] @ j.origin.matrix for j in model.joints if j.parent in members]
     reach = [float(np.linalg.norm(end[:3, 3])) for end in ends]
     thick = float(np.clip(0.12 * max(reach, default=0.0), 0.008, 0.035))
     for end, length in zip(ends, reach, strict=True):
@@ -341,7 +306,7 @@ def add_mimics(out: Build, rigid_groups: list[Group]) -> None:
         if rule.joint in moving:
             tie.name2 = driver.name
         else:
-            offset += rule.multiplier * locked_angle(driver)
+            offset += rule.multiplier * (driver.locked_at or 0.0)
         tie.data[:5] = offset, rule.multiplier, 0.0, 0.0, 0.0
         tie.solref = (MIMIC_TIME, 1.0)
 
@@ -398,7 +363,7 @@ class Build:
     """
 
     spec: mujoco.MjSpec
-    model: Robot
+    model: Model
     chain: list[str] = field(default_factory=list)
     held: dict[str, float] = field(default_factory=dict)
     extra: dict[str, Servos] = field(default_factory=dict)
@@ -407,7 +372,7 @@ class Build:
 
 
 def build_spec(
-    model: Robot,
+    model: Model,
     gains: Gains,
     *,
     dt: float,
@@ -441,14 +406,11 @@ def build_spec(
         ConfigError: The tree has a joint type that the simulator does not support.
     """
     spec = mujoco.MjSpec()
-    spec.modelname = str(getattr(model, "name", "arm") or "arm")
+    spec.modelname = model.name or "arm"
     spec.option.timestep = dt
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    gravity = getattr(model, "gravity_vector", None)
-    spec.option.gravity = (
-        (0.0, 0.0, -9.81) if gravity is None else np.asarray(gravity, dtype=np.float64)
-    )
+    spec.option.gravity = model.gravity_vector
     spec.compiler.balanceinertia = True
     spec.compiler.degree = False
 

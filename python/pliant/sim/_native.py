@@ -37,12 +37,12 @@ class NativeArms:
         self.goal, self.limits = np.zeros((count, n)), np.zeros((count, n, 2))
         self._position, self.force = np.zeros((count, n + 1)), np.zeros(count)
         self.q, self.travel = self._position[:, :n], self._position[:, n]
-        # What a period needs of an arm: views of the memory of MuJoCo and of the arrays above,
-        # because each access through attributes, after the physics of all other arms, is slow.
+        # Views of MuJoCo's memory and of the arrays above, one tuple per arm: access through
+        # attributes is slow after the physics of all other arms.
         self._arms: list[Any] = [None] * count
 
     def put(self, row: int, plant: Plant) -> None:
-        """Run another plant, after its `reset`, in a row."""
+        """Replace the plant of an arm by another plant, after its `reset`."""
         model, data, n = plant.mj_model, plant.mj_data, plant.n
         dof, servo = plant._bank.addresses
         if not (np.array_equal(dof, np.arange(n)) and np.array_equal(servo, np.arange(n))):
@@ -63,6 +63,6 @@ class NativeArms:
             torque[:], servo[:] = limits, goal
             step(model, data, steps)
             position[:] = state
-            # Those of the grip come first, in base axes.
+            # The constraint forces of the grip come first, in base axes.
             constraint = data.efc_force
             force[row] = hypot(constraint[0], constraint[1], constraint[2])

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from pliant._core import Model
     from pliant._typing import Array
 
 
 #: Assumed position error at which a servo without data exerts its effort limit [rad].
 FULL_EFFORT_ERROR = 0.07
-#: Assumed dry friction of a servo without data per effort limit [1], and viscous damping per effort
-#: limit [s/rad].
+#: Assumed friction of a servo without data, per effort limit: dry [1] and viscous [s/rad].
 FRICTION_SHARE, DAMPING_SHARE = 0.02, 0.10
 #: Assumed rotor inertia of a servo without data per stiffness [s²]; the natural frequency of rotor
 #: and position loop is then 100 rad/s.
@@ -69,7 +69,7 @@ class Gains:
         )
 
 
-def tabulate(model: Any, servos: Any | None) -> Servos:
+def tabulate(model: Model, servos: Any | None) -> Servos:
     """Return the servo table of a model, with n entries.
 
     Args:
@@ -85,7 +85,7 @@ def tabulate(model: Any, servos: Any | None) -> Servos:
         ShapeError: The table is for another number of joints.
         TypeError: `servos` is not a `Servos` table.
     """
-    table = getattr(model, "servos", None) if servos is None else instance(servos, Servos, "servos")
+    table = model.servos if servos is None else instance(servos, Servos, "servos")
     return _guess(model) if table is None else spread(table, model.n)
 
 
@@ -117,7 +117,7 @@ def resolve(table: Servos) -> Gains:
     )
 
 
-def _guess(model: Any) -> Servos:
+def _guess(model: Model) -> Servos:
     """Return a servo table estimated from the effort limits of the URDF."""
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]

@@ -274,11 +274,9 @@ class SpringConstraint:
         return pull * force, turn * torque, frame.position
 
 
-def tap(force: Sequence[float], *, at: str = TOOL, start: float = 1.0) -> Push:
-    """Return a push of 0.12 s: it rises to `force` (3,) [N] in 20 ms and stays for 0.1 s."""
-    return Push(
-        force_vector=force, at=at, course=ForceProfile(start=start, rise=0.02, end=start + 0.12)
-    )
+def tap(force: Sequence[float], *, start: float = 1.0) -> Push:
+    """Return a push of the tool for 0.12 s: to `force` (3,) [N] in 20 ms, then constant."""
+    return Push(force_vector=force, course=ForceProfile(start=start, rise=0.02, end=start + 0.12))
 
 
 def _direction(axis: str | Sequence[float], names: dict[str, tuple[float, float, float]]) -> Array:

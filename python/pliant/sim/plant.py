@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from pliant._core import Servos
     from pliant._typing import Array, Mask
-    from pliant.sim._model_builder import Build, OffChain, Robot
+    from pliant.sim._model_builder import Build, OffChain
     from pliant.sim._servos import Overload
     from pliant.sim.hand import Hand
 
@@ -136,7 +136,7 @@ class Plant:
 
     def __init__(
         self,
-        model: Robot,
+        model: Model,
         servos: Any | None = None,
         *,
         extra_servos: Mapping[str, Servos] | None = None,

@@ -21,8 +21,8 @@ def posture(*angles: float) -> Array:
 #: with tool axes parallel to base axes, and with the tool turned by +90 deg about x.
 VERTICAL = posture(-0.1326, -0.6005, 0.7160, -1.7376, 0.9268, 0.6788, -0.1657)
 HORIZONTAL = posture(-0.0426, -0.4950, 0.5438, -1.7376, -0.4434, -0.0602, -0.5572)
-#: Initial joint positions of the seven-joint arm [rad] at a door or fridge, with the tool at
-#: (0.54, 0, -0.25) m; at a door with the tool turned by +90 deg about x; and at an oven, with the
+#: Initial joint positions of the seven-joint arm [rad]: at a door or fridge, with the tool at
+#: (0.54, 0, -0.25) m; the same with the tool turned by +90 deg about x; and at an oven, with the
 #: tool at (0.52, 0, -0.10) m and turned by +90 deg about x.
 AT_DOOR = posture(-0.626, -0.418, 0.784, -1.194, 0.811, 0.468, -0.115)
 AT_DOOR_HORIZONTAL = posture(-0.559, -0.343, 0.605, -1.194, -0.566, -0.039, -0.384)

@@ -18,10 +18,13 @@ if TYPE_CHECKING:
 class Recorder:
     """Records the true state of a simulated run and further signals of the caller.
 
-    Every row has the signals time `t` [s]; joint positions `q` (n,) [rad]; joint velocities `dq`
-    (n,) [rad/s]; tool pose `tool` (4, 4) in base axes; servo torques `torque` (n,) [N·m]; and, for
-    hand number k from 0 on, force `force{k}` (3,) [N] and torque `torque{k}` (3,) [N·m]. Torques
-    and forces are means over the last control period.
+    Signals of every row:
+
+    - `t`: time [s];
+    - `q`, `dq`: joint positions (n,) [rad] and velocities (n,) [rad/s];
+    - `tool`: pose of the tool (4, 4) in base axes;
+    - `torque`: servo torques (n,) [N·m], mean over the last control period;
+    - `force{k}`, `torque{k}`: mean force (3,) [N] and torque (3,) [N·m] of hand number k, from 0.
 
     Example:
         >>> record = Recorder(plant)

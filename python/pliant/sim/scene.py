@@ -90,8 +90,6 @@ class Table:
         return np.array((0.0, 0.0, max(size, 0.0))), _ZERO, frame.position
 
 
-def table(
-    height: float, *, stiffness: float = 2e4, frames: Sequence[str] = (TOOL, WRIST)
-) -> list[Hand]:
-    """Return a table for several frames of the arm: a list with one `Table` per frame."""
-    return [Table(height=height, stiffness=stiffness, at=frame) for frame in frames]
+def table(height: float) -> list[Hand]:
+    """Return a table of a given height [m] for tool and wrist: a list with one `Table` each."""
+    return [Table(height=height, at=frame) for frame in (TOOL, WRIST)]

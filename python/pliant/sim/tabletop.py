@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pliant._core import ConfigError
-from pliant.sim._model_builder import as_matrix, unit_vector
 from pliant.sim._mujoco import mujoco
 from pliant.sim.plant import Fixture
 
 if TYPE_CHECKING:
+    from pliant._core import Model
     from pliant._typing import Array
-    from pliant.sim._model_builder import Build, Group, Robot
+    from pliant.sim._model_builder import Build, Group
     from pliant.sim.plant import Plant
 
 #: Bit of MuJoCo's contact filter for the plane and the arm's links; plug and socket of the class
@@ -118,7 +118,7 @@ class Tabletop(Fixture):
         return lowest
 
 
-def can_rise(model: Robot, rigid_groups: list[Group], index: int) -> bool:
+def can_rise(model: Model, rigid_groups: list[Group], index: int) -> bool:
     """Return True if a joint between the base and the group can raise or lower the group."""
     chain: list[int] = []
     at: int | None = index
@@ -127,11 +127,11 @@ def can_rise(model: Robot, rigid_groups: list[Group], index: int) -> bool:
         at = rigid_groups[at].parent
     pose: Array = rigid_groups[0].pose.copy()
     for number in reversed(chain):
-        pose = pose @ as_matrix(rigid_groups[number].pose)
-        joint = rigid_groups[number].joint
-        assert joint is not None
-        axis = pose[:3, :3] @ unit_vector(model.joints[joint].axis)
-        slides = str(model.joints[joint].kind).lower().endswith("prismatic")
-        if slides or abs(float(axis[2])) < VERTICAL:
+        pose = pose @ rigid_groups[number].pose
+        index_of_joint = rigid_groups[number].joint
+        assert index_of_joint is not None
+        joint = model.joints[index_of_joint]
+        axis = pose[:3, :3] @ joint.axis
+        if joint.kind == "prismatic" or abs(float(axis[2])) < VERTICAL:
             return True
     return False

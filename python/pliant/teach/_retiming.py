@@ -14,10 +14,10 @@ from pliant.teach.motion import RATE
 if TYPE_CHECKING:
     from pliant.teach.motion import Motion
 
-#: Maximum time by which a retimed motion may end after the original [s].
+#: Longest time by which a retimed motion may last beyond the original [s].
 MAX_EXTRA_TIME = 60.0
-#: A motion that is too fast is slowed down to this share of its bounds [1]; the rest is the margin
-#: that ruckig needs to follow it.
+#: A motion that is too fast is slowed down to this share of its bounds [1]; ruckig needs the rest
+#: as a margin to follow it.
 BOUND_SHARE = 0.9
 
 

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 FORMAT = "pliant motion 1"
 #: Sample rate of smoothed motions [Hz], and decimal digits of a position [rad] in a file.
 RATE, DIGITS = 50.0, 5
-#: Distance from the first or last position of a motion within which a joint counts as at rest
-#: [rad], and duration of the rest that `Motion.trimmed` keeps at both ends [s].
+#: A joint rests within `REST_TOLERANCE` of the first or last position of a motion [rad].
+#: `Motion.trimmed` keeps `REST_TIME` of this rest at both ends [s].
 REST_TOLERANCE, REST_TIME = 0.02, 0.2
 #: Largest accepted distance between the start of the tool and the recorded start [m]; a larger one
 #: means that the motion was recorded on another arm.
@@ -162,8 +162,8 @@ class Motion:
                     "the motion is another arm's: its tool began at "
                     f"{_format_point(self.start)}, that of {model.name} is at "
                     f"{_format_point(tool)} with the same joint positions, {distance:.3f} m away "
-                    f"where {START_TOLERANCE:g} are allowed; give the URDF it was taught with, or "
-                    'take "start" out of the file'
+                    f"(at most {START_TOLERANCE:g}); give the URDF of the recording, or remove "
+                    '"start" from the file'
                 )
 
     def for_model(self, model: Model) -> Motion:
@@ -172,23 +172,20 @@ class Motion:
         x, y, z = model.forward_kinematics(q)[:3, 3].tolist()
         return replace(self, start=(x, y, z))
 
-    def trimmed(self, still: float = REST_TOLERANCE, keep: float = REST_TIME) -> Motion:
+    def trimmed(self) -> Motion:
         """Return a copy without the rest before and after the motion, and without `start`.
-
-        Args:
-            still: Distance from the first or last position within which a joint counts as at rest
-                [rad].
-            keep: Duration of the rest that is kept at both ends [s].
 
         Raises:
             ConfigError: No joint moved.
         """
         rows = np.column_stack((self.q, *self.extra.values()))
-        moved = np.flatnonzero((np.abs(rows - rows[0]) > still).any(axis=1))
-        not_arrived = np.flatnonzero((np.abs(rows - rows[-1]) > still).any(axis=1))
+        moved = np.flatnonzero((np.abs(rows - rows[0]) > REST_TOLERANCE).any(axis=1))
+        not_arrived = np.flatnonzero((np.abs(rows - rows[-1]) > REST_TOLERANCE).any(axis=1))
         if not (moved.size and not_arrived.size):
-            raise ConfigError(f"nothing moved by more than {still:g} rad: there is no motion")
-        first, last = self.time[moved[0]] - keep, self.time[not_arrived[-1]] + keep
+            raise ConfigError(
+                f"nothing moved by more than {REST_TOLERANCE:g} rad: there is no motion"
+            )
+        first, last = self.time[moved[0]] - REST_TIME, self.time[not_arrived[-1]] + REST_TIME
         chosen = (self.time >= first) & (self.time <= last)
         return self._select(chosen)
 

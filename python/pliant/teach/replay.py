@@ -26,8 +26,8 @@ APPROACH_SPEED = 0.4
 RISE_TIME = 0.5
 #: The clock of the motion slows down if the deviation exceeds this share of its bound [1].
 SLOWING_SHARE = 0.5
-#: Rate of the motion's clock (full rate is 1) below which the replay counts as blocked, and above
-#: which it counts as free again.
+#: The replay counts as blocked below `BLOCKED_PACE`, and as free again above `FREE_PACE`; both are
+#: rates of the motion's clock, of which 1 is the full rate.
 BLOCKED_PACE, FREE_PACE = 0.05, 0.3
 #: Minimum duration of a contact [s], and time after `resume` in which contacts are ignored [s].
 MIN_CONTACT, IGNORE_TIME = 0.05, 1.0
@@ -38,11 +38,11 @@ State = Literal["approaching", "playing", "blocked", "stopped", "done"]
 class Replay:
     """Steps a controller along a motion; call `Replay.step` once per tick, not `Controller.step`.
 
-    The motion has a clock of its own, which runs at the rate p times `speed`. The factor p follows
+    The motion has its own clock, which runs at `speed` times a factor p. This factor follows
     ``clip(2 (1 − m), 0, 1)``, where m is the largest ratio of the tool's deviation to its bound
-    `wait`; p falls at once and rises gradually. So the clock runs at full rate up to half the bound
-    and stops at the bound: however long the tool is blocked, the deviation, and with it the force,
-    does not grow further.
+    `wait`; p falls at once and rises gradually. The clock thus runs at full rate up to half the
+    bound and stops at the bound, so that the deviation, and with it the force, does not grow while
+    the tool is blocked.
 
     Args:
         controller: The controller; its settings define the compliance of each axis.

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 #: Text that `record` passes to `on_status` when the recording begins.
 RECORDING = "recording"
-#: Hint on the Enter key, part of a text that `record` passes to `on_status` if `should_toggle` is
-#: given.
+#: Part of a text that `record` passes to `on_status` if `should_toggle` is given: use of the Enter
+#: key.
 STARTS_AND_STOPS = "Enter starts and stops"
 #: A gripper counts as pressed shut within this share of its range from the closed end [1].
 PRESSED_SHARE = 0.15
@@ -40,7 +40,6 @@ class Teacher:
     Args:
         arm: The arm, enabled.
         rate: Control rate [Hz].
-        floating: Controller that makes the arm weightless; None: a new `pliant.HandGuiding`.
 
     Attributes:
         recording: True while positions are recorded.
@@ -48,11 +47,9 @@ class Teacher:
         moved: True if the arm has moved since the recording began.
     """
 
-    def __init__(
-        self, arm: Arm, *, rate: float = 100.0, floating: HandGuiding | None = None
-    ) -> None:
+    def __init__(self, arm: Arm, *, rate: float = 100.0) -> None:
         self._arm, self._dt = arm, 1.0 / rate
-        self._guiding = floating or HandGuiding(arm.model, arm.servos, rate=rate)
+        self._guiding = HandGuiding(arm.model, arm.servos, rate=rate)
         self._samples: list[tuple[float, Array, dict[str, float]]] = []
         self.recording = False
         self.still, self.moved = 0.0, False
@@ -109,7 +106,7 @@ class Teacher:
         }
 
     def gripper_pressed(self, state: State) -> bool:
-        """Return True if a gripper is pressed shut and was not at the last call of this method."""
+        """Return True if a gripper is pressed shut that was open at the last call."""
         closed = False
         for name, gripper in self._arm.grippers.items():
             share = (state.extra[name] - gripper.closed) / (gripper.opened - gripper.closed)
@@ -132,7 +129,6 @@ def record(
     seconds: float | None = None,
     idle_timeout: float = 3.0,
     start_timeout: float = 60.0,
-    rate: float | None = None,
     should_toggle: Callable[[Teacher, State], bool] | None = None,
     on_status: Callable[[str], None] = lambda _: None,
     on_interrupt: Callable[[Motion], None] = lambda _: None,
@@ -147,7 +143,6 @@ def record(
         seconds: Maximum duration of the recording [s]; None: no maximum.
         idle_timeout: Duration of the rest that ends a recording [s].
         start_timeout: Maximum time to wait for a first motion [s].
-        rate: Control rate [Hz]; None: the rate of the arm.
         should_toggle: Function called in every tick with the `Teacher` and the arm's state; returns
             True if the user asks to start or to stop.
         on_status: Function that is called with a line of text at every change of the status.
@@ -159,14 +154,12 @@ def record(
         PliantError: Nothing was recorded, or the arm was not moved within `start_timeout`.
         ServoError: The control loop failed; see `pliant.Loop`.
     """
-    rate = arm.rate if rate is None else rate
-    teacher = Teacher(arm, rate=rate)
+    teacher = Teacher(arm, rate=arm.rate)
     on_status("do not touch: the arm swings a little to find its weight")
     try:
         _record(
             arm,
             teacher,
-            rate=rate,
             seconds=seconds,
             idle_timeout=idle_timeout,
             start_timeout=start_timeout,
@@ -186,7 +179,6 @@ def _record(
     arm: Arm,
     teacher: Teacher,
     *,
-    rate: float,
     seconds: float | None,
     idle_timeout: float,
     start_timeout: float,
@@ -195,7 +187,7 @@ def _record(
 ) -> None:
     """Run the control loop from the first swing to the end of the recording."""
     start_time = 0.0
-    for tick in Loop(arm, rate=rate):
+    for tick in Loop(arm):
         was_ready = teacher.ready
         tick.write(teacher.step(tick.state, dt=tick.dt), teacher.extra(tick.state))
         if not teacher.ready:

@@ -2,9 +2,9 @@
 
 A page that moves a robot must not be open to every program and every web page on the machine. The
 token is in the fragment of the page's link (after #), which a browser sends to no server. A script
-in the page keeps the token in the tab's session storage, which is separate for every host and port,
-and sends it in the address of the web socket. A cookie is not suitable: a browser would send it to
-all servers on the host, and two pages on one machine would overwrite each other's cookie.
+in the page keeps it in the tab's session storage, which is separate for every host and port, and
+sends it in the address of the web socket. A cookie is not suitable: a browser would send it to all
+servers on the host, and two pages on one machine would overwrite each other's cookie.
 """
 
 from __future__ import annotations

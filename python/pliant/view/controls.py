@@ -27,8 +27,8 @@ YIELD_VALUES = {
 }
 #: Label on the page for each value of `Axis.yields`.
 YIELD_LABELS = {value: key for key, value in YIELD_VALUES.items()}
-#: While the push button is held down: rate at which `Push` messages are sent [Hz], and duration of
-#: the push that each message requests [s].
+#: While the push button is held down, `Push` messages are sent at `REPEAT_RATE` [Hz]; each requests
+#: a push of `HELD_PUSH_TIME` [s].
 REPEAT_RATE, HELD_PUSH_TIME = 10.0, 0.4
 #: Duration of the push after one click on the button for a push of fixed duration [s].
 TIMED_PUSH_TIME = 2.0
@@ -54,7 +54,7 @@ class Controls:
         if info.max_push is not None:
             self._push(info.max_push)
 
-    # Construction of the controls.
+    # Methods that create the controls.
 
     def _scene(self) -> None:
         gui, info = self._gui, self._info

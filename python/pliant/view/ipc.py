@@ -1,6 +1,7 @@
 """Pipe between the process of the control loop and the process of the browser page.
 
-The processes of ROS 2 and Foxglove (`pliant.ros`) use the same pipe. "The page" is each of them.
+The processes of ROS 2 and Foxglove (`pliant.ros`) use the same pipe; here, "the page" is any of
+them.
 
 The loop never waits for the page: it sends a snapshot (state of the arm) only after the page has
 acknowledged the last one. The page cannot overload the loop: at both ends, new messages replace
@@ -24,14 +25,14 @@ from pliant._core import PliantError
 from pliant.view.messages import Edit, Message, Queue
 
 if TYPE_CHECKING:
-    from types import TracebackType
+    pass
 
 #: Maximum rate at which the loop sends snapshots of the arm to the browser page [Hz].
 SNAPSHOT_RATE = 30.0
 #: Timeout for the start and for the end of the page's process [s].
 TIMEOUT = 30.0
-#: Minimum time between two transmissions from the page to the loop [s], and maximum number of
-#: objects that the loop reads from the pipe in one call.
+#: Minimum time between two transmissions from the page to the loop [s]; maximum number of objects
+#: per read of the pipe in the loop.
 MESSAGE_PERIOD, MAX_RECEIVED = 0.02, 4
 #: Minimum time between two changes of the settings that the loop handles [s].
 EDIT_PERIOD = 0.05
@@ -168,12 +169,7 @@ class ProcessLink:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

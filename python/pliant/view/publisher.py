@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pliant.view.source import RealtimePacer
 
 
-#: Cause of a shown error: a rejected message about target, hand or settings, or (`fault`) the error
-#: that ended a run.
+#: Cause of an error on the page: a rejected message about target, hand or settings, or the error
+#: that ended a run (`fault`).
 Cause = Literal["target", "hand", "settings", "fault"]
 #: Time between two reports on the forces that the arm can exert in its pose [s].
 REPORT_PERIOD = 1.0
@@ -117,7 +117,7 @@ class Publisher:
         """Mark the report on forces as outdated: the next snapshot gets a new one."""
         self._report: tuple[float, tuple[str, ...]] = (-np.inf, ())
 
-    # While a controller runs.
+    # Methods for a run with a controller.
 
     def estimate_contact(self, controller: Controller) -> None:
         """Start to estimate the force on the tool, from the steps of a new controller."""
@@ -178,7 +178,7 @@ class Publisher:
             speed=1.0 if self._pacer is None else self._pacer.speed,
         )
 
-    # While no controller runs.
+    # Methods for the time without a controller.
 
     def on_read(self) -> None:
         """Handle a new reading: pace a simulation; during a descent, send a snapshot."""

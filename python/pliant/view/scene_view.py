@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     Send = Callable[[messages.Message], None]
 
-#: Reach from which on an arm's target, arrows and axes are drawn in nominal size [m]; for an arm
-#: with a smaller reach, they are scaled down in proportion.
+#: Reach of an arm whose target, arrows and axes are drawn in nominal size [m], as for a larger arm;
+#: for a smaller arm, they are scaled down in proportion.
 REFERENCE_REACH = 0.71
 #: Length of the force arrow for the largest push, radius of its shaft, radius and length of its
 #: head, all [m].
@@ -37,8 +37,8 @@ ARROW_COLOUR, LINE_COLOUR, WALL_COLOUR, POST_COLOUR = (
 )
 #: RGB colour of the links (0 to 1).
 LINK_COLOUR = (0.42, 0.48, 0.56)
-#: RGB colours (0 to 255) of a joint with torque limit zero and with its maximum torque, and change
-#: of a colour component above which a new colour is sent to the browser.
+#: RGB colours (0 to 255) of a joint with torque limit zero and with its maximum torque. A new
+#: colour is sent to the browser if a component has changed by more than `COLOUR_STEP`.
 NO_TORQUE_COLOUR, FULL_TORQUE_COLOUR, COLOUR_STEP = (52, 62, 78), (255, 106, 19), 6
 #: Number of the MuJoCo geom group for shapes that are not drawn.
 HIDDEN_GROUP = 5
@@ -52,8 +52,8 @@ WALL_SIZE = 0.5
 GIZMO_SIZE = 0.16
 #: Minimum factor by which the lengths of drawn objects are scaled for a small arm [1].
 MIN_SCALE = 0.3
-#: Vertical field of view of the camera [rad], and assumed ratio of width to height of the part of
-#: the browser window between the panels [1].
+#: Vertical field of view of the camera [rad]; assumed ratio of width to height of the visible part
+#: of the scene, between the panels [1].
 FOV, ASPECT = 0.75, 0.75
 #: Unit vector from the centre of the arm to the camera, base axes.
 VIEW_DIRECTION = np.array((0.532, -0.745, 0.404))
@@ -83,7 +83,7 @@ class SceneView:
         self._figure = ViserMujocoScene(server, info.figure, num_envs=1)
         self._figure.camera_tracking_enabled = False
         scene.configure_environment_map(environment_intensity=0.35)
-        # Make a node for each body, as parent of the drawn joints, which then move with the body.
+        # One node per body, as parent of the drawn joints, which then move with the body.
         moved = {int(info.figure.jnt_bodyid[info.figure.joint(j).id]) for j in info.joints}
         self._nodes: dict[int, viser.SceneNodeHandle] = {
             body: scene.add_mesh_trimesh(f"/arm/{body}", shapes[body])

@@ -207,7 +207,7 @@ class Session:
         self._link.send(info)
         return controller
 
-    # Handling of the messages from the page.
+    # Methods that handle messages from the page.
 
     def _handle_messages(self, controller: Controller | None) -> None:
         """Handle the messages that the page has sent since the last tick."""

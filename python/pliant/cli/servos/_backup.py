@@ -91,7 +91,7 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
     checked = set()
     for change in former:
         row, where = rows[change.joint, change.id], f"{path}: {change.joint} (id {change.id})"
-        # A servo that is in no table has the name of a model, but a number of its own.
+        # Servos that are in no table have the name of a model, but another model number.
         is_named = change.model in {"", row.name}
         if not is_named and get_model(change.model).model_number != row.model_number:
             raise ConfigError(
@@ -116,7 +116,7 @@ def check(path: Path, former: Sequence[RegisterChange], specs: Sequence[ServoSpe
 
 
 def _change(entry: Any) -> RegisterChange:
-    """Return the register change in one entry of a backup; only the field `model` is optional."""
+    """Return the register change in an entry of a backup; only its field `model` is optional."""
     kinds = {**_KINDS, "model": str}
     if not isinstance(entry, dict) or not set(_KINDS) <= set(entry) <= set(kinds):
         raise TypeError(f"an entry has {', '.join(f.name for f in fields(RegisterChange))}")

@@ -40,7 +40,7 @@ class JointMonitor:
         model: The robot.
         names: Names of the joints (N), grippers included.
         position: Last measured angles (N,) [rad]; NaN for a joint that has never replied.
-        last_motion: Sentence on the joint that moved last and the expected motion of the tool.
+        last_motion: Sentence on the joint that moved last and on the motion to expect of the tool.
     """
 
     def __init__(self, config: Config, model: Model, names: tuple[str, ...]) -> None:
@@ -77,7 +77,7 @@ class JointMonitor:
 
     @property
     def rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Yield per joint: name, angle, limits, and tool motion expected as the angle grows."""
+        """Yield per joint: name, angle, limits, and motion of the tool as the angle grows."""
         phrases = self._directions()
         for name, q in zip(self.names, self.position, strict=True):
             low, high = self._limits.get(name, (-np.inf, np.inf))
@@ -167,11 +167,11 @@ def _end(console: Console, monitor: JointMonitor | None) -> None:
 
 
 def _begin(console: Console, on: list[str]) -> None:
-    """Print instructions to the user; `on`: names of joints whose torque is on, also printed."""
+    """Print instructions to the user, and the names `on` of joints whose torque is on."""
     print_line(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
-        "as its angle grows the tool must go where its line says. If it goes the other way, turn "
-        "the joint's `sign` round in [servo]. Ctrl-C ends, and prints the pose as a rest pose",
+        "as its angle grows the tool must go where its line says. If it goes the other way, change "
+        "the joint's `sign` in [servo]. Ctrl-C ends, and prints the pose as a rest pose",
         console,
     )
     if on:

@@ -30,20 +30,20 @@ T = TypeVar("T")
 
 #: Standard gravity [m/s²], which converts readings of a scale.
 G = 9.80665
-#: Pushes: axis, sign and cap as a share of the arm's holding force [1]; direction for people.
+#: Pushes of the session: axis, sign, cap as a share of the holding force [1], text for people.
 PUSHES = (
     ("y", 1, 0.2, "toward +y (left, seen from the base)"),
     ("y", 1, 0.4, "toward +y (left, seen from the base)"),
     ("x", -1, 0.4, "toward the base"),
 )
-#: Smallest motion of the tool in a push [m]; and as a multiple of the motion in which the servos'
-#: stiffness builds up the cap [1].
+#: The tool must move by at least `MIN_PUSH` in a push [m], and by `MIN_PUSH_SHARE` times the motion
+#: in which the servos build up the cap [1].
 MIN_PUSH, MIN_PUSH_SHARE = 0.02, 1.5
 #: Smallest height of the tool above a table in the pose of the session [m].
 MIN_HEIGHT = 0.15
 #: Smallest reading of the scale, and smallest mass of the weight [g].
 MIN_READING, MIN_WEIGHT = 1.0, 20.0
-#: Largest reading and largest mass, as shares of what the servos hold by their table [1].
+#: Largest reading and largest mass, as shares of what the servos can hold by their table [1].
 MAX_READING_SHARE, MAX_WEIGHT_SHARE = 3.0, 0.4
 #: Time for which the arm is watched after torque off [s].
 WATCH_TIME = 1.0
@@ -60,14 +60,15 @@ class Lines(Protocol):
 
 
 class Session:
-    """Session with a closed arm; steps that the file has are left out.
+    """Measuring session with an arm; it skips the steps that the file already contains.
 
     The file is written after each step. After an error or Ctrl-C, the arm is lowered.
 
     Args:
-        arm, config: The arm and its configuration.
+        arm: The arm, not open.
+        config: Configuration of the arm.
         file: Measurements file to complete.
-        keys: Answers.
+        keys: Source of the answers.
         say: Function that shows a question or an error.
     """
 
@@ -77,7 +78,8 @@ class Session:
         self.arm, self.config, self.file, self.keys, self.say = arm, config, file, keys, say
         firm: Mapping[Any, Axis] = Settings.firm(task=config.settings().task).axes
         self.settings = config.settings().replace(axes=firm)
-        #: Controller that holds the arm stiffly. Made here, so that an error comes before torque.
+        #: Controller that holds the arm stiffly; made before torque on, where an error does no
+        #: harm.
         self.firm = Controller(arm.model, self.settings, arm.servos)
         #: Pose of the tool (4, 4) that the arm holds between the steps.
         self.home: Array = np.eye(4)
@@ -142,7 +144,7 @@ class Session:
             self.file.add("push", rows)
 
     def _one_push(self, axis: str, sign: int, share: float, way: str) -> dict[str, Any] | None:
-        """Let a person push the tool; return the values of the push, None if it was left out."""
+        """Let a person push the tool; return the values of the push, None if it was skipped."""
         arm, q, place = self.arm, self.arm.read().q, "xyz".index(axis)
         axes: Mapping[Any, Axis] = self.firm.axes
         cap = share * float(axes[axis].hold or 0.0)
@@ -285,8 +287,8 @@ class Session:
 
         Args:
             question: Text that is shown first.
-            parse: Function that converts a line; its `ConfigError` is shown, and the next line
-                counts.
+            parse: Function that converts a line. Its `ConfigError` is shown, and another line is
+                read.
             controller: Controller that holds the arm; None: all axes are stiff.
             on_pose: Function that is called with the pose (4, 4) of the tool in every cycle.
 
@@ -315,7 +317,7 @@ class Session:
 
 
 def grams(line: str, low: float, share: float, capacity: float) -> float:
-    """Return a reading [g] from `low` [g] to a share [1] of what the servos hold, `capacity` [N].
+    """Return a reading [g], checked against the range from `low` [g] to a share of `capacity` [N].
 
     Raises:
         ConfigError: The line is not a number, or out of this range.

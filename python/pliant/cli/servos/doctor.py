@@ -39,8 +39,9 @@ def run(
     The sign of a joint needs a check by eye: --watch shows the angles while a hand moves the
     joints, and the direction in which the tool must move as each angle grows.
 
-    --measure moves the arm: a session of 5 minutes with a kitchen scale and a weight compares
-    servos, forces, latencies and the descent with their tables, and writes the file of --report.
+    --measure moves the arm. In a session of 5 minutes with a kitchen scale and a weight, it
+    compares servos, forces, latencies and the descent with their tables, and writes the file of
+    --report.
 
     Args:
         arm: Configuration file, or the name of a ready one (so101, koch, vx300s, ...).

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 #: Motion of the emulated hand that moves the arm; None: no hand.
 Hand = Annotated[str | None, tyro.conf.arg(metavar="wave|ranges|FILE")]
-#: Signals that end the command, besides Ctrl-C: from a service manager, a closed terminal, Ctrl-\\.
+#: Signals that end the command besides Ctrl-C, e.g. from a service manager or a closed terminal.
 END_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
 )
 
-#: Delay of an emulated reply above which a warning is printed [s]; LeRobot gives up after 0.050 s.
+#: Delay of a reply above which a warning is printed [s]; LeRobot times out after 0.050 s.
 MIN_REPORTED_LATENCY = 0.020
 
 
@@ -50,9 +50,10 @@ def run(
             the 16 ms latency timer of an FTDI adapter.
         lose: Share of the replies that get lost (0 to 1).
         seed: Seed of the random faults.
-        hand: A hand that moves the arm, also without torque: wave swings every joint, ranges leads
-            each joint through its range (for lerobot-calibrate; without a table), or a motion of
-            `pliant teach`, forth and back. Default: the arm is held until its torque comes on.
+        hand: A hand that moves the arm, also without torque. wave swings every joint; ranges leads
+            each joint through its range, without a table, for lerobot-calibrate; a motion file of
+            `pliant teach` is played forth and back. Default: the arm is held until its torque
+            comes on.
         duration: Time after which the command ends [s].
         override: Values that replace those of the configuration file.
     """
@@ -70,7 +71,7 @@ def run(
     bus_timing = Timing(wire=timing != "off", usb_latency=latency)
     console = Console()
     raise_priority()
-    # Turn these signals into SystemExit, so that the virtual ports are removed after a signal too.
+    # Turn these signals into SystemExit, which removes the virtual ports.
     old_handlers = {number: signal.signal(number, _exit_on_signal) for number in END_SIGNALS}
     try:
         with make_emulator(

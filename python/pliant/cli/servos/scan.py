@@ -65,7 +65,7 @@ def _show(console: Console, found: list[ScannedServo]) -> None:
 
 
 def _model(servo: ScannedServo) -> str:
-    """Return the model name; models that share a model number give the common start of the name."""
+    """Return the model name; for models with the same number, the common start of their names."""
     if len(servo.models) > 1:
         return f"{servo.models[0].partition('-')[0]} (one of {len(servo.models)} variants)"
     if servo.models:

@@ -68,7 +68,7 @@ class Block(NamedTuple):
 #: Registers of a reading, and those of a command, in the order of `pliant._core.ServoCodec`.
 READING_REGISTERS = ("position", "speed", "load", "current", "voltage", "temperature")
 COMMAND_REGISTERS = ("goal", "limit", "speed_cap")
-#: Registers that a servo's readings and status consist of, and those that are written every cycle.
+#: Registers of readings and status, and those that are written every cycle.
 CYCLIC_REGISTERS = frozenset(
     (
         *READING_REGISTERS,
@@ -99,7 +99,7 @@ class Layout:
         )
         self._names = tuple(name for _, name in rows)
         self.has_status = not set(READING_REGISTERS).issuperset(self._names)
-        # Place and sign bit of the registers that are coded as magnitude and sign.
+        # Index and sign bit of the registers that are coded as magnitude and sign.
         self._sign_bits: list[tuple[int, int]] = []
         code, here = "<", block.address
         for place, (address, name) in enumerate(rows):
@@ -114,7 +114,7 @@ class Layout:
         self._zeros = (0,) * len(rows)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: a `Struct` cannot be, but its format can."""
+        """Return the state to pickle, with the format in place of the `Struct`."""
         return {name: value for name, value in self.__dict__.items() if name != "_struct"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -162,10 +162,10 @@ class Family:
         protocol: `p1` (Dynamixel 1.0, Feetech STS) or `p2` (Dynamixel 2.0).
         status: Encoding of the status byte, see `pliant.servo._status`.
         registers: Control table by register name.
-        read: Blocks with position, speed and load, from short to long. The shortest is read, or a
-            longer one while a late reply of that length may still arrive.
-        write: Register names of each packet that writes limit, speed cap and goal. A packet can
-            only write contiguous registers, so there are two if the control table has a gap.
+        read: Blocks with position, speed and load, from short to long. The shortest is read; a
+            longer one if a late reply of that length may still arrive.
+        write: Register names of each packet that writes limit, speed cap and goal. There are two
+            packets if these registers are not contiguous.
         sync_read: True if one request can read several servos.
         full_duty: Value of the register that limits duty at 100 %.
         full_load: Value of the load register at 100 %.
@@ -229,7 +229,7 @@ class Family:
                 *self.stored_command_blocks,
                 self.block("voltage", "temperature"),
             )
-        # Voltage and temperature are no status blocks here: every reading contains them.
+        # Every reading contains voltage and temperature, so they need no status block.
         return (self.block("torque_enable", "limit", "goal"),)
 
     @cached_property
@@ -310,8 +310,8 @@ class Mechanics:
 def estimated_mechanics(stall: float) -> Mechanics:
     """Return friction, damping and inertia of a servo, estimated from its stall torque [N·m].
 
-    `stall` is the stall torque at rated voltage. The ratios to it are those of the servos that were
-    identified (MX-64, MX-106, XL330, STS3215), which agree within a factor of two.
+    `stall` is the stall torque at rated voltage. The ratios are those of the servos that were
+    identified (MX-64, MX-106, XL330, STS3215); they agree within a factor of two.
     """
     return Mechanics(friction=0.02 * stall, damping=0.005 * stall, armature=0.003 * stall)
 
