@@ -75,13 +75,7 @@ class Scheduler:
         self.steps += 1
         if self.steps > self._limit:
             self._fail(Stuck(f"no end after {self.steps} steps at {self.now:.2f} s"))
-        self._is_checking = True
-        try:
-            self.on_step()
-        except AssertionError as error:
-            self._fail(error)
-        finally:
-            self._is_checking = False
+        self.check()
         kind, value = self.plan.actions.get(self.steps, (None, None))
         if kind == "switch":
             others = [t for t in self.tasks if t is not task and self._can_run(t, may_wait=True)]
@@ -101,6 +95,16 @@ class Scheduler:
         self._check(task)
         if task is self.main:
             self._deliver()
+
+    def check(self):
+        """Check the invariants, without steps in the code that they call."""
+        self._is_checking = True
+        try:
+            self.on_step()
+        except AssertionError as error:
+            self._fail(error)
+        finally:
+            self._is_checking = False
 
     def _deliver(self):
         while self.pending:

@@ -7,23 +7,23 @@ few steps.
 
 from __future__ import annotations
 
+import itertools
+import os
 import random
 import signal
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from schedules import Clock, Pipe, Plan, Scheduler
 
+if os.name != "posix":
+    pytest.skip("there is no SIGHUP and no guardian", allow_module_level=True)
+
 import pliant
-from pliant.arm import (
-    _guardian,
-    _guardian_process,
-    _shutdown,
-    _signals,
-    _supervisor,
-)
+from pliant.arm import _guardian, _guardian_process, _shutdown, _signals, _supervisor
 from pliant.arm import arm as arm_module
 from pliant.arm._messages import Message
 from pliant.drive import JointReadings
@@ -216,6 +216,7 @@ class World:
 
     def __init__(self, patch, program, *, guardian=False, on_exit="lower"):
         self._patch, self._program = patch, program
+        self.states, self.watch = [], lambda state: None
         self._has_guardian, self._on_exit = guardian, on_exit
 
     def fail(self, text):
@@ -233,9 +234,33 @@ class World:
             or self._on_exit == "leave_enabled"
         )
 
+    def state(self):
+        """Return the state of the arm, and its owner."""
+        arm, hardware = self.arm, self.hardware
+        if not hardware.on:
+            return "off", "none"
+        if arm.enabled and not self.has_ended:
+            if "did not come back" in (arm._supervisor.reason or ""):
+                return "taken over", "watchdog thread"
+            if arm._signals.leaving:
+                return "lowering", "program"
+            if arm._supervisor.heartbeat[1] == arm_module.ENABLE_TIME:
+                return "enabling", "program"
+            return ("lowering" if hardware.is_descending else "on"), "program"
+        if not any(g.is_watching and not g.has_rested for g in self.guards):
+            return "left on", "user"
+        if self.has_ended or arm._is_unfinished or hardware.port is None:
+            return "not lowered", "guardian"
+        # Between two statements that give the arm to its next owner.
+        return self.states[-1]
+
     def check(self):
         """Check that a joint with torque has an owner."""
         arm = self.arm
+        state = self.state()
+        if self.states[-1:] != [state]:
+            self.states.append(state)
+        self.watch(state[0])
         if not self.hardware.on or self.may_stay_on():
             return
         if not self.has_ended and arm.enabled:
@@ -376,6 +401,10 @@ class World:
                 world.guards.append(self)
 
             @property
+            def has_rested(self):
+                return self._drive is None
+
+            @property
             def is_watching(self):
                 is_alive = not (self._task.is_done or self._task.is_killed)
                 return is_alive and (self._drive is not None or world.has_ended)
@@ -501,9 +530,12 @@ def run_at_random(found, runs, first=0):
         case.run(random_actions(rng, case))
 
 
-@pytest.mark.parametrize("runs", [300, pytest.param(40_000, marks=pytest.mark.full)])
-def test_no_random_schedule_leaves_the_arm_without_an_owner(monkeypatch, runs):
-    run_at_random(list(cases(monkeypatch)), runs)
+@pytest.mark.parametrize(
+    ("first", "runs"),
+    [(0, 300), *(pytest.param(5000 * k, 5000, marks=pytest.mark.full) for k in range(8))],
+)
+def test_no_random_schedule_leaves_the_arm_without_an_owner(monkeypatch, first, runs):
+    run_at_random(list(cases(monkeypatch)), runs, first)
 
 
 @pytest.mark.parametrize("stride", [61, pytest.param(1, marks=pytest.mark.full)])
@@ -519,10 +551,6 @@ def test_no_single_disturbance_at_any_line_does(monkeypatch, stride, guardian):
                 case.run({at: disturbance})
 
 
-#: Programs whose endings two signals interrupt, at every line.
-INTERRUPTED = ("with_block", "calls", "end_at_once")
-
-
 @pytest.mark.parametrize("program", [with_block, calls, end_at_once])
 def test_two_signals_at_any_line_of_an_ending_change_nothing(monkeypatch, program):
     interrupt_ending(Case(monkeypatch, program, 0.0, guardian=False))
@@ -534,46 +562,154 @@ def interrupt_ending(case):
         case.run({at: ("signal", INT), at + 1 + at % 7: ("signal", TERM)})
 
 
-def explore(found):
-    run_at_random(found, 300)
-    for case in found:
-        if case.name in {f"{name}, stall 0.0, guardian False, lower" for name in INTERRUPTED}:
-            interrupt_ending(case)
-    for seed in range(1, 20):
-        run_at_random(found, 300, 300 * seed)
-
-
 @contextmanager
 def unlocked(self, *, at_once=False):
     yield
 
 
-#: Faults seeded into the code, one line each.
+#: Faults seeded into the code, one line each, with the program whose ending shows them; None:
+#: random schedules show them.
 MUTANTS = {
-    "signals raise at the begin of `close`": (_signals.Signals, "hold", lambda self: None),
-    "the lock is not taken for a descent": (_supervisor.Supervisor, "exclusive", unlocked),
+    "signals raise at the begin of `close`": (_signals.Signals, "hold", lambda _: None, None),
+    "the lock is not taken for a descent": (
+        _supervisor.Supervisor,
+        "exclusive",
+        unlocked,
+        None,
+    ),
     "the guardian always rests": (
         arm_module.Arm,
         "_rest_guardian",
         lambda self: self._guardian and self._guardian.rest(),
+        None,
     ),
     "the end of the program is told to the arm once": (
         Exits,
         "register",
         lambda self, function: self.functions.__setitem__(slice(None), [function]),
+        end_at_once,
     ),
-    "a descent is not told to the owner": (
+    "a descent is not told to the signal handlers": (
         _signals.Signals,
         "begin",
-        lambda self, announcement: None,
+        lambda *_: None,
+        calls,
     ),
 }
 
 
 @pytest.mark.parametrize("name", MUTANTS)
 def test_schedules_find_a_seeded_fault(monkeypatch, name):
-    found = list(cases(monkeypatch))
-    owner, attribute, replacement = MUTANTS[name]
+    owner, attribute, replacement, program = MUTANTS[name]
+    found = list(cases(monkeypatch)) if program is None else []
+    case = None if program is None else Case(monkeypatch, program, 0.0, guardian=False)
     monkeypatch.setattr(owner, attribute, replacement)
     with pytest.raises(AssertionError):
-        explore(found)
+        run_at_random(found, 4000) if case is None else interrupt_ending(case)
+
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "lifecycle.md").read_text(encoding="utf-8")
+
+
+def table(heading):
+    """Return the rows of the table with this heading in the section `States`."""
+    section = PAGE.split("\n## States\n")[1].split("\n## ")[0]
+    lines = section.split(f"\n| {heading} |\n")[1].splitlines()[1:]
+    rows = itertools.takewhile(lambda line: line.startswith("|"), lines)
+    return [tuple(cell.strip().strip("`") for cell in row.strip("|").split("|")) for row in rows]
+
+
+OWNERS = {state: (torque, owner) for state, torque, owner in table("state | torque | owner")}
+TRANSITIONS = table("state | event | then")
+
+
+class Story:
+    """Brings an arm into a state of the page, lets an event happen, and records what follows."""
+
+    def __init__(self, patch, state, event):
+        self._state, self._event, self._at = state, event, None
+        self.world = World(patch, self._live, guardian=True)
+
+    def run(self):
+        """Return states and owners from the event on."""
+        self.world.run(Plan())
+        assert self._at is not None, f"never {self._state}"
+        return self.world.states[self._at :]
+
+    def _happen(self, arm):
+        """Let the event happen in the state."""
+        world, event = self.world, self._event
+        world.watch = lambda state: None
+        if not world.states:
+            world.scheduler.check()
+        assert world.states[-1][0] == self._state
+        self._at = len(world.states) - 1
+        if event == "the bus is silent":
+            world.hardware.faults = 120
+            if self._state == "on":
+                ticks(world, arm, 2, 0.0)
+        elif event == "the program stalls":
+            ticks(world, arm, 3, 0.4)
+        elif event == "SIGKILL":
+            world.scheduler.end("program")
+            world.scheduler.check()
+            self._at = len(world.states) - 1
+        elif event.endswith("()"):
+            world.left |= event == "leave_enabled()"
+            if event == "disable_torque()":
+                world.hardware.height = 0
+            getattr(arm, event.removesuffix("()"))()
+        else:
+            number = INT if event.startswith("Ctrl-C") else TERM
+            world.scheduler.pending.append(number)
+            if event == "Ctrl-C twice":
+                world.scheduler.spawn("hand", self._again)
+        if event.endswith("()") or self._state not in {"enabling", "lowering"}:
+            world.scheduler.step()
+
+    def _again(self):
+        """Press Ctrl-C again, later than a key that repeats."""
+        self.world.hardware.height = 100
+        self.world.scheduler.wait(deadline=self.world.scheduler.now + 1.0)
+        self.world.scheduler.pending.append(INT)
+
+    def _live(self, world, arm):
+        def watch(state):
+            is_late = state != "lowering" or world.hardware.height < HEIGHT
+            if state == self._state and is_late:
+                self._happen(arm)
+
+        if self._state in {"enabling", "lowering"}:
+            world.watch = watch
+            arm.enable()
+            arm.lower()
+            return
+        if self._state != "off":
+            arm.enable()
+        if self._state == "left on":
+            world.left = True
+            arm.leave_enabled()
+        if self._state == "not lowered":
+            world.hardware.faults = 85
+            with suppress(pliant.ServoError):
+                arm.lower()
+            world.hardware.faults = 0
+        if self._state == "taken over":
+            with arm.supervised(0.1):
+                arm.clock.wait_until(arm.clock.now() + 0.15)
+                self._happen(arm)
+            return
+        self._happen(arm)
+
+
+@pytest.mark.parametrize(("state", "event", "then"), TRANSITIONS)
+def test_states_of_the_page_are_those_of_the_code(monkeypatch, state, event, then):
+    found = Story(monkeypatch, state, event).run()
+    assert ", ".join(name for name, _ in found) == then
+    for name, owner in found:
+        assert OWNERS[name] == ("off" if name == "off" else "on", owner)
+
+
+def test_every_state_of_the_page_is_reached_and_left():
+    assert {state for state, _, _ in TRANSITIONS} == set(OWNERS)
+    assert {name for *_, then in TRANSITIONS for name in then.split(", ")} == set(OWNERS)
