@@ -19,12 +19,21 @@ standard library is used under Apache-2.0.
 """
 
 
+class NoticeError(SystemExit):
+    """The crates cannot be listed, or one has no licence, or no text of it."""
+
+
 def linked() -> list[dict]:
     """Return crates linked on Linux, by name and version, without ours and build tools."""
     command = (
         "cargo metadata --format-version 1 --locked --filter-platform x86_64-unknown-linux-gnu"
     )
-    done = subprocess.run(command.split(), cwd=ROOT, capture_output=True, text=True, check=True)
+    try:
+        done = subprocess.run(command.split(), cwd=ROOT, capture_output=True, text=True, check=True)
+    except OSError as error:
+        raise NoticeError(f"{command}: {error}") from error
+    except subprocess.CalledProcessError as error:
+        raise NoticeError(f"{command}: exit {error.returncode}\n{error.stderr}") from error
     data = json.loads(done.stdout)
     crates = {crate["id"]: crate for crate in data["packages"]}
     nodes = {node["id"]: node for node in data["resolve"]["nodes"]}
@@ -47,8 +56,11 @@ def linked() -> list[dict]:
 
 def chosen(crate: dict) -> str:
     """Return the licence under which we use a crate."""
-    offered = re.split(r" OR |/", crate["license"])
-    return next((name for name in ("Apache-2.0", "MIT") if name in offered), crate["license"])
+    licence = crate.get("license")
+    if not licence:
+        raise NoticeError(f"{crate['name']} {crate['version']} names no licence")
+    offered = re.split(r" OR |/", licence)
+    return next((name for name in ("Apache-2.0", "MIT") if name in offered), licence)
 
 
 def text(crate: dict, licence: str) -> str:
@@ -64,7 +76,7 @@ def text(crate: dict, licence: str) -> str:
     ):
         if (folder / name).is_file():
             return (folder / name).read_text(encoding="utf-8").strip()
-    raise SystemExit(f"{crate['name']} {crate['version']} has no text of {licence}")
+    raise NoticeError(f"{crate['name']} {crate['version']} has no text of {licence}")
 
 
 def notices() -> str:

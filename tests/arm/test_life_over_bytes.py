@@ -29,6 +29,7 @@ import pliant
 import pliant.arm._signals
 from pliant.arm import Arm
 from pliant.emulator import Faults, ManualClock, Mount, emulate
+from pliant.emulator.faults import KINDS
 from pliant.servo import ServoBus, ServoSpec
 
 #: Robot and servo of each family, and name of its torque limit register.
@@ -86,15 +87,17 @@ class Life(RuleBasedStateMachine):
         super().__init__()
         self.patch, self.wrong, self.arm = pytest.MonkeyPatch(), [], None
         self.handlers = {n: signal.signal(n, lambda *_: None) for n in NUMBERS}
-        self.is_left, self.interrupts, self.fell = False, 0, None
+        self.is_left, self.interrupts, self.fell, self.has_tripped = False, 0, None, False
 
     @initialize(
         family=st.sampled_from(sorted(FAMILIES)),
         data=st.data(),
         seed=st.integers(0, 10_000),
         noisy=st.booleans(),
+        watchdog=st.sampled_from([0.0, 0.2]),
     )
-    def make(self, family, data, seed, noisy):
+    def make(self, family, data, seed, noisy, watchdog):
+        self.watchdog = watchdog
         robot, device, self.known = FAMILIES[family]
         self.device = device
         self.model = pliant.robots.load(robot)
@@ -143,7 +146,7 @@ class Life(RuleBasedStateMachine):
                     self.enable()
                 self.ending(self.arm.close)
                 self.settle()
-                assert not self.powered().any()
+                assert self.has_tripped or not self.powered().any()
                 self.nothing_is_wrong()
             finally:
                 self.bus.stop()
@@ -161,6 +164,9 @@ class Life(RuleBasedStateMachine):
         on = self.powered()
         if on.any() and not (self.arm.enabled or self.is_left):
             self.wrong.append(f"{self.bus.time:.2f} s: nobody owns the arm, torque {on}")
+        if self.has_tripped:
+            # What hangs on a servo without torque falls.
+            return
         tool = self.bus.plant.ground_truth.frame("tool")
         place, velocity = self.bus.plant.tool[:3, 3].copy(), tool.twist()[:3]
         if self.was_on.all() and not on.all():
@@ -200,7 +206,7 @@ class Life(RuleBasedStateMachine):
         drive = RecordingBus(specs, reply_timeout_min=0.01, clock=self.clock)
         if self.arm is not None:
             drive.asked = self.arm.drive.asked
-        self.arm = Arm(self.model, drive, guardian=False)
+        self.arm = Arm(self.model, drive, watchdog=self.watchdog, guardian=False)
 
     def ending(self, action):
         """Run an action; after an exception close the arm, as the end of a `with` block does."""
@@ -216,8 +222,9 @@ class Life(RuleBasedStateMachine):
                 self.is_left = True
 
     def excuse(self, error):
-        """Allow torque to stay on if the line is dead or the error says that it may be on."""
-        if self.line.dead or "torque may still be on" in str(error):
+        """Note that torque may stay on: on a line that is dead, or where the error says so."""
+        is_told = "torque may still be on" in str(error) or "torque stays on" in str(error)
+        if self.line.dead or is_told or self.has_tripped:
             self.is_left = True
 
     def settle(self):
@@ -236,7 +243,7 @@ class Life(RuleBasedStateMachine):
             self.connect()
         self.ending(self.arm.enable)
         if self.arm.enabled:
-            self.is_left = False
+            self.is_left = self.has_tripped = False
 
     @rule(
         seconds=st.sampled_from([0.1, 0.3, 0.6]),
@@ -268,10 +275,43 @@ class Life(RuleBasedStateMachine):
         """Send a signal to the program in `start` [s], whatever it does at that time."""
         self.clock.after(start, lambda: self.raise_signal(number))
 
-    @rule(kind=st.sampled_from(["deaf", "lose", "corrupt", "wrong_id"]), count=st.integers(1, 8))
-    def lose(self, kind, count):
-        """Lose or damage the next packets."""
-        self.bus.faults.inject(kind, count=count)
+    @rule(
+        kind=st.sampled_from([k for k in KINDS if k != "deaf"] * 2 + ["deaf"]),
+        count=st.integers(1, 8),
+        skip=st.integers(0, 60),
+    )
+    def lose(self, kind, count, skip):
+        """Lose, delay or damage packets, the next ones or later ones."""
+        self.bus.faults.inject(kind, count=count, skip=skip)
+
+    @rule(
+        start=st.sampled_from([0.0, 0.1, 0.4]),
+        kind=st.sampled_from(["reset", "overload", "heat", "voltage"]),
+        joint=st.integers(1, 5),
+    )
+    def trip(self, start, kind, joint):
+        """Let a servo reset, or switch itself off, later."""
+
+        def act():
+            self.has_tripped = True
+            if kind == "reset":
+                self.bus.reboot(joint)
+            else:
+                self.bus.trip(joint, kind)
+
+        self.clock.after(start, act)
+
+    @rule(volts=st.sampled_from([4.0, 20.0]), seconds=st.sampled_from([0.1, 1.0]))
+    def vary_supply(self, volts, seconds):
+        """Change the supply beyond the range of the servos, for a time."""
+        usual = self.bus.servo(1).supply
+
+        def act():
+            self.has_tripped = True
+            self.bus.supply(volts)
+
+        self.clock.after(0.0, act)
+        self.clock.after(seconds, lambda: self.bus.supply(usual))
 
     @rule(seconds=st.sampled_from([0.3, 1.5]))
     def stall(self, seconds):

@@ -1,5 +1,7 @@
 """Programs that do not react to a signal: the supervisor thread lowers the arm instead."""
 
+import os
+import signal
 import sys
 import threading
 import time
@@ -103,6 +105,32 @@ def test_an_exit_waits_for_a_descent_and_limp_ends_it():
         with supervisor.exclusive(at_once=True):
             order.append("exit")
     assert order == ["begins", "ends", "exit"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals wake no lock on Windows")
+def test_a_signal_while_enable_waits_for_a_descent_does_not_end_it():
+    order, waits, interrupted = [], threading.Event(), threading.Event()
+
+    def leave():
+        order.append("begins")
+        waits.wait(10.0)
+        time.sleep(0.05)
+        # As Ctrl-C in a terminal, in the main thread, which waits for the lock.
+        os.kill(os.getpid(), signal.SIGINT)
+        interrupted.wait(10.0)
+        order.append("aborted" if supervisor.abort.is_set() else "ends")
+
+    supervisor = Supervisor(leave)
+    with supervisor.supervised(0.02):
+        until(lambda: order)
+        with pytest.raises(KeyboardInterrupt):  # noqa: PT012
+            waits.set()
+            with supervisor.exclusive():
+                pass
+        interrupted.set()
+        with supervisor.exclusive():
+            pass
+    assert order == ["begins", "ends"]
 
 
 @pytest.mark.parametrize("busy", [True, pytest.param(False, marks=pytest.mark.full)])

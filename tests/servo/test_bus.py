@@ -91,6 +91,28 @@ def test_no_goal_while_disabled(emulated, enabled, kind):
         assert chain.enabled.tolist() == [False, True]
 
 
+@pytest.mark.parametrize("kind", ["sts", "xm"])
+@pytest.mark.parametrize(
+    ("bad", "told"),
+    [
+        (([np.nan, 0.0], [0.5, 0.5]), "goal of joint0 is not finite"),
+        (([0.0, 0.0], [np.inf, 0.5]), "limit of joint0 is not finite"),
+        (([0.0, 0.0], [-0.1, 0.5]), "limit of joint0 is -0.1 N·m, at least 0"),
+        (([0.0, 0.0], [0.5, 0.5], [np.nan, 1.0]), "velocity of joint0 is not a number"),
+    ],
+)
+def test_numbers_of_a_disabled_joint_are_validated_too(emulated, enabled, kind, bad, told):
+    with emulated(kind, 2, clock="steps") as (bus, chain):
+        for disabled in (chain.names, ["joint0"]):
+            enabled(chain)
+            chain.disable(disabled)
+            chain.read()
+            before = bus.log.count
+            with pytest.raises(ConfigError, match=told):
+                chain.write(*bad)
+            assert bus.log.count == before
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_goal_and_limit_travel_in_one_packet(emulated, enabled, kind):
     with emulated(kind, 3, clock="steps") as (bus, chain):

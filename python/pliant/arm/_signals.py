@@ -91,6 +91,11 @@ class Signals:
         _REGISTRY.remove(self)
         self.leaving = False
 
+    def hold(self) -> None:
+        """Store signals until `deliver`: an exception would end what is about to lower the arm."""
+        if self.installed:
+            self.leaving = True
+
     def begin(self, announcement: Message) -> None:
         """Mark the arm as being lowered; `announcement` is the message that told the user so."""
         if self.installed:

@@ -97,8 +97,7 @@ class Supervisor:
         """Return a context that holds the lock while torque is switched on or off.
 
         The context first waits until a descent (lowering) in another thread has ended. With
-        `at_once`, or after an exception during the wait, it aborts that descent; the arm then holds
-        its pose with torque on.
+        `at_once` it aborts that descent; the arm then holds its pose with torque on.
 
         Raises:
             ServoError: Another process switched torque on.
@@ -110,8 +109,8 @@ class Supervisor:
         try:
             self.lock.acquire()
         except BaseException:
-            self.abort.set()
-            if self.lock.acquire(timeout=1.0):
+            # A descent that is aborted sends goals that hold the arm, before the program ends.
+            if self.abort.is_set() and self.lock.acquire(timeout=1.0):
                 self.lock.release()
             raise
         try:

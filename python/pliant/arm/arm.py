@@ -201,6 +201,8 @@ class Arm:
         try:
             if self._signals is not None:
                 self._signals.install()
+            # Twice: a signal could end the first call before it holds signals back.
+            atexit.register(self._at_exit)
             atexit.register(self._at_exit)
             self._start_guardian()
             self._is_unfinished = False
@@ -282,8 +284,20 @@ class Arm:
 
         Do nothing if another process switched torque on.
         """
+        try:
+            self._close()
+        except (KeyboardInterrupt, SystemExit):
+            # A signal came before `_close` held signals back: torque is still on.
+            if self.enabled:
+                self._close()
+            raise
+
+    def _close(self) -> None:
+        """Do the work of `close`; a signal before signals are held back changes nothing."""
         if self._supervisor.is_owned_elsewhere:
             return
+        if self._signals is not None:
+            self._signals.hold()
         try:
             if self.enabled:
                 self.lower() if self._on_exit == "lower" else self.leave_enabled()
@@ -296,6 +310,8 @@ class Arm:
                 self._guardian.close(hand_over=self._is_unfinished)
                 self._guardian, self._is_unfinished = None, False
             MESSAGES.flush()
+            if self._signals is not None:
+                self._signals.deliver()
 
     def _descend(self, rest: Array | None) -> None:
         """Lower the arm via the pose `rest` (n,) [rad], or straight down if it is None.

@@ -275,12 +275,14 @@ class Port:
     ) -> list[Packets]:
         """Return the packets for servos with torque on, one entry per kind of servo.
 
-        The arguments are those of `ServoCodec.encode`, which may raise.
+        The arguments are those of `ServoCodec.encode`, which may raise, also for other servos.
         """
         groups = self._write_groups
         enabled = [device for device in self.devices if device.enabled]
         if len(enabled) < len(self.devices):
             groups = write_groups(enabled)
+            rest = [device.index for device in self.devices if not device.enabled]
+            self.devices[0].codec.encode(rest, goal, limit, velocity, max_speed)
         packets: list[Packets] = []
         for group in groups:
             codec = group.devices[0].codec

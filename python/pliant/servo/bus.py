@@ -419,7 +419,8 @@ class ServoBus:
                 bounds them, and is the default.
 
         Raises:
-            ShapeError, ConfigError: A vector is not (n,), not finite or negative. Nothing is sent.
+            ShapeError, ConfigError: A vector is not (n,), or a number is not finite or negative,
+                also of a joint that is not enabled. Nothing is sent.
             ServoError: All ports are gone. Other packets that cannot be sent are counted, and the
                 last goal and limit stay in force.
         """
@@ -613,11 +614,10 @@ class ServoBus:
         if array.shape != (self.n,):
             raise ShapeError(f"{name} has shape {array.shape}, expected ({self.n},)")
         numbers: list[float] = array.tolist()
-        is_valid = all(map(math.isfinite, numbers)) or (
-            unlimited and not any(map(math.isnan, numbers))
-        )
-        if not is_valid:
-            raise ConfigError(f"{name} is not finite: {numbers}")
+        for joint, number in zip(self.names, numbers, strict=True):
+            if math.isnan(number) if unlimited else not math.isfinite(number):
+                needed = "a number" if unlimited else "finite"
+                raise ConfigError(f"{name} of {joint} is not {needed}: {numbers}")
         if unit and (least := min(numbers)) < 0.0:
             joint = self.names[numbers.index(least)]
             raise ConfigError(f"{name} of {joint} is {least:g} {unit}, at least 0 is needed")
