@@ -4,9 +4,9 @@
 use std::os::fd::BorrowedFd;
 use std::time::{Duration, Instant};
 
-use pyo3::exceptions::PyOSError;
+use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyList};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::{Errno, read, write};
 
@@ -18,20 +18,92 @@ const LONGEST: f64 = 60.0;
 /// Number of bytes of a reply of Protocol 1.0 without data: two of the header, id, length, status and checksum.
 const OVERHEAD: usize = 6;
 
+/// Instructions of Protocol 1.0, and the id of a request to all servos.
+const READ: u8 = 0x02;
+const SYNC_READ: u8 = 0x82;
+const BROADCAST: u8 = 0xfe;
+
+/// Bytes that servos have sent in reply to a request.
+#[derive(Debug)]
+pub(crate) struct Replies {
+    bytes: Vec<u8>,
+    /// Bytes of a reply with the requested number of data bytes.
+    step: usize,
+    /// True if each servo has sent a valid packet with the requested number of data bytes.
+    pub(crate) is_whole: bool,
+}
+
+impl Replies {
+    /// Returns data and status byte of each whole reply.
+    pub(crate) fn packets(&self) -> impl Iterator<Item = (&[u8], u8)> {
+        self.bytes.chunks_exact(self.step).map(|packet| (&packet[OVERHEAD - 1..packet.len() - 1], packet[4]))
+    }
+
+    /// Returns a list of data and status byte of each reply; the bytes, if the replies are not whole.
+    pub(crate) fn to_python<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        if !self.is_whole {
+            return Ok(PyBytes::new(py, &self.bytes).into_any());
+        }
+        let answers = PyList::empty(py);
+        for (data, status) in self.packets() {
+            answers.append((PyBytes::new(py, data), status))?;
+        }
+        Ok(answers.into_any())
+    }
+}
+
 #[doc = stub!(exchange)]
 #[pyfunction]
+#[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
 pub(crate) fn exchange<'py>(
     py: Python<'py>,
     descriptor: i32,
-    request: &Bound<'py, PyBytes>,
-    ids: &Bound<'py, PyBytes>,
-    size: usize,
+    instruction: u8,
+    ids: Vec<u8>,
+    block: [u8; 2],
+    data: Vec<Bound<'py, PyBytes>>,
     timeout: f64,
-) -> PyResult<(Bound<'py, PyBytes>, bool)> {
-    let (request, ids) = (request.as_bytes(), ids.as_bytes());
-    let timeout = timeout.clamp(0.0, LONGEST);
-    let timeout = Duration::from_secs_f64(timeout);
-    let mut reply = vec![0; ids.len() * (OVERHEAD + size)];
+) -> PyResult<Bound<'py, PyAny>> {
+    let rows: Vec<&[u8]> = data.iter().map(PyBytesMethods::as_bytes).collect();
+    let request = request(instruction, &ids, block, &rows)?;
+    let senders = if rows.is_empty() { &ids[..] } else { &[] };
+    replies(py, descriptor, &request, senders, block[1], timeout)?.to_python(py)
+}
+
+/// Sends a sync read of a block, its address and size, and returns the replies; the interpreter lock is released.
+pub(crate) fn sync_read(
+    py: Python<'_>,
+    descriptor: i32,
+    ids: &[u8],
+    block: [u8; 2],
+    timeout: f64,
+) -> PyResult<Replies> {
+    replies(py, descriptor, &request(SYNC_READ, ids, block, &[])?, ids, block[1], timeout)
+}
+
+/// Returns a request about a block, its address and size, with the data to write to each servo.
+fn request(instruction: u8, ids: &[u8], [address, size]: [u8; 2], rows: &[&[u8]]) -> PyResult<Vec<u8>> {
+    let id = if instruction == READ { ids.first().copied().unwrap_or(BROADCAST) } else { BROADCAST };
+    let mut packet = vec![0xff, 0xff, id, 0, instruction, address, size];
+    if instruction == SYNC_READ {
+        packet.extend_from_slice(ids);
+    }
+    for (id, row) in ids.iter().zip(rows) {
+        packet.push(*id);
+        packet.extend_from_slice(row);
+    }
+    packet[3] = u8::try_from(packet.len() - 3)
+        .map_err(|_| PyValueError::new_err("a request of Protocol 1.0 cannot have so many bytes"))?;
+    packet.push(!packet[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
+    Ok(packet)
+}
+
+/// Sends a request and returns the replies of the servos `ids` with `size` data bytes each; the interpreter lock is
+/// released.
+fn replies(py: Python<'_>, descriptor: i32, request: &[u8], ids: &[u8], size: u8, timeout: f64) -> PyResult<Replies> {
+    let timeout = Duration::from_secs_f64(timeout.clamp(0.0, LONGEST));
+    let step = OVERHEAD + usize::from(size);
+    let mut bytes = vec![0; ids.len() * step];
     let result = py.detach(|| {
         if descriptor < 0 {
             return Err(Errno::BADF);
@@ -39,11 +111,12 @@ pub(crate) fn exchange<'py>(
         // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes meanwhile
         // makes the calls fail, or reach another file of the program, but breaks no memory.
         let port = unsafe { BorrowedFd::borrow_raw(descriptor) };
-        transfer(port, request, ids, &mut reply, timeout)
+        transfer(port, request, ids, &mut bytes, timeout)
     });
     let (received, is_wrong) = result.map_err(|errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
-    let is_whole = received == reply.len() && !is_wrong;
-    Ok((PyBytes::new(py, reply.get(..received).unwrap_or_default()), is_whole))
+    let is_whole = received == bytes.len() && !is_wrong;
+    bytes.truncate(received);
+    Ok(Replies { bytes, step, is_whole })
 }
 
 /// Discards what has arrived, sends the request and reads the reply; returns the number of bytes of the reply, and true
