@@ -2712,7 +2712,7 @@ if sys.platform != "win32":
         instruction: int,
         ids: Sequence[int],
         block: tuple[int, int],
-        data: Sequence[bytes],
+        data: list[bytes] | None,
         timeout: float,
     ) -> list[tuple[bytes, int]] | bytes:
         """Send a request of Protocol 1.0 and return the replies, without the interpreter lock.
@@ -2724,7 +2724,7 @@ if sys.platform != "win32":
             instruction: Read (2), sync read (130) or sync write (131).
             ids: Ids of the servos, in the order in which they reply.
             block: Address and size of the registers.
-            data: Bytes to write to each servo; empty: the servos reply.
+            data: Bytes to write to each servo; None: the servos reply.
             timeout: Longest silence before the replies and within them [s].
 
         Returns:

@@ -184,7 +184,7 @@ class RustypotTransport:
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write `data[i]` to servo `ids[i]` from `address` on, in one packet without reply."""
         if self._descriptor is not None:
-            self._exchange(SYNC_WRITE, ids, (address, len(data[0])), data)
+            self._exchange(SYNC_WRITE, ids, (address, len(data[0])), list(data))
             return
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
@@ -247,7 +247,7 @@ class RustypotTransport:
         instruction: int,
         ids: Sequence[int],
         block: tuple[int, int],
-        data: Sequence[bytes] = (),
+        data: list[bytes] | None = None,
     ) -> Answers:
         """Make a request of Protocol 1.0; the arguments are those of `exchange`.
 

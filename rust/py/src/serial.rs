@@ -20,7 +20,7 @@ const OVERHEAD: usize = 6;
 
 /// Instructions of Protocol 1.0, and the id of a request to all servos.
 const READ: u8 = 0x02;
-const SYNC_READ: u8 = 0x82;
+pub(crate) const SYNC_READ: u8 = 0x82;
 const BROADCAST: u8 = 0xfe;
 
 /// Bytes that servos have sent in reply to a request.
@@ -59,43 +59,42 @@ pub(crate) fn exchange<'py>(
     py: Python<'py>,
     descriptor: i32,
     instruction: u8,
-    ids: Vec<u8>,
-    block: [u8; 2],
-    data: Vec<Bound<'py, PyBytes>>,
+    ids: Vec<usize>,
+    block: Vec<usize>,
+    data: Option<&Bound<'py, PyList>>,
     timeout: f64,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let rows: Vec<&[u8]> = data.iter().map(PyBytesMethods::as_bytes).collect();
-    let request = request(instruction, &ids, block, &rows)?;
-    let senders = if rows.is_empty() { &ids[..] } else { &[] };
-    replies(py, descriptor, &request, senders, block[1], timeout)?.to_python(py)
+    transact(py, descriptor, instruction, [&ids, &block], data, timeout)?.to_python(py)
 }
 
-/// Sends a sync read of a block, its address and size, and returns the replies; the interpreter lock is released.
-pub(crate) fn sync_read(
+/// Sends a request about a block, its address and size, to the servos `ids`, with the data to write to each, and returns
+/// the replies; the interpreter lock is released.
+pub(crate) fn transact(
     py: Python<'_>,
     descriptor: i32,
-    ids: &[u8],
-    block: [u8; 2],
+    instruction: u8,
+    [ids, block]: [&[usize]; 2],
+    data: Option<&Bound<'_, PyList>>,
     timeout: f64,
 ) -> PyResult<Replies> {
-    replies(py, descriptor, &request(SYNC_READ, ids, block, &[])?, ids, block[1], timeout)
-}
-
-/// Returns a request about a block, its address and size, with the data to write to each servo.
-fn request(instruction: u8, ids: &[u8], [address, size]: [u8; 2], rows: &[&[u8]]) -> PyResult<Vec<u8>> {
+    let too_large = |_| PyValueError::new_err("ids, addresses and sizes of Protocol 1.0 are bytes");
+    let bytes = |numbers: &[usize]| numbers.iter().map(|x| u8::try_from(*x)).collect::<Result<Vec<u8>, _>>();
+    let (ids, block) = (bytes(ids).map_err(too_large)?, bytes(block).map_err(too_large)?);
+    let &[address, size] = &block[..] else {
+        return Err(PyValueError::new_err("a block has an address and a size"));
+    };
     let id = if instruction == READ { ids.first().copied().unwrap_or(BROADCAST) } else { BROADCAST };
-    let mut packet = vec![0xff, 0xff, id, 0, instruction, address, size];
+    let mut request = vec![0xff, 0xff, id, 0, instruction, address, size];
     if instruction == SYNC_READ {
-        packet.extend_from_slice(ids);
+        request.extend_from_slice(&ids);
     }
-    for (id, row) in ids.iter().zip(rows) {
-        packet.push(*id);
-        packet.extend_from_slice(row);
+    for (id, row) in ids.iter().zip(data.into_iter().flatten()) {
+        request.push(*id);
+        request.extend_from_slice(row.cast::<PyBytes>()?.as_bytes());
     }
-    packet[3] = u8::try_from(packet.len() - 3)
-        .map_err(|_| PyValueError::new_err("a request of Protocol 1.0 cannot have so many bytes"))?;
-    packet.push(!packet[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
-    Ok(packet)
+    request[3] = u8::try_from(request.len() - 3).map_err(too_large)?;
+    request.push(!request[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
+    replies(py, descriptor, &request, if data.is_none() { &ids } else { &[] }, size, timeout)
 }
 
 /// Sends a request and returns the replies of the servos `ids` with `size` data bytes each; the interpreter lock is

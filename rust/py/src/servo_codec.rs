@@ -148,21 +148,21 @@ impl ServoCodec {
         slf: &Bound<'py, Self>,
         descriptor: i32,
         servos: Vec<usize>,
-        ids: Vec<u8>,
-        block: [u8; 2],
+        ids: Vec<usize>,
+        block: Vec<usize>,
         timeout: f64,
         time: f64,
         longest: f64,
         usual: bool,
     ) -> PyResult<Option<(Bound<'py, PyAny>, Bound<'py, PyList>)>> {
         let py = slf.py();
-        let replies = serial::sync_read(py, descriptor, &ids, block, timeout)?;
+        let replies = serial::transact(py, descriptor, serial::SYNC_READ, [&ids, &block], None, timeout)?;
         let notable = PyList::empty(py);
         if replies.is_whole {
             // Not before: while the interpreter lock is released, the codec may serve another port.
             let mut codec = slf.try_borrow_mut()?;
             for (i, (servo, (data, status))) in servos.into_iter().zip(replies.packets()).enumerate() {
-                if let Some(found) = codec.store(servo, data, status, usize::from(block[0]), [time, longest])? {
+                if let Some(found) = codec.store(servo, data, status, block[0], [time, longest])? {
                     notable.append((i, found))?;
                 }
             }
