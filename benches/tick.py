@@ -70,7 +70,7 @@ STAGES = {
     "loop": "loop, `Tick.step`",
     "read": "`Arm.read`: checks, thermal model, state",
     "decode": "drive: decode",
-    "read bytes": "drive: transactions of the reading",
+    "read bytes": "drive: transactions of the reading, for so101 with decode",
     "step": "`Controller.step`",
     "write": "`Arm.write`: checks, budgets, ramp",
     "encode": "drive: encode",
@@ -84,6 +84,7 @@ TRANSACTIONS = {"decode": "read bytes", "encode": "write bytes", "status": "stat
 CALLS = {
     "read": "read_raw_data_with_error",
     "sync_read": "sync_read_raw_data_with_error",
+    "sync_decode": "sync_read_raw_data_with_error",
     "sync_write": "sync_write_raw_data",
     "write": "write_raw_data_with_error",
 }
@@ -415,6 +416,7 @@ def bare(call: Callable[..., Any], args: tuple[Any, ...]) -> Any:
     convert = {
         "write": lambda id, address, data: (id, address, list(data)),
         "sync_read": lambda ids, address, size: (list(ids), address, size),
+        "sync_decode": lambda ids, block, *_: (list(ids), *block),
         "sync_write": lambda ids, address, data: (list(ids), address, [list(row) for row in data]),
     }.get(call.__name__, lambda *rest: rest)
     return getattr(transport._io, CALLS[call.__name__]), convert(*args)
@@ -476,10 +478,12 @@ def vendor(name: str, requests: Requests, rounds: int) -> Sum | None:
     if found is None:
         return None
     module, protocol = found
-    (reads, address, size), (ids, start, data) = (
-        next(args for call, args in requests if call.__name__ == kind)
-        for kind in ("sync_read", "sync_write")
+    reads, address, size = next(
+        bare(call, args)[1]
+        for call, args in requests
+        if call.__name__ in {"sync_read", "sync_decode"}
     )
+    ids, start, data = next(args for call, args in requests if call.__name__ == "sync_write")
     total = Sum()
     with EmulatorProcess(make_emulator, config.load(name)) as emulator:
         port, packets = module.PortHandler(emulator.port), module.PacketHandler(protocol)

@@ -2708,25 +2708,32 @@ class Lowering:
 
 if sys.platform != "win32":
     def exchange(
-        descriptor: int, request: bytes, ids: bytes, size: int, timeout: float
-    ) -> tuple[bytes, bool]:
+        descriptor: int,
+        instruction: int,
+        ids: Sequence[int],
+        block: tuple[int, int],
+        data: list[bytes] | None,
+        timeout: float,
+    ) -> list[tuple[bytes, int]] | bytes:
         """Send a request of Protocol 1.0 and return the replies, without the interpreter lock.
 
         Bytes that have arrived before are discarded.
 
         Args:
             descriptor: File descriptor of the serial port.
-            request: Bytes to send.
-            ids: Ids of the servos that reply, in this order; may be empty.
-            size: Number of data bytes of each reply.
+            instruction: Read (2), sync read (130) or sync write (131).
+            ids: Ids of the servos, in the order in which they reply.
+            block: Address and size of the registers.
+            data: Bytes to write to each servo; None: the servos reply.
             timeout: Longest silence before the replies and within them [s].
 
         Returns:
-            The replies, and True if each servo has sent a valid packet with `size` data bytes.
-            With False, the replies end with the first invalid packet, or at the timeout.
+            Data and status byte of each servo; if one has not sent a valid packet with the size of
+            the block, the bytes received until that showed.
 
         Raises:
             OSError: The port has vanished.
+            ValueError: The request is longer than the protocol allows.
         """
 
 #: Ratio of holding torque to gravity torque of an arm held without a controller.
@@ -2902,14 +2909,6 @@ class PositionFilter:
             ShapeError: An array does not have N entries.
         """
 
-    def select(self, joints: Sequence[int], now: float) -> tuple[_Array, _Array, float]:
-        """Return positions [rad] and their ages at time `now` [s] of joints, and the oldest time.
-
-        Args:
-            joints: Indices of the joints; the arrays have one entry for each.
-            now: Present time [s].
-        """
-
     def assume(self, position: ArrayLike, time: float) -> None:
         """Store assumed positions for the joints that have not been read yet.
 
@@ -2994,6 +2993,38 @@ class ServoCodec:
         Raises:
             ShapeError: The bytes do not contain the position.
         """
+
+    if sys.platform != "win32":
+        def read(
+            self,
+            descriptor: int,
+            servos: Sequence[int],
+            ids: Sequence[int],
+            block: tuple[int, int],
+            timeout: float,
+            time: float,
+            longest: float,
+            usual: bool,
+        ) -> tuple[list[tuple[bytes, int]] | bytes, list[tuple[int, bool | None]]] | None:
+            """Make a sync read of Protocol 1.0, and store the readings.
+
+            Args:
+                descriptor: See `exchange`, as for ids, block and timeout.
+                servos: See `decode`, as for time and longest.
+                ids: Ids of the servos.
+                block: Address and size.
+                timeout: Longest silence [s].
+                time: Time of the request [s].
+                longest: Largest age of the last reading [s].
+                usual: True: return None if no reading needs attention.
+
+            Returns:
+                The results of `exchange` and `decode`. Nothing is stored unless all replies are
+                valid.
+
+            Raises:
+                OSError: The port has vanished.
+            """
 
     def joints(
         self, read: Sequence[int]
@@ -3117,26 +3148,44 @@ class CommandLimiter:
             ShapeError: An array has another shape.
         """
 
-    def update_heat(
+    def update(
         self,
+        positions: PositionFilter,
+        position: ArrayLike,
+        ok: NDArray[np.bool_],
+        time: ArrayLike,
+        load: ArrayLike | None,
+        *,
         goal: ArrayLike,
         limit: ArrayLike,
-        position: ArrayLike,
-        load: ArrayLike | None,
         dt: float,
-    ) -> None:
-        """Update the thermal model after dt [s] with the torques of the servos.
+        now: float,
+        max_jumps: int,
+        max_heat: float,
+    ) -> tuple[NDArray[np.bool_], _Array, _Array, float, list[float], bool]:
+        """Pass a reading to the filter of positions, and the torques since the last to the heat.
 
         Args:
-            goal: Goals in the servos (N,) [rad].
-            limit: Torque limits in the servos (N,) [N m].
+            positions: Filter of the N joints; the next three are those of its `update`.
             position: Positions (N,) [rad].
+            ok: Mask (N,) of the positions that were read.
+            time: Sample times [s].
             load: Measured torques (N,) [N m]; where they are not finite, and for None, the torque
                 is ``min(k_p |goal - position|, limit)``.
+            goal: Goals in the servos (N,) [rad].
+            limit: Torque limits in the servos (N,) [N m].
             dt: Time since the last update [s].
+            now: Present time [s].
+            max_jumps: Number of implausible positions of a joint in a row that is a fault.
+            max_heat: Largest heat of a servo that is no fault.
+
+        Returns:
+            Of the chain: mask of the new positions (n,), plausible positions (n,) [rad], their ages
+            (n,) [s] and the time of the oldest [s]. Positions of the joints off the chain [rad].
+            True if a joint has made too many implausible jumps, or a servo is too hot.
 
         Raises:
-            ShapeError: An array does not have N entries.
+            ShapeError: An array has another shape.
         """
 
 @final

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from bisect import bisect_right
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -49,8 +48,6 @@ AVERAGE, CHANGE, CHANGE_SHARE = 50, 5e-4, 0.1
 #: Logarithmic bins of the lateness histogram: lower end of the first bin [s], number of bins per
 #: decade, number of bins.
 FIRST, PER_DECADE, BINS = 1e-6, 20, 140
-#: Lower ends of the bins, and upper end of the last one [s].
-EDGES = [FIRST * 10.0 ** (i / PER_DECADE) for i in range(BINS + 1)]
 
 
 class LatenessHistogram:
@@ -71,7 +68,8 @@ class LatenessHistogram:
         """Count a tick that began `late` [s] after its deadline."""
         self.largest = max(self.largest, late)
         # Numbers of a memory view are quicker than those of an array.
-        self._cells[bisect_right(EDGES, late)] += 1
+        cell = int(PER_DECADE * math.log10(late / FIRST)) + 1 if late >= FIRST else 0
+        self._cells[min(cell, BINS + 1)] += 1
 
     def __len__(self) -> int:
         """Return the number of counted ticks."""
@@ -167,7 +165,8 @@ class Tick:
                 "with tick.write(command)"
             )
         command = step(self.q, *args, dt=self.dt, **inputs)
-        self.write(command)
+        self.answered = self._loop._write(self, command, None)
+        self.command = command
         return command
 
     def write(
@@ -460,7 +459,6 @@ class Loop:
         self, tick: Tick, command: Commanded, extra: Mapping[str, tuple[float, float]] | None
     ) -> bool:
         """Check a command; send it and return True, or count it as rejected and return False."""
-        self._check()
         clock = self._arm.clock
         if isinstance(command, Command):
             goal, limit, speed = command.goal, command.torque_limit, command.speed_limit
@@ -479,18 +477,17 @@ class Loop:
             self.rejected += 1
             return False
         self._arm.write(goal, limit, extra, lead=speed is not None, velocity=speed)
-        self._measure(clock.now() - tick.state.time)
+        self._delays.append(clock.now() - tick.state.time)
+        if len(self._delays) == AVERAGE:
+            self._measure()
         return True
 
-    def _measure(self, delay: float) -> None:
-        """Record the delay of a command [s], plus the drive's latency; after 50, store the median.
+    def _measure(self) -> None:
+        """Store the median delay of the last 50 commands, plus the drive's latency.
 
-        The controller gets the median if it differs enough from the value set before.
+        The controller gets it if it differs enough from the value set before.
         """
-        self._delays.append(delay + getattr(self._arm.drive, "latency", 0.0))
-        if len(self._delays) < AVERAGE:
-            return
-        self.delay = float(np.median(self._delays))
+        self.delay = float(np.median(self._delays)) + getattr(self._arm.drive, "latency", 0.0)
         self._delays.clear()
         reported = self._reported_delay
         if reported is None or abs(self.delay - reported) > max(CHANGE, CHANGE_SHARE * reported):

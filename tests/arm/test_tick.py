@@ -13,7 +13,7 @@ from pliant.arm import Budget
 BENCHES = Path(__file__).resolve().parents[2] / "benches"
 #: Largest number of calls per tick, and of those of functions written in Python. A count needs no
 #: idle machine; Python versions and NumPy differ by some calls.
-CALLS = {"null": (120, 65), "so101": (320, 140)}
+CALLS = {"null": (100, 50), "so101": (170, 75)}
 
 
 @pytest.fixture
@@ -84,10 +84,64 @@ def test_limits_equal_their_formula(supply, lead):
         load[rng.random(size) < 0.5] = np.nan
         torque = np.minimum(np.abs(pull), limits)
         torque = np.where(np.isfinite(load), np.abs(load), torque)
-        limiter.update_heat(goals, limits, position, load, 2.0)
+        positions, ok = PositionFilter(np.ones(size)), np.ones(size, dtype=bool)
+        limiter.update(
+            positions, position, ok, 0.0, load,
+            goal=goals, limit=limits, dt=2.0, now=0.0, max_jumps=3, max_heat=1.0,
+        )  # fmt: skip
         heat += -np.expm1(-2.0 / 30.0) * ((torque / (0.4 * usable)) ** 2 - heat)
         assert thermal.heat == pytest.approx(heat, rel=1e-9)
     assert (reduced > 50) == (supply is not None)
+
+
+def test_a_reading_updates_filter_and_heat_as_single_calls_do():
+    model = pliant.robots.so101()
+    n, size, chain = model.n, model.n + 1, [5, 0, 2, 3, 1]
+    rng = np.random.default_rng(1)
+    kp, usable = rng.uniform(5.0, 20.0, size), rng.uniform(1.0, 3.0, size)
+
+    def made():
+        thermal = Budget().thermal_model(usable, None)
+        limiter = CommandLimiter(
+            model, model.servos, thermal, chain=chain, kp=kp, max_torque=usable
+        )
+        return limiter, PositionFilter(np.full(size, 0.5)), thermal
+
+    limiter, positions, thermal = made()
+    expected = PositionFilter(np.full(size, 0.5))
+    suspects, heat = set(), np.zeros(size)
+    for turn in range(300):
+        now, dt = 0.01 * turn + 0.003, 0.5 * (turn % 4)
+        position = 0.1 * rng.random(size) + 2.0 * (rng.random(size) < 0.05)
+        ok = rng.random(size) > 0.2
+        time = 0.01 * turn + 0.001 * rng.random(size)
+        goal, limit = rng.normal(0.0, 1.0, size), usable * (1.5 if turn > 200 else 0.1)
+        load = None if turn % 3 else rng.normal(0.0, 0.1, size)
+        mask, q, age, oldest, off_chain, is_suspect = limiter.update(
+            positions, position, ok, time, load,
+            goal=goal, limit=limit, dt=dt, now=now, max_jumps=2, max_heat=0.9,
+        )  # fmt: skip
+        accepted = expected.update(position, ok, time)
+        assert mask.tolist() == accepted[chain].tolist()
+        np.testing.assert_array_equal(q, expected.position[chain])
+        np.testing.assert_array_equal(age, now - expected.time[chain])
+        assert oldest == expected.time[chain].min()
+        np.testing.assert_array_equal(off_chain, [expected.position[4]])
+        torque = np.minimum(np.abs(np.nan_to_num(kp * (goal - expected.position))), limit)
+        torque = torque if load is None else np.abs(load)
+        heat += -np.expm1(-dt / 30.0) * ((torque / (0.4 * usable)) ** 2 - heat)
+        assert thermal.heat == pytest.approx(heat, rel=1e-9)
+        is_hot = bool((heat > 0.9).any())
+        assert is_suspect == (bool(expected.implausible(2)) or is_hot)
+        suspects.add((bool(expected.implausible(2)), is_hot))
+    assert {(False, False), (True, False)} <= suspects
+    assert (False, True) in suspects or (True, True) in suspects
+    with pytest.raises(pliant.ShapeError, match="position has shape"):
+        limiter.update(
+            PositionFilter([1.0]), [0.0], np.ones(1, dtype=bool), 0.0, None,
+            goal=goal, limit=limit, dt=0.0, now=0.0, max_jumps=2, max_heat=0.9,
+        )  # fmt: skip
+    assert n == len(chain)
 
 
 def test_a_filter_takes_times_of_joints_or_of_the_reading():

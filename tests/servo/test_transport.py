@@ -1,5 +1,6 @@
 """Requests of Protocol 1.0 through the descriptor of the port, and readings that contain status."""
 
+import math
 import os
 import select
 import threading
@@ -10,8 +11,10 @@ import pytest
 
 pytest.importorskip("rustypot", reason="the tests of servo buses need the extra servo")
 
+from pliant._core import ServoCodec
 from pliant.emulator.pty import Pty
-from pliant.servo import BusError, RustypotTransport, transport
+from pliant.servo import BusError, RustypotTransport, ServoSpec, transport
+from pliant.servo._device import Device
 
 SIZE = 4
 
@@ -117,6 +120,80 @@ def test_a_port_that_vanishes():
         made.io.sync_read([3, 5], 56, SIZE)
     assert error.value.reason == "gone"
     made.close()
+
+
+def codec_of_two():
+    """Return a codec of two servos with readings at time 0, and their block without status."""
+    codec = ServoCodec(2, 2)
+    for i in range(2):
+        Device(ServoSpec(name="pan", model="STS3215", id=i, port="a"), i, i, 1).attach(codec, i)
+    family = ServoSpec(name="pan", model="STS3215", id=1, port="a").row.family
+    return codec, family, family.read[0]
+
+
+@pytest.mark.skipif(transport.sys.platform == "win32", reason="readings are decoded in Python")
+def test_readings_decoded_with_the_request_are_those_decoded_after_it():
+    rng = np.random.default_rng(0)
+    port = Answering()
+    (codec, family, block), (other, _, _) = codec_of_two(), codec_of_two()
+    seen = set()
+    for turn in range(60):
+        time = 0.01 * turn + (1.0 if turn > 40 else 0.0)
+        values = [
+            {
+                "position": int(2000 + rng.integers(3) + 1500 * (rng.random() < 0.1)),
+                "speed": int(rng.integers(100)),
+                "voltage": 70 + (turn == 20),
+            }
+            for _ in range(2)
+        ]
+        statuses = [int(rng.random() < 0.05) for _ in range(2)]
+        data = [family.layout(block).encode(row) for row in values]
+        port.reply = b"".join(map(packet, (3, 5), data, statuses))
+        usual = bool(turn % 3)
+        decoder = transport.Decoder(codec, [0, 1], 0.5, block if usual else None)
+        found = port.io.sync_decode([3, 5], block, decoder, time)
+        answers = list(zip(data, statuses, strict=True))
+        notable = other.decode([0, 1], answers, block.address, time, 0.5)
+        assert found == (None if usual and not notable else (answers, notable))
+        for mine, its in zip(codec.joints([0, 1]), other.joints([0, 1]), strict=True):
+            np.testing.assert_array_equal(mine, its)
+        for i, result in notable:
+            if result is None:
+                codec.decode([i], [answers[i]], block.address, time, math.inf)
+                other.decode([i], [answers[i]], block.address, time, math.inf)
+        seen |= {result for _, result in notable} | {found is None}
+    assert seen == {None, False, True}
+    port.close()
+
+
+@pytest.mark.skipif(transport.sys.platform == "win32", reason="readings are decoded in Python")
+def test_of_replies_that_are_not_all_valid_no_reading_is_stored():
+    port = Answering()
+    codec, family, block = codec_of_two()
+    decoder = transport.Decoder(codec, [0, 1], 9.0, block)
+    first = family.layout(block).encode({"position": 2000})
+    codec.decode([0, 1], [(first, 0), (first, 0)], block.address, 0.0, 9.0)
+    before = [values.tolist() for values in codec.joints([0, 1])]
+    good = packet(3, family.layout(block).encode({"position": 2001}))
+    other = packet(5, family.layout(block).encode({"position": 2001}))
+    for reply, reason in (
+        (good, "timeout"),
+        (good + other[:-1] + b"\0", "corrupt"),
+        (good + packet(7, b"\0" * block.size), "corrupt"),
+    ):
+        port.reply = reply
+        with pytest.raises(BusError) as error:
+            port.io.sync_decode([3, 5], block, decoder, 0.01)
+        assert (error.value.reason, error.value.id) == (reason, 5)
+    port.reply = good + packet(5, b"\0" * (block.size - 1))
+    answers, notable = port.io.sync_decode([3, 5], block, decoder, 0.01)
+    assert [len(data) for data, _ in answers] == [block.size, block.size - 1]
+    assert notable == []
+    assert [values.tolist() for values in codec.joints([0, 1])] == before
+    port.close()
+    with pytest.raises(BusError, match="another thread"):
+        port.io.sync_decode([3, 5], block, decoder, 0.01)
 
 
 @pytest.mark.parametrize(("kind", "requests"), [("sts", 2), ("mx", 4), ("xm", 3)])

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pliant._typing import Array
 
 
+#: Type of joint vectors.
+FLOAT = np.dtype(np.float64)
 #: Distance outside its position limits up to which a joint position is still accepted [rad].
 SLACK = 0.1
 #: Largest accepted value of the argument `comm_timeout` [s].
@@ -31,15 +33,17 @@ MAX_SHIFT, MAX_TURN = 0.005, 0.05
 def vector(model: Model, value: ArrayLike, name: str, *, finite: bool = True) -> Array:
     """Return `value` as a joint vector: a float array (n,), one entry per joint of the chain.
 
+    An array of the right type is returned itself.
+
     Raises:
         ShapeError: The value has the wrong shape, or is not made of real numbers.
         OutOfRangeError: An entry is not finite, although `finite` is True.
     """
     # Most calls: finite numbers as an array of the right type.
-    if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == (model.n,):
+    if type(value) is np.ndarray and value.dtype is FLOAT and value.shape == (model.n,):
         if finite and not all(map(math.isfinite, value.tolist())):
             raise OutOfRangeError(f"{name} is not finite, nothing was sent: {value.tolist()}")
-        return value.copy()
+        return value
     try:
         raw = np.asarray(value)
         # Reject bool, complex and text: NumPy would convert them to float without an error.

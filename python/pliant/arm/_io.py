@@ -21,7 +21,7 @@ from pliant._servo_tables import take
 from pliant._validation import format_value, mapping, real
 from pliant.arm._checks import vector
 from pliant.arm.thermal import TOO_HOT, thermal_faults
-from pliant.drive import MonotonicClock, State
+from pliant.drive import JointReadings, MonotonicClock, State
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -239,16 +239,21 @@ class ArmIO:
         self._off_chain_rows: Array = np.zeros((0, 2))
         self._ramp_start: float = -math.inf
         self._min_limit: Array = np.zeros(model.n)
-        self._last_update: float | None = None
+        self._last_update = math.nan
         # Last goals [rad] and torque limits [N·m] of all joints (N,), and True once they were sent.
         self._goals, self._limits, self._is_sent = np.zeros(size), np.zeros(size), False
         self._unlimited = np.full(size, np.inf)
         # Read-only arrays (N,): states hold views of them, so a change creates a new array.
         self._voltage = self._temperature = _with_entry(np.full(size, np.nan), 0, np.nan)
-        self._chain = self.joints.chain.tolist()
+        self._chain_voltage = self._chain_temperature = self._voltage[self.joints.select]
         self._reported: dict[str, tuple[str, ...]] = {}
         self._index = {name: i for i, name in enumerate(self.joints.names)}
-        self._rows: dict[str, Array | None] = {}
+        self._no_readings = JointReadings(np.full(size, np.nan), np.zeros(size, dtype=bool), 0.0)
+        # Last reading: of all joints, of the chain (n,), and of the joints off the chain; and
+        # whether the arm has faults that follow from positions or heat.
+        self._sample = self._no_readings
+        self._q = self._age = np.full(model.n, np.nan)
+        self._time, self._extra, self._is_suspect = -math.inf, list[float](), False
         self._watchdog = 0.0
         # Times of the last bus access and of the last position received [s].
         self._last_access = self._last_position = self.clock.now()
@@ -265,68 +270,73 @@ class ArmIO:
         Raises:
             ServoError: The connection to the drive is lost.
         """
-        self._rearm_after_silence()
+        if self._watchdog:
+            self._rearm_after_silence()
         try:
-            sample = self.drive.read()
+            sample = self._sample = self.drive.read()
         except ServoTimeoutError:
-            self._update_thermal(None)
-            return np.zeros(self.model.n, dtype=bool)
+            sample = self._no_readings
         finally:
-            self._last_access = self.clock.now()
+            self._last_access = now = self.clock.now()
         self._read = read = np.asarray(sample.ok, dtype=bool)
-        if True in read.tolist():
-            now = self.clock.now()
+        if self._watchdog and read.any():
             gap, self._last_position = now - self._last_position, now
-            if self._watchdog and gap > 0.5 * self._watchdog:
+            if gap > 0.5 * self._watchdog:
                 self._rearm()
-        ok = self.positions.update(sample.position, read, sample.time)
-        chain = self.joints.select
-        self._rows = {
-            "dq": None if sample.velocity is None else sample.velocity[chain],
-            "load": None if sample.load is None else sample.load[chain],
-            "current": None if sample.current is None else sample.current[chain],
-        }
-        self._update_thermal(sample.load)
-        is_new: Mask = ok[chain]
+        passed, self._last_update = now - self._last_update, now
+        is_new: Mask
+        is_new, self._q, self._age, self._time, self._extra, self._is_suspect = (
+            self._limiter.update(
+                self.positions,
+                sample.position,
+                read,
+                sample.time,
+                sample.load,
+                goal=self._goals,
+                limit=self._limits,
+                dt=passed if self._is_sent else 0.0,
+                now=now,
+                max_jumps=MAX_JUMPS,
+                max_heat=TOO_HOT,
+            )
+        )
         return is_new
 
-    def state(self, ok: Mask) -> State:
-        """Return the state of the arm; `ok` is the mask (n,) that the last `sample` returned."""
-        joints = self.joints
-        extra: dict[str, float] = {}
-        if joints.extra:
-            position = self.positions.position
-            extra = {name: float(position[self._index[name]]) for name in joints.extra}
-        q, age, time = self.positions.select(self._chain, self.clock.now())
+    def read(self) -> State:
+        """Read all joints, and return the state of the arm.
+
+        Raises:
+            ServoError: The connection to the drive is lost.
+        """
+        is_fresh = False not in self.sample().tolist()
+        sample, chain = self._sample, self.joints.select
+        # The constructor of a frozen dataclass makes a call per attribute.
         state = object.__new__(State)
-        # Faster than the constructor of a frozen dataclass, which makes one call per attribute.
         state.__dict__.update(
-            self._rows,
-            q=q,
-            time=time,
-            fresh=False not in ok.tolist(),
-            extra=extra,
-            age=age,
-            voltage=self._voltage[joints.select],
-            temperature=self._temperature[joints.select],
-            faults=self.faults(),
+            q=self._q,
+            dq=None if sample.velocity is None else sample.velocity[chain],
+            time=self._time,
+            fresh=is_fresh,
+            extra=dict(zip(self.joints.extra, self._extra, strict=True)),
+            age=self._age,
+            load=None if sample.load is None else sample.load[chain],
+            current=None if sample.current is None else sample.current[chain],
+            voltage=self._chain_voltage,
+            temperature=self._chain_temperature,
+            faults=self.faults() if self._is_suspect or self._reported else (),
         )
         return state
 
     def faults(self) -> tuple[str, ...]:
         """Return the present faults of the servos, one sentence each."""
         names = self.joints.names
-        implausible = self.positions.implausible(MAX_JUMPS)
-        is_hot = self.thermal.is_too_hot(TOO_HOT)
-        if not (self._reported or implausible or is_hot):
-            return ()
         found = [text for texts in self._reported.values() for text in texts]
         found += [
             f"{names[i]}: its position jumped by {jump:.2f} rad, which it cannot have moved: "
             "encoder fault, slipped horn or loose gear. Torque off, then check its zero"
-            for i, jump in implausible
+            for i, jump in self.positions.implausible(MAX_JUMPS)
         ]
-        if is_hot:
+        if self.thermal.is_too_hot(TOO_HOT):
             found += thermal_faults(self.thermal, names)
         return tuple(found)
 
@@ -376,14 +386,14 @@ class ArmIO:
         """
         self._watchdog = seconds
         self.drive.watchdog(seconds)
-        self._last_access = self.clock.now()
+        self._last_access = self._last_position = self.clock.now()
 
     def _rearm_after_silence(self) -> None:
         """Rearm the servos' watchdogs, which may have tripped, after half their time of silence.
 
         After a shorter silence, do nothing.
         """
-        if self._watchdog and self.clock.now() - self._last_access > 0.5 * self._watchdog:
+        if self.clock.now() - self._last_access > 0.5 * self._watchdog:
             self._rearm()
 
     def _rearm(self) -> None:
@@ -507,7 +517,7 @@ class ArmIO:
         gravity = self.model.gravity(position[self.joints.select])
         if orders:
             self.orders = {**self.orders, **orders}
-        off_chain = [self.orders[name] for name in self.joints.extra]
+        off_chain = list(map(self.orders.__getitem__, self.joints.extra))
         if off_chain != self._off_chain:
             self._off_chain = off_chain
             self._off_chain_rows = np.array(off_chain, dtype=np.float64).reshape(-1, 2)
@@ -554,7 +564,8 @@ class ArmIO:
 
     def _transmit(self, goals: Array, limits: Array, velocity: Array | None) -> None:
         """Send goals [rad] and limits [N·m] of all joints (N,); `velocity` is that of the chain."""
-        self._rearm_after_silence()
+        if self._watchdog:
+            self._rearm_after_silence()
         self._goals, self._limits, self._is_sent = goals, limits, True
         speeds = None
         if velocity is not None:
@@ -576,18 +587,6 @@ class ArmIO:
         goals = self.joints.join(goal, np.array([order[0] for order in orders]))
         return goals, self.joints.join(limit, max_lead)
 
-    def _update_thermal(self, load: Array | None) -> None:
-        """Update the thermal model with the servos' torques since the last reading.
-
-        `load` are the measured torques (N,) [N·m]. If they are None or NaN, the torques are
-        estimated from position errors, stiffness and limits.
-        """
-        now = self.clock.now()
-        if self._last_update is not None and self._is_sent:
-            passed, position = now - self._last_update, self.positions.position
-            self._limiter.update_heat(self._goals, self._limits, position, load, passed)
-        self._last_update = now
-
     def _update_status(self, status: ServoStatus | None) -> None:
         """Store voltage, temperature and faults of the servo in `status`; None: do nothing."""
         if status is None:
@@ -595,9 +594,11 @@ class ArmIO:
         index = self._index[status.name]
         if status.voltage is not None and status.voltage != self._voltage[index]:
             self._voltage = _with_entry(self._voltage, index, status.voltage)
+            self._chain_voltage = self._voltage[self.joints.select]
         if status.temperature is not None and status.temperature != self._temperature[index]:
             self.thermal.set_temperature(index, status.temperature)
             self._temperature = _with_entry(self._temperature, index, status.temperature)
+            self._chain_temperature = self._temperature[self.joints.select]
         if status.faults:
             self._reported[status.name] = status.faults
         elif self._reported:

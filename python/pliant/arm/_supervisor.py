@@ -83,9 +83,10 @@ class Supervisor:
             ServoTimeoutError: The watchdog thread has taken the arm over, or is lowering it.
             ServoError: Another process switched the torque of the arm on.
         """
-        if self.is_owned_elsewhere:
+        owner = self.owner
+        if owner is not None and owner != os.getpid():
             raise ServoError(
-                f"this arm belongs to process {self.owner}, which switched its torque on; this is "
+                f"this arm belongs to process {owner}, which switched its torque on; this is "
                 f"process {os.getpid()}, forked from it: read and write there, and send the data "
                 "to this process"
             )

@@ -549,7 +549,7 @@ class Arm:
             ServoError: The connection is gone, or another process switched torque on.
         """
         with self._supervisor:
-            return self._io.state(self._io.sample())
+            return self._io.read()
 
     def write(
         self,
@@ -649,7 +649,7 @@ class Arm:
             self._io.send(self._io.goal, self._io.limit)
 
     def _check_enabled(self) -> None:
-        if not self.enabled:
+        if self._supervisor.owner != os.getpid():
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pliant.drive import ServoStatus
 from pliant.servo._transactions import BITS_PER_BYTE, Reply, TransactionGuard, wire_time
-from pliant.servo.transport import BusError, RustypotTransport
+from pliant.servo.transport import BusError, Decoder, RustypotTransport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -46,7 +46,8 @@ class Group:
         family: Their family.
         ids: Ids of the servos.
         indices: Indices of the servos in the codec.
-        read_with_status: Blocks of a reading with status; empty: status is read separately.
+        decoder: Codec that stores readings while the replies arrive; None: the transport cannot.
+        read_with_status: Blocks of a reading that contains the status; empty: status is read apart.
     """
 
     def __init__(self, devices: Sequence[Device]) -> None:
@@ -54,16 +55,7 @@ class Group:
         self.ids = [device.id for device in devices]
         self.indices = [device.index for device in devices]
         self.read_with_status = self.family.read_with_status
-
-    @property
-    def blocks(self) -> tuple[Block, ...]:
-        """Blocks of the next reading, with the status if it is due.
-
-        Status is due once `StatusPoller` has taken that of all these servos. Reading it together
-        with the positions saves one request per cycle.
-        """
-        is_due = self.read_with_status and not self.devices[-1].has_new_status
-        return self.read_with_status if is_due else self.family.read
+        self.decoder: Decoder | None = None
 
 
 class Port:
@@ -82,6 +74,7 @@ class Port:
         guard: Requests with timeouts, retries and rejection of late replies.
         watchdog: Time of the bus watchdog, for servos that have one [units of 20 ms]; 0 if off.
         latency: Latency timer of the USB adapter [s]; None without a timer.
+        has_watchdog: True if a servo has a bus watchdog.
     """
 
     def __init__(
@@ -123,6 +116,7 @@ class Port:
         self._is_armed = False
         self._misses: dict[int, int] = {}
         self._silent: dict[int, int] = {}
+        self.has_watchdog = any("watchdog" in device.family.registers for device in devices)
         self._read_groups = self._grouped(self.devices)
         self._write_groups = write_groups(self.devices)
 
@@ -160,21 +154,22 @@ class Port:
             budget: Time after which the port stops retrying [s].
 
         Returns:
-            Indices of the servos whose reading was received and is plausible.
-
-        Raises:
-            BusError: The port is gone.
+            Indices of the servos whose reading was received and is plausible; none if the port is
+            gone.
         """
         self.guard.start_cycle(budget)
         accepted: list[int] = []
         groups = self._grouped(self.responsive) if self._silent else self._read_groups
-        for group in groups:
-            if group.family.sync_read:
-                self._read_group(group, accepted)
-            else:
-                self._read_each(group, accepted)
-        if self._silent:
-            self._probe(accepted)
+        try:
+            for group in groups:
+                if group.family.sync_read:
+                    self._read_group(group, accepted)
+                else:
+                    self._read_each(group, accepted)
+            if self._silent:
+                self._probe(accepted)
+        except BusError:
+            return []
         return accepted
 
     def _grouped(self, devices: Iterable[Device]) -> list[Group]:
@@ -185,6 +180,10 @@ class Port:
             longer = len(group.ids) * (with_status[0].size - read[0].size) if with_status else 0
             if longer * BITS_PER_BYTE / self._baudrate > STATUS_SHARE * self._cycle:
                 group.read_with_status = ()
+            if getattr(self._io, "can_decode", False):
+                codec, layout = group.devices[0].codec, group.family.layout
+                plain = next((block for block in read if not layout(block).has_status), None)
+                group.decoder = Decoder(codec, group.indices, self._restart, plain)
         return groups
 
     def _accept(self, device: Device, reply: Reply, accepted: list[int]) -> None:
@@ -319,31 +318,42 @@ class Port:
     def _read_group(self, group: Group, accepted: list[int]) -> None:
         """Read several servos with one request; add the indices of plausible ones to `accepted`.
 
-        If the request fails, read the servos one by one; the servo that failed comes last.
+        If the request fails, read the servos one by one, the servo that failed last. The reading
+        contains the status once `StatusPoller` has taken that of all these servos, of which the
+        last has its turn last. It saves the request for the status of one servo in each cycle.
         """
+        decoder = None if self._misses else group.decoder
+        blocks = group.read_with_status
+        if not blocks or group.devices[-1].has_new_status:
+            blocks = group.family.read
         try:
-            block, answers, time = self.guard.sync_read(group.ids, *group.blocks)
+            found = self.guard.sync_decode(group.ids, blocks, decoder)
         except BusError as error:
             error.raise_if_gone()
             self._read_each(group, accepted, last=error.id, again=False)
+            return
+        block, answers, notable, time = found
+        if answers is None:
+            accepted += group.indices
             return
         if self._misses:
             for device, (data, status) in zip(group.devices, answers, strict=True):
                 self._accept(device, Reply(block, data, status, time), accepted)
             return
+        if decoder is None:
+            codec = group.devices[0].codec
+            notable = codec.decode(group.indices, answers, block.address, time, self._restart)
         has_status = group.family.layout(block).has_status
-        codec, indices = group.devices[0].codec, group.indices
-        notable = codec.decode(indices, answers, block.address, time, self._restart)
-        found = dict(notable) if notable else {}
-        if not (found or has_status):
-            accepted += indices
+        if not (notable or has_status):
+            accepted += group.indices
             return
+        results = dict(notable)
         for i, device in enumerate(group.devices):
             data, status = answers[i]
-            result = found.get(i, True)
+            result = results.get(i, True)
             if result is None:
                 self._accept(device, Reply(block, data, status, time), accepted)
-            elif i in found and not device.check_reading(result, status, time):
+            elif i in results and not device.check_reading(result, status, time):
                 self.guard.counters.stale += 1
             else:
                 accepted.append(device.index)
@@ -455,6 +465,7 @@ class StatusPoller:
         self._joints = joints
         self._devices = [device for joint in joints for device in joint]
         self._steps = [(d, block) for d in self._devices for block in d.family.status_blocks]
+        self._reads_torque = any(d.family.status == "p2" for d in self._devices)
         self._next = 0
         self._reported: set[int] = set()
         self._is_repeat = False
@@ -473,7 +484,7 @@ class StatusPoller:
             BusError: The port is gone.
         """
         self._count += 1
-        if self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
+        if self._reads_torque and self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
             return None
         device, block = self._choose()
         guard = ports[id(device)].guard
@@ -520,7 +531,8 @@ class StatusPoller:
             for device in self._devices
             if device.conditions or device.other_faults or device.has_mismatch
         ]
-        self._reported.intersection_update(map(id, doubtful))
+        if self._reported:
+            self._reported.intersection_update(map(id, doubtful))
         for device in doubtful:
             if device.has_suspect_register and not self._is_repeat:
                 self._is_repeat = True

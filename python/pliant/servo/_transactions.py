@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from pliant.servo.models.base import Protocol
     from pliant.servo.models.base import Protocol as Wire
-    from pliant.servo.transport import Transport
+    from pliant.servo.transport import Decoder, Transport
 
 
 BITS_PER_BYTE = 10
@@ -361,18 +361,48 @@ class TransactionGuard:
         Raises:
             BusError: At least one reply is missing or corrupt.
         """
+        block, answers, _, start = self.sync_decode(ids, blocks, None)
+        assert answers is not None, "only a decoder leaves them out"
+        return block, answers, start
+
+    def sync_decode(
+        self, ids: Sequence[int], blocks: Sequence[Block], decoder: Decoder | None
+    ) -> tuple[Block, list[tuple[bytes, int]] | None, list[tuple[int, bool | None]], float]:
+        """Make a `sync_read`, and let the transport store the readings.
+
+        Args:
+            ids: Ids of the servos.
+            blocks: Alternative blocks of different lengths, see `read`.
+            decoder: Where to store the readings; None: nowhere.
+
+        Returns:
+            Block that was read; bytes and error byte of each servo, None if the decoder needs no
+            look at them; readings that need attention, see `ServoCodec.decode`; time of the request
+            [s].
+
+        Raises:
+            BusError: At least one reply is missing or corrupt; nothing is stored.
+        """
         if self._is_dirty or self.is_gone:
             self._clear_line()
         try:
-            is_clear = self._pending.missing.keys().isdisjoint(ids)
+            missing = self._pending.missing
+            is_clear = not missing or missing.keys().isdisjoint(ids)
             block = blocks[0] if is_clear else self._choose(ids, blocks)
             start = self._prepare("sync_read", len(ids), block.size)
             started = self._clock()
+            answers: list[tuple[bytes, int]] | None
+            notable: list[tuple[int, bool | None]] = []
             try:
-                answers = self._io.sync_read(ids, block.address, block.size)
-                for id, (data, status) in zip(ids, answers, strict=True):
-                    if len(data) != block.size:
-                        raise _mismatch(id, block, data, status)
+                if decoder is None:
+                    answers = self._io.sync_read(ids, block.address, block.size)
+                else:
+                    found = self._io.sync_decode(ids, block, decoder, start)  # type: ignore[attr-defined]
+                    answers, notable = (None, notable) if found is None else found
+                if answers is not None:
+                    for id, (data, status) in zip(ids, answers, strict=True):
+                        if len(data) != block.size:
+                            raise _mismatch(id, block, data, status)
             except BusError:
                 self._pending.add(ids, block.size, started)
                 raise
@@ -381,7 +411,7 @@ class TransactionGuard:
             raise
         if not is_clear:
             self._pending.mark_superseded(ids)
-        return block, answers, start
+        return block, answers, notable, start
 
     def write(self, id: int, address: int, data: bytes) -> int:
         """Write bytes to one servo, with retries; return the error byte of the reply."""

@@ -399,10 +399,13 @@ class ServoBus:
         if not self._ports:
             self._check_open()
         if self._pool is None:
-            accepted = self._read_port(self._ports[0])
+            accepted = self._ports[0].read(self._budget)
         else:
-            accepted = [i for found in self._pool.map(self._read_port, self._ports) for i in found]
-        self._report_lost_ports()
+            readings = self._pool.map(lambda port: port.read(self._budget), self._ports)
+            accepted = [i for found in readings for i in found]
+        for port in self._ports:
+            if port.guard.is_gone:
+                self._report_lost_ports()
         position, times, velocity, load, current, ok = self._codec.joints(accepted)
         for joint in self._doubled:
             check_agreement(joint)
@@ -442,7 +445,9 @@ class ServoBus:
             except BusError:
                 # The port counts the error, and the servos keep the values written last.
                 continue
-        self._report_lost_ports()
+        for port in self._ports:
+            if port.guard.is_gone:
+                self._report_lost_ports()
 
     def poll_status(self) -> ServoStatus | None:
         """Read status registers of one servo, in turn.
@@ -460,11 +465,14 @@ class ServoBus:
         except BusError:
             status = None
         for port in self._ports:
-            try:
-                port.clear_watchdogs(port.devices)
-            except BusError:
-                continue
-        self._report_lost_ports()
+            if port.has_watchdog:
+                try:
+                    port.clear_watchdogs(port.devices)
+                except BusError:
+                    continue
+        for port in self._ports:
+            if port.guard.is_gone:
+                self._report_lost_ports()
         return status
 
     # Methods that switch torque on and off.
@@ -522,27 +530,12 @@ class ServoBus:
         if silent:
             raise ServoError(f"{', '.join(silent)} did not confirm the bus watchdog")
 
-    def _read_port(self, port: Port) -> list[int]:
-        """Read the servos of one port; return the indices of those with a reading.
-
-        The list is empty if the port is gone.
-        """
-        try:
-            return port.read(self._budget)
-        except BusError:
-            return []
-
     def _report_lost_ports(self) -> None:
         """Set a fault for each joint of a port that is gone; other joints can still be driven.
 
         Raises:
             BusError: All ports are gone.
         """
-        for port in self._ports:
-            if port.guard.is_gone:
-                break
-        else:
-            return
         gone = [port for port in self._ports if port.guard.is_gone]
         if len(gone) == len(self._ports):
             gone[0].guard.check_port()

@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeVar
 
 from pliant._core import ServoError
 
@@ -18,10 +18,16 @@ if sys.platform != "win32":
     from pliant._core import exchange
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from pliant._core import ServoCodec
+    from pliant.servo.models.base import Block
     from pliant.servo.models.base import Protocol as Wire
 
+    #: Bytes and status byte of each servo.
+    Answers = list[tuple[bytes, int]]
+
+T = TypeVar("T")
 Reason = Literal["timeout", "corrupt", "stale", "refused", "late", "noisy", "gone"]
 
 
@@ -49,10 +55,29 @@ class BusError(ServoError):
             raise self
 
 
+class Decoder(NamedTuple):
+    """Where a transport stores the readings of servos.
+
+    Attributes:
+        codec: Codec of the servos.
+        servos: Indices of the servos in the codec.
+        longest: Age of the last reading above which a reading is not stored [s].
+        plain: Block without status registers: its bytes need no look if the readings need none.
+    """
+
+    codec: ServoCodec
+    servos: Sequence[int]
+    longest: float
+    plain: Block | None
+
+
 class Transport(Protocol):
     """Interface of one serial port with servos; every method may raise `BusError`.
 
     Data are bytes of the control table from `address` on. A status is the error byte of a reply.
+
+    Optional: a method `sync_decode` that stores the replies of a `sync_read` in a codec, see
+    `RustypotTransport`, and the attribute `can_decode`, True if it can be used.
     """
 
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
@@ -83,9 +108,8 @@ class Transport(Protocol):
         """Close the serial port."""
 
 
-#: Protocol 1.0: instructions, id of requests to all servos, number of bytes of a reply without
-#: data.
-READ, SYNC_READ, SYNC_WRITE, BROADCAST, OVERHEAD = 0x02, 0x82, 0x83, 0xFE, 6
+#: Protocol 1.0: instructions, and number of bytes of a reply without data.
+READ, SYNC_READ, SYNC_WRITE, OVERHEAD = 0x02, 0x82, 0x83, 6
 
 
 class RustypotTransport:
@@ -130,8 +154,7 @@ class RustypotTransport:
     def read(self, id: int, address: int, size: int) -> tuple[bytes, int]:
         """Read `size` bytes of one servo from `address` on; return them and the status byte."""
         if self._descriptor is not None:
-            request = _packet(id, READ, bytes((address, size)))
-            return self._exchange(request, (id,), size)[0]
+            return self._exchange(READ, (id,), (address, size))[0]
         try:
             values, status = self._io.read_raw_data_with_error(id, address, size)
         except RuntimeError as error:
@@ -151,8 +174,7 @@ class RustypotTransport:
         If one reply is missing, the whole request fails.
         """
         if self._descriptor is not None:
-            request = _packet(BROADCAST, SYNC_READ, bytes((address, size, *ids)))
-            return self._exchange(request, ids, size)
+            return self._exchange(SYNC_READ, ids, (address, size))
         try:
             answers = self._io.sync_read_raw_data_with_error(list(ids), address, size)
         except RuntimeError as error:
@@ -162,14 +184,38 @@ class RustypotTransport:
     def sync_write(self, ids: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write `data[i]` to servo `ids[i]` from `address` on, in one packet without reply."""
         if self._descriptor is not None:
-            rows = [bytes((id,)) + row for id, row in zip(ids, data, strict=True)]
-            head = bytes((address, len(data[0])))
-            self._exchange(_packet(BROADCAST, SYNC_WRITE, head + b"".join(rows)), (), 0)
+            self._exchange(SYNC_WRITE, ids, (address, len(data[0])), list(data))
             return
         try:
             self._io.sync_write_raw_data(list(ids), address, [list(item) for item in data])
         except RuntimeError as error:
             raise self._failed(error, None) from error
+
+    @property
+    def can_decode(self) -> bool:
+        """True if `sync_decode` can be used: on a port of Protocol 1.0, not on Windows."""
+        return self._descriptor is not None
+
+    def sync_decode(
+        self, ids: Sequence[int], block: Block, decoder: Decoder, time: float
+    ) -> tuple[Answers, list[tuple[int, bool | None]]] | None:
+        """Read one block of each servo as `sync_read` does, and store the readings of `time` [s].
+
+        Returns:
+            The answers, and the readings that need attention, see `ServoCodec.decode`; None if
+            there are none, and the block is `decoder.plain`. Nothing is stored if an answer has not
+            the size of the block.
+        """
+        codec, servos, longest, plain = decoder
+        found = self._locked(
+            codec.read, servos, ids, block, self._timeout, time, longest, block == plain
+        )
+        if found is None:
+            return None
+        answers, notable = found
+        if isinstance(answers, bytes):
+            answers = self._broken(answers, ids, block[1])
+        return answers, notable
 
     def ping(self, id: int) -> bool:
         """Return True if servo `id` answers a ping within the reply timeout."""
@@ -196,28 +242,48 @@ class RustypotTransport:
             self._descriptor = None
             self._io.close()
 
-    def _exchange(self, request: bytes, ids: Sequence[int], size: int) -> list[tuple[bytes, int]]:
-        """Send a request of Protocol 1.0; return data and status byte of the reply of each servo.
+    def _exchange(
+        self,
+        instruction: int,
+        ids: Sequence[int],
+        block: tuple[int, int],
+        data: list[bytes] | None = None,
+    ) -> Answers:
+        """Make a request of Protocol 1.0; the arguments are those of `exchange`.
 
         The returned list ends with the first reply that has another number of data bytes.
 
         Raises:
             BusError: A reply is missing or corrupt, or the port is gone.
         """
+        found = self._locked(exchange, instruction, ids, block, data, self._timeout)
+        return self._broken(found, ids, block[1]) if isinstance(found, bytes) else found
+
+    def _locked(self, call: Callable[..., T], *arguments: object) -> T:
+        """Return the result of `call(descriptor, *arguments)`, while no thread closes the port.
+
+        Raises:
+            BusError: The port is gone, or takes no bytes.
+        """
         try:
             with self._lock:
                 if self._descriptor is None:
                     raise self._gone("closed by another thread")
-                found, is_whole = exchange(
-                    self._descriptor, request, bytes(ids), size, self._timeout
-                )
+                return call(self._descriptor, *arguments)
         except TimeoutError as error:
             raise BusError(f"{self.port}: the request cannot be sent", "timeout") from error
         except OSError as error:
             raise self._gone(str(error)) from error
-        start, step = 0, OVERHEAD + size
-        if is_whole:
-            return [(found[i + 5 : i + step - 1], found[i + 4]) for i in range(0, len(found), step)]
+
+    def _broken(self, found: bytes, ids: Sequence[int], size: int) -> Answers:
+        """Return the replies among bytes that are not one valid reply of this size from each servo.
+
+        The first reply with another number of data bytes is the last that is returned.
+
+        Raises:
+            BusError: A reply is missing or corrupt.
+        """
+        start = 0
         answers = []
         for id in ids:
             packet = found[start:]
@@ -260,12 +326,6 @@ class RustypotTransport:
 #: Parts of rustypot's error texts for a missing reply, and for a corrupt reply.
 _SILENT = ("timed out", "timeout")
 _BROKEN = ("checksum", "parsing", "incorrect id")
-
-
-def _packet(id: int, instruction: int, parameters: bytes) -> bytes:
-    """Return a request of Protocol 1.0."""
-    body = bytes((id, len(parameters) + 2, instruction)) + parameters
-    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
 def _cannot_open(port: str, text: str) -> str:

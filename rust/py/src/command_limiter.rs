@@ -1,18 +1,22 @@
 //! Python class `CommandLimiter`: limits of goals and torque limits before they are sent.
 
-use pliant_core::CommandLimiter as CoreLimiter;
+use numpy::PyArray1;
 use pliant_core::arm::LimiterInput;
+use pliant_core::{CommandLimiter as CoreLimiter, MAX_JOINTS};
 use pyo3::prelude::*;
 
 use crate::arguments;
-use crate::error::OrRaise;
+use crate::error::{OrRaise, shape, tuple};
 use crate::ndarray::new_array;
+use crate::position_filter::PositionFilter;
 use crate::read::compact::{array_into, joints};
 use crate::read::vector;
 use crate::thermal::ThermalModel;
 
 /// Goals and torque limits of all joints, arrays (N,).
 type Limited<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>);
+/// Mask of new positions, positions and their ages, arrays (n,); oldest time; positions off the chain; true for faults.
+type Updated<'py> = (Bound<'py, PyArray1<bool>>, Bound<'py, PyAny>, Bound<'py, PyAny>, f64, Vec<f64>, bool);
 
 #[doc = stub!(CommandLimiter)]
 #[pyclass(module = "pliant._core")]
@@ -86,24 +90,56 @@ impl CommandLimiter {
         Ok((new_array(py, &[size], goals), new_array(py, &[size], limits)))
     }
 
-    #[doc = stub!(CommandLimiter.update_heat)]
-    fn update_heat<'py>(
+    #[doc = stub!(CommandLimiter.update)]
+    #[pyo3(signature = (positions, position, ok, time, load, *, goal, limit, dt, now, max_jumps, max_heat))]
+    #[expect(clippy::too_many_arguments, reason = "keyword-only and named")]
+    fn update<'py>(
         &mut self,
+        positions: &Bound<'py, PositionFilter>,
+        position: &Bound<'py, PyAny>,
+        ok: &Bound<'py, PyAny>,
+        time: &Bound<'py, PyAny>,
+        load: Option<&Bound<'py, PyAny>>,
         goal: &Bound<'py, PyAny>,
         limit: &Bound<'py, PyAny>,
-        position: &Bound<'py, PyAny>,
-        load: Option<&Bound<'py, PyAny>>,
         dt: f64,
-    ) -> PyResult<()> {
-        let shape = [self.core.size()];
+        now: f64,
+        max_jumps: u32,
+        max_heat: f64,
+    ) -> PyResult<Updated<'py>> {
+        let (py, size) = (positions.py(), self.core.size());
+        let mut filter = positions.try_borrow_mut()?;
+        let accepted = filter.store(position, ok, time)?;
+        if accepted.len() != size {
+            return Err(shape("position", &[accepted.len()], tuple(&[size])));
+        }
+        let chosen = self.core.chain().iter().map(|joint| accepted[*joint]);
+        let mask: Vec<bool> = chosen.collect();
+        let shape = [size];
         array_into("goal", goal, &shape, &mut self.goal)?;
         array_into("limit", limit, &shape, &mut self.limit)?;
-        array_into("position", position, &shape, &mut self.position)?;
         if let Some(load) = load {
             array_into("load", load, &shape, &mut self.load)?;
         }
-        let mut thermal = self.thermal.bind(goal.py()).borrow_mut();
+        let filter = &filter.core;
+        let mut thermal = self.thermal.bind(py).try_borrow_mut()?;
         let load = load.map(|_| &self.load[..]);
-        self.core.update_heat(&mut thermal.core, [&self.goal, &self.limit], &self.position, load, dt).or_raise()
+        self.core.update_heat(&mut thermal.core, [&self.goal, &self.limit], filter.position(), load, dt).or_raise()?;
+        let chain = self.core.chain();
+        let (mut q, mut age, mut oldest) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS], f64::INFINITY);
+        for (i, &joint) in chain.iter().enumerate() {
+            let sampled = filter.time()[joint];
+            (q[i], age[i], oldest) = (filter.position()[joint], now - sampled, sampled.min(oldest));
+        }
+        let has_jumped = filter.rejected().iter().any(|rejected| *rejected >= max_jumps);
+        let n = chain.len();
+        Ok((
+            PyArray1::from_slice(py, &mask),
+            new_array(py, &[n], &q[..n]),
+            new_array(py, &[n], &age[..n]),
+            oldest,
+            self.core.off_chain().iter().map(|joint| filter.position()[*joint]).collect(),
+            has_jumped || thermal.core.is_too_hot(max_heat),
+        ))
     }
 }

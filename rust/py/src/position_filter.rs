@@ -14,10 +14,30 @@ use crate::read::vector;
 #[pyclass(module = "pliant._core")]
 #[derive(Debug)]
 pub(crate) struct PositionFilter {
-    core: CoreFilter,
+    pub(crate) core: CoreFilter,
     position: Vec<f64>,
     time: Vec<f64>,
     ok: Vec<bool>,
+}
+
+impl PositionFilter {
+    /// Stores the plausible ones of the positions (N,); returns the mask of their joints.
+    pub(crate) fn store(
+        &mut self,
+        position: &Bound<'_, PyAny>,
+        ok: &Bound<'_, PyAny>,
+        time: &Bound<'_, PyAny>,
+    ) -> PyResult<&[bool]> {
+        let n = self.ok.len();
+        array_into("position", position, &[n], &mut self.position)?;
+        if let Ok(one) = time.cast::<PyFloat>() {
+            self.time.fill(one.value());
+        } else {
+            array_into("time", time, &[n], &mut self.time)?;
+        }
+        read_mask(ok, &mut self.ok)?;
+        Ok(self.core.update(&self.position, &self.ok, &self.time))
+    }
 }
 
 #[pymethods]
@@ -55,33 +75,8 @@ impl PositionFilter {
         ok: &Bound<'py, PyAny>,
         time: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray1<bool>>> {
-        let n = self.ok.len();
-        array_into("position", position, &[n], &mut self.position)?;
-        if let Ok(one) = time.cast::<PyFloat>() {
-            self.time.fill(one.value());
-        } else {
-            array_into("time", time, &[n], &mut self.time)?;
-        }
-        read_mask(ok, &mut self.ok)?;
-        let accepted = self.core.update(&self.position, &self.ok, &self.time);
+        let accepted = self.store(position, ok, time)?;
         Ok(PyArray1::from_slice(position.py(), accepted))
-    }
-
-    #[doc = stub!(PositionFilter.select)]
-    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
-    fn select<'py>(
-        &self,
-        py: Python<'py>,
-        joints: Vec<usize>,
-        now: f64,
-    ) -> (Bound<'py, PyAny>, Bound<'py, PyAny>, f64) {
-        let (all, times) = (self.core.position(), self.core.time());
-        let chosen = |values: &[f64], scale: f64, offset: f64| -> Vec<f64> {
-            joints.iter().map(|&joint| offset + scale * values.get(joint).copied().unwrap_or(f64::NAN)).collect()
-        };
-        let (position, age) = (chosen(all, 1.0, 0.0), chosen(times, -1.0, now));
-        let oldest = joints.iter().filter_map(|&joint| times.get(joint)).copied().fold(f64::INFINITY, f64::min);
-        (new_array(py, &[joints.len()], &position), new_array(py, &[joints.len()], &age), oldest)
     }
 
     #[doc = stub!(PositionFilter.assume)]

@@ -4,9 +4,9 @@
 use std::os::fd::BorrowedFd;
 use std::time::{Duration, Instant};
 
-use pyo3::exceptions::PyOSError;
+use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyList};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::{Errno, read, write};
 
@@ -18,20 +18,91 @@ const LONGEST: f64 = 60.0;
 /// Number of bytes of a reply of Protocol 1.0 without data: two of the header, id, length, status and checksum.
 const OVERHEAD: usize = 6;
 
+/// Instructions of Protocol 1.0, and the id of a request to all servos.
+const READ: u8 = 0x02;
+pub(crate) const SYNC_READ: u8 = 0x82;
+const BROADCAST: u8 = 0xfe;
+
+/// Bytes that servos have sent in reply to a request.
+#[derive(Debug)]
+pub(crate) struct Replies {
+    bytes: Vec<u8>,
+    /// Bytes of a reply with the requested number of data bytes.
+    step: usize,
+    /// True if each servo has sent a valid packet with the requested number of data bytes.
+    pub(crate) is_whole: bool,
+}
+
+impl Replies {
+    /// Returns data and status byte of each whole reply.
+    pub(crate) fn packets(&self) -> impl Iterator<Item = (&[u8], u8)> {
+        self.bytes.chunks_exact(self.step).map(|packet| (&packet[OVERHEAD - 1..packet.len() - 1], packet[4]))
+    }
+
+    /// Returns a list of data and status byte of each reply; the bytes, if the replies are not whole.
+    pub(crate) fn to_python<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        if !self.is_whole {
+            return Ok(PyBytes::new(py, &self.bytes).into_any());
+        }
+        let answers = PyList::empty(py);
+        for (data, status) in self.packets() {
+            answers.append((PyBytes::new(py, data), status))?;
+        }
+        Ok(answers.into_any())
+    }
+}
+
 #[doc = stub!(exchange)]
 #[pyfunction]
+#[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
 pub(crate) fn exchange<'py>(
     py: Python<'py>,
     descriptor: i32,
-    request: &Bound<'py, PyBytes>,
-    ids: &Bound<'py, PyBytes>,
-    size: usize,
+    instruction: u8,
+    ids: Vec<usize>,
+    block: Vec<usize>,
+    data: Option<&Bound<'py, PyList>>,
     timeout: f64,
-) -> PyResult<(Bound<'py, PyBytes>, bool)> {
-    let (request, ids) = (request.as_bytes(), ids.as_bytes());
-    let timeout = timeout.clamp(0.0, LONGEST);
-    let timeout = Duration::from_secs_f64(timeout);
-    let mut reply = vec![0; ids.len() * (OVERHEAD + size)];
+) -> PyResult<Bound<'py, PyAny>> {
+    transact(py, descriptor, instruction, [&ids, &block], data, timeout)?.to_python(py)
+}
+
+/// Sends a request about a block, its address and size, to the servos `ids`, with the data to write to each, and returns
+/// the replies; the interpreter lock is released.
+pub(crate) fn transact(
+    py: Python<'_>,
+    descriptor: i32,
+    instruction: u8,
+    [ids, block]: [&[usize]; 2],
+    data: Option<&Bound<'_, PyList>>,
+    timeout: f64,
+) -> PyResult<Replies> {
+    let too_large = |_| PyValueError::new_err("ids, addresses and sizes of Protocol 1.0 are bytes");
+    let bytes = |numbers: &[usize]| numbers.iter().map(|x| u8::try_from(*x)).collect::<Result<Vec<u8>, _>>();
+    let (ids, block) = (bytes(ids).map_err(too_large)?, bytes(block).map_err(too_large)?);
+    let &[address, size] = &block[..] else {
+        return Err(PyValueError::new_err("a block has an address and a size"));
+    };
+    let id = if instruction == READ { ids.first().copied().unwrap_or(BROADCAST) } else { BROADCAST };
+    let mut request = vec![0xff, 0xff, id, 0, instruction, address, size];
+    if instruction == SYNC_READ {
+        request.extend_from_slice(&ids);
+    }
+    for (id, row) in ids.iter().zip(data.into_iter().flatten()) {
+        request.push(*id);
+        request.extend_from_slice(row.cast::<PyBytes>()?.as_bytes());
+    }
+    request[3] = u8::try_from(request.len() - 3).map_err(too_large)?;
+    request.push(!request[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
+    replies(py, descriptor, &request, if data.is_none() { &ids } else { &[] }, size, timeout)
+}
+
+/// Sends a request and returns the replies of the servos `ids` with `size` data bytes each; the interpreter lock is
+/// released.
+fn replies(py: Python<'_>, descriptor: i32, request: &[u8], ids: &[u8], size: u8, timeout: f64) -> PyResult<Replies> {
+    let timeout = Duration::from_secs_f64(timeout.clamp(0.0, LONGEST));
+    let step = OVERHEAD + usize::from(size);
+    let mut bytes = vec![0; ids.len() * step];
     let result = py.detach(|| {
         if descriptor < 0 {
             return Err(Errno::BADF);
@@ -39,11 +110,12 @@ pub(crate) fn exchange<'py>(
         // SAFETY: the descriptor is not -1, and is used during this call only. A descriptor that Python closes meanwhile
         // makes the calls fail, or reach another file of the program, but breaks no memory.
         let port = unsafe { BorrowedFd::borrow_raw(descriptor) };
-        transfer(port, request, ids, &mut reply, timeout)
+        transfer(port, request, ids, &mut bytes, timeout)
     });
     let (received, is_wrong) = result.map_err(|errno| PyOSError::new_err((errno.raw_os_error(), "serial port")))?;
-    let is_whole = received == reply.len() && !is_wrong;
-    Ok((PyBytes::new(py, reply.get(..received).unwrap_or_default()), is_whole))
+    let is_whole = received == bytes.len() && !is_wrong;
+    bytes.truncate(received);
+    Ok(Replies { bytes, step, is_whole })
 }
 
 /// Discards what has arrived, sends the request and reads the reply; returns the number of bytes of the reply, and true

@@ -9,6 +9,8 @@ use crate::error::{OrRaise, shape, tuple};
 use crate::ndarray::new_array;
 use crate::read::compact::array_into;
 use crate::read::vector;
+#[cfg(unix)]
+use crate::serial;
 
 /// Number of numbers that describe registers, packets and units of a servo.
 const NUMBERS: usize = 9 * 3 + 2 * 2 + 20;
@@ -21,6 +23,28 @@ pub(crate) struct ServoCodec {
     joints: Vec<f64>,
     packets: [[u8; MAX_PACKET]; 2],
     command: [Vec<f64>; 3],
+}
+
+impl ServoCodec {
+    /// Stores a reading of a servo requested at `time`, unless the last one is older than `longest` [s]; returns what
+    /// [`Self::decode`] reports of it, if anything.
+    #[expect(clippy::option_option, reason = "a report, of which `None` is one of three values in Python")]
+    fn store(
+        &mut self,
+        servo: usize,
+        data: &[u8],
+        status: u8,
+        address: usize,
+        [time, longest]: [f64; 2],
+    ) -> PyResult<Option<Option<bool>>> {
+        if time - self.core.reading(servo).or_raise()?.0.time > longest {
+            return Ok(Some(None));
+        }
+        Ok(match self.core.decode(servo, data, address, status != 0, time).or_raise()? {
+            Decoded::Usual => None,
+            decoded => Some(Some(decoded == Decoded::Notable)),
+        })
+    }
 }
 
 #[pymethods]
@@ -108,18 +132,45 @@ impl ServoCodec {
     ) -> PyResult<Bound<'py, PyList>> {
         let notable = PyList::empty(py);
         for (i, (servo, answer)) in servos.into_iter().zip(answers).enumerate() {
-            let (data, status) = answer.extract::<(Bound<'py, PyBytes>, usize)>()?;
-            let found = if time - self.core.reading(servo).or_raise()?.0.time > longest {
-                None
-            } else {
-                match self.core.decode(servo, data.as_bytes(), address, status != 0, time).or_raise()? {
-                    Decoded::Usual => continue,
-                    decoded => Some(decoded == Decoded::Notable),
-                }
-            };
-            notable.append((i, found))?;
+            let (data, status) = answer.extract::<(Bound<'py, PyBytes>, u8)>()?;
+            if let Some(found) = self.store(servo, data.as_bytes(), status, address, [time, longest])? {
+                notable.append((i, found))?;
+            }
         }
         Ok(notable)
+    }
+
+    #[cfg(unix)]
+    #[doc = stub!(ServoCodec.read)]
+    #[expect(clippy::too_many_arguments, reason = "a request, and what becomes of its replies")]
+    #[expect(clippy::needless_pass_by_value, reason = "what PyO3 extracts it hands over")]
+    fn read<'py>(
+        slf: &Bound<'py, Self>,
+        descriptor: i32,
+        servos: Vec<usize>,
+        ids: Vec<usize>,
+        block: Vec<usize>,
+        timeout: f64,
+        time: f64,
+        longest: f64,
+        usual: bool,
+    ) -> PyResult<Option<(Bound<'py, PyAny>, Bound<'py, PyList>)>> {
+        let py = slf.py();
+        let replies = serial::transact(py, descriptor, serial::SYNC_READ, [&ids, &block], None, timeout)?;
+        let notable = PyList::empty(py);
+        if replies.is_whole {
+            // Not before: while the interpreter lock is released, the codec may serve another port.
+            let mut codec = slf.try_borrow_mut()?;
+            for (i, (servo, (data, status))) in servos.into_iter().zip(replies.packets()).enumerate() {
+                if let Some(found) = codec.store(servo, data, status, block[0], [time, longest])? {
+                    notable.append((i, found))?;
+                }
+            }
+            if usual && notable.is_empty() {
+                return Ok(None);
+            }
+        }
+        Ok(Some((replies.to_python(py)?, notable)))
     }
 
     #[doc = stub!(ServoCodec.joints)]

@@ -117,6 +117,16 @@ impl CommandLimiter {
         self.chain.len()
     }
 
+    /// Returns the indices of the joints of the chain (n), in the order of the drive.
+    pub fn chain(&self) -> &[usize] {
+        &self.chain
+    }
+
+    /// Returns the indices of the other joints (N − n), in the order of the drive.
+    pub fn off_chain(&self) -> &[usize] {
+        &self.off_chain
+    }
+
     /// Returns the number of all joints.
     pub fn size(&self) -> usize {
         self.kp.len()
