@@ -66,7 +66,7 @@ class Scheduler:
         self.delivered, self._is_checking = [], False
         self._known = {}
 
-    # What the plan decides.
+    # Decisions of the plan.
 
     def step(self):
         """Let the plan act, in the task that runs."""

@@ -256,7 +256,7 @@ def test_torque_goes_off_on_a_line_that_is_never_silent(enabled, kind, trouble):
             failed = True
         bus.sync()
         assert not any(servo.enabled for servo in bus.servos)
-        # What is not confirmed is unknown, and unknown counts as on.
+        # Torque that is not confirmed off is unknown, and counts as on.
         assert chain.torque_unknown.any() is np.bool_(failed)
         assert np.array_equal(chain.enabled, chain.torque_unknown)
         assert (chain.unrestored | ~chain.torque_unknown).all()

@@ -56,7 +56,7 @@ class BusError(ServoError):
 
 
 class Decoder(NamedTuple):
-    """Where a transport stores the readings of servos.
+    """Destination of readings: a transport stores the replies of servos here.
 
     Attributes:
         codec: Codec of the servos.
