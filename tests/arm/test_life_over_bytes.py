@@ -165,7 +165,7 @@ class Life(RuleBasedStateMachine):
         if on.any() and not (self.arm.enabled or self.is_left):
             self.wrong.append(f"{self.bus.time:.2f} s: nobody owns the arm, torque {on}")
         if self.has_tripped:
-            # What hangs on a servo without torque falls.
+            # A servo without torque drops its load.
             return
         tool = self.bus.plant.ground_truth.frame("tool")
         place, velocity = self.bus.plant.tool[:3, 3].copy(), tool.twist()[:3]

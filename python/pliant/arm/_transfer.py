@@ -256,7 +256,7 @@ class _WeightTransfer:
             clock.wait_until(self._tick)
             if (ok := io.sample()).all():
                 break
-            # Without positions, a sinking joint looks like a rising one: keep goals and limits.
+            # Without positions, a sinking joint looks like a rising one: no balance meanwhile.
             if clock.now() - self._heard > MAX_SILENCE:
                 raise ServoTimeoutError(
                     f"no position of {_joint_names(io, ~ok)} for {MAX_SILENCE:g} s while torque "
