@@ -119,7 +119,7 @@ def _servo_lines(arm_config: Config, found: identify.Identification) -> list[str
         lines.append(f"{joint} = {_toml(entry)}")
     if not found.stiffness_known.all():
         unknown = [name for i, name in enumerate(found.joint_names) if not found.stiffness_known[i]]
-        lines.append(f"# kp of {', '.join(unknown)} is not known within 10 %, and not in these lines")
+        lines.append(f"# kp of {', '.join(unknown)} is not known within 10 %: no line has it")
     return lines
 
 
