@@ -90,6 +90,8 @@ RETURNED, MAX_TIME, RETURN_TIME = 1.5e-4, 5.0, 1.0
 #: Time without a position of a joint after which the arm is sent what holds it at rest, and after
 #: which the weight transfer ends with an error [s].
 STALE, MAX_SILENCE = 0.03, 0.5
+#: Assumed time constant with which the stiffness of the servos brakes joints meanwhile [s].
+BRAKE_TIME = 0.03
 
 
 def transfer_weight(
@@ -247,6 +249,10 @@ class _WeightTransfer:
         lead = np.where(np.isfinite(self._found), self._found, torque / self._kp)
         limit = np.minimum(SUPPORT * np.abs(torque) + 2.0 * self._friction, self._usable)
         io.send(np.where(taken, io.goal, io.q + lead), np.where(taken, io.limit, limit))
+        # Otherwise the estimate would go on with the torques of the balance.
+        now = io.clock.now()
+        _, v = self._observer.predict(now)
+        self._observer.send(now, -self._observer.d - np.where(self._follows, v / BRAKE_TIME, 0.0))
 
     def _step(self) -> float:
         """Wait for the next period and read all joints; return the time since the last reading."""
