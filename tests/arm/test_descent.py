@@ -144,6 +144,18 @@ def test_the_estimate_after_a_silence_is_that_of_an_arm_that_was_held(
     assert errors[0] < bound  # [rad/s]
 
 
+@pytest.mark.parametrize("arm", ["so101", "koch"])
+def test_an_arm_let_go_on_a_slow_line_does_not_sink(arm):
+    # Each reply takes 4 ms more: without a lead in the first goals, 13 and 11 mm at 0.13 m/s.
+    (job,) = (
+        job for job in descent.in_hand(arm, 1, on_bytes=True, usb_latency=0.004) if job.number == -1
+    )
+    run = job.run()
+    assert run.apart == pytest.approx(2.5, rel=2e-3)
+    assert run.moved < 0.005
+    assert run.jerk < 0.03
+
+
 @pytest.mark.parametrize(
     ("arm", "number", "over_table"),
     [

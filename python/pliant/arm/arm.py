@@ -195,7 +195,7 @@ class Arm:
         on = np.broadcast_to(getattr(self.drive, "enabled", False), len(names))[io.joints.chain]
         check_within_limits(io, on)
         start_q = io.q
-        start, limit, carried = initial_commands(io, on)
+        start, limit, lead, carried = initial_commands(io, on)
         for name, gripper in self.grippers.items():
             io.orders[name] = (gripper.position, gripper.limit)
         MESSAGES.start()
@@ -210,7 +210,7 @@ class Arm:
             # Accesses to the drive do not restart this timeout until this method returns.
             self._supervisor.heartbeat[1] = ENABLE_TIME
             self._supervisor.owner = os.getpid()
-            io.start(start, limit)
+            io.start(start, limit, lead)
         except ServoError:
             self._release()
             raise
