@@ -225,8 +225,8 @@ class Loop:
         rate: Ticks per second [Hz], at least 1; None: the rate in the controller's settings, or
             `arm.rate` if it has none.
         duration: Duration of the loop [s]; None: unlimited.
-        max_step_time: Longest time that the program may take in one tick [s]; None:
-            `arm.comm_timeout`.
+        max_step_time: Longest time that the program may take in one tick [s]; inf: any time,
+            without the thread; None: `arm.comm_timeout`.
         recorder: A `pliant.log.Recorder`, or an object with its `start`, `add` and `close`, which
             receives every tick with its command. The loop starts it, and closes it at the end.
         realtime_priority: Priority (1 to 99) with the scheduling policy SCHED_FIFO of the thread

@@ -537,16 +537,23 @@ class ArmIO:
         else:
             self._low_torque.check(limit, gravity, self.clock.now())
 
-    def start(self, goal: Array, limit: Array) -> None:
+    def start(self, goal: Array, limit: Array, lead: Array) -> None:
         """Switch torque on with these first goals [rad] and limits [N·m] (n,).
+
+        Joints without torque start with `lead` (n,) [rad] in addition, if the drive accepts it.
 
         Raises:
             ServoError: A joint moved when torque came on, or its servo did not confirm.
         """
         usable = self._usable[self.joints.chain]
-        self._goals, self._limits = self._in_drive_order(goal, np.minimum(limit, usable))
-        self._is_sent = True
-        self.drive.enable(self._goals, self._limits)
+        goals, self._limits = self._in_drive_order(goal, np.minimum(limit, usable))
+        self._goals, self._is_sent = goals, True
+        if getattr(self.drive, "accepts_lead", False):
+            leads = self.joints.join(lead, np.zeros(len(self.joints.off_chain)))
+            self._goals = goals + leads
+            self.drive.enable(goals, self._limits, lead=leads)  # type: ignore[call-arg]
+        else:
+            self.drive.enable(goals, self._limits)
 
     def send(self, goal: Array, limit: Array, velocity: Array | None = None) -> None:
         """Send goals and limits of the chain, and `orders` to the joints off the chain.

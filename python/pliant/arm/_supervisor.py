@@ -131,10 +131,10 @@ class Supervisor:
         arm. It ends with `end_supervision`, with the next `supervised`, or after the call of
         `leave`.
         """
+        self.end_supervision()
         if timeout is None:
             yield self.check
             return
-        self.end_supervision()
         self.heartbeat[1] = timeout
         done = self._done = threading.Event()
         self._last_call = time.perf_counter()

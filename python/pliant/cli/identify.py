@@ -103,16 +103,23 @@ def _measure(
 
 
 def _servo_lines(arm_config: Config, found: identify.Identification) -> list[str]:
-    """Return TOML lines for the table [servo]: measured stiffness, friction and damping."""
+    """Return TOML lines for the table [servo]: measured stiffness, friction and damping.
+
+    A joint whose stiffness is not identified keeps its line in the file, with or without `kp`.
+    """
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
     for i, joint in enumerate(found.joint_names):
         entry = arm_config.servo[joint].model_dump(exclude_unset=True)
-        entry["kp"] = float(found.servos.kp[i])
+        if found.stiffness_known[i]:
+            entry["kp"] = float(found.servos.kp[i])
         entry["friction"] = float(found.friction[i])
         entry["damping"] = float(found.servos.damping[i])
         lines.append(f"{joint} = {_toml(entry)}")
+    if not found.stiffness_known.all():
+        unknown = [name for i, name in enumerate(found.joint_names) if not found.stiffness_known[i]]
+        lines.append(f"# kp of {', '.join(unknown)} is not known within 10 %: no line has it")
     return lines
 
 

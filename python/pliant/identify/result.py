@@ -13,11 +13,14 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from pliant._core import Model, Servos, Settings
-    from pliant._typing import Array
+    from pliant._typing import Array, Mask
     from pliant.identify._excitation import Excitation
     from pliant.identify._regression import Delay, Solution
 
 
+#: Largest standard deviation of the stiffness of a joint that counts as identified, as a share of
+#: the stiffness [1].
+KNOWN_SIGMA = 0.1
 #: Value of `PayloadEstimate.separated` from which on a direction counts as determined by the data.
 MIN_SEPARATION = 0.5
 
@@ -156,10 +159,10 @@ class Identification:
             load_stribeck=0.0,
             damping=np.maximum(outer - rig.back_emf, 0.0),
             kv=kv,
-            stiffness_known=bool((sigma["kp"] < 0.1 * value["kp"]).all()),
         )
         errors = {
-            "kp": sigma["kp"],
+            # A fit below the smallest accepted stiffness is wrong by at least the difference.
+            "kp": np.maximum(sigma["kp"], servos.kp - value["kp"]),
             "friction": np.hypot(sigma["friction"], share_sigma * load),
             "load_friction": share_sigma,
             "damping": sigma["outer"],
@@ -168,7 +171,7 @@ class Identification:
             ),
         }
         return cls(
-            servos=servos,
+            servos=servos.replace(stiffness_known=bool(_is_known(servos, errors).all())),
             errors=errors,
             load=load,
             delay=delay.seconds,
@@ -179,6 +182,11 @@ class Identification:
             joint_names=tuple(rig.model.joint_names),
             assumed=rig.servos,
         )
+
+    @property
+    def stiffness_known(self) -> Mask:
+        """Mask (n,) of the joints whose stiffness is identified: standard deviation below 10 %."""
+        return _is_known(self.servos, self.errors)
 
     @property
     def friction(self) -> Array:
@@ -218,8 +226,7 @@ class Identification:
             "arrival of the goal."
         )
         out += self.payload.summary()
-        unsure = self.errors["kp"] > 0.1 * np.asarray(servos.kp)
-        for name in np.asarray(self.joint_names)[unsure]:
+        for name in np.asarray(self.joint_names)[~self.stiffness_known]:
             out.append(
                 f"{name}: k_p is not known within 10 %; its load hardly changes "
                 "between these poses."
@@ -237,3 +244,8 @@ class Identification:
 
     def __str__(self) -> str:
         return "\n".join(self.summary())
+
+
+def _is_known(servos: Servos, errors: dict[str, Array]) -> Mask:
+    known: Mask = errors["kp"] < KNOWN_SIGMA * np.asarray(servos.kp)
+    return known

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 from pliant._core import ServoError, ServoFaultError
 from pliant.servo._handshake import RegisterImage, read_image
 from pliant.servo._port import write_groups
 from pliant.servo._status import refusal
+from pliant.servo._transactions import Reply
 from pliant.servo.transport import BusError
 
 if TYPE_CHECKING:
@@ -34,6 +36,8 @@ REBOOT = 2.0
 RESUME_TIME = 3.0
 #: Registers that are read and checked before torque is switched on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
+#: Registers of the first command, in the order of `FirstCommand`.
+_COMMANDED = ("goal", "limit", "speed_cap")
 #: Number of torque-off packets to a servo that does not reply, and largest number of attempts to
 #: send them: on a noisy line, an attempt may fail.
 OFF_PACKETS, OFF_TRIES = 3, 30
@@ -47,9 +51,11 @@ def enable(
     ports: Ports,
     goal: Sequence[float],
     limit: Sequence[float],
+    lead: Sequence[float],
+    *,
     max_speed: float,
 ) -> None:
-    """Switch torque on with the present positions as goals; see `ServoBus.enable`.
+    """Switch torque on with the present positions plus `lead` as goals; see `ServoBus.enable`.
 
     Limits and goals are written and read back before torque on. Afterwards torque and positions
     are verified; after a failure torque is switched off again. After a signal (KeyboardInterrupt,
@@ -60,6 +66,7 @@ def enable(
         ports: Port of each servo.
         goal: Expected joint positions (n,) [rad].
         limit: Torque limits (n,) [N·m].
+        lead: Goal minus position of joints without torque (n,) [rad].
         max_speed: Largest joint speed [rad/s]; 0: that without load.
     """
     before = {}
@@ -68,7 +75,12 @@ def enable(
     switched = [d for d in devices if not before[id(d)]["torque_enable"]]
     indices = [device.index for device in devices]
     rows = devices[0].codec.encode(indices, goal, limit, None, max_speed)
-    commands = {id(d): FirstCommand(*row[:3]) for d, row in zip(devices, rows, strict=True)}
+    ahead = [angle + extra for angle, extra in zip(goal, lead, strict=True)]
+    leading = devices[0].codec.encode(indices, ahead, limit, None, max_speed)
+    commands, leads = {}, {}
+    for device, row, led in zip(devices, rows, leading, strict=True):
+        commands[id(device)] = FirstCommand(*row[:3])
+        leads[id(device)] = led[0] - row[0]
     is_sent = False
     try:
         for device in devices:
@@ -78,7 +90,7 @@ def enable(
         # Read the positions for the goals only now: an arm without torque may be sinking.
         start = {id(d): _image(d, ports, "position", "speed") for d in devices}
         for device in switched:
-            goal_register = start[id(device)]["position"]
+            goal_register = _goal(device, start[id(device)], leads[id(device)])
             commands[id(device)] = commands[id(device)]._replace(goal=goal_register)
         # Failures from here on may leave torque on: on some servos a goal switches it on.
         is_sent = True
@@ -88,14 +100,33 @@ def enable(
                 (group, [_encoded(device, commands[id(device)]) for device in group.devices])
                 for group in write_groups(served)
             )
+        # From here on, few requests: the arm may already hang on servos without feedback.
+        found = _images(devices, ports, *_COMMANDED, "torque_enable", "position", "speed")
+        switched_by_goal: dict[Port, list[Device]] = {}
         for device in devices:
-            start[id(device)] = _send_first_command(
-                device, ports, commands[id(device)], start[id(device)]
+            start[id(device)], is_on = _send_first_command(
+                device,
+                ports,
+                commands[id(device)],
+                (start[id(device)], found[id(device)]),
+                leads[id(device)],
             )
-            if device in switched:
+            if not is_on:
                 _set(device, ports, "torque_enable", 1)
+            elif device in switched:
+                switched_by_goal.setdefault(ports[id(device)], []).append(device)
+        for port, served in switched_by_goal.items():
+            # One packet: these servos have torque already, which is checked below.
+            for group in write_groups(served):
+                register = group.family.registers["torque_enable"]
+                ones = [register.encode(1)] * len(group.ids)
+                port.guard.sync_write(group.ids, register.address, ones)
+        found = _images(devices, ports, "torque_enable", "position")
         for device in devices:
-            _check_still(device, ports, start[id(device)])
+            _check_still(device, start[id(device)], found[id(device)])
+        # A reading now: after a silence, the first one would ask each servo whether it restarted.
+        for port in dict.fromkeys(ports[id(device)] for device in devices):
+            port.read(inf)
     except BaseException as error:
         if is_sent and not isinstance(error, Exception):
             # After a signal the joints keep their torque, because the arm may hang on it; the
@@ -209,9 +240,19 @@ def _write_limits(device: Device, ports: Ports, limit: int) -> None:
             )
 
 
+def _goal(device: Device, image: RegisterImage, lead: int) -> int:
+    """Return the goal register of a joint at the position in `image`, with a lead [counts]."""
+    goal = image["position"] + lead
+    return goal if device.multi_turn else min(max(goal, device.low), device.high)
+
+
 def _send_first_command(
-    device: Device, ports: Ports, command: FirstCommand, start: RegisterImage
-) -> RegisterImage:
+    device: Device,
+    ports: Ports,
+    command: FirstCommand,
+    images: tuple[RegisterImage, RegisterImage],
+    lead: int,
+) -> tuple[RegisterImage, bool]:
     """Check that goal, limit and speed cap read back as written, and send them again if not.
 
     A joint without torque that has moved since its position was read gets a new goal.
@@ -220,30 +261,33 @@ def _send_first_command(
         device: The servo.
         ports: Port of each servo.
         command: Register values that were sent.
-        start: Registers with the position from which the goal was made, and with the speed.
+        images: Registers with the position from which the goal was made, and with the speed; and
+            registers after the command was sent.
+        lead: Goal minus position of a joint without torque [counts].
 
     Returns:
-        Registers with position and speed from which the final goal was made.
+        Registers with position and speed from which the final goal was made, and True if the torque
+        is on: on some servos, the goal switches it on.
 
     Raises:
         ServoError: The registers still differ from the values written after `MAX_SENDS` attempts.
     """
-    expected_values = command._asdict()
-    expected_values["speed_cap"] = expected_values.pop("speed")
-    found = start
+    expected_values = dict(zip(_COMMANDED, command, strict=True))
+    start, found = images
     for _ in range(MAX_SENDS):
-        found = _image(device, ports, *expected_values, "torque_enable", "position", "speed")
         off = not found["torque_enable"]
-        apart = abs(found["position"] - expected_values["goal"]) * device.units.count
+        goal = _goal(device, found, lead)
+        apart = abs(goal - expected_values["goal"]) * device.units.count
         wrong = [name for name, value in expected_values.items() if found[name] != value]
         if not wrong and not (off and apart > MAX_DRIFT):
-            return start
+            return start, not off
         if off:
-            expected_values["goal"], start = found["position"], found
+            expected_values["goal"], start = goal, found
         for names in device.family.write:
             data = device.packet(names, expected_values["goal"], command.limit, command.speed)
             _send(device, ports, names[0], data)
         device.record_sent(expected_values["goal"], command.limit)
+        found = _image(device, ports, *_COMMANDED, "torque_enable", "position", "speed")
     raise ServoError(
         f"{device.name} did not take its {' and '.join(wrong) or 'goal'}: "
         + ", ".join(
@@ -287,12 +331,11 @@ def _has_tripped(device: Device, before: Mapping[int, RegisterImage]) -> bool:
     return "watchdog" in image and image["watchdog"] == 255
 
 
-def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
+def _check_still(device: Device, before: RegisterImage, image: RegisterImage) -> None:
     """Check that torque is on, and that the joint has moved no farther than falling explains.
 
-    `before` contains position and speed of the servo before torque on.
+    `before` contains position and speed of the servo before torque on, `image` the present ones.
     """
-    image = _image(device, ports, "torque_enable", "position")
     if not image["torque_enable"]:
         raise ServoError(f"{device.name} did not switch its torque on")
     moved = abs(image["position"] - before["position"]) * device.units.count
@@ -412,6 +455,43 @@ def _image(device: Device, ports: Ports, *names: str) -> RegisterImage:
     for reply in image.replies:
         device.note(reply)
     return image
+
+
+def _images(devices: Sequence[Device], ports: Ports, *names: str) -> dict[int, RegisterImage]:
+    """Read the registers `names` of several servos, as `_image` does, with few requests.
+
+    Servos of one port and kind answer one request per block; after a failure, and for kinds
+    without such requests, each servo is read alone.
+    """
+    found: dict[int, RegisterImage] = {}
+    groups: dict[tuple[int, int], list[Device]] = {}
+    for device in devices:
+        groups.setdefault((id(ports[id(device)]), id(device.family)), []).append(device)
+    for group in groups.values():
+        if group[0].family.sync_read and len(group) > 1:
+            with suppress(BusError):
+                found.update(_sync_images(group, ports[id(group[0])], names))
+    return {id(d): found.get(id(d)) or _image(d, ports, *names) for d in devices}
+
+
+def _sync_images(
+    group: Sequence[Device], port: Port, names: Sequence[str]
+) -> dict[int, RegisterImage]:
+    """Read registers of servos of one port and kind, with one request per block.
+
+    Raises:
+        BusError: A reply is missing or corrupt.
+    """
+    replies: dict[int, list[Reply]] = {id(device): [] for device in group}
+    port.guard.start_cycle()
+    for wanted in group[0].family.blocks(*names):
+        block, answers, time = port.guard.sync_read([device.id for device in group], wanted)
+        for device, (data, status) in zip(group, answers, strict=True):
+            replies[id(device)].append(Reply(block, data, status, time))
+    for device in group:
+        for reply in replies[id(device)]:
+            device.note(reply)
+    return {id(device): RegisterImage(device, *replies[id(device)]) for device in group}
 
 
 def _set(device: Device, ports: Ports, name: str, value: int) -> None:
