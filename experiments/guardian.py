@@ -185,14 +185,14 @@ def victim(robot: str, port: str, phase: str, *, guardian: bool = True) -> None:
     arm = make_arm(configuration(robot, backend="bus", port=port), guardian=guardian)
     switch = arm.drive.enable
 
-    def enable(*orders: Any) -> None:
+    def enable(*orders: Any, **options: Any) -> None:
         _say(str(arm._guardian.pid if arm._guardian is not None else 0))
         if phase == "enabling":
             _say("begin")
         if phase == "start":
             _say(str(time.perf_counter() - begun))
             os._exit(0)
-        switch(*orders)
+        switch(*orders, **options)
 
     arm.drive.enable = enable  # type: ignore[assignment, method-assign]
     begun = time.perf_counter()
