@@ -403,7 +403,9 @@ class ServoBus:
         else:
             readings = self._pool.map(lambda port: port.read(self._budget), self._ports)
             accepted = [i for found in readings for i in found]
-        self._report_lost_ports()
+        for port in self._ports:
+            if port.guard.is_gone:
+                self._report_lost_ports()
         position, times, velocity, load, current, ok = self._codec.joints(accepted)
         for joint in self._doubled:
             check_agreement(joint)
@@ -443,7 +445,9 @@ class ServoBus:
             except BusError:
                 # The port counts the error, and the servos keep the values written last.
                 continue
-        self._report_lost_ports()
+        for port in self._ports:
+            if port.guard.is_gone:
+                self._report_lost_ports()
 
     def poll_status(self) -> ServoStatus | None:
         """Read status registers of one servo, in turn.
@@ -466,7 +470,9 @@ class ServoBus:
                     port.clear_watchdogs(port.devices)
                 except BusError:
                     continue
-        self._report_lost_ports()
+        for port in self._ports:
+            if port.guard.is_gone:
+                self._report_lost_ports()
         return status
 
     # Methods that switch torque on and off.
@@ -531,8 +537,6 @@ class ServoBus:
             BusError: All ports are gone.
         """
         gone = [port for port in self._ports if port.guard.is_gone]
-        if not gone:
-            return
         if len(gone) == len(self._ports):
             gone[0].guard.check_port()
         for port in gone:

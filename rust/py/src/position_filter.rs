@@ -106,12 +106,11 @@ impl PositionFilter {
 
 /// Reads a mask (N,).
 fn read_mask(value: &Bound<'_, PyAny>, out: &mut [bool]) -> PyResult<()> {
-    let array = match value.cast::<PyArray1<bool>>() {
-        Ok(array) => array.readonly(),
-        Err(_) => {
-            let array = value.py().import("numpy")?.call_method1("array", (value, "bool"))?;
-            array.cast_into::<PyArray1<bool>>()?.readonly()
-        }
+    let array = if let Ok(array) = value.cast::<PyArray1<bool>>() {
+        array.readonly()
+    } else {
+        let array = value.py().import("numpy")?.call_method1("array", (value, "bool"))?;
+        array.cast_into::<PyArray1<bool>>()?.readonly()
     };
     let mask = array.as_slice()?;
     if mask.len() != out.len() {
