@@ -555,8 +555,10 @@ proptest! {
             }
             prop_assert!(filter.position().iter().all(|q| q.is_nan() || q.is_finite()));
             limiter.update_heat(&mut thermal, [&goals, &limits], filter.position(), Some(position), 0.01).unwrap();
+            // Goals that the arm can reach; an infinite command is refused for its torque limit.
+            let goal = command.map(|value| value.clamp(-1.0, 1.0));
             let input = LimiterInput {
-                goal: command,
+                goal: &goal,
                 torque_limit: command,
                 gravity: &[1.0; 7],
                 position,
