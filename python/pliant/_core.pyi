@@ -2892,6 +2892,10 @@ class PositionFilter:
         """Times at which these positions were sampled (N,) [s]; -inf before the first."""
 
     @property
+    def accepted(self) -> NDArray[np.bool_]:
+        """Mask (N,) of the joints whose position the last `update` has accepted."""
+
+    @property
     def jumps(self) -> int:
         """Number of positions rejected so far because they were too far from the last one."""
 
@@ -3043,8 +3047,8 @@ class ServoCodec:
         limit: ArrayLike,
         velocity: ArrayLike | None,
         max_speed: float,
-    ) -> list[tuple[int, int, int, bytes, bytes]]:
-        """Return the registers of goal, limit and speed cap of each servo, and its 2 packets.
+    ) -> tuple[list[int], list[int], list[int], list[bytes], list[bytes]]:
+        """Return goal, limit and speed cap registers, and the first and second packet, by servo.
 
         A goal is clamped to the range; a limit is rounded down and clamped to the largest limit; a
         speed is rounded down, but at least 1 unit. A single-turn servo past the end of its encoder
@@ -3124,28 +3128,33 @@ class CommandLimiter:
         self,
         goal: ArrayLike,
         limit: ArrayLike,
-        gravity: ArrayLike,
-        position: ArrayLike,
-        off_chain: ArrayLike,
-        *,
+        velocity: ArrayLike | None,
+        positions: PositionFilter,
+        off_chain: Sequence[tuple[float, float]],
         ramp: float,
         ramp_start: ArrayLike,
+        *,
         lead: bool,
-    ) -> tuple[_Array, _Array]:
-        """Return goals (N,) [rad] and torque limits (N,) [N m] to send.
+    ) -> tuple[_Array, _Array, _Array | None, _Array | None]:
+        """Return goals [rad], torque limits [N m] and largest speeds [rad/s] (N,) to send.
+
+        Speeds of joints off the chain are inf; None without `velocity`. The last element are the
+        gravity torques (n,) [N m] at the present positions; None with `lead`.
 
         Args:
             goal: Requested goals (n,) [rad].
             limit: Requested torque limits (n,) [N m].
-            gravity: Torques that hold the arm against gravity (n,) [N m].
-            position: Positions of all joints (N,) [rad]; NaN where unknown.
-            off_chain: Goal [rad] and limit [N m] of each joint off the chain (N - n, 2).
+            velocity: Largest speeds (n,) [rad/s]; None: not limited.
+            positions: Filter of the N joints, with their positions.
+            off_chain: Goal [rad] and limit [N m] of each joint off the chain (N - n).
             ramp: Progress of the ramp from holding torque to usable torque, 0 to 1.
             ramp_start: Lower bound of the ramp (n,) [N m].
             lead: True if goals may lie beyond the position limits to exert a force.
 
         Raises:
             ShapeError: An array has another shape.
+            OutOfRangeError: A goal is `unreachable`, a number is not finite, or a torque limit or a
+                speed is negative.
         """
 
     def update(
@@ -3154,7 +3163,9 @@ class CommandLimiter:
         position: ArrayLike,
         ok: NDArray[np.bool_],
         time: ArrayLike,
+        velocity: ArrayLike | None,
         load: ArrayLike | None,
+        current: ArrayLike | None,
         *,
         goal: ArrayLike,
         limit: ArrayLike,
@@ -3162,7 +3173,9 @@ class CommandLimiter:
         now: float,
         max_jumps: int,
         max_heat: float,
-    ) -> tuple[NDArray[np.bool_], _Array, _Array, float, list[float], bool]:
+    ) -> tuple[
+        bool, _Array, float, list[float], _Array, _Array | None, _Array | None, _Array | None, bool
+    ]:
         """Pass a reading to the filter of positions, and the torques since the last to the heat.
 
         Args:
@@ -3170,8 +3183,10 @@ class CommandLimiter:
             position: Positions (N,) [rad].
             ok: Mask (N,) of the positions that were read.
             time: Sample times [s].
+            velocity: Measured velocities (N,) [rad/s], or None.
             load: Measured torques (N,) [N m]; where they are not finite, and for None, the torque
                 is ``min(k_p |goal - position|, limit)``.
+            current: Measured currents (N,) [A], or None.
             goal: Goals in the servos (N,) [rad].
             limit: Torque limits in the servos (N,) [N m].
             dt: Time since the last update [s].
@@ -3180,9 +3195,11 @@ class CommandLimiter:
             max_heat: Largest heat of a servo that is no fault.
 
         Returns:
-            Of the chain: mask of the new positions (n,), plausible positions (n,) [rad], their ages
-            (n,) [s] and the time of the oldest [s]. Positions of the joints off the chain [rad].
-            True if a joint has made too many implausible jumps, or a servo is too hot.
+            True if the positions of all joints of the chain are new; of the chain: plausible
+            positions (n,) [rad] and the time of the oldest [s]; positions of the joints off the
+            chain [rad]; of the chain: ages of the positions (n,) [s], velocities, torques and
+            currents (n,), each None if the argument is. True if a joint has made too many
+            implausible jumps, or a servo is too hot.
 
         Raises:
             ShapeError: An array has another shape.

@@ -652,7 +652,8 @@ class Arm:
             self._io.send(self._io.goal, self._io.limit)
 
     def _check_enabled(self) -> None:
-        if self._supervisor.owner != os.getpid():
+        """Raise an error if torque is off; the caller has entered the supervisor's context."""
+        if self._supervisor.owner is None:
             raise ServoError("torque is off: use `with connect(...) as arm`, or arm.enable()")
 
 

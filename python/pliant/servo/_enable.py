@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pliant.servo._device import Device
-    from pliant.servo._port import Port
+    from pliant.servo._port import Group, Port
 
     Ports = Mapping[int, Port]
 
@@ -74,13 +74,16 @@ def enable(
         before[id(device)] = _check_state(device, ports, goal)
     switched = [d for d in devices if not before[id(d)]["torque_enable"]]
     indices = [device.index for device in devices]
-    rows = devices[0].codec.encode(indices, goal, limit, None, max_speed)
+    codec = devices[0].codec
+    columns = codec.encode(indices, goal, limit, None, max_speed)[:3]
     ahead = [angle + extra for angle, extra in zip(goal, lead, strict=True)]
-    leading = devices[0].codec.encode(indices, ahead, limit, None, max_speed)
+    leading_goals = codec.encode(indices, ahead, limit, None, max_speed)[0]
     commands, leads = {}, {}
-    for device, row, led in zip(devices, rows, leading, strict=True):
-        commands[id(device)] = FirstCommand(*row[:3])
-        leads[id(device)] = led[0] - row[0]
+    for device, row, leading in zip(
+        devices, zip(*columns, strict=True), leading_goals, strict=True
+    ):
+        commands[id(device)] = FirstCommand(*row)
+        leads[id(device)] = leading - row[0]
     is_sent = False
     try:
         for device in devices:
@@ -97,7 +100,7 @@ def enable(
         for port in dict.fromkeys(ports[id(device)] for device in devices):
             served = [device for device in devices if ports[id(device)] is port]
             port.write(
-                (group, [_encoded(device, commands[id(device)]) for device in group.devices])
+                (group, _encoded(group, [commands[id(device)] for device in group.devices]))
                 for group in write_groups(served)
             )
         # From here on, few requests: the arm may already hang on servos without feedback.
@@ -212,10 +215,16 @@ class FirstCommand(NamedTuple):
     speed: int
 
 
-def _encoded(device: Device, command: FirstCommand) -> tuple[int, int, int, bytes, bytes]:
-    """Return register values and packets of a command, in the format of `ServoCodec.encode`."""
-    packets = [device.packet(names, *command) for names in device.family.write]
-    return (*command, packets[0], packets[-1])
+def _encoded(
+    group: Group, commands: Sequence[FirstCommand]
+) -> tuple[list[int], list[int], list[int], list[bytes], list[bytes]]:
+    """Return registers and packets of the commands, in the format of `ServoCodec.encode`."""
+    goals, limits, speeds = map(list, zip(*commands, strict=True))
+    packets = [
+        [device.packet(names, *row) for device, row in zip(group.devices, commands, strict=True)]
+        for names in group.family.write
+    ]
+    return goals, limits, speeds, packets[0], packets[-1]
 
 
 def _write_limits(device: Device, ports: Ports, limit: int) -> None:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pliant.servo.models.base import Protocol as Wire
     from pliant.servo.transport import Transport
 
-    #: Servos of one kind, and for each of them the values of goal, limit and speed cap register and
-    #: the packets, as `ServoCodec.encode` returns them.
-    Packets = tuple["Group", Sequence[tuple[int, int, int, bytes, bytes]]]
+    #: Servos of one kind, and goal, limit and speed cap registers and packets of each of them, as
+    #: `ServoCodec.encode` returns them.
+    Packets = tuple["Group", tuple[list[int], list[int], list[int], list[bytes], list[bytes]]]
 
 #: A servo that is silent for `MAX_MISSES` cycles is skipped for `PROBE_CYCLES` cycles, because it
 #: costs a timeout in each cycle in which it is read.
@@ -297,8 +297,7 @@ class Port:
         Raises:
             BusError: A packet could not be sent.
         """
-        for group, commands in packets:
-            goals, limits, _, *data = zip(*commands, strict=True)
+        for group, (goals, limits, _, *data) in packets:
             for block, items in zip(group.family.write_blocks, data, strict=False):
                 self.guard.sync_write(group.ids, block.address, items)
             for device, goal, limit, packet in zip(
@@ -487,8 +486,7 @@ class StatusPoller:
         if self._reads_torque and self._count % TORQUE_PERIOD == 0 and self._check_torque(ports):
             return None
         device, block = self._choose()
-        guard = ports[id(device)].guard
-        if block is None or guard.is_gone:
+        if block is None or (guard := ports[id(device)].guard).is_gone:
             return self._status(device.joint)
         try:
             device.note(guard.read(device.id, block))

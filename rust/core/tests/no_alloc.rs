@@ -210,7 +210,7 @@ fn limits_of_commands_do_not_allocate() {
             let time = [0.01 * f64::from(tick); pliant_core::MAX_JOINTS];
             filter.update(&q, &ok, &time[..n]);
             let input = LimiterInput {
-                goal: &q,
+                goal: model.upper(),
                 torque_limit: &ones,
                 gravity: &ones,
                 position: filter.position(),
@@ -219,7 +219,7 @@ fn limits_of_commands_do_not_allocate() {
                 ramp_start: &ones,
                 may_lead: tick % 2 == 0,
             };
-            let _ = limiter.unreachable(&ones);
+            limiter.speeds(&ones).unwrap();
             limiter.limit(&thermal, &input).unwrap();
             limiter.update_heat(&mut thermal, [&q, &ones], &q, Some(&q), 0.01).unwrap();
         }
