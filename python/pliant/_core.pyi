@@ -1545,6 +1545,7 @@ class Command:
     def __new__(
         cls, goal: ArrayLike, torque_limit: ArrayLike, speed_limit: ArrayLike | None = None
     ) -> Command: ...
+    def __getnewargs__(self) -> tuple[_Array, _Array, _Array]: ...
     @property
     def goal(self) -> _Array:
         """Goals of the position servos (n,) [rad]."""
@@ -2130,6 +2131,7 @@ class Diagnostics:
     A snapshot: later steps do not change it. k is the number of task axes.
     """
 
+    def __reduce__(self) -> tuple[Any, ...]: ...
     @property
     def deviation(self) -> _Array:
         """Deviation of the actual pose from `reference` (k,) [m, rad]: reference - actual."""

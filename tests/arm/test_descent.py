@@ -79,6 +79,7 @@ IN_HAND = [
     ("so101", 2, False),  # unknown load of 0.33 kg (0.91 m/s, 660 mm)
     ("arm7", 16, False),  # 0.38 kg, no delay (0.14 m/s, 31 mm)
     ("arm7", 18, False),  # 0.28 kg (0.19 m/s, 24 mm)
+    ("koch", 4, False),  # 0.12 kg (0.12 m/s if the balance begins after 1 mm)
     ("arm7", -1, True),  # ready pose, no load (0.11 m/s, 4 mm)
     pytest.param("so101", 2, True, marks=pytest.mark.full),  # 0.33 kg (1.4 m/s, 666 mm)
 ]

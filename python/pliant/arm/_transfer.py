@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 LOOP_RATE = 250.0
 #: The balance begins once the tool has sunk by `SINK` or risen by `RISE` [m], each plus half an
 #: encoder step of the joint that moves the tool most.
-SINK, RISE = 0.001, 0.005
+SINK, RISE = 0.0003, 0.005
 #: Bounds of the estimated load at the tool [kg], and time constant of this estimate [s].
 LEAST_LOAD, LARGEST_LOAD, LOAD_TIME = 0.1, 0.5, 0.02
 #: Lower bound of the norm of the joint torques that carry 1 kg at the tool, in the estimate of the
