@@ -184,8 +184,8 @@ def make_grippers(
     joints, drive = io.joints, io.drive
     unknown = sorted(set(grippers) - set(joints.extra))
     if unknown:
-        there = ", ".join(joints.extra) or "none"
-        raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {there}")
+        known = ", ".join(joints.extra) or "none"
+        raise ConfigError(f"no joint {unknown[0]!r} off the chain; there are: {known}")
     overload = np.broadcast_to(getattr(drive, "overload", 1.0), len(joints.names))
     return {
         name: Gripper(
