@@ -91,15 +91,15 @@ class XServo(Servo):
 
     def resolve(self, address: int, length: int) -> list[int]:
         """Return the address of each byte; for an indirect data byte, the address it refers to."""
-        places: list[int] = []
+        addresses: list[int] = []
         for byte in range(address, address + length):
             register = self.table.at(byte)
             if register is not None and register.name.startswith("indirect_data_"):
                 target = self.get(f"indirect_address_{register.name[14:]}")
-                places.append(target if self.table.at(target) else byte)
+                addresses.append(target if self.table.at(target) else byte)
             else:
-                places.append(byte)
-        return [min(place, self.table.size - 1) for place in places]
+                addresses.append(byte)
+        return [min(byte, self.table.size - 1) for byte in addresses]
 
     def check_read(self, address: int, length: int) -> int:
         """Return 0, or the access error for bytes beyond the table; gaps in it read as 0."""
