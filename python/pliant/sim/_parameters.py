@@ -86,7 +86,7 @@ def tabulate(model: Model, servos: Any | None) -> Servos:
         TypeError: `servos` is not a `Servos` table.
     """
     table = model.servos if servos is None else instance(servos, Servos, "servos")
-    return _guess(model) if table is None else spread(table, model.n)
+    return _guess_of(model) if table is None else spread(table, model.n)
 
 
 def resolve(table: Servos) -> Gains:
@@ -117,8 +117,12 @@ def resolve(table: Servos) -> Gains:
     )
 
 
-def _guess(model: Model) -> Servos:
-    """Return a servo table estimated from the effort limits of the URDF."""
+def _guess_of(model: Model) -> Servos:
+    """Return a servo table estimated from the effort limits in the URDF of a model.
+
+    Raises:
+        ConfigError: A joint has no effort limit.
+    """
     effort = [np.nan if e is None else float(e) for e in model.effort_limit]
     unknown = [name for name, e in zip(model.joint_names, effort, strict=True) if not e > 0.0]
     if unknown:
