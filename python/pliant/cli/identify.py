@@ -88,7 +88,7 @@ def _measure(
     options: dict[str, Any],
     file: Measurements | None,
 ) -> list[str]:
-    """Run a procedure; return the printed lines: its results and lines for the configuration."""
+    """Run a procedure; return its results and lines for the configuration file, to be printed."""
     if procedure == "servos":
         found = identify.identify_servos(arm, arm.model, arm.servos, **options)
         if file is not None:
@@ -98,8 +98,8 @@ def _measure(
     if procedure == "payload":
         estimate = identify.estimate_payload(arm, controller, **options)
         return [*estimate.summary(), *_payload_lines(estimate)]
-    captured = identify.capture_gravity(arm, controller)
-    return [*captured.summary(), *_gravity_lines(captured)]
+    capture = identify.capture_gravity(arm, controller)
+    return [*capture.summary(), *_gravity_lines(capture)]
 
 
 def _servo_lines(arm_config: Config, found: identify.Identification) -> list[str]:
@@ -116,22 +116,22 @@ def _servo_lines(arm_config: Config, found: identify.Identification) -> list[str
     return lines
 
 
-def _payload_lines(found: identify.PayloadEstimate) -> list[str]:
+def _payload_lines(estimate: identify.PayloadEstimate) -> list[str]:
     """Return the TOML line with the payload for [robot], or a comment if no payload was found."""
-    if not found.found:
+    if not estimate.found:
         return ["", "# no payload for the file"]
-    payload = found.payload
+    payload = estimate.payload
     table = {"mass": float(payload.mass), "com": [float(value) for value in payload.com]}
     return ["", "# in the table [robot]:", f"payload = {_toml(table)}"]
 
 
-def _gravity_lines(found: identify.GravityCapture) -> list[str]:
+def _gravity_lines(capture: identify.GravityCapture) -> list[str]:
     """Return TOML lines for [settings.compensation] that keep the arm still, or a comment."""
-    if found.stays:
+    if capture.stays:
         return ["", "# nothing to change in the file: the arm stays with its settings"]
-    if found.remedy is None:
+    if capture.remedy is None:
         return ["", "# no settings for the file: identify the servos or the payload"]
-    compensation = found.remedy.compensation
+    compensation = capture.remedy.compensation
     return [
         "",
         "[settings.compensation]",

@@ -67,8 +67,8 @@ class Sender:
         """Send all buffered frames; wait at most `timeout` [s] until the pipe accepts them."""
         end = time.monotonic() + timeout
         self._flush()
-        while self._backlog and not self.broken and (left := end - time.monotonic()) > 0.0:
-            time.sleep(min(left, FLUSH_PERIOD))
+        while self._backlog and not self.broken and (remaining := end - time.monotonic()) > 0.0:
+            time.sleep(min(remaining, FLUSH_PERIOD))
             self._flush()
 
 

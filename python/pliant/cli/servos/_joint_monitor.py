@@ -166,17 +166,17 @@ def _end(console: Console, monitor: JointMonitor | None) -> None:
         print_line(monitor.rest, console)
 
 
-def _begin(console: Console, on: list[str]) -> None:
-    """Print instructions to the user, and the names `on` of joints whose torque is on."""
+def _begin(console: Console, enabled: list[str]) -> None:
+    """Print instructions to the user, and the names `enabled` of joints whose torque is on."""
     print_line(
         "Nothing is switched on. Hold the arm and move one joint at a time, from the base outward: "
         "as its angle grows the tool must go where its line says. If it goes the other way, change "
         "the joint's `sign` in [servo]. Ctrl-C ends, and prints the pose as a rest pose",
         console,
     )
-    if on:
+    if enabled:
         print_line(
-            f"torque is on already, so these joints cannot be moved by hand: {', '.join(on)}",
+            f"torque is on already, so these joints cannot be moved by hand: {', '.join(enabled)}",
             console,
         )
 
