@@ -1,4 +1,4 @@
-"""`pliant_softness`: softness by a key or pedal, beside any teleoperator."""
+"""`pliant_softness`: a key or pedal that switches the softness, added to any teleoperator."""
 
 import logging
 from collections.abc import Mapping
