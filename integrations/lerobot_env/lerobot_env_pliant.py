@@ -98,7 +98,7 @@ class PliantEnv(EnvConfig):
     observation_height: int = 240
 
     def __post_init__(self) -> None:
-        """Check the fields, and read the sizes of action and observation off the task."""
+        """Check the fields, and take the sizes of action and observation from the task."""
         known = [f"{name}-v0" for name in TASKS]
         if self.task not in known:
             raise pliant.ConfigError(f"task {self.task!r}; choose from {', '.join(known)}")

@@ -70,7 +70,7 @@ def real_time_priority(priority: int | None) -> Iterator[None]:
     """Return a context in which this thread, and threads that it starts, have real-time priority.
 
     The scheduling policy is SCHED_FIFO: the threads preempt all programs without real-time
-    priority. The former policy of this thread is restored at the end. None: change nothing.
+    priority. The former policy of this thread is restored at the end. With None, nothing changes.
 
     Raises:
         ConfigError: The system does not permit it.

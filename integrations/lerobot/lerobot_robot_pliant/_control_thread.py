@@ -100,7 +100,7 @@ class ControlThread:
     def stop(self) -> None:
         """End the loop; the arm keeps its last goals and limits until it is lowered."""
         self._stopping.set()
-        # The garbage collector may delete a robot, which stops this thread, in this thread itself.
+        # The garbage collector may delete the robot, and so call `stop`, in this thread itself.
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(STOP_TIMEOUT)
 

@@ -122,7 +122,7 @@ class PliantLeader(Teleoperator):
         """Do nothing: nothing is stored in the servos."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Switch torque on in the present pose, and measure the friction; then be weightless.
+        """Switch torque on in the present pose, and measure friction; then the arm is weightless.
 
         Raises:
             DeviceAlreadyConnectedError: The arm is connected; `disconnect` first.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 #: Type of joint vectors.
 FLOAT = np.dtype(np.float64)
-#: Distance outside its position limits up to which a joint position is still accepted [rad].
+#: Distance by which an accepted joint position may exceed its limits [rad].
 SLACK = 0.1
 #: Largest accepted value of the argument `comm_timeout` [s].
 MAX_COMM_TIMEOUT = 60.0

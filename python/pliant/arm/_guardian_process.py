@@ -35,7 +35,7 @@ PERIOD = 0.1
 MARGIN = 1.0
 #: Longest time until the port of an ended program can be opened [s].
 OPEN_TIME = 30.0
-#: Time between two tries to open it [s].
+#: Time between two attempts to open that port [s].
 OPEN_PERIOD = 0.01
 #: Longest wait for the end of the program after SIGKILL [s]; a hanging system call may delay it.
 KILL_TIME = 5.0

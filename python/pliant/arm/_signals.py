@@ -92,7 +92,7 @@ class Signals:
         self.leaving = False
 
     def hold(self) -> None:
-        """Store signals until `deliver`: an exception could prevent that the arm is lowered."""
+        """Store signals until `deliver`: an exception could keep the arm from being lowered."""
         if self.installed:
             self.leaving = True
 

@@ -73,7 +73,7 @@ class Gripper:
         order: Callable[[str, float, float], None],
         measure: Callable[[str], float],
     ) -> None:
-        """Take values that `config` does not set from the model; only `Arm` creates grippers.
+        """Store `config`, completed by limits of the model; only `Arm` creates grippers.
 
         Raises:
             ConfigError: Neither `config` nor the model gives the ends of the travel.

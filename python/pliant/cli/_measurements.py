@@ -150,19 +150,24 @@ class Measurements:
         }
         self.add("bus", bus)
 
-    def add_servos(self, found: identify.Identification) -> None:
+    def add_servos(self, identification: identify.Identification) -> None:
         """Store identified servo parameters."""
-        columns = {"friction": found.friction, **{key: getattr(found.servos, key) for key in KEYS}}
-        assumed = {f"{key}_assumed": getattr(found.assumed, key) for key in ("kp", "friction")}
-        sigmas = {f"{key}_sigma": found.sigma[key] for key in ("kp", "friction")}
+        columns = {
+            "friction": identification.friction,
+            **{key: getattr(identification.servos, key) for key in KEYS},
+        }
+        assumed = {
+            f"{key}_assumed": getattr(identification.assumed, key) for key in ("kp", "friction")
+        }
+        sigmas = {f"{key}_sigma": identification.sigma[key] for key in ("kp", "friction")}
         values = {
-            "joints": per_joint(found.joint_names, columns | assumed | sigmas),
-            "delay": found.delay,
-            "delay_sigma": found.delay_sigma,
-            "extra_mass": found.payload.mass,
-            "extra_mass_sigma": found.payload.mass_sigma,
-            "spread": found.residual_ratio,
-            "undriven": found.undriven,
+            "joints": per_joint(identification.joint_names, columns | assumed | sigmas),
+            "delay": identification.delay,
+            "delay_sigma": identification.delay_sigma,
+            "extra_mass": identification.payload.mass,
+            "extra_mass_sigma": identification.payload.mass_sigma,
+            "spread": identification.residual_ratio,
+            "undriven": identification.undriven,
         }
         self.add("servos", values)
 

@@ -74,7 +74,7 @@ def run(
             with connected as live:
                 results.append(_measure(procedure, live, arm_config, options, file))
     finally:
-        # Only after the arm is lowered: a blocked terminal or disk must not delay the descent.
+        # Write only once the arm is lowered: a blocked terminal or disk must not delay that.
         if file is not None and "servos" in file.steps:
             file.save()
         for line in (line for lines in results for line in lines):
@@ -90,10 +90,14 @@ def _measure(
 ) -> list[str]:
     """Run a procedure; return its results and lines for the configuration file, to be printed."""
     if procedure == "servos":
-        found = identify.identify_servos(arm, arm.model, arm.servos, **options)
+        identification = identify.identify_servos(arm, arm.model, arm.servos, **options)
         if file is not None:
-            file.add_servos(found)
-        return [*found.summary(), *_servo_lines(arm_config, found), *_payload_lines(found.payload)]
+            file.add_servos(identification)
+        return [
+            *identification.summary(),
+            *_servo_lines(arm_config, identification),
+            *_payload_lines(identification.payload),
+        ]
     controller = Controller(arm.model, arm_config.settings(), arm.servos)
     if procedure == "payload":
         estimate = identify.estimate_payload(arm, controller, **options)
@@ -102,16 +106,16 @@ def _measure(
     return [*capture.summary(), *_gravity_lines(capture)]
 
 
-def _servo_lines(arm_config: Config, found: identify.Identification) -> list[str]:
+def _servo_lines(arm_config: Config, identification: identify.Identification) -> list[str]:
     """Return TOML lines for the table [servo]: measured stiffness, friction and damping."""
     if not arm_config.servo:
         return ["", "# the file has no table [servo]: the built-in servos cannot be changed"]
     lines = ["", "# in place of the lines of these joints:", "[servo]"]
-    for i, joint in enumerate(found.joint_names):
+    for i, joint in enumerate(identification.joint_names):
         entry = arm_config.servo[joint].model_dump(exclude_unset=True)
-        entry["kp"] = float(found.servos.kp[i])
-        entry["friction"] = float(found.friction[i])
-        entry["damping"] = float(found.servos.damping[i])
+        entry["kp"] = float(identification.servos.kp[i])
+        entry["friction"] = float(identification.friction[i])
+        entry["damping"] = float(identification.servos.damping[i])
         lines.append(f"{joint} = {_toml(entry)}")
     return lines
 

@@ -182,6 +182,6 @@ def _remove_field(remaining: dict[str, Any], message: str) -> bool:
         # A key for several axes differs from the single axis in the error: then remove all axes.
         remaining["axes"] = {k: v for k, v in axes.items() if k != key} if key in axes else {}
         return True
-    found = re.match(r"\w+", message)
-    name = found[0] if found else ""
+    match = re.match(r"\w+", message)
+    name = match[0] if match else ""
     return name not in FIRST and remaining.pop(name, None) is not None

@@ -208,7 +208,7 @@ def make_arm(config: Config, **options: Any) -> Arm:
 
 
 def _fixed(model: Model, drive: Drive) -> dict[str, GripperConfig]:
-    """Return grippers, by joint name, that hold joints without position limits in place.
+    """Return gripper configurations, by name, that hold joints without limits in place.
 
     Joints of the controlled chain are left out.
     """

@@ -127,7 +127,9 @@ def find_calibration(
         ConfigError: There is no such file; the message names the folder and the ids found in it.
     """
     root = calibration_folder() / kind
-    known = _FOLDERS.get(arm) or dict.fromkeys(f for one in _FOLDERS.values() for f in one)
+    known = _FOLDERS.get(arm) or dict.fromkeys(
+        f for prefixes in _FOLDERS.values() for f in prefixes
+    )
     folders = [root / f"{folder}_{_KINDS[kind]}" for folder in known]
     for folder in folders:
         if (file := folder / f"{name}.json").is_file():

@@ -232,8 +232,8 @@ class Life(StrictModel):
         rest_q: Joint positions (n,) [rad] in which the arm rests without torque; the arm moves
             there before torque off. None: the arm is lowered straight down.
         on_exit: `lower`: lower the arm, then torque off; `leave_enabled`: torque stays on.
-        guardian: True: a separate process does the same if the program is killed, crashes or hangs;
-            only with real servos.
+        guardian: True: a separate process performs `on_exit` if the program is killed, crashes or
+            hangs; only with real servos.
     """
 
     rest_q: list[Number] | None = None

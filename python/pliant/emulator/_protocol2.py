@@ -78,8 +78,8 @@ def _single(servo: XServo, instruction: int, params: bytes) -> bytes:
     return status_2(id, alert | servo.status() | error, data)
 
 
-def _word(params: bytes, at: int) -> int:
-    return int.from_bytes(params[at : at + 2], "little")
+def _word(params: bytes, index: int) -> int:
+    return int.from_bytes(params[index : index + 2], "little")
 
 
 def _broadcast(servos: Sequence[XServo], frame: Frame) -> list[Slot]:
@@ -107,13 +107,13 @@ def _broadcast(servos: Sequence[XServo], frame: Frame) -> list[Slot]:
             data = params[start + 1 : start + 1 + length]
             _write(servos, params[start], address, data, "sync_write")
     elif instruction == BULK_WRITE:
-        at = 0
-        while at + 5 <= len(params):
-            length = _word(params, at + 3)
-            data = params[at + 5 : at + 5 + length]
+        index = 0
+        while index + 5 <= len(params):
+            length = _word(params, index + 3)
+            data = params[index + 5 : index + 5 + length]
             if len(data) == length:
-                _write(servos, params[at], _word(params, at + 1), data, "bulk_write")
-            at += 5 + length
+                _write(servos, params[index], _word(params, index + 1), data, "bulk_write")
+            index += 5 + length
     elif instruction in {WRITE, REG_WRITE, ACTION, REBOOT}:
         for servo in servos:
             _single(servo, instruction, params)

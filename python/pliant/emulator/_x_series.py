@@ -28,7 +28,7 @@ class XServo(Servo):
 
     Velocity, current and PWM modes accept their registers but do not drive the motor. Assumptions:
     a goal written with torque off is kept, and the servo moves to it at torque-on; three seconds at
-    the limit at standstill count as an overload.
+    standstill with the torque at its limit count as an overload.
     """
 
     protocol = 2
@@ -70,7 +70,7 @@ class XServo(Servo):
     def raw_of(self, count: float) -> float:
         """Return the encoder count at which `count` is reported.
 
-        Reverse mode inverts the count first; then Homing Offset is added.
+        The servo reports the encoder count, inverted in reverse mode, plus Homing Offset.
         """
         raw = count - self.get("homing_offset")
         return raw if self.direction > 0 else 4096 - raw

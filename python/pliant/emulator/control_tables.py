@@ -103,7 +103,7 @@ class Table:
         return self._at.get(address)
 
     def span(self, address: int, length: int) -> list[Register]:
-        """Return the registers that overlap `length` bytes from `address` on, by address."""
+        """Return the registers that overlap `length` bytes from `address` on, in order."""
         registers: list[Register] = []
         for byte in range(address, address + length):
             register = self._at.get(byte)

@@ -24,10 +24,10 @@ MAX_TORQUE = 1.0
 AMPLITUDE = 0.3
 #: Period of the first joint in the motion `wave`, and its increase from joint to joint [s].
 PERIOD, PERIOD_STEP = 4.0, 0.7
-#: Time in which the hand moves the joints from their initial positions onto the motion [s].
+#: Duration of the transition from the initial joint positions to the motion [s].
 TAKE_TIME = 3.0
-#: Motion `ranges`: all joints stay in mid-range for `MIDDLE_TIME` [s]. Then each joint in turn
-#: moves through its range and back in `RANGE_TIME` [s].
+#: Times in the motion `ranges` [s]: all joints stay in mid-range for `MIDDLE_TIME`; then each joint
+#: in turn moves through its range and back in `RANGE_TIME`.
 MIDDLE_TIME, RANGE_TIME = 20.0, 6.0
 
 

@@ -271,8 +271,8 @@ class Server:
         data = port.partial_marker + port.pty.read()
         port.partial_marker = b""
         while port.marker and data:
-            before, found, after = data.partition(port.marker)
-            if found:
+            before, separator, after = data.partition(port.marker)
+            if separator:
                 port.marker, data = b"", after
                 self._feed(port, before)
                 port.waiting.set()

@@ -64,7 +64,7 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Motor request: position loop of a servo's firmware, as the registers set it at present.
+    """Motor request: goal and parameters of a servo's position loop, as its registers set them.
 
     Attributes:
         goal: Goal angle of the shaft [rad]; None for a motor without power.

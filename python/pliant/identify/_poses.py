@@ -96,15 +96,15 @@ def choose_poses(rig: Excitation, q: Array, count: int, span: float, size: Array
         if _height(rig, pose) > height - MAX_DROP
         and (np.abs(model.gravity(pose)) < MAX_HOLDING_SHARE * rig.torque).all()
     ]
-    chosen = [q]
+    poses = [q]
     information = np.eye(rig.n + 4) + _information(rig, q)
     pieces = [_information(rig, pose) for pose in candidates]
     for _ in range(min(count - 1, len(candidates))):
         gains = [np.linalg.slogdet(information + piece)[1] for piece in pieces]
         best = int(np.argmax(gains))
-        chosen.append(candidates[best])
+        poses.append(candidates[best])
         information = information + pieces[best]
-    return _ordered(chosen)
+    return _ordered(poses)
 
 
 def _height(rig: Excitation, q: Array) -> float:

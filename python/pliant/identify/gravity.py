@@ -187,17 +187,17 @@ def _capture(
     controller: Controller, servos: Servos, q: Array, numbers: tuple[float, float, float]
 ) -> Steps[GravityCapture]:
     seconds, check, bound = numbers
-    model, before = controller.model, controller.settings
+    model, settings = controller.model, controller.settings
     stiff = Settings(
-        task=before.task,
-        rate=before.rate,
-        delay=before.delay,
+        task=settings.task,
+        rate=settings.rate,
+        delay=settings.delay,
         tracking=Tracking(integrate=INTEGRATION_RATE),
         compensation=Compensation(friction=0.0, damping=0.0),
     )
     controller.reset(q)
     target = model.forward_kinematics(q)
-    ticks = round(seconds * before.rate)
+    ticks = round(seconds * settings.rate)
     samples: list[tuple[Array, Array]] = []
     controller.update(stiff)
     try:
@@ -209,13 +209,13 @@ def _capture(
         mean_q, goal = (np.mean([pair[k] for pair in tail], axis=0) for k in (0, 1))
         stiffness = controller.capture_gravity(mean_q, goal)
     finally:
-        controller.update(before)
+        controller.update(settings)
     first, last = (model.forward_kinematics(tail[k][0])[:3, 3] for k in (0, -1))
     resolution = float(np.abs(model.jacobian(mean_q)[:3] * np.asarray(servos.encoder_step)).sum())
     still = float(np.linalg.norm(last - first)) < REST_SPEED * seconds * AVERAGED_SHARE + resolution
     drift, remedy = np.nan, None
     if check > 0.0:
-        drift, q = yield from _hold_and_measure(controller, q, round(check * before.rate), bound)
+        drift, q = yield from _hold_and_measure(controller, q, round(check * settings.rate), bound)
         if drift > bound:
             remedy = yield from _find_remedy(controller, q, (check, bound), stiff)
     assumed = np.array(servos.kp)
@@ -249,16 +249,16 @@ def _find_remedy(
     controller are restored at the end.
     """
     check, bound = numbers
-    before = controller.settings
-    ticks, rest = round(check * before.rate), round(HOLD_TIME * before.rate)
+    settings = controller.settings
+    ticks, rest = round(check * settings.rate), round(HOLD_TIME * settings.rate)
     try:
         for share in REDUCED_SHARES:
             controller.update(stiff)
             _, q = yield from _hold_and_measure(controller, q, rest)
-            reduced = before.replace(
+            reduced = settings.replace(
                 compensation=Compensation(
-                    friction=share * before.compensation.friction,
-                    damping=share * before.compensation.damping,
+                    friction=share * settings.compensation.friction,
+                    damping=share * settings.compensation.damping,
                 ),
             )
             controller.update(reduced)
@@ -268,7 +268,7 @@ def _find_remedy(
         controller.update(stiff)
         yield from _hold_and_measure(controller, q, rest)
     finally:
-        controller.update(before)
+        controller.update(settings)
     return None
 
 

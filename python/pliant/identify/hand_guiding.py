@@ -117,7 +117,7 @@ class HandGuiding:
 
     @property
     def play(self) -> Array:
-        """Backlash (n,) [rad]: the goal of a joint follows when it is farther away than this."""
+        """Backlash w (n,) [rad] between joints and goals, as in the module's docstring."""
         return np.full(self._n, INITIAL_PLAY) if self._law is None else self._law.play
 
     @property
@@ -185,7 +185,7 @@ class HandGuiding:
         middle = 0.5 * (1.0 / (factor * rig.kp) + factor / rig.kp)
         base = self._holding_torque(q)
         rows = all_segments(rig)
-        # Values for joints that did not move steadily: friction of the servo parameters.
+        # Joints that did not move steadily get the friction of the servo parameters.
         lead, friction = np.zeros(n), rig.friction * middle
         swung = np.zeros(n, dtype=bool)
         for i in range(n):

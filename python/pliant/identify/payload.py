@@ -46,8 +46,8 @@ def _make_procedure(
         number(span, "span", 0.0, MAX_SPAN, "rad"),
         number(amplitude, "amplitude", *AMPLITUDE_RANGE, "rad"),
     )
-    chosen = check_poses(poses, rig.n)
-    return Procedure(lambda q: _estimate(rig, controller, q, chosen, numbers), rig.n)
+    checked_poses = check_poses(poses, rig.n)
+    return Procedure(lambda q: _estimate(rig, controller, q, checked_poses, numbers), rig.n)
 
 
 @guided(_make_procedure)

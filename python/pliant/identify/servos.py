@@ -82,8 +82,8 @@ def _make_procedure(
         number(amplitude, "amplitude", *AMPLITUDE_RANGE, "rad"),
         number(limit_error, "limit_error", 1e-3, 1.0),
     )
-    chosen = check_poses(poses, rig.n)
-    return Procedure(lambda q: _identify(rig, q, chosen, numbers), rig.n)
+    checked_poses = check_poses(poses, rig.n)
+    return Procedure(lambda q: _identify(rig, q, checked_poses, numbers), rig.n)
 
 
 @guided(_make_procedure)

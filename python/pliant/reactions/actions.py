@@ -156,9 +156,9 @@ class Yield(Action):
 
     def _settings(self, settings: Settings) -> Settings:
         names = settings.task.names
-        chosen = [names[index] for index in indices(self.axes, names)]
+        axis_names = [names[index] for index in indices(self.axes, names)]
         axes: dict[str, Axis] = dict(settings.axes.items())
-        for name in chosen:
+        for name in axis_names:
             axes[name] = settings.axes[name].replace(**{"yields": "both", **self.fields})
         return settings.replace(axes=axes)
 
@@ -191,8 +191,8 @@ class _FollowingTool(Running):
 
     def target(self, tick: TickContext, target: Array) -> Array:
         frame, error = self._task_error(tick, target)
-        chosen = list(self.axes)
-        error[chosen] = np.clip(error[chosen], -self.max_deviation, self.max_deviation)
+        axes = list(self.axes)
+        error[axes] = np.clip(error[axes], -self.max_deviation, self.max_deviation)
         return offset_pose(tick.tool, frame @ error[:3], frame @ error[3:])
 
     def over(self, tick: TickContext) -> bool | None:

@@ -331,16 +331,16 @@ class Force(Condition):
 
     def evaluator(self) -> Evaluator:
         """Return a function that compares the estimated force with threshold and uncertainty."""
-        chosen = list(indices(self.axes))
+        columns = list(indices(self.axes))
         sign = {"both": 0.0, "+": 1.0, "-": -1.0}[self.toward]
 
         def holds(tick: TickContext) -> bool:
             wrench = tick.force()
-            force = wrench.force[chosen]
+            force = wrench.force[columns]
             size = sign * force if sign else np.abs(force)
             if self.above is None:
                 return bool(np.all(size < (self.below or 0.0)))
-            bound = 0.0 if self.accept_thresholds else tick.guard * wrench.uncertainty[chosen]
+            bound = 0.0 if self.accept_thresholds else tick.guard * wrench.uncertainty[columns]
             return bool(np.any(size > np.maximum(self.above, bound)))
 
         return holds
@@ -372,11 +372,11 @@ class ContactEvent(Condition):
 
     def evaluator(self) -> Evaluator:
         """Return a function that returns True if the event is reported on one of the axes."""
-        chosen, stop = list(indices(self.axes)), self.kind == "stop"
+        columns, stop = list(indices(self.axes)), self.kind == "stop"
 
         def holds(tick: TickContext) -> bool:
             wrench = tick.force()
-            return bool((wrench.stop if stop else wrench.touch)[chosen].any())
+            return bool((wrench.stop if stop else wrench.touch)[columns].any())
 
         return holds
 

@@ -378,7 +378,7 @@ class Device:
         self.goal, self.limit, self._packet = goal, limit, packet
         self._writes += 1
 
-    def _compare(self, key: str, found: int, written: int, time: float) -> None:
+    def _compare(self, key: str, value: int, written: int, time: float) -> None:
         """Compare a register with the written value, because a servo may reject packets silently.
 
         Single packets also get lost, so a mismatch is a fault only after `MISMATCHES` packets and
@@ -386,12 +386,12 @@ class Device:
 
         Args:
             key: Register: `goal` or `limit`.
-            found: Value read.
+            value: Value read.
             written: Value written.
             time: Time of the reading [s].
         """
         read_back = self._read_backs[key]
-        if not self.enabled or found == written:
+        if not self.enabled or value == written:
             read_back.wrong, read_back.matched = 0, time
         elif read_back.write != self._writes:
             read_back.wrong += 1
@@ -400,18 +400,18 @@ class Device:
         self.has_mismatch = bool(self._read_backs["goal"].wrong or self._read_backs["limit"].wrong)
         is_wrong = read_back.wrong >= MISMATCHES and time - read_back.matched > MISMATCH_TIME
         if is_wrong or self.other_faults:
-            self.fault(key, is_wrong, self._mismatch(key, found, written) if is_wrong else "")
+            self.fault(key, is_wrong, self._mismatch(key, value, written) if is_wrong else "")
 
-    def _mismatch(self, key: str, found: int, written: int) -> str:
+    def _mismatch(self, key: str, value: int, written: int) -> str:
         """Return the fault text for a register `goal` or `limit` that did not take its value."""
         if key == "limit":
             name, values = (
                 "torque limit",
-                [f"{self.units.torque(n):.3g} N·m" for n in (found, written)],
+                [f"{self.units.torque(n):.3g} N·m" for n in (value, written)],
             )
         else:
-            name, values = "goal", [f"{self.angle(n):.3g} rad" for n in (found, written)]
+            name, values = "goal", [f"{self.angle(n):.3g} rad" for n in (value, written)]
         return (
-            f"its {name} reads {found} ({values[0]}), written was {written} ({values[1]}): "
+            f"its {name} reads {value} ({values[0]}), written was {written} ({values[1]}): "
             "writes do not arrive, or it rejects them"
         )

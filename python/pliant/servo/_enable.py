@@ -64,17 +64,17 @@ def enable(
         limit: Torque limits (n,) [N·m].
         max_speed: Largest joint speed [rad/s]; 0: the no-load speed.
     """
-    before = {}
+    images = {}
     for device in devices:
-        before[id(device)] = _check_state(device, ports, goal)
-    switched = [d for d in devices if not before[id(d)]["torque_enable"]]
+        images[id(device)] = _check_state(device, ports, goal)
+    switched = [d for d in devices if not images[id(d)]["torque_enable"]]
     indices = [device.index for device in devices]
     rows = devices[0].codec.encode(indices, goal, limit, None, max_speed)
     commands = {id(d): FirstCommand(*row[:3]) for d, row in zip(devices, rows, strict=True)}
     is_sent = False
     try:
         for device in devices:
-            if _has_tripped(device, before):
+            if _has_tripped(device, images):
                 _set(device, ports, "watchdog", 0)
             _write_limits(device, ports, commands[id(device)].limit)
         # Read the positions for the goals only now: an arm without torque may be sinking.
@@ -284,8 +284,8 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
     return image
 
 
-def _has_tripped(device: Device, before: Mapping[int, RegisterImage]) -> bool:
-    image = before[id(device)]
+def _has_tripped(device: Device, images: Mapping[int, RegisterImage]) -> bool:
+    image = images[id(device)]
     return "watchdog" in image and image["watchdog"] == 255
 
 
@@ -300,7 +300,7 @@ def _check_still(device: Device, ports: Ports, before: RegisterImage) -> None:
     motion = abs(image["position"] - before["position"]) * device.units.count
     passed = image.time - before.time
     fall = 2.0 * abs(device.units.velocity(before["speed"])) * passed
-    # Allow also the position error with which the servo exerts its torque limit: limit / k_p.
+    # Also allow the position error at which the servo exerts its torque limit: limit / k_p.
     kp = device.spec.kp or device.units.stiffness(device.gain)
     sag = device.units.torque(device.limit) / kp
     if motion > MAX_MOTION + fall + sag:

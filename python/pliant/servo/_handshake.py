@@ -270,7 +270,7 @@ def _store_initial_values(device: Device, image: RegisterImage) -> None:
 def _supply(device: Device, image: RegisterImage) -> tuple[float, float]:
     """Return lowest and highest supply voltage [V] at which the servo may be driven.
 
-    They are the limits in the servo's EEPROM, which may exceed the data sheet by at most 0.5 V.
+    They are the limits in the servo's EEPROM, clipped to the range of the data sheet ±0.5 V.
     """
     lowest, highest = device.row.voltage
     low, high = image["voltage_min"] / 10.0, image["voltage_max"] / 10.0

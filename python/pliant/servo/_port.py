@@ -330,12 +330,12 @@ class Port:
         if not blocks or group.devices[-1].has_new_status:
             blocks = group.family.read
         try:
-            found = self.guard.sync_decode(group.ids, blocks, decoder)
+            reading = self.guard.sync_decode(group.ids, blocks, decoder)
         except BusError as error:
             error.raise_if_gone()
             self._read_each(group, accepted, last=error.id, again=False)
             return
-        block, answers, notable, time = found
+        block, answers, notable, time = reading
         if answers is None:
             accepted += group.indices
             return
@@ -406,7 +406,7 @@ class Port:
             self._accept(device, reply, accepted)
 
     def _probe(self, accepted: list[int]) -> None:
-        """Read one skipped servo that has been skipped for `PROBE_CYCLES`, if there is one."""
+        """Read one servo that has been skipped for `PROBE_CYCLES` cycles, if there is one."""
         for number in self._silent:
             self._silent[number] -= 1
         due = [device for device in self.devices if self._silent.get(device.id, 1) <= 0]

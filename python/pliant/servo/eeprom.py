@@ -183,9 +183,9 @@ def write_changes(io: TransactionGuard, family: Family, required: Sequence[Regis
     try:
         for change in required:
             _write(io, change.id, family, change.register, change.new)
-            if (found := read(io, change.id, family, change.register)) != change.new:
+            if (value := read(io, change.id, family, change.register)) != change.new:
                 raise ServoError(
-                    f"{change.joint} (id {change.id}): {change.register} reads {found} after "
+                    f"{change.joint} (id {change.id}): {change.register} reads {value} after "
                     f"{change.new} was written"
                 )
     finally:

@@ -26,8 +26,8 @@ USUAL = range(41)
 ALL = range(253)
 #: Margin of the short reply timeout for a busy host, added to wire time and adapter latency [s].
 TIMEOUT_MARGIN = 0.005
-#: Minimum of the long reply timeout, and of the silence before a request with it [s]. Adapters
-#: delay replies by up to 16 ms.
+#: Minimum of the long reply timeout, and of the silence before a request with that timeout [s].
+#: Adapters delay replies by up to 16 ms.
 LONG_TIMEOUT = 0.05
 #: Number of preceding ids that are asked again when data arrive, as these may be a late reply.
 IDS_TO_REPEAT = 12
@@ -35,7 +35,7 @@ IDS_TO_REPEAT = 12
 UNUSED_ID = 252
 #: Number of pings with data after which the line counts as never silent.
 MAX_PINGS = 20
-#: Number of requests to an id with corrupt replies.
+#: Number of requests to an id whose replies are corrupt.
 TRIES = 3
 #: Longest response delay of a servo [s]: 500 µs is the makers' default, plus a margin.
 MAX_RESPONSE_DELAY = 0.0006
@@ -157,7 +157,7 @@ class _IdScan:
         return servos
 
     def _has_traffic(self, number: int) -> bool:
-        """Send a request to id `number` with the short reply timeout; True: data have arrived."""
+        """Ask id `number` with the short reply timeout; return True if data have arrived."""
         self._io.set_timeout(self._short_timeout)
         try:
             self._io.read(number, MODEL_ADDRESSES[self._protocol][0], 2)

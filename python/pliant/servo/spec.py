@@ -164,7 +164,7 @@ class ServoSpec:
         if not np.isfinite(bounds).all() or (len(bounds) == 2 and bounds[0] >= bounds[1]):
             raise ConfigError(f"{self.name}: lower must be below upper [rad], got {bounds}")
         known = [] if self.model_number is None else by_number(self.model_number)
-        if known and row.name not in [one.name for one in known]:
+        if known and row.name not in [model.name for model in known]:
             raise ConfigError(
                 f"{self.name}: model_number {self.model_number} is that of {known[0].name}, not of "
                 f"a servo that the package does not know: model = {known[0].name!r}"
@@ -229,11 +229,11 @@ def check_specs(specs: Iterable[ServoSpec]) -> tuple[ServoSpec, ...]:
         protocol = spec.row.family.protocol
         first, joint = protocols.setdefault(spec.port, (protocol, spec.name))
         if first != protocol:
-            one, two = (joint, spec.name) if first == "p1" else (spec.name, joint)
+            p1_joint, p2_joint = (joint, spec.name) if first == "p1" else (spec.name, joint)
             raise ConfigError(
-                f"{spec.port} has {one} on Protocol 1.0 and {two} on Protocol 2.0: one port speaks "
-                "one protocol (Feetech and Protocol 1.0 may share). Put the Protocol 2.0 servos on "
-                "an adapter of their own and give them its port"
+                f"{spec.port} has {p1_joint} on Protocol 1.0 and {p2_joint} on Protocol 2.0: one "
+                "port speaks one protocol (Feetech and Protocol 1.0 may share). Put the Protocol "
+                "2.0 servos on an adapter of their own and give them its port"
             )
     return specs
 

@@ -248,9 +248,11 @@ class Bus:
             time: Time of the reading [s].
         """
         sent = State(self._encoder.read(q), time=time, extra=extra)
-        found = self._reads.shift(sent, silent=self._is_silent(time))
-        age = np.full(self._n, time - found.time)
-        self.state = State(found.q.copy(), None, found.time, self._reads.fresh, found.extra, age)
+        arriving = self._reads.shift(sent, silent=self._is_silent(time))
+        age = np.full(self._n, time - arriving.time)
+        self.state = State(
+            arriving.q.copy(), None, arriving.time, self._reads.fresh, arriving.extra, age
+        )
 
     def _is_silent(self, time: float) -> bool:
         return self._outage is not None and self._outage[0] <= time < self._outage[1]

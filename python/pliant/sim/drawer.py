@@ -35,7 +35,7 @@ class Drawer(GraspedObject):
         stop: Length of the slide between its hard stops [m].
         opening, widest: Present opening, and largest opening since reset [m].
         across: Largest force of the arm on the handle across the slide [N], recorded from 0.5 s
-            after reset on.
+            after reset.
     """
 
     axis: Sequence[float] = (-1.0, 0.0, 0.0)

@@ -28,8 +28,8 @@ GRIP_TIME = 0.01
 #: Impedances d_0 and d_width of the grip constraint (first entries of MuJoCo's `solimp`) [1]; they
 #: make it stiffer than the default.
 GRIP_IMPEDANCE = (0.95, 0.99)
-#: Time after reset from which on peak forces are recorded [s]; before, the servos take up the
-#: weight of the arm.
+#: Peak forces are recorded once this time has passed since reset [s]; until then, the servos take
+#: up the weight of the arm.
 SETTLE = 0.5
 
 
@@ -98,7 +98,7 @@ class GraspedObject(Fixture):
         self._row = None
 
     def _first_row(self, data: mujoco.MjData) -> int:
-        """Return the first row of the grip among the constraint forces."""
+        """Return the index of the grip's first entry in MuJoCo's constraint forces."""
         if self._row is None:
             is_equality = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
             is_grip = is_equality & (data.efc_id == self._grip)

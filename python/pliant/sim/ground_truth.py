@@ -62,7 +62,7 @@ class Frame:
     def twist(self) -> Array:
         """Return the velocity (6,) of the frame in base axes.
 
-        Three entries are the linear velocity of the origin [m/s], three the angular one [rad/s].
+        The linear velocity of the origin [m/s] comes first, then the angular velocity [rad/s].
         """
         mujoco.mj_objectVelocity(
             self._model, self._data, mujoco.mjtObj.mjOBJ_SITE, self.site, self._twist, 0

@@ -71,10 +71,10 @@ def retime(motion: Motion, bounds: tuple[float, float, float], rate: float = RAT
         count += 1
         time = count * step
         ended = time >= motion.duration
-        before, position, after = (motion.at(time + shift) for shift in (-step, 0.0, step))
+        previous, position, following = (motion.at(time + shift) for shift in (-step, 0.0, step))
         slope, curvature = (
-            (after - before) * (0.5 * rate),
-            (after - 2.0 * position + before) * rate**2,
+            (following - previous) * (0.5 * rate),
+            (following - 2.0 * position + previous) * rate**2,
         )
         inputs.target_position = position.tolist()
         slope, curvature = (

@@ -26,9 +26,9 @@ FORMAT = "pliant motion 1"
 RATE = 50.0
 #: Decimal digits of a position [rad] in a motion file.
 DIGITS = 5
-#: Distance from the first or last position of a motion up to which a joint counts as at rest [rad].
+#: Largest distance from the first or last position of a motion at which a joint is at rest [rad].
 REST_TOLERANCE = 0.02
-#: Time of this rest that `Motion.trimmed` keeps at both ends [s].
+#: Duration of rest that `Motion.trimmed` keeps at both ends [s].
 REST_TIME = 0.2
 #: Largest accepted distance between the start of the tool and the recorded start [m]; a larger one
 #: means that the motion was recorded on another arm.
@@ -44,7 +44,7 @@ class Motion:
     """A recorded motion: N samples of the positions of n joints, with smooth interpolation.
 
     Attributes:
-        joints: Names of the joints (n), in the order of the columns of `q`.
+        joints: Names of the n joints, in the order of the columns of `q`.
         time: Times (N,) [s], rising from 0.
         q: Joint positions (N, n) [rad].
         extra: Positions (N,) [rad] of joints outside the chain, such as a gripper, by name.
@@ -189,8 +189,8 @@ class Motion:
                 f"nothing moved by more than {REST_TOLERANCE:g} rad: there is no motion"
             )
         first, last = self.time[moved[0]] - REST_TIME, self.time[not_arrived[-1]] + REST_TIME
-        chosen = (self.time >= first) & (self.time <= last)
-        return self._select(chosen)
+        mask = (self.time >= first) & (self.time <= last)
+        return self._select(mask)
 
     def smoothed(self, width: float = 0.1, rate: float = RATE) -> Motion:
         """Return a copy at a constant sample rate, smoothed by a Gaussian filter without time lag.
@@ -227,9 +227,9 @@ class Motion:
         extra = {name: smooth(row) for name, row in self.extra.items()}
         return replace(self, time=time, q=q, extra=extra)
 
-    def _select(self, chosen: Mask) -> Motion:
-        extra = {name: row[chosen] for name, row in self.extra.items()}
-        return replace(self, time=self.time[chosen], q=self.q[chosen], extra=extra, start=None)
+    def _select(self, mask: Mask) -> Motion:
+        extra = {name: row[mask] for name, row in self.extra.items()}
+        return replace(self, time=self.time[mask], q=self.q[mask], extra=extra, start=None)
 
     def save(self, path: str | Path) -> None:
         """Write a JSON file with one sample per line.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 #: Largest joint speed on the way to the start of the motion, and back to it after a stop [rad/s].
 APPROACH_SPEED = 0.4
-#: Time in which the clock of the motion speeds up from standstill to full rate [s].
+#: Duration of the speed-up of the motion's clock from standstill to full rate [s].
 RISE_TIME = 0.5
 #: The clock of the motion slows down if the deviation exceeds this share of its bound [1].
 SLOWING_SHARE = 0.5
@@ -31,7 +31,7 @@ SLOWING_SHARE = 0.5
 BLOCKED_PACE, FREE_PACE = 0.05, 0.3
 #: Minimum duration of a contact that stops the replay [s].
 MIN_CONTACT = 0.05
-#: Time after `resume` in which contacts are ignored [s].
+#: Time after `resume` during which contacts are ignored [s].
 IGNORE_TIME = 1.0
 
 State = Literal["approaching", "playing", "blocked", "stopped", "done"]

@@ -247,7 +247,7 @@ def notice(text: str, is_error: bool) -> str:
 def _offset(share: float, colour: str, marks: Sequence[float] = ()) -> str:
     """Return a bar from its middle to `share` (-1 to 1), with thin lines at 0 and at `marks`."""
     width = 50.0 * min(abs(share), 1.0)
-    left = 50.0 if share >= 0.0 else 50.0 - width
+    start = 50.0 if share >= 0.0 else 50.0 - width
     lines = "".join(
         f'<i style="position:absolute;left:{50.0 + 50.0 * m:.1f}%;top:-2px;bottom:-2px;'
         f'width:1px;background:{"#bbb" if m == 0.0 else "#333"}"></i>'
@@ -256,7 +256,7 @@ def _offset(share: float, colour: str, marks: Sequence[float] = ()) -> str:
     )
     return (
         f'<div style="position:relative;height:8px;border-radius:4px;background:{BACKGROUND}">'
-        f'<div style="position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:100%;'
+        f'<div style="position:absolute;left:{start:.1f}%;width:{width:.1f}%;height:100%;'
         f'background:{colour}"></div>{lines}</div>'
     )
 

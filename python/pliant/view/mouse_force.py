@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pliant.sim.hand import Wrench
 
 
-#: Time in which the force of a push rises at its start and falls at its end [s].
+#: Duration of the rise of a push's force at its start, and of the fall at its end [s].
 RAMP_TIME = 0.1
 #: Length of the spring between mouse and gripped point at which its force is the maximum [m].
 FULL_FORCE_DISTANCE = 0.15

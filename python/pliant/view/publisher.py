@@ -39,7 +39,7 @@ MAX_NOTICE_TIME = 12.0
 class DriveObserver:
     """Wrapper of a drive that keeps the last reading and calls a function after each reading.
 
-    `Arm` reads through it while it lowers the arm too, when no controller runs.
+    `Arm` also reads through this wrapper while it lowers the arm and no controller runs.
 
     Attributes:
         last: The last reading; None before the first reading.

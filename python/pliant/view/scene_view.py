@@ -43,7 +43,7 @@ NO_TORQUE_COLOUR, FULL_TORQUE_COLOUR = (52, 62, 78), (255, 106, 19)
 COLOUR_STEP = 6
 #: Number of the MuJoCo geom group for shapes that are not drawn.
 HIDDEN_GROUP = 5
-#: Height of the base frame above the floor up to which the arm is drawn without a post [m].
+#: Largest height of the base frame above the floor for which no post is drawn under the arm [m].
 TABLE_TOLERANCE = 0.05
 #: Length of the drawn base axes [m].
 AXES_LENGTH = 0.32

@@ -38,7 +38,7 @@ class JointMonitor:
 
     Attributes:
         model: The robot.
-        names: Names of the joints (N), grippers included.
+        names: Names of the N joints, grippers included.
         position: Last measured angles (N,) [rad]; NaN for a joint that has never replied.
         last_motion: Sentence on the joint that moved last and on the motion to expect of the tool.
     """
@@ -143,11 +143,11 @@ def watch(config: Config, console: Console, seconds: float | None) -> None:
             first = True
             while end is None or time.monotonic() < end:
                 sample = drive.read()
-                moved = monitor.update(sample.position, sample.ok)
+                has_moved = monitor.update(sample.position, sample.ok)
                 if console.is_terminal:
                     live.update(_table(monitor), refresh=True)
                 else:
-                    _lines(console, monitor, first=first, moved=moved)
+                    _lines(console, monitor, first=first, moved=has_moved)
                 first = False
                 time.sleep(PERIOD)
     except KeyboardInterrupt:

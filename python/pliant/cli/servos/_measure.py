@@ -161,16 +161,16 @@ class Session:
         row = np.asarray(arm.model.jacobian(q))[index]
         compliance = float((row**2 / arm.servos.kp).sum())
         needed = max(MIN_PUSH, MIN_PUSH_SHARE * promised * compliance)
-        moved = [0.0]
+        peak = [0.0]
 
         def on_pose(pose: Array) -> None:
-            moved[0] = max(moved[0], sign * float(pose[index, 3] - self.home[index, 3]))
+            peak[0] = max(peak[0], sign * float(pose[index, 3] - self.home[index, 3]))
 
         def parse(line: str) -> float:
             value = grams(line, MIN_READING, MAX_READING_SHARE, report.capacity[side])
-            if moved[0] < needed:
+            if peak[0] < needed:
                 raise ConfigError(
-                    f"the tool moved by {moved[0] * 1e3:.0f} mm, needed are {needed * 1e3:.0f} mm: "
+                    f"the tool moved by {peak[0] * 1e3:.0f} mm, needed are {needed * 1e3:.0f} mm: "
                     "push farther and read again"
                 )
             return value
@@ -193,7 +193,7 @@ class Session:
             "friction_force": report.friction,
             "scale": scale,
             "measured": scale * 1e-3 * G,
-            "deviation": moved[0],
+            "deviation": peak[0],
         }
 
     def _weight(self) -> None:

@@ -215,11 +215,11 @@ class Family:
 
     def layout(self, block: Block) -> Layout:
         """Return the layout of those `CYCLIC_REGISTERS` that a block contains."""
-        found = self._layouts.get(block)
-        if found is None:
+        layout = self._layouts.get(block)
+        if layout is None:
             registers = {n: r for n, r in self.registers.items() if n in CYCLIC_REGISTERS}
-            found = self._layouts[block] = Layout(block, registers)
-        return found
+            layout = self._layouts[block] = Layout(block, registers)
+        return layout
 
     @cached_property
     def status_blocks(self) -> tuple[Block, ...]:
@@ -277,9 +277,9 @@ class Family:
 
         The blocks contain no undefined addresses, of which Protocol 2.0 servos may reject reads.
         """
-        chosen = [self.registers[name] for name in names or self.registers]
+        registers = [self.registers[name] for name in names or self.registers]
         blocks: list[Block] = []
-        for register in sorted(set(chosen), key=lambda r: r.address):
+        for register in sorted(set(registers), key=lambda r: r.address):
             last = blocks[-1] if blocks else Block(-1, 0)
             if register.address == last.address + last.size:
                 blocks[-1] = Block(last.address, last.size + register.size)
