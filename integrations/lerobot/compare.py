@@ -38,7 +38,7 @@ DEPTH, CLEARANCE, WALL = 0.05, 0.03, 0.03
 STIFFNESS, DAMPING = 5000.0, 20.0
 #: Wrong target of the pan, behind the wall [rad].
 WRONG_PAN = math.radians(40.0)
-#: Angle of the open jaw, and angle at which a hard object stops it when it is closed to 0 [rad].
+#: Angle of the open jaw, and angle at which a hard object stops the closing jaw [rad].
 OPEN, OBJECT = 1.2, 0.6
 #: Calibrated range of the jaw [counts].
 JAW_RANGE = {"range_min": 1024, "range_max": 3071}

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 #: Assumed position error at which a servo without data exerts its effort limit [rad].
 FULL_EFFORT_ERROR = 0.07
-#: Assumed friction of a servo without data, per effort limit: dry [1] and viscous [s/rad].
+#: Assumed friction of a servo without data, divided by its effort limit: dry [1], viscous [s/rad].
 FRICTION_SHARE, DAMPING_SHARE = 0.02, 0.10
-#: Assumed rotor inertia of a servo without data per stiffness [s²]; the natural frequency of rotor
-#: and position loop is then 100 rad/s.
+#: Assumed rotor inertia of a servo without data, divided by its stiffness [s²]; the natural
+#: frequency of rotor and position loop is then 100 rad/s.
 ARMATURE_SHARE = 1e-4
 
 
