@@ -2,7 +2,9 @@ import json
 
 import pytest
 
+from pliant import config
 from pliant.cli import main
+from pliant.config.factory import make_emulator
 from pliant.emulator import Device, Emulator
 
 rustypot = pytest.importorskip("rustypot")
@@ -87,6 +89,14 @@ def test_setup_shows_asks_writes_and_undoes(arm, tmp_path, capsys, monkeypatch):
 
     assert main(["servos", "setup", str(file), "--undo", str(backup), "--yes"]) == 0
     assert main([*flags, "--yes"]) == 2, "the first backup is not overwritten"
+
+
+@pytest.mark.parametrize("name", ["so101", "koch", "arm7"])
+def test_emulated_arms_are_set_up_already(name, capsys):
+    with make_emulator(config.load(name)) as bus:
+        ports = [flag for port in bus.ports.values() for flag in ("--port", port)]
+        assert main(["servos", "setup", name, *ports]) == 0
+    assert "nothing to change" in capsys.readouterr().out
 
 
 def test_setup_reports_a_missing_backup(arm, tmp_path, capsys):

@@ -24,6 +24,7 @@ from pliant.config.schema import (
     zeros,
 )
 from pliant.servo import ServoBus, ServoSpec, get_model, serial_ports
+from pliant.servo.eeprom import OVERLOAD_BIT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -496,11 +497,17 @@ def make_mounts(config: Config) -> list[Mount]:
 
 def _as_set_up(servo: Servo) -> dict[str, int]:
     """Return initial EEPROM values by register, as after `pliant servos setup`, with the P gain."""
+    from pliant.emulator import models
+
     row = get_model(servo.model)
+    shutdown = {}
+    if row.family.status != "feetech":
+        factory_value = models.find(servo.model).table["shutdown"].initial
+        shutdown = {"shutdown": factory_value & ~(1 << OVERLOAD_BIT)}
     mode = {"operating_mode": 5} if row.limit_type == "current" else {}
     gain = {} if servo.gain is None else {"p_coefficient": servo.gain}
     number = {} if servo.model_number is None else {"model_number": servo.model_number}
-    return {"return_delay_time": 0, **mode, **gain, **number}
+    return {"return_delay_time": 0, **shutdown, **mode, **gain, **number}
 
 
 def _calibrated(entry: Calibration | None, servo: Servo) -> dict[str, int]:

@@ -13,6 +13,7 @@ from pliant._core import ServoError
 from pliant.servo import _status as status
 from pliant.servo._device import TRIPPED
 from pliant.servo._transactions import RESPONSE_DELAY
+from pliant.servo.eeprom import OVERLOAD_BIT
 from pliant.servo.models import by_number
 from pliant.servo.transport import BusError
 
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
 #: Highest id that is pinged when a servo is missing, for the list of ids that answer.
 NEARBY = 20
-#: Number of the bit of the register Shutdown that enables overload protection.
-OVERLOAD_BIT = 5
 #: Delay of replies beyond the wire time above which the adapter is reported to delay them [s].
 MIN_HOLD_BACK = 0.008
 #: Number of the bit of Feetech's register Phase that is set if the unit of speed is 1 step/s.
