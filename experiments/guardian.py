@@ -194,7 +194,7 @@ def victim(robot: str, port: str, phase: str, *, guardian: bool = True) -> None:
             os._exit(0)
         switch(*orders, **options)
 
-    arm.drive.enable = enable  # type: ignore[assignment, method-assign]
+    arm.drive.enable = enable  # type: ignore[method-assign]
     begun = time.perf_counter()
     with arm:
         if phase == "teaching":

@@ -168,7 +168,7 @@ def test_run_on_the_simulator_lowers_the_arm(capsys):
 def test_soft_axes_that_the_task_has_not_are_answered_with_its_own(capsys):
     assert main(["run", "so101", "--backend", "sim", "--soft", "y yaw"]) == 2
     said = capsys.readouterr().err
-    assert "--soft 'yaw': yaw is no axis of the task, which has x, y, z; task in" in said
+    assert "--soft 'yaw': yaw is not an axis of the task, which has x, y, z; task in" in said
 
 
 def test_run_follows_a_file(tmp_path, capsys):

@@ -396,7 +396,7 @@ class Arm:
             self._exit_message = messages.left_enabled(stopped=True)
 
     def _hold(self) -> None:
-        """Send goals and torque limits that hold the present pose; ignore errors of the bus."""
+        """Send goals and torque limits that hold the present pose; ignore all errors."""
         with contextlib.suppress(Exception):
             hold_position(self._io)
 

@@ -22,25 +22,27 @@ if TYPE_CHECKING:
 
     Ports = Mapping[int, Port]
 
-#: Largest motion of a joint while its torque comes on [rad], besides falling and settling; a larger
-#: motion switches the torque off again.
+#: Largest motion of a joint while its torque comes on [rad], beyond the motion that falling and the
+#: position error under load explain; a larger motion switches the torque off again.
 MAX_MOTION = 0.05
 #: Largest difference of measured and expected position at which torque is switched on [rad].
 MAX_START_ERROR = 0.15
-#: Number of attempts to send goal and limit until they read back as written; distance from its goal
-#: above which a joint without torque gets a new goal [rad].
-MAX_SENDS, MAX_DRIFT = 5, 0.01
-#: Longest time in which a servo must answer after a reboot [s].
+#: Number of attempts to send goal and limit until they read back as written.
+MAX_SENDS = 5
+#: Distance from its goal above which a joint without torque gets a new goal [rad].
+MAX_DRIFT = 0.01
+#: Time within which a servo must answer after a reboot [s].
 REBOOT = 2.0
-#: Time without a new answer after which `ServoBus.reopen` waits no longer for silent servos [s].
+#: `ServoBus.reopen` gives up silent servos when no further servo has answered for this time [s].
 RESUME_TIME = 3.0
 #: Registers that are read and checked before torque is switched on.
 _CHECKED = ("torque_enable", "position", "hardware_error", "watchdog", "voltage")
 #: Registers of the first command, in the order of `FirstCommand`.
 _COMMANDED = ("goal", "limit", "speed_cap")
-#: Number of torque-off packets to a servo that does not reply, and largest number of attempts to
-#: send them: on a noisy line, an attempt may fail.
-OFF_PACKETS, OFF_TRIES = 3, 30
+#: Number of torque-off packets to a servo that does not reply.
+OFF_PACKETS = 3
+#: Largest number of attempts to send them: on a noisy line, an attempt may fail.
+OFF_TRIES = 30
 MAY_BE_ON = "torque may still be on: "
 #: Text about servos whose registers could not be restored after torque off.
 KEPT = "torque limits and speeds are pliant's until the supply is switched off and on"
@@ -67,12 +69,12 @@ def enable(
         goal: Expected joint positions (n,) [rad].
         limit: Torque limits (n,) [N·m].
         lead: Goal minus position of joints without torque (n,) [rad].
-        max_speed: Largest joint speed [rad/s]; 0: that without load.
+        max_speed: Largest joint speed [rad/s]; 0: the no-load speed.
     """
-    before = {}
+    images = {}
     for device in devices:
-        before[id(device)] = _check_state(device, ports, goal)
-    switched = [d for d in devices if not before[id(d)]["torque_enable"]]
+        images[id(device)] = _check_state(device, ports, goal)
+    switched = [d for d in devices if not images[id(d)]["torque_enable"]]
     indices = [device.index for device in devices]
     codec = devices[0].codec
     columns = codec.encode(indices, goal, limit, None, max_speed)[:3]
@@ -87,7 +89,7 @@ def enable(
     is_sent = False
     try:
         for device in devices:
-            if _has_tripped(device, before):
+            if _has_tripped(device, images):
                 _set(device, ports, "watchdog", 0)
             _write_limits(device, ports, commands[id(device)].limit)
         # Read the positions for the goals only now: an arm without torque may be sinking.
@@ -132,30 +134,30 @@ def enable(
             port.read(inf)
     except BaseException as error:
         if is_sent and not isinstance(error, Exception):
-            # After a signal the joints keep their torque, because the arm may hang on it; the
-            # caller lowers the arm. Servos without torque stay without.
+            # After a signal, torque stays as it is, because the arm may hang on it. All servos
+            # count as enabled, so that the caller's goals lower every joint that has torque.
             for device in devices:
                 device.enabled = device.torque_on = True
             raise
-        left = [why for device in switched if (why := _try_off(device, ports))]
+        failures = [text for device in switched if (text := _try_off(device, ports))]
         if not (switched and is_sent and isinstance(error, ServoError)):
             raise
-        if left:
-            state = f"{MAY_BE_ON}{'; '.join(left)}\nsupport the arm and cut the supply"
+        if failures:
+            state = f"{MAY_BE_ON}{'; '.join(failures)}\nsupport the arm and cut the supply"
         else:
             names = ", ".join(device.name for device in switched)
             where = "all joints" if len(switched) == len(devices) else names
             state = f"torque is OFF again in {where}: what it carried falls"
-        kept = [device.name for device in switched if device.is_unrestored]
-        if kept:
-            state += f"\n{', '.join(kept)}: {KEPT}"
+        unrestored = [device.name for device in switched if device.is_unrestored]
+        if unrestored:
+            state += f"\n{', '.join(unrestored)}: {KEPT}"
         raise ServoError(f"{error}\n{state}") from error
     for device in devices:
         device.enabled = device.torque_on = True
 
 
 def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: float) -> list[Device]:
-    """Read the servos of a program that has ended, and drive those whose torque is on.
+    """Read the servos that an ended program has left, and enable those whose torque is on.
 
     Each servo is asked until it answers, or until no servo has answered for the time `patience`. A
     servo that does not answer keeps goal and limit, and gets no goals.
@@ -163,7 +165,7 @@ def resume(devices: Sequence[Device], ports: Ports, budget: float, patience: flo
     Args:
         devices: The servos.
         ports: Port of each servo.
-        budget: Time for each try of a servo [s].
+        budget: Time for each attempt to read a servo [s].
         patience: Time without an answer after which no servo is asked again [s]; 0: each servo is
             asked once.
 
@@ -282,25 +284,25 @@ def _send_first_command(
         ServoError: The registers still differ from the values written after `MAX_SENDS` attempts.
     """
     expected_values = dict(zip(_COMMANDED, command, strict=True))
-    start, found = images
+    start, image = images
     for _ in range(MAX_SENDS):
-        off = not found["torque_enable"]
-        goal = _goal(device, found, lead)
-        apart = abs(goal - expected_values["goal"]) * device.units.count
-        wrong = [name for name, value in expected_values.items() if found[name] != value]
-        if not wrong and not (off and apart > MAX_DRIFT):
-            return start, not off
-        if off:
-            expected_values["goal"], start = goal, found
+        is_off = not image["torque_enable"]
+        goal = _goal(device, image, lead)
+        drift = abs(goal - expected_values["goal"]) * device.units.count
+        differing = [name for name, value in expected_values.items() if image[name] != value]
+        if not differing and not (is_off and drift > MAX_DRIFT):
+            return start, not is_off
+        if is_off:
+            expected_values["goal"], start = goal, image
         for names in device.family.write:
             data = device.packet(names, expected_values["goal"], command.limit, command.speed)
             _send(device, ports, names[0], data)
         device.record_sent(expected_values["goal"], command.limit)
-        found = _image(device, ports, *_COMMANDED, "torque_enable", "position", "speed")
+        image = _image(device, ports, *_COMMANDED, "torque_enable", "position", "speed")
     raise ServoError(
-        f"{device.name} did not take its {' and '.join(wrong) or 'goal'}: "
+        f"{device.name} did not take its {' and '.join(differing) or 'goal'}: "
         + ", ".join(
-            f"{n} reads {found[n]}, written was {expected_values[n]}" for n in wrong or ["goal"]
+            f"{n} reads {image[n]}, written was {expected_values[n]}" for n in differing or ["goal"]
         )
     )
 
@@ -335,8 +337,8 @@ def _check_state(device: Device, ports: Ports, goal: Sequence[float]) -> Registe
     return image
 
 
-def _has_tripped(device: Device, before: Mapping[int, RegisterImage]) -> bool:
-    image = before[id(device)]
+def _has_tripped(device: Device, images: Mapping[int, RegisterImage]) -> bool:
+    image = images[id(device)]
     return "watchdog" in image and image["watchdog"] == 255
 
 
@@ -347,15 +349,15 @@ def _check_still(device: Device, before: RegisterImage, image: RegisterImage) ->
     """
     if not image["torque_enable"]:
         raise ServoError(f"{device.name} did not switch its torque on")
-    moved = abs(image["position"] - before["position"]) * device.units.count
+    motion = abs(image["position"] - before["position"]) * device.units.count
     passed = image.time - before.time
     fall = 2.0 * abs(device.units.velocity(before["speed"])) * passed
-    # Allow also the position error with which the servo exerts its torque limit: limit / k_p.
+    # Also allow the position error at which the servo exerts its torque limit: limit / k_p.
     kp = device.spec.kp or device.units.stiffness(device.gain)
     sag = device.units.torque(device.limit) / kp
-    if moved > MAX_MOTION + fall + sag:
+    if motion > MAX_MOTION + fall + sag:
         raise ServoError(
-            f"{device.name} moved by {moved:.2f} rad as its torque came on. "
+            f"{device.name} moved by {motion:.2f} rad as its torque came on. "
             "A limit below what carries its weight lets it sink, a wrong Homing Offset lets it jump"
         )
 

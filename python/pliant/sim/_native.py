@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 class NativeArms:
-    """Runs `Plant` objects without bus, hands and per-step forces, one after another.
+    """Runs the physics of several `Plant` objects, one after another, without Python between steps.
 
     The plants have no delays, losses, encoder steps, dead bands, hands or `Friction`. The scene of
-    each is one `GraspedObject` with one joint, which records nothing.
+    each plant is one `GraspedObject` with one joint, whose records stay empty.
 
     Args:
         count: Number of arms N.
