@@ -611,8 +611,9 @@ def main(
         if hand:
             held = in_hand(name, poses, seed=seed, on_bytes=over_bytes, usb_latency=usb_latency)
             results = list(run_jobs(held, jobs, f"torque on of {name}"))
-            for trial, result in zip(held, results, strict=True) if each else ():
-                print(f"    {trial.number} {result}", flush=True)
+            if each:
+                for start, result in zip(held, results, strict=True):
+                    print(f"    {start.number} {result}", flush=True)
             print("\n".join(hand_rows(name, held, results)), flush=True)
             continue
         work = descents(name, poses, seed=seed, on_bytes=over_bytes)

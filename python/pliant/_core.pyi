@@ -2131,7 +2131,6 @@ class Diagnostics:
     A snapshot: later steps do not change it. k is the number of task axes.
     """
 
-    def __reduce__(self) -> tuple[Any, ...]: ...
     @property
     def deviation(self) -> _Array:
         """Deviation of the actual pose from `reference` (k,) [m, rad]: reference - actual."""

@@ -93,18 +93,14 @@ def test_a_copied_model_is_the_same(model, servos, q, way):
 
 
 @pytest.mark.parametrize("way", COPIES)
-def test_a_command_and_diagnostics_can_be_copied(controller, q, target, way):
-    command, record = controller.step(q, target), controller.diagnostics
+def test_a_copied_command_is_the_same(controller, q, target, way):
+    command = controller.step(q, target)
     again = COPIES[way](command)
     assert type(again) is pliant.Command
     assert bits(again) == bits(command)
-    there = COPIES[way](record)
-    assert type(there) is type(record)
-    names = [name for name in dir(record) if not name.startswith("_")]
-    assert len(names) > 20
-    for name in names:
-        one, other = np.asarray(getattr(record, name)), np.asarray(getattr(there, name))
-        assert (one.shape, one.dtype, one.tobytes()) == (other.shape, other.dtype, other.tobytes())
+    # Without a speed limit its numbers are infinite.
+    free = pliant.Command(q, np.ones(q.size))
+    assert bits(COPIES[way](free)) == bits(free)
 
 
 def test_copies_share_what_cannot_change(model, controller):

@@ -4,11 +4,9 @@ use pliant_core::Controller as CoreController;
 use pyo3::prelude::*;
 
 use crate::ndarray::{Array, Flags};
-use crate::pickle::{self, Reduced};
 
 #[doc = stub!(Diagnostics)]
 #[pyclass(module = "pliant.types", frozen, get_all)]
-#[derive(FromPyObject)]
 pub(crate) struct Diagnostics {
     #[doc = stub!(Diagnostics.deviation)]
     deviation: Array,
@@ -64,13 +62,6 @@ pub(crate) struct Diagnostics {
     saturated: Flags,
     #[doc = stub!(Diagnostics.locked)]
     locked: Flags,
-}
-
-#[pymethods]
-impl Diagnostics {
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Reduced<'py>> {
-        pickle::of_diagnostics(slf.as_any())
-    }
 }
 
 impl Diagnostics {

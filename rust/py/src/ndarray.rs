@@ -342,16 +342,8 @@ impl<'py> IntoPyObject<'py> for &Array {
     }
 }
 
-impl<'py> FromPyObject<'_, 'py> for Array {
-    type Error = PyErr;
-
-    fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
-        crate::read::numbers("array", &object).map(|(shape, values)| Self { shape, values })
-    }
-}
-
 /// Booleans, converted to a new NumPy array (n,) at each access from Python.
-#[derive(Debug, Clone, PartialEq, FromPyObject)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Flags(pub(crate) Vec<bool>);
 
 impl<'py> IntoPyObject<'py> for &Flags {

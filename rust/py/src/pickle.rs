@@ -2,10 +2,9 @@
 
 use pliant_core::Snapshot;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString, PyTuple};
+use pyo3::types::{PyDict, PyTuple};
 
 use crate::controller::Controller;
-use crate::diagnostics::Diagnostics;
 use crate::model::Model;
 use crate::ndarray::new_array;
 use crate::options::Payload;
@@ -24,7 +23,6 @@ type Numbers<'py> = (Option<Payload>, [f64; 3], Option<[f64; 5]>, f64, Option<Ve
 
 /// Adds the functions that unpickling calls, as attributes that are not in `__all__`.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.setattr("_diagnostics", wrap_pyfunction!(diagnostics, module)?)?;
     module.setattr("_model", wrap_pyfunction!(model, module)?)?;
     module.setattr("_controller", wrap_pyfunction!(controller, module)?)
 }
@@ -49,25 +47,6 @@ pub(crate) fn of_controller<'py>(py: Python<'py>, parts: Parts, snapshot: &Snaps
     );
     let (model, settings, servos) = parts;
     Ok((function(py, "_controller")?, (model, settings, servos, numbers).into_pyobject(py)?))
-}
-
-/// Returns the public attributes of diagnostics in a namespace, from which [`diagnostics`] reads them.
-pub(crate) fn of_diagnostics<'py>(diagnostics: &Bound<'py, PyAny>) -> PyResult<Reduced<'py>> {
-    let (py, fields) = (diagnostics.py(), PyDict::new(diagnostics.py()));
-    for name in diagnostics.dir()? {
-        let name = name.cast_into::<PyString>()?;
-        if !name.to_cow()?.starts_with('_') {
-            fields.set_item(&name, diagnostics.getattr(&name)?)?;
-        }
-    }
-    let namespace = py.import("types")?.getattr("SimpleNamespace")?.call((), Some(&fields))?;
-    Ok((function(py, "_diagnostics")?, (namespace,).into_pyobject(py)?))
-}
-
-/// Creates diagnostics from the namespace that [`of_diagnostics`] stored in a pickle.
-#[pyfunction(name = "_diagnostics")]
-fn diagnostics(fields: Diagnostics) -> Diagnostics {
-    fields
 }
 
 /// Creates a model from the arguments that [`of_model`] stored in a pickle.
