@@ -342,7 +342,7 @@ fn a_series_has_the_numbers_of_its_readings_one_by_one() {
         ContactInput { load: Some(&load), ..ContactInput::default() },
         ContactInput { sent, dq: Some(&velocity), ..ContactInput::default() },
     ];
-    let mut eventful = ContactOptions { accept_thresholds: true, min_time: 0.0, ..known() };
+    let mut eventful = ContactOptions { accept_thresholds: true, min_time: 0.05, ..known() };
     eventful.touch[2] = Some(1.0);
     for options in [known(), ContactOptions { payload_error: 0.1, ..ContactOptions::default() }, eventful] {
         for input in inputs {
