@@ -2396,6 +2396,35 @@ class ContactEstimator:
             ShapeError, OutOfRangeError, ConfigError: An input is invalid; nothing has changed.
         """
 
+    def update_series(
+        self,
+        Q: ArrayLike,
+        *,
+        dt: float | None = None,
+        dq: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        sent: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> WrenchEstimate:
+        """Process several readings at equal intervals; return the estimate of the last one.
+
+        Gives the numbers of one `update` per reading, in less time: without `touch` and `stop`, the
+        wrench is computed for the last reading only.
+
+        Args:
+            Q: Measured joint positions (T, n) [rad].
+            dt: Time between readings [s], as for `update`.
+            dq: Joint velocities (T, n) [rad/s], as for `update`.
+            load: Torques reported by the servos (T, n) [N m], as for `update`.
+            current: Motor currents (T, n) [A], as for `update`.
+            sent: Goals and limits (T, n) sent last before each reading; None: the controller's last
+                command, at all readings.
+
+        Raises:
+            ShapeError, OutOfRangeError, ConfigError: An input is invalid; the estimate has not
+                changed, the stored commands are cleared.
+        """
+
     def uncertainty_at(self, q: ArrayLike) -> _Array:
         """Compute the error bound (6,) [N, N m] for the arm at rest at `q` (n,) [rad]."""
 

@@ -20,6 +20,9 @@ import pliant
 from pliant.config.factory import make_emulator
 from pliant.emulator.process import EmulatorProcess
 
+# A job that a shell runs in the background ignores SIGINT; its programs would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 HERE = Path(__file__).parent
 MOTORS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 

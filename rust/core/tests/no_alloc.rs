@@ -181,9 +181,11 @@ fn feeling_a_contact_asks_for_nothing_either() {
     let q = [-0.13, -0.60, 0.72, -1.74, 0.93, 0.68, -0.17];
     let target = model.forward_kinematics(&q).unwrap();
     let input = pliant_core::ContactInput::default();
+    let readings = [q, q].concat();
     let count = calls(|| {
         for _ in 0..20 {
             contact.update(&controller, &q, &input).unwrap();
+            contact.update_series(&controller, &readings, &input).unwrap();
             controller.step(&q, &target, &StepInput::default()).unwrap();
         }
     });
