@@ -78,10 +78,10 @@ impl Model {
             if is_valid {
                 work(q, outs);
             }
-            fine
+            is_valid
         };
         let [(first, one), (second, two)] = outs;
-        let fine = if q.len() <= CHUNK * n {
+        let is_valid = if q.len() <= CHUNK * n {
             chunk((q, [first, second]))
         } else {
             let mut parts = Vec::with_capacity(q.len() / (CHUNK * n) + 1);
@@ -95,7 +95,7 @@ impl Model {
             }
             install(|| parts.into_par_iter().map(chunk).reduce(|| true, |a, b| a & b))?
         };
-        if fine {
+        if is_valid {
             return Ok(());
         }
         for (row, q) in q.chunks_exact(n).enumerate() {
