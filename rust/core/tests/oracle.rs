@@ -15,7 +15,7 @@ mod slow;
 
 use slow::{Oracle, Tick, Vector};
 
-/// Relative tolerance, with respect to the larger of the value and the scale of its vector.
+/// Tolerance relative to the largest entry of a vector.
 const TOLERANCE: f64 = 1e-9;
 
 /// Comparison of one tick, in the order of the computation, so that the first difference shows the cause.

@@ -167,8 +167,8 @@ fn static_capacity(model: &Model, usable: &JointVec, masses: &GroupMasses, gravi
 /// the servo data are wrong.
 pub(crate) fn check_holding(model: &Model, usable: &JointVec, masses: &GroupMasses, gravity: [f64; 3]) -> Result<()> {
     let (mut frames, mut holding) = (JointFrames::default(), [0.0; MAX_JOINTS]);
-    // Of the configuration with the smallest load: largest |torque| / usable torque of a joint, that joint, its torque
-    // [N·m].
+    // Largest load (|torque| / usable torque) of a joint, with this joint and its torque [N·m], in the configuration
+    // for which that load is smallest.
     let mut best = (f64::INFINITY, 0, 0.0);
     for q in sample_configurations(model) {
         model.chain().forward(&q, &mut frames);

@@ -72,8 +72,8 @@ pub(crate) struct Params {
     /// Law `paper`: true if the step of each axis is clamped to its torque budget.
     pub(crate) budget_on_goal: bool,
     pub(crate) frame: Frame,
-    /// The task's axes in the base frame, as columns, for a frame that does not turn with the tool. Also stored for the
-    /// frame of the base itself: a matrix that the step builds in registers and stores would stall the next load.
+    /// Rotation `base_from_task` of a task frame that does not turn with the tool. Stored also if it is the identity,
+    /// because building a matrix in the step would stall the next load of it.
     pub(super) fixed_axes: Mat3,
     /// Index of each task row's axis among x, y, z, roll, pitch, yaw.
     pub(crate) axes: Vec<usize>,

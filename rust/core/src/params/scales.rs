@@ -15,7 +15,7 @@ const MAX_OVERTRAVEL: f64 = std::f64::consts::PI;
 /// Largest distance to a position limit [rad or m] below which the posture task fades.
 const MAX_CLEARANCE: f64 = 0.05;
 
-/// Distance to a position limit below which the posture task fades, as a share of a short joint range.
+/// For short joint ranges, this share of the range replaces [`MAX_CLEARANCE`].
 const CLEARANCE_SHARE: f64 = 0.05;
 
 /// Returns the distance of each joint to its limit [rad or m] below which the posture task fades.
