@@ -1054,9 +1054,9 @@ class Tracking:
         damping: Damping of the inverse kinematics: lambda, or (lambda_0, sigma_0, lambda_max);
             None: derived from the arm.
         velocity_filter: Time constant of the velocity filter [s].
-        goal_slew: Speed limit of the goals [rad/s]; None: no limit. In a step, each goal first
-            moves the part of it that carries gravity; then all move the same share of their
-            distance.
+        goal_slew: Speed limit of the goals [rad/s]; None: no limit. If it acts, the part of the
+            goals that carries gravity changes first; with what is left of the limit, all goals
+            cover the same share of their remaining distances.
         joint_speed: Joint speed limits (n,) [rad/s]; None: those of the model.
         integrate: Rate of the integral action [1/s]: the lead goal - q of the stiff axes
             accumulates in the goal; 0: no integral action.

@@ -254,7 +254,7 @@ fn follower(model: &Arc<Model>, max_force: [f64; 3]) -> JointFollower {
 }
 
 /// Returns the torques that servos with limited torque exert at q, minus those that hold the arm.
-fn torques_beyond_weight(model: &Model, command: &Command, q: &[f64]) -> Vec<f64> {
+fn torques_above_weight(model: &Model, command: &Command, q: &[f64]) -> Vec<f64> {
     let gravity = model.gravity(q).unwrap();
     (0..q.len())
         .map(|i| {
@@ -270,7 +270,7 @@ fn a_follower_at_its_target_exerts_only_the_weight() {
     let mut follower = follower(&model, [FORCE; 3]);
     for _ in 0..10 {
         let command = follower.step(&Q, &Q, DT).unwrap();
-        assert!(torques_beyond_weight(&model, &command, &Q).iter().all(|torque| torque.abs() < 1e-12));
+        assert!(torques_above_weight(&model, &command, &Q).iter().all(|torque| torque.abs() < 1e-12));
     }
 }
 
@@ -288,7 +288,7 @@ fn a_blocked_follower_exerts_its_force_without_windup() {
         for _ in 0..500 {
             command = follower.step(&Q, &target, DT).unwrap();
         }
-        for (i, torque) in torques_beyond_weight(&model, &command, &Q).iter().enumerate() {
+        for (i, torque) in torques_above_weight(&model, &command, &Q).iter().enumerate() {
             let lever = jacobian[(axis, i)].abs().max(0.1 * jacobian[(axis + 3, i)].abs());
             let expected_torque = FORCE * lever + friction[i];
             assert!(
@@ -301,7 +301,7 @@ fn a_blocked_follower_exerts_its_force_without_windup() {
         for _ in 0..20 {
             command = follower.step(&Q, &Q, DT).unwrap();
         }
-        assert!(torques_beyond_weight(&model, &command, &Q).iter().all(|torque| torque.abs() < 0.1), "{command:?}");
+        assert!(torques_above_weight(&model, &command, &Q).iter().all(|torque| torque.abs() < 0.1), "{command:?}");
     }
 }
 
